@@ -1,0 +1,78 @@
+"""What a method is asked to solve: scenario, error model, specification, metric."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.sampling.rollout import LogitFunction, simulate
+from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, Simulator
+
+Signals = Mapping[str, FloatArray]
+BATCH_ROLLOUTS = 4096
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A failure probability to be estimated.
+
+    Attributes:
+        simulator: The scenario.
+        pem_logit: The perception error model.
+        robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
+        violated: Signals ``[N, T]`` to the classical verdict ``[N]``.
+        pause: Called before every batch of rollouts; may raise to stop a run.
+    """
+
+    simulator: Simulator
+    pem_logit: LogitFunction
+    robustness: Callable[[Signals], FloatArray]
+    violated: Callable[[Signals], BoolArray]
+    pause: Callable[[], None] = lambda: None
+
+
+def sample(
+    problem: Problem, *, proposal: Proposal, count: int, seeds: np.random.SeedSequence
+) -> ScoredRollouts:
+    """Draw and score ``count`` rollouts, in batches that do not change the result."""
+    generator = np.random.default_rng(seeds)
+    steps = problem.simulator.states - 1
+    batches: list[ScoredRollouts] = []
+    for start in range(0, count, BATCH_ROLLOUTS):
+        problem.pause()
+        uniforms = generator.random((min(BATCH_ROLLOUTS, count - start), steps))
+        rollouts = simulate(
+            simulator=problem.simulator,
+            pem_logit=problem.pem_logit,
+            proposal=proposal,
+            uniforms=uniforms,
+        )
+        batches.append(score(problem, rollouts))
+    return _concatenated(batches)
+
+
+def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
+    """Robustness and verdict of rollouts."""
+    return ScoredRollouts(
+        rollouts=rollouts,
+        robustness=problem.robustness(rollouts.signals),
+        violated=problem.violated(rollouts.signals),
+    )
+
+
+def _concatenated(batches: list[ScoredRollouts]) -> ScoredRollouts:
+    if len(batches) == 1:
+        return batches[0]
+    parts = [batch.rollouts for batch in batches]
+    return ScoredRollouts(
+        rollouts=RolloutBatch(
+            signals={n: np.concatenate([p.signals[n] for p in parts]) for n in parts[0].signals},
+            memory={n: np.concatenate([p.memory[n] for p in parts]) for n in parts[0].memory},
+            detected=np.concatenate([part.detected for part in parts]),
+            pem_logit=np.concatenate([part.pem_logit for part in parts]),
+            proposal_logit=np.concatenate([part.proposal_logit for part in parts]),
+        ),
+        robustness=np.concatenate([batch.robustness for batch in batches]),
+        violated=np.concatenate([batch.violated for batch in batches]),
+    )
