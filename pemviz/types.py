@@ -165,11 +165,13 @@ class ScoredRollouts:
         rollouts: The N rollouts.
         robustness: ``[N]`` under the chosen metric.
         violated: ``[N]`` whether the classical semantics is violated.
+        timings_s: Wall time by part of the work [s].
     """
 
     rollouts: RolloutBatch
     robustness: FloatArray
     violated: BoolArray
+    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 @dataclass(frozen=True)
@@ -218,6 +220,7 @@ class StageResult:
         log10_probability: Its decimal logarithm; ``None`` if nothing failed.
         ess: Effective sample size of the failing weights; ``None`` if nothing failed.
         loss: Training loss at the end of the fit [nats a step]; ``None`` without a fit.
+        timings_s: Wall time by part of the work [s].
     """
 
     repetition: int
@@ -233,3 +236,4 @@ class StageResult:
     log10_probability: float | None
     ess: float | None
     loss: float | None
+    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
