@@ -1,0 +1,189 @@
+"""Robustness of a formula on a batch of rollouts, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.errors import InputError
+from pemviz.stl.agm import Agm, AgmSemantics
+from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
+from pemviz.stl.classical import Classical, ClassicalSemantics
+from pemviz.stl.expressions import Product, Quotient
+from pemviz.stl.formulas import Formula, Implies, Not, Predicate, Truth
+from pemviz.stl.semantics import Semantics, evaluate, margin
+from pemviz.stl.smooth_cumulative import SmoothCumulative, SmoothCumulativeSemantics
+
+Metric: TypeAlias = Classical | Agm | SmoothCumulative
+Signals: TypeAlias = Mapping[str, FloatArray]
+
+BLOCK_VALUES = 1 << 16
+"""Values of one signal evaluated at once: few enough to stay in the cache."""
+
+
+def robustness(formula: Formula, signals: Mapping[str, AnyArray], metric: Metric) -> FloatArray:
+    """Robustness of every rollout at step 0.
+
+    Args:
+        formula: the specification.
+        signals: [N, T] by name; all that the formula uses, of one shape.
+        metric: which robustness, with its parameters.
+
+    Returns:
+        [N]. Finite, except that ``true`` alone is infinite where its metric says so.
+
+    Raises:
+        FormulaError: the formula uses an unknown signal or looks past the rollouts' end.
+        InputError: a signal has the wrong shape or type, is not finite, or (agm) leaves
+            its bounds; the message names rollout and step.
+    """
+    return _by_blocks(formula, signals, metric, steps=1)[:, 0]
+
+
+def robustness_trace(
+    formula: Formula, signals: Mapping[str, AnyArray], metric: Metric
+) -> FloatArray:
+    """Robustness of every rollout at every step where the formula's horizon fits.
+
+    Takes and raises what `robustness` does.
+
+    Returns:
+        [N, T - formula.horizon_steps()].
+    """
+    return _by_blocks(formula, signals, metric, steps=None)
+
+
+def violated(formula: Formula, signals: Mapping[str, AnyArray]) -> BoolArray:
+    """Which rollouts violate the formula: the only thing that counts violations.
+
+    Decided by classical robustness < 0, whatever metric ranks the rollouts: on the
+    boundary (exactly 0) a rollout does not violate. Takes and raises what
+    `robustness` does.
+
+    Returns:
+        [N] bool.
+    """
+    return robustness(formula, signals, Classical()) < 0.0
+
+
+@dataclass(frozen=True)
+class SubformulaTrace:
+    """One part of a formula, and its robustness over time.
+
+    Attributes:
+        path: index of the child to take at every level, from the whole formula down.
+        formula: the part.
+        metric: the metric its values are in (under a negation, smooth-cumulative's
+            other part).
+        values: [N, T - formula.horizon_steps()].
+    """
+
+    path: tuple[int, ...]
+    formula: Formula
+    metric: Metric
+    values: FloatArray
+
+
+def subformula_traces(
+    formula: Formula, signals: Mapping[str, AnyArray], metric: Metric | None = None
+) -> tuple[SubformulaTrace, ...]:
+    """Robustness over time of the formula and all its parts: which part fails when.
+
+    Args:
+        formula: the specification.
+        signals: [N, T] by name.
+        metric: classical if None.
+
+    Returns:
+        One entry per part that is a formula, the whole first, then depth first, left
+        to right. Raises what `robustness` does.
+    """
+    return tuple(
+        SubformulaTrace(path, part, used, robustness_trace(part, signals, used))
+        for path, part, used in _parts(formula, metric or Classical(), ())
+    )
+
+
+def _parts(
+    formula: Formula, metric: Metric, path: tuple[int, ...]
+) -> Iterator[tuple[tuple[int, ...], Formula, Metric]]:
+    yield path, formula, metric
+    opposite = metric.opposite() if isinstance(metric, SmoothCumulative) else metric
+    for index, part in enumerate(formula.children()):
+        negated = isinstance(formula, Not) or (isinstance(formula, Implies) and index == 0)
+        if isinstance(part, Formula):
+            yield from _parts(part, opposite if negated else metric, (*path, index))
+
+
+def _semantics(metric: Metric) -> Semantics[FloatArray]:
+    match metric:
+        case Classical():
+            return ClassicalSemantics()
+        case Agm():
+            return AgmSemantics(metric)
+        case SmoothCumulative():
+            return SmoothCumulativeSemantics(metric)
+
+
+def _by_blocks(
+    formula: Formula, signals: Mapping[str, AnyArray], metric: Metric, *, steps: int | None
+) -> FloatArray:
+    """[N, steps], or as many steps as the horizon leaves. Rows do not depend on each other."""
+    used, (rollouts, states) = _select(formula, signals)
+    check_horizon(formula, states)
+    steps = states - formula.horizon_steps() if steps is None else steps
+    semantics = _semantics(metric)
+    result = np.empty((rollouts, steps))
+    size = max(1, BLOCK_VALUES // states)
+    with np.errstate(all="ignore"):  # what is not finite is reported, or meant
+        for start in range(0, rollouts, size):
+            block = {
+                name: np.ascontiguousarray(values[start : start + size], dtype=np.float64)
+                for name, values in used.items()
+            }
+            _check_block(block, formula, metric, start)
+            result[start : start + size] = evaluate(formula, semantics, block, start=0, steps=steps)
+    if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
+        raise InputError("robustness is beyond the largest number; rescale the signals")
+    return result
+
+
+def _check_block(block: Signals, formula: Formula, metric: Metric, start: int) -> None:
+    for name in formula.signals():
+        check_finite(block[name], f"signal {name!r}", start)
+        if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
+            check_bounds(block[name], name, metric.bounds[name], start)
+    for part in formula.walk():
+        if isinstance(part, Predicate) and any(
+            isinstance(node, Product | Quotient) for node in part.walk()
+        ):
+            steps = next(iter(block.values())).shape[1]
+            by = margin(part, ClassicalSemantics(), block, start=0, steps=steps)
+            check_finite(by, f"margin of '{part}'", start)
+
+
+def _select(
+    formula: Formula, signals: Mapping[str, AnyArray]
+) -> tuple[dict[str, AnyArray], tuple[int, int]]:
+    """The signals that the formula uses (any one, for the shape, if none), and (N, T)."""
+    check_names(formula, signals)
+    names = sorted(formula.signals()) or sorted(signals)[:1]
+    if not names:
+        raise InputError("no signals given; at least one is needed for the number of rollouts")
+    used = {name: np.asarray(signals[name]) for name in names}
+    shape = used[names[0]].shape
+    for name, values in used.items():
+        if values.ndim != 2:
+            raise InputError(f"signal {name!r} has shape {values.shape}; must be [N, T]")
+        if values.shape != shape:
+            raise InputError(
+                f"signal {name!r} has shape {values.shape}, {names[0]!r} has {shape};"
+                " all must be alike"
+            )
+        if values.dtype.kind not in "fiub":
+            raise InputError(f"signal {name!r} has type {values.dtype}; must be real numbers")
+    return used, shape
