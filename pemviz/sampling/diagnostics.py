@@ -7,6 +7,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.sampling.weights import effective_sample_size, largest_share, log_sum
+from pemviz.types import Estimate
 
 MINIMUM_TAIL = 5
 RELIABLE_PARETO_K = 0.7
@@ -82,3 +83,19 @@ def weight_warnings(diagnostics: WeightDiagnostics, *, failures: int) -> Sequenc
             f"{RELIABLE_PARETO_K}): the true value may lie outside the interval"
         )
     return warnings
+
+
+def unreliable_because(estimate: Estimate) -> Sequence[str]:
+    """Why an estimate must not decide anything; empty if nothing speaks against it."""
+    if estimate.method == "monte-carlo":
+        return ()
+    reasons: list[str] = []
+    if estimate.failures == 0:
+        reasons.append("no failure was seen")
+    if (estimate.max_weight_share or 0.0) > LARGE_SHARE:
+        reasons.append(f"one rollout carries {estimate.max_weight_share:.0%} of the weight")
+    if estimate.ess is not None and estimate.ess < SMALL_ESS:
+        reasons.append(f"the effective sample size is {estimate.ess:.1f}")
+    if (estimate.pareto_k or 0.0) > RELIABLE_PARETO_K:
+        reasons.append(f"Pareto k-hat is {estimate.pareto_k:.2f}")
+    return reasons

@@ -5,8 +5,6 @@ steps of which part are needed. Arrays may be numpy's or torch's: [n, steps], on
 per rollout.
 """
 
-# ruff: noqa: ANN401 (arithmetic on numbers is numpy's, torch's or Python's)
-
 from __future__ import annotations
 
 import math
