@@ -7,7 +7,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
 
 StageKind = Literal["pretrain", "learn", "final"]
 
@@ -140,7 +140,7 @@ class RolloutBatch:
     @cached_property
     def log_weight(self) -> FloatArray:
         """Log importance weight ``[N]``: sum over steps of log p - log q [nats]."""
-        return np.sum(self.log_p - self.log_q, axis=1)
+        return row_sums(self.log_p - self.log_q)
 
     def decision_states(self) -> StateBatch:
         """The states at which perception acted, arrays ``[N, T-1]``."""
