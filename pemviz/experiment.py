@@ -95,7 +95,11 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
         InputError: It does not parse, names an unknown signal, or looks further ahead than a
             rollout is long.
     """
-    formula = stl.parse(config.spec, signals=[signal.name for signal in simulator.signals])
+    try:
+        formula = stl.parse(config.spec, signals=[signal.name for signal in simulator.signals])
+    except stl.FormulaError as error:
+        message = f"spec = {config.spec!r}: {error}"
+        raise ConfigError(message) from error
     last = simulator.states - 1
     if formula.horizon_steps() > last:
         message = (
