@@ -5,8 +5,6 @@ steps of which part are needed. Arrays may be numpy's or torch's; time comes fir
 so that what happens at a step happens to all rollouts at once.
 """
 
-# ruff: noqa: ANN401 (arithmetic on numbers is numpy's, torch's or Python's)
-
 from __future__ import annotations
 
 import math

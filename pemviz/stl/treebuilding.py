@@ -1,6 +1,6 @@
 """What the parser does at every rule: check types, build the node, remember the place."""
 
-# ruff: noqa: D102, ANN401 (the methods are the rules of grammar.lark, which says what they get)
+# ruff: noqa: D102 (the methods are the rules of grammar.lark, which says what they get)
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""Distributions that perception outcomes are sampled from."""

@@ -1,0 +1,67 @@
+"""The paper's proposal: a small network that sees nothing but the gap."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, FloatArray
+from pemviz.chunks import map_rows
+from pemviz.types import StateBatch
+
+GAP_SCALE_M = 12.0
+HIDDEN_UNITS = 32
+
+
+@dataclass(frozen=True)
+class GapNetwork:
+    """Two hidden layers of ReLU units and two log-softmax outputs, 'missed' and 'detected'.
+
+    The layout is that of the networks published by the paper's authors.
+
+    Attributes:
+        weights: Three matrices, shapes ``[32, 1]``, ``[32, 32]``, ``[2, 32]``.
+        biases: Three vectors, shapes ``[32]``, ``[32]``, ``[2]``.
+        gap_scale_m: The input is the gap divided by this.
+    """
+
+    weights: tuple[FloatArray, FloatArray, FloatArray]
+    biases: tuple[FloatArray, FloatArray, FloatArray]
+    gap_scale_m: float = GAP_SCALE_M
+
+    def logit_at(self, gap_m: FloatArray) -> FloatArray:
+        """Logit of 'detected' at gaps of any shape ``[...]``."""
+        rows = np.ravel(gap_m)[:, None] / self.gap_scale_m
+        return map_rows(self._forward, rows).reshape(gap_m.shape)
+
+    def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:  # noqa: ARG002
+        """Logit of 'detected' ``[...]``, from the gap alone."""
+        return self.logit_at(states.signals["gap"])
+
+    def arrays(self) -> Mapping[str, AnyArray]:
+        """The six parameters, named as torch names those of a sequential network."""
+        named: dict[str, AnyArray] = {}
+        for layer, weight, bias in zip((0, 2, 4), self.weights, self.biases, strict=True):
+            named[f"{layer}.weight"] = weight
+            named[f"{layer}.bias"] = bias
+        return named
+
+    def _forward(self, rows: FloatArray) -> FloatArray:
+        hidden = rows
+        for weight, bias in zip(self.weights[:2], self.biases[:2], strict=True):
+            hidden = np.maximum(hidden @ weight.T + bias, 0.0)
+        outputs = hidden @ self.weights[2].T + self.biases[2]
+        return outputs[:, 1] - outputs[:, 0]
+
+
+def gap_network_from_arrays(arrays: Mapping[str, AnyArray]) -> GapNetwork:
+    """The inverse of :meth:`GapNetwork.arrays`.
+
+    Raises:
+        KeyError: A parameter is missing.
+    """
+    weights = [np.asarray(arrays[f"{layer}.weight"], dtype=np.float64) for layer in (0, 2, 4)]
+    biases = [np.asarray(arrays[f"{layer}.bias"], dtype=np.float64) for layer in (0, 2, 4)]
+    return GapNetwork(
+        weights=(weights[0], weights[1], weights[2]), biases=(biases[0], biases[1], biases[2])
+    )

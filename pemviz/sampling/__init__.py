@@ -1,0 +1,1 @@
+"""Sampling methods, importance weights and estimates."""

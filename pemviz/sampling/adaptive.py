@@ -1,0 +1,168 @@
+"""State-dependent adaptive importance sampling: the paper's Algorithm 1."""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.proposals.gap_network import GapNetwork
+from pemviz.proposals.gap_network_fit import fit_gap_network, initial_gap_network, pool_outcomes
+from pemviz.proposals.simple import PemProposal
+from pemviz.sampling.estimates import importance_sampling_estimate
+from pemviz.sampling.levels import elite_threshold, elites
+from pemviz.sampling.method import importance_stage_figures, network_seed, stage_seeds
+from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.weights import smoothed_weights
+from pemviz.types import Estimate, Proposal, ScoredRollouts, StageKind, StageResult
+
+
+@dataclass(frozen=True)
+class AdaptiveState:
+    """Where a repetition stands.
+
+    Attributes:
+        repetition: Zero-based.
+        stage: The stage that ``step`` carries out next.
+        network: The proposal learned so far.
+        rollouts_simulated: In all stages so far.
+        final: The final rollouts, once drawn.
+    """
+
+    repetition: int
+    stage: int
+    network: GapNetwork
+    rollouts_simulated: int = 0
+    final: ScoredRollouts | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptiveSampling:
+    """Stage 0 pre-trains on the error model, stages 1 to K learn, stage K + 1 estimates.
+
+    Attributes:
+        learning_stages: K.
+        rollouts: In each stage but the last (N_kappa).
+        final_rollouts: In the last (N_e).
+        sigma: Elite quantile.
+        alpha: Exponent that smooths the training weights.
+        epochs: Training steps in each fit.
+        learning_rate: Adam's step size.
+        seed: Root of all randomness.
+    """
+
+    learning_stages: int
+    rollouts: int
+    final_rollouts: int
+    sigma: float
+    alpha: float
+    epochs: int
+    learning_rate: float
+    seed: int
+    name: str = "adaptive"
+
+    @property
+    def stages(self) -> int:
+        """Pre-training, K learning stages and the final one."""
+        return self.learning_stages + 2
+
+    def init(self, problem: Problem, *, repetition: int) -> AdaptiveState:  # noqa: ARG002
+        """An untrained network, before pre-training."""
+        seed = network_seed(seed=self.seed, repetition=repetition)
+        return AdaptiveState(repetition=repetition, stage=0, network=initial_gap_network(seed=seed))
+
+    def step(self, problem: Problem, state: AdaptiveState) -> tuple[AdaptiveState, StageResult]:
+        """Sample from the proposal; learn from the elites unless the stage is the last."""
+        kind = self._kind(state.stage)
+        proposal: Proposal = PemProposal() if kind == "pretrain" else state.network
+        scored = sample(
+            problem,
+            proposal=proposal,
+            count=self.final_rollouts if kind == "final" else self.rollouts,
+            seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
+        )
+        advanced = replace(
+            state,
+            stage=state.stage + 1,
+            rollouts_simulated=state.rollouts_simulated + scored.rollouts.count,
+        )
+        if kind == "final":
+            result = self._result(state, scored, kind, proposal)
+            return replace(advanced, final=scored), result
+        threshold, chosen = self._chosen(kind, scored)
+        began = time.perf_counter()
+        network, loss = self._fit(kind, state.network, scored, chosen)
+        fit_s = time.perf_counter() - began
+        result = replace(
+            self._result(state, scored, kind, proposal),
+            learned=network,
+            threshold=threshold,
+            elites=int(chosen.sum()),
+            loss=loss,
+            timings_s={**scored.timings_s, "fit": fit_s},
+        )
+        return replace(advanced, network=network), result
+
+    def is_done(self, state: AdaptiveState) -> bool:
+        """Whether the final rollouts are drawn."""
+        return state.final is not None
+
+    def estimate(self, state: AdaptiveState) -> Estimate:
+        """The estimate from the final rollouts.
+
+        Raises:
+            ValueError: They are not drawn yet.
+        """
+        if state.final is None:
+            message = "the final rollouts have not been drawn yet"
+            raise ValueError(message)
+        return importance_sampling_estimate(
+            state.final, method=self.name, rollouts_simulated=state.rollouts_simulated
+        )
+
+    def _kind(self, stage: int) -> StageKind:
+        if stage == 0:
+            return "pretrain"
+        return "learn" if stage <= self.learning_stages else "final"
+
+    def _chosen(self, kind: StageKind, scored: ScoredRollouts) -> tuple[float | None, BoolArray]:
+        """The level and which rollouts are learned from: in pre-training, all."""
+        if kind == "pretrain":
+            return None, np.ones(scored.rollouts.count, dtype=np.bool_)
+        threshold = elite_threshold(scored.robustness, sigma=self.sigma)
+        return threshold, elites(scored.robustness, threshold=threshold)
+
+    def _fit(
+        self, kind: StageKind, network: GapNetwork, scored: ScoredRollouts, chosen: BoolArray
+    ) -> tuple[GapNetwork, float]:
+        rollouts = scored.rollouts
+        alpha = 0.0 if kind == "pretrain" else self.alpha
+        weight: FloatArray = smoothed_weights(rollouts.log_weight[chosen], alpha=alpha)
+        table = pool_outcomes(
+            gap_m=rollouts.decision_states().signals["gap"][chosen],
+            detected=rollouts.detected[chosen],
+            rollout_weight=weight,
+        )
+        return fit_gap_network(network, table, epochs=self.epochs, learning_rate=self.learning_rate)
+
+    @staticmethod
+    def _result(
+        state: AdaptiveState, scored: ScoredRollouts, kind: StageKind, proposal: Proposal
+    ) -> StageResult:
+        failures, probability, log10_probability, ess = importance_stage_figures(scored)
+        return StageResult(
+            repetition=state.repetition,
+            stage=state.stage,
+            kind=kind,
+            scored=scored,
+            sampled_from=proposal,
+            learned=None,
+            threshold=None,
+            elites=0,
+            failures=failures,
+            probability=probability,
+            log10_probability=log10_probability,
+            ess=ess,
+            loss=None,
+            timings_s=scored.timings_s,
+        )

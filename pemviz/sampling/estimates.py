@@ -1,0 +1,128 @@
+"""Failure probabilities from scored rollouts."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from pemviz.sampling.diagnostics import diagnose, negative_log_likelihood, weight_warnings
+from pemviz.sampling.weights import log_mean_failing_weight, log_std_error
+from pemviz.types import Estimate, ScoredRollouts
+
+CONFIDENCE = 0.95
+
+
+def monte_carlo_estimate(scored: ScoredRollouts, *, method: str) -> Estimate:
+    """The share of violations, with the exact binomial interval (Clopper and Pearson 1934)."""
+    count, failures = scored.rollouts.count, int(scored.violated.sum())
+    probability = failures / count
+    interval = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")
+    warnings: list[str] = []
+    if failures == 0:
+        warnings.append(
+            f"no failure in {count} rollouts: the probability is below {interval.high:.2g} "
+            f"with {CONFIDENCE:.0%} confidence, and nothing more is known"
+        )
+    elif failures < 10:
+        warnings.append(f"only {failures} failures were seen: the interval is wide")
+    return _estimate(
+        scored,
+        method=method,
+        probability=probability,
+        log10_probability=math.log10(probability) if failures else None,
+        std_error=math.sqrt(probability * (1.0 - probability) / count) if failures else None,
+        interval=(float(interval.low), float(interval.high)),
+        warnings=warnings,
+    )
+
+
+def importance_sampling_estimate(
+    scored: ScoredRollouts, *, method: str, rollouts_simulated: int
+) -> Estimate:
+    """The average weight of violations, with a log-normal interval."""
+    log_weight = scored.rollouts.log_weight
+    failures = int(scored.violated.sum())
+    if failures == 0:
+        message = (
+            f"no failure in {scored.rollouts.count} rollouts: importance sampling then says "
+            "nothing about the probability, not even an upper bound"
+        )
+        return _estimate(
+            scored,
+            method=method,
+            probability=0.0,
+            log10_probability=None,
+            std_error=None,
+            interval=(None, None),
+            warnings=[message],
+            rollouts_simulated=rollouts_simulated,
+        )
+    log_probability = log_mean_failing_weight(log_weight, scored.violated)
+    log_error = log_std_error(log_weight, scored.violated)
+    return _estimate(
+        scored,
+        method=method,
+        probability=math.exp(log_probability),
+        log10_probability=log_probability / math.log(10.0),
+        std_error=math.exp(log_error),
+        interval=log_normal_interval(
+            log_probability, relative_error=math.exp(log_error - log_probability)
+        ),
+        warnings=weight_warnings(diagnose(log_weight[scored.violated]), failures=failures),
+        rollouts_simulated=rollouts_simulated,
+    )
+
+
+def log_normal_interval(
+    log_probability: float, *, relative_error: float, degrees_of_freedom: float | None = None
+) -> tuple[float, float]:
+    """Interval around exp(log_probability), symmetric on the log scale.
+
+    The log of the estimate is taken as normal (as t with ``degrees_of_freedom``) with
+    variance log(1 + relative_error^2), that of a log-normal with this relative error.
+    """
+    half = math.sqrt(math.log1p(relative_error**2))
+    level = 0.5 + CONFIDENCE / 2.0
+    quantile = (
+        float(stats.norm.ppf(level))
+        if degrees_of_freedom is None
+        else float(stats.t.ppf(level, degrees_of_freedom))
+    )
+    low, high = log_probability - quantile * half, log_probability + quantile * half
+    return math.exp(low), min(math.exp(min(high, 0.0)), 1.0)
+
+
+def _estimate(
+    scored: ScoredRollouts,
+    *,
+    method: str,
+    probability: float,
+    log10_probability: float | None,
+    std_error: float | None,
+    interval: tuple[float | None, float | None],
+    warnings: Sequence[str],
+    rollouts_simulated: int | None = None,
+) -> Estimate:
+    rollouts, violated = scored.rollouts, scored.violated
+    diagnostics = diagnose(rollouts.log_weight[violated])
+    nll_mean, nll_log_mean = negative_log_likelihood(np.sum(rollouts.log_p[violated], axis=1))
+    return Estimate(
+        method=method,
+        probability=probability,
+        log10_probability=log10_probability,
+        std_error=std_error,
+        ci_low=interval[0],
+        ci_high=interval[1],
+        rollouts_simulated=rollouts_simulated or rollouts.count,
+        rollouts_in_estimate=rollouts.count,
+        failures=int(violated.sum()),
+        nll_mean=nll_mean,
+        nll_log_mean=nll_log_mean,
+        ess=diagnostics.ess,
+        pareto_k=diagnostics.pareto_k,
+        max_weight_share=diagnostics.max_weight_share,
+        unbiased_probability=probability,
+        unbiased_std_error=std_error,
+        warnings=tuple(warnings),
+    )

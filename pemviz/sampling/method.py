@@ -1,0 +1,73 @@
+"""The shape that all methods share: immutable state, advanced one stage at a time."""
+
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.weights import effective_sample_size, log_mean_failing_weight
+from pemviz.types import Estimate, ScoredRollouts, StageResult
+
+State = TypeVar("State")
+
+
+class Method(Protocol[State]):
+    """A way to estimate a failure probability.
+
+    ``init`` and ``step`` are pure; a repetition is ``init`` and then ``step`` until
+    ``is_done``. Randomness comes from the seeds alone.
+    """
+
+    @property
+    def name(self) -> str:
+        """As chosen with ``--method``."""
+        ...
+
+    @property
+    def stages(self) -> int:
+        """How many times ``step`` is called, for progress displays."""
+        ...
+
+    def init(self, problem: Problem, *, repetition: int) -> State:
+        """The state before the first stage of a repetition."""
+        ...
+
+    def step(self, problem: Problem, state: State) -> tuple[State, StageResult]:
+        """Carry out the next stage."""
+        ...
+
+    def is_done(self, state: State) -> bool:
+        """Whether no stage is left."""
+        ...
+
+    def estimate(self, state: State) -> Estimate:
+        """The repetition's estimate, once it is done."""
+        ...
+
+
+def stage_seeds(*, seed: int, repetition: int, stage: int) -> np.random.SeedSequence:
+    """The seed sequence of one stage; depends on nothing but these three numbers."""
+    return np.random.SeedSequence(seed, spawn_key=(repetition, stage))
+
+
+def network_seed(*, seed: int, repetition: int) -> int:
+    """A 63-bit seed for the proposal network's initial weights."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(repetition, 2**32 - 1))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def importance_stage_figures(
+    scored: ScoredRollouts,
+) -> tuple[int, float, float | None, float | None]:
+    """Failures, probability, its log10 and the failing weights' effective sample size."""
+    failures = int(scored.violated.sum())
+    if failures == 0:
+        return 0, 0.0, None, None
+    log_weight = scored.rollouts.log_weight
+    log_probability = log_mean_failing_weight(log_weight, scored.violated)
+    return (
+        failures,
+        float(np.exp(log_probability)),
+        log_probability / float(np.log(10.0)),
+        effective_sample_size(log_weight[scored.violated]),
+    )

@@ -1,0 +1,54 @@
+"""Importance weights in log space; a weight that underflows stays in every average as 0."""
+
+from typing import Any, cast
+
+import numpy as np
+from scipy.special import logsumexp
+
+from pemviz.arrays import BoolArray, FloatArray
+
+
+def log_sum(log_values: FloatArray) -> float:
+    """Log of the sum of exp of values ``[M]``, M at least 1, without overflow."""
+    return float(cast(Any, logsumexp(log_values)))
+
+
+def smoothed_weights(log_weight: FloatArray, *, alpha: float) -> FloatArray:
+    """Training weights ``[N]``: w^alpha divided by their sum (the paper's weight smoothing)."""
+    scaled = alpha * log_weight
+    return np.exp(scaled - log_sum(scaled))
+
+
+def log_mean_failing_weight(log_weight: FloatArray, violated: BoolArray) -> float:
+    """Log of the average over all N rollouts of weight times violation; -inf without one.
+
+    The importance sampling estimate of the failure probability (the paper's equation for
+    mu-hat), as a logarithm [nats].
+    """
+    if not violated.any():
+        return -np.inf
+    return log_sum(log_weight[violated]) - float(np.log(log_weight.size))
+
+
+def log_std_error(log_weight: FloatArray, violated: BoolArray) -> float:
+    """Log of the standard error of that average [nats]; -inf without a violation.
+
+    The sample standard deviation (divisor N - 1) over the square root of N, computed
+    relative to the largest weight so that nothing underflows.
+    """
+    if not violated.any() or log_weight.size < 2:
+        return -np.inf
+    largest = float(np.max(log_weight[violated]))
+    relative = np.where(violated, np.exp(np.minimum(log_weight - largest, 0.0)), 0.0)
+    deviation = float(np.std(relative, ddof=1)) / np.sqrt(log_weight.size)
+    return largest + float(np.log(deviation)) if deviation > 0.0 else -np.inf
+
+
+def effective_sample_size(log_weight: FloatArray) -> float:
+    """Kish's effective sample size (sum w)^2 / sum w^2 of weights ``[M]``, M at least 1."""
+    return float(np.exp(2.0 * log_sum(log_weight) - log_sum(2.0 * log_weight)))
+
+
+def largest_share(log_weight: FloatArray) -> float:
+    """Share of the total weight that the largest of ``[M]`` carries, M at least 1."""
+    return float(np.exp(np.max(log_weight) - log_sum(log_weight)))

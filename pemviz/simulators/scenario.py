@@ -1,0 +1,62 @@
+"""What both back ends of the braking scenario share: signals and salient variables."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pemviz.arrays import FloatArray
+from pemviz.config import ScenarioConfig
+from pemviz.types import Signal
+
+GAP = "gap"
+EGO_SPEED = "ego_speed"
+LEAD_SPEED = "lead_speed"
+SPEED_ERROR_INTEGRAL = "speed_error_integral_m"
+
+CAR_CLASS = 0.0
+NOT_TRUNCATED = 0.0
+NOT_OCCLUDED = 0.0
+HEADING_AWAY_RAD = -np.pi / 2
+CAR_HEIGHT_M = 1.53
+CAR_WIDTH_M = 1.63
+
+
+def scenario_signals(config: ScenarioConfig) -> tuple[Signal, ...]:
+    """Gap and speeds, with the bounds that the agm metric normalises by."""
+    gap_m, speed_mps = config.gap_bound_m, config.speed_bound_mps
+    return (
+        Signal(name=GAP, key="gap_m", unit="m", low=-gap_m, high=gap_m),
+        Signal(name=EGO_SPEED, key="ego_speed_mps", unit="m/s", low=0.0, high=speed_mps),
+        Signal(name=LEAD_SPEED, key="lead_speed_mps", unit="m/s", low=0.0, high=speed_mps),
+    )
+
+
+def lead_car_salient(config: ScenarioConfig, signals: Mapping[str, FloatArray]) -> FloatArray:
+    """The lead car as KITTI would label it: an unoccluded car straight ahead, heading away.
+
+    Args:
+        config: Gives camera height and the lead car's length.
+        signals: ``gap`` of any shape ``[...]`` [m].
+
+    Returns:
+        ``[..., 11]`` in the order of ``pemviz.pem.SALIENT_COLUMNS``. KITTI locates a car by
+        its centre, so z is the gap and half the car's length.
+    """
+    gap_m = signals[GAP]
+    fixed = (
+        CAR_CLASS,
+        NOT_TRUNCATED,
+        NOT_OCCLUDED,
+        HEADING_AWAY_RAD,  # alpha equals rotation_y where x = 0
+        CAR_HEIGHT_M,
+        CAR_WIDTH_M,
+        config.lead_length_m,
+        0.0,
+        config.camera_height_m,
+        0.0,
+        HEADING_AWAY_RAD,
+    )
+    salient = np.empty((*gap_m.shape, len(fixed)))
+    salient[...] = fixed
+    salient[..., 9] = gap_m + config.lead_length_m / 2
+    return salient

@@ -1,0 +1,239 @@
+"""What flows between the parts: states, rollouts, stages, estimates. All frozen."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+
+StageKind = Literal["pretrain", "learn", "final"]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A measured quantity that specifications may name.
+
+    Attributes:
+        name: As written in a specification, e.g. ``gap``.
+        key: As written in files, with its unit, e.g. ``gap_m``.
+        unit: For axes and tables, e.g. ``m``.
+        low: Lower bound that the agm metric normalises by, in ``unit``.
+        high: Upper bound, in ``unit``.
+    """
+
+    name: str
+    key: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class StateBatch:
+    """States of many rollouts.
+
+    Attributes:
+        step: Index of the state in its rollout; broadcasts against the signals.
+        signals: One array ``[...]`` for each signal, by name.
+        memory: What the controller remembers, e.g. its speed integral; arrays ``[...]``.
+    """
+
+    step: IntArray
+    signals: Mapping[str, FloatArray]
+    memory: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
+
+
+@runtime_checkable
+class Simulator(Protocol):
+    """A scenario that moves when told, at each step, whether perception detected.
+
+    ``initial`` and ``step`` are pure: a state may be kept and continued from again.
+    """
+
+    @property
+    def name(self) -> str:
+        """Back end's name for files and tables."""
+        ...
+
+    @property
+    def states(self) -> int:
+        """States in a rollout (T); perception acts at the first T - 1 of them."""
+        ...
+
+    @property
+    def dt_s(self) -> float:
+        """Time between two states [s]."""
+        ...
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The signals that a state carries."""
+        ...
+
+    def initial(self, *, count: int) -> StateBatch:
+        """``count`` copies of the state in which every rollout starts, arrays ``[count]``."""
+        ...
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The next states, given perception's outcomes ``[N]`` at ``states``."""
+        ...
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Signals ``[...]`` to what perception depends on: salient variables ``[..., D]``."""
+        ...
+
+
+@runtime_checkable
+class Proposal(Protocol):
+    """A distribution of perception's outcomes that rollouts are sampled from."""
+
+    def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+        """Logit of the probability of 'detected', elementwise ``[...]``.
+
+        Args:
+            states: Arrays ``[...]``.
+            pem_logit: The perception error model's own logit at these states, ``[...]``.
+        """
+        ...
+
+    def arrays(self) -> Mapping[str, AnyArray]:
+        """The parameters by name, as they are stored."""
+        ...
+
+
+@dataclass(frozen=True)
+class RolloutBatch:
+    """N rollouts of T states and T - 1 outcomes.
+
+    Attributes:
+        signals: ``[N, T]`` by signal name.
+        memory: ``[N, T]`` by name; see :class:`StateBatch`.
+        detected: ``[N, T-1]`` perception's outcomes.
+        pem_logit: ``[N, T-1]`` logit of 'detected' under the perception error model.
+        proposal_logit: ``[N, T-1]`` logit of 'detected' under the distribution sampled from.
+    """
+
+    signals: Mapping[str, FloatArray]
+    memory: Mapping[str, AnyArray]
+    detected: BoolArray
+    pem_logit: FloatArray
+    proposal_logit: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of rollouts N."""
+        return int(self.detected.shape[0])
+
+    @cached_property
+    def log_p(self) -> FloatArray:
+        """Log likelihood ``[N, T-1]`` of each outcome under the perception error model [nats]."""
+        return outcome_log_likelihood(self.pem_logit, self.detected)
+
+    @cached_property
+    def log_q(self) -> FloatArray:
+        """Log likelihood ``[N, T-1]`` of each outcome under the proposal [nats]."""
+        return outcome_log_likelihood(self.proposal_logit, self.detected)
+
+    @cached_property
+    def log_weight(self) -> FloatArray:
+        """Log importance weight ``[N]``: sum over steps of log p - log q [nats]."""
+        return np.sum(self.log_p - self.log_q, axis=1)
+
+    def decision_states(self) -> StateBatch:
+        """The states at which perception acted, arrays ``[N, T-1]``."""
+        steps = self.detected.shape[1]
+        return StateBatch(
+            step=np.arange(steps, dtype=np.int64)[None, :],
+            signals={name: values[:, :steps] for name, values in self.signals.items()},
+            memory={name: values[:, :steps] for name, values in self.memory.items()},
+        )
+
+
+def outcome_log_likelihood(logit: FloatArray, detected: BoolArray) -> FloatArray:
+    """Log likelihood of outcomes ``[...]`` under a logit ``[...]`` of 'detected' [nats]."""
+    return -np.logaddexp(0.0, np.where(detected, -logit, logit))
+
+
+@dataclass(frozen=True)
+class ScoredRollouts:
+    """Rollouts with their scores.
+
+    Attributes:
+        rollouts: The N rollouts.
+        robustness: ``[N]`` under the chosen metric.
+        violated: ``[N]`` whether the classical semantics is violated.
+        timings_s: Wall time by part of the work [s].
+    """
+
+    rollouts: RolloutBatch
+    robustness: FloatArray
+    violated: BoolArray
+    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A failure probability with what is needed to judge it.
+
+    Undefined values are ``None``. ``ci_low`` and ``ci_high`` bound the probability at
+    ``confidence``; with no failure only Monte Carlo has an upper bound.
+    """
+
+    method: str
+    probability: float
+    log10_probability: float | None
+    std_error: float | None
+    ci_low: float | None
+    ci_high: float | None
+    rollouts_simulated: int
+    rollouts_in_estimate: int
+    failures: int
+    nll_mean: float | None
+    nll_log_mean: float | None
+    ess: float | None
+    pareto_k: float | None
+    max_weight_share: float | None
+    unbiased_probability: float | None
+    unbiased_std_error: float | None
+    warnings: tuple[str, ...] = ()
+    confidence: float = 0.95
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """One stage of a repetition.
+
+    Attributes:
+        repetition: Zero-based.
+        stage: 0 is pre-training, 1 to K learn, K + 1 is final; 0 where nothing is learned.
+        kind: What the stage is for.
+        scored: Its rollouts.
+        sampled_from: The proposal that they were drawn from.
+        learned: The proposal fitted to them; ``None`` in a final stage.
+        threshold: The stage's level of robustness; ``None`` where there is none.
+        elites: Rollouts learned from.
+        failures: Rollouts that violate.
+        probability: The stage's own importance sampling estimate.
+        log10_probability: Its decimal logarithm; ``None`` if nothing failed.
+        ess: Effective sample size of the failing weights; ``None`` if nothing failed.
+        loss: Training loss at the end of the fit [nats a step]; ``None`` without a fit.
+        timings_s: Wall time by part of the work [s].
+    """
+
+    repetition: int
+    stage: int
+    kind: StageKind
+    scored: ScoredRollouts
+    sampled_from: Proposal
+    learned: Proposal | None
+    threshold: float | None
+    elites: int
+    failures: int
+    probability: float
+    log10_probability: float | None
+    ess: float | None
+    loss: float | None
+    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
