@@ -61,6 +61,14 @@ digits cancel.
 """
 
 
+def clipping_flips(predicate: Predicate, low: float, high: float) -> InputError:
+    """The error of bounds within which a predicate cannot change sign."""
+    return InputError(
+        f"agm: clipping to the bounds would change whether '{predicate}' holds, whose margin"
+        f" has the range [{low:g}, {high:g}]; declare wider bounds"
+    )
+
+
 class AgmSemantics(NumpySemantics):
     """Agm robustness of every operator."""
 
@@ -127,10 +135,7 @@ class AgmSemantics(NumpySemantics):
 def _clip(predicate: Predicate, margin: FloatArray, low: float, high: float) -> FloatArray:
     clipped = np.clip(margin, low, high)
     if (np.sign(clipped) != np.sign(margin)).any():
-        raise InputError(
-            f"agm: clipping to the bounds would change whether '{predicate}' holds, whose margin"
-            f" has the range [{low:g}, {high:g}]; declare wider bounds"
-        )
+        raise clipping_flips(predicate, low, high)
     return clipped
 
 

@@ -140,7 +140,7 @@ def _by_blocks(
 ) -> FloatArray:
     """[N, steps], or as many steps as the horizon leaves. Rows do not depend on each other."""
     used, (rollouts, states) = _select(formula, signals)
-    quotients = _predicates_to_check(formula)
+    quotients = predicates_to_check(formula)
     check_horizon(formula, states)
     steps = states - formula.horizon_steps() if steps is None else steps
     semantics = _semantics(metric)
@@ -166,7 +166,7 @@ def _block_rollouts(formula: Formula, states: int) -> int:
     return max(BLOCK_VALUES // states, BLOCK_ROLLOUTS_UNTIL if has_until else BLOCK_ROLLOUTS)
 
 
-def _predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
+def predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
     """Predicates that finite signals may leave infinite or undefined."""
     return tuple(
         part

@@ -8,7 +8,7 @@ so that what happens at a step happens to all rollouts at once.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from typing import Any, Protocol, TypeVar
 
@@ -200,11 +200,21 @@ def _number(  # noqa: PLR0911 (one case per kind of expression)
         case ex.Absolute(operand=operand):
             return abs(number(operand))
         case ex.Minimum(operands=operands):
-            return reduce(semantics.minimum, [number(operand) for operand in operands])
+            return _extreme(semantics.minimum, min, [number(operand) for operand in operands])
         case ex.Maximum(operands=operands):
-            return reduce(semantics.maximum, [number(operand) for operand in operands])
+            return _extreme(semantics.maximum, max, [number(operand) for operand in operands])
         case _:
             raise TypeError(f"unknown expression {type(expression).__name__}")
+
+
+def _extreme(
+    of_arrays: Callable[[Any, Any], Any],
+    of_floats: Callable[[Iterable[float]], float],
+    values: list[Any],
+) -> Any:
+    if all(isinstance(value, float) for value in values):
+        return of_floats(values)
+    return reduce(of_arrays, values)
 
 
 def _quotient(left: Any, right: Any) -> Any:

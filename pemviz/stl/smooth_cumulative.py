@@ -115,7 +115,7 @@ class SmoothCumulativeSemantics(NumpySemantics):
 
 
 LARGEST_EXPONENT = 700.0
-"""The exponential of more (less than minus this) over(under)flows, which costs ten times the time."""
+"""Exponentials beyond it (below minus it) leave double precision, at ten times the cost."""
 
 
 def _exp(exponents: FloatArray) -> FloatArray:
