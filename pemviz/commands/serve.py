@@ -7,7 +7,10 @@ import threading
 import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from types import FrameType
 
 from pemviz.commands.parsing import parse_arguments
 from pemviz.errors import ConfigError
@@ -49,8 +52,12 @@ def run(words: Sequence[str]) -> int:
         raise ConfigError(message)
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     stopping = threading.Event()
+
+    def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        stopping.set()
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopping.set())
+        signal.signal(number, stop)
     _serve(arguments, stopping)
     return EXIT_DONE
 
@@ -90,11 +97,12 @@ def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
 
 def recorders(folder: Path) -> Sequence[Observer]:
     """Observers of a run that is kept, beside those of the panel itself."""
-    from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
-
-    return [Recorder(folder / "run.rrd")]
+    if find_spec("pemviz.recording") is None:
+        return []
+    recording = import_module("pemviz.recording")  # rerun is slow to import
+    return [recording.Recorder(folder / "run.rrd")]
 
 
 def _warm_up() -> None:
     """Import what the first run needs, while nobody waits for it."""
-    import torch  # noqa: F401, PLC0415
+    import_module("torch")

@@ -6,14 +6,13 @@ import threading
 import viser
 
 from pemviz.panel.hub import Hub
+from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
 from pemviz.panel.server import guarded_server
 from pemviz.panel.session import Session
 
 LOG = logging.getLogger(__name__)
 
-TABS_WIDTH_PX = 452
-FIRST_VIEW_POSITION = (-13.0, -12.5, 8.5)
-FIRST_VIEW_TARGET = (7.5, 0.0, -2.6)
+TABS_WIDTH_PX = 500
 
 
 class App:
@@ -38,7 +37,7 @@ class App:
         server.gui.main_panel.set_width(TABS_WIDTH_PX)
         server.initial_camera.position = FIRST_VIEW_POSITION
         server.initial_camera.look_at = FIRST_VIEW_TARGET
-        server.initial_camera.fov = 0.62
+        server.initial_camera.fov = FIRST_VIEW_FOV
         server.on_client_connect(self._connect)
         server.on_client_disconnect(self._disconnect)
 

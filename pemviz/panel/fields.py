@@ -3,9 +3,9 @@
 import ast
 import inspect
 import textwrap
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, get_args, get_origin, get_type_hints
+from itertools import pairwise
+from typing import get_args, get_type_hints
 
 from pemviz.config import ExperimentConfig
 from pemviz.ranges import Range
@@ -17,38 +17,31 @@ def field_docs(kind: type) -> dict[str, str]:
     tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
     body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
     docs: dict[str, str] = {}
-    for field, after in zip(body, body[1:], strict=False):
-        named = isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-        if (
-            named
-            and isinstance(after, ast.Expr)
-            and isinstance(after.value, ast.Constant)
-            and isinstance(after.value.value, str)
-        ):
-            assert isinstance(field, ast.AnnAssign)
-            assert isinstance(field.target, ast.Name)
-            docs[field.target.id] = " ".join(after.value.value.split())
+    for field, after in pairwise(body):
+        match field, after:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str(words))),
+            ):
+                docs[name] = " ".join(words.split())
+            case _:
+                pass
     return docs
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Bounds of a number; an open bound is moved inwards by a step."""
+def limits(name: str, *, step: float) -> tuple[float, float]:
+    """Bounds of a number field of the experiment; an open bound is moved inwards by a step.
 
-    low: float | None
-    high: float | None
-
-
-def limits(name: str, *, step: float) -> Limits:
-    """Bounds of a number field of the experiment."""
+    Raises:
+        ValueError: The field declares no bounds.
+    """
     annotation = get_type_hints(ExperimentConfig, include_extras=True)[name]
-    found = [a for a in get_args(annotation) if isinstance(a, Range)]
-    if get_origin(annotation) is not Annotated or not found:
-        return Limits(None, None)
-    limit = found[0]
-    low = None if limit.low is None else limit.low + (step if limit.low_open else 0.0)
-    high = None if limit.high is None else limit.high - (step if limit.high_open else 0.0)
-    return Limits(low, high)
+    for limit in get_args(annotation):
+        if isinstance(limit, Range) and limit.low is not None and limit.high is not None:
+            low = limit.low + (step if limit.low_open else 0.0)
+            return low, limit.high - (step if limit.high_open else 0.0)
+    message = f"{name} declares no bounds"
+    raise ValueError(message)
 
 
 def hint(name: str) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from safetensors import SafetensorError
@@ -94,7 +93,7 @@ def _learned_curves(
         parts = name.split(".", 4)
         if len(parts) == 5 and parts[1].isdecimal() and parts[3].isdecimal():
             key = (int(parts[1]), int(parts[3]))
-            groups.setdefault(key, {})[parts[4]] = cast(AnyArray, values)
+            groups.setdefault(key, {})[parts[4]] = values
     simulator = VectorizedSimulator(config.scenario)
     curves: list[ProposalCurve] = []
     for (repetition, stage), arrays in sorted(groups.items()):

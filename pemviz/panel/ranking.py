@@ -81,7 +81,7 @@ def row(run: RunData, ranking: Ranking, place: int) -> RankedRow:
     )
 
 
-def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:
+def elites(ranking: Ranking, *, sigma: float) -> BoolArray:
     """Which of the rollouts ``[N]`` are among the least robust 1 - sigma, ties included."""
     count = ranking.robustness.size
     if not count:

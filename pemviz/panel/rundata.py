@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -45,7 +45,7 @@ class Memo:
 
     def __init__(self) -> None:
         self._values: dict[object, Any] = {}
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
 
     def get(self, key: object, compute: Callable[[], Value]) -> Value:
         """The value under ``key``, computed at the first call."""
@@ -178,5 +178,3 @@ def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, wher
             found = "is absent" if name not in table else f"has shape {table[name].shape}"
             message = f"rollouts {where}: {name} {found}, must have shape {shape}"
             raise InputError(message)
-
-

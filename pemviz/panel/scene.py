@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from pemviz.arrays import FloatArray
 from pemviz.panel import meshes
@@ -15,16 +16,18 @@ from pemviz.panel.palette import BLUE, DETECTED, EGO, LEAD, MISSED, rgb
 from pemviz.panel.views.rollout import Track
 
 ROAD = (72, 76, 84)
+VERGE = (176, 190, 168)
 PAINT = (240, 240, 240)
 GLASS = (28, 34, 44)
 TYRE = (22, 22, 24)
 LAMP_ON, LAMP_OFF = (255, 20, 20), (84, 12, 12)
 SAFE, CLOSE = np.array([120.0, 130.0, 140.0]), np.array([225.0, 20.0, 20.0])
 FOCAL_PX, IMAGE_PX = 721.5, (1242, 375)
-VIEW_DEPTH_M = 7.0
+VIEW_DEPTH_M = 2.0
 LOOK_AHEAD_WXYZ = (0.5, -0.5, 0.5, -0.5)
-CAMERA_OFFSET_M = np.array([-13.0, -12.5, 8.5])
-CAMERA_TARGET_M = np.array([7.5, 0.0, -2.6])
+FIRST_VIEW_POSITION = (-15.0, -19.0, 12.0)
+FIRST_VIEW_TARGET = (4.5, 0.0, -3.6)
+FIRST_VIEW_FOV = 0.66
 BRAKING_MPS2 = 1.0
 LIMIT_M = 2.0
 
@@ -37,6 +40,11 @@ class Scene:
         self._track: Track | None = None
         self._follow = True
         self._travelled_m: FloatArray = np.zeros(1)
+        api.configure_default_lights(enabled=False)
+        api.add_light_hemisphere(
+            "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 150), intensity=0.75
+        )
+        api.add_light_directional("/light/sun", intensity=1.0, position=(-6.0, -10.0, 14.0))
         self._world = api.add_frame("/world", show_axes=False)
         self._ego = api.add_frame("/world/ego", show_axes=False)
         self._lead = api.add_frame("/world/lead", show_axes=False)
@@ -47,7 +55,7 @@ class Scene:
             fov=2 * math.atan(IMAGE_PX[1] / 2 / FOCAL_PX),
             aspect=IMAGE_PX[0] / IMAGE_PX[1],
             scale=VIEW_DEPTH_M,
-            thickness=0.05,
+            thickness=0.035,
             color=rgb(DETECTED),
             wxyz=LOOK_AHEAD_WXYZ,
             position=(0.0, 0.0, 1.65),
@@ -137,6 +145,13 @@ class Scene:
     def _ground(self, travelled_m: float) -> None:
         start_m, end_m = -60.0, travelled_m + 90.0
         self._api.add_box(
+            "/world/verge",
+            color=VERGE,
+            dimensions=(end_m - start_m + 400.0, 400.0, 0.1),
+            position=((start_m + end_m) / 2, 0.0, -0.2),
+            cast_shadow=False,
+        )
+        self._api.add_box(
             "/world/road",
             color=ROAD,
             dimensions=(end_m - start_m, 9.0, 0.1),
@@ -211,7 +226,7 @@ def braking(speed_mps: FloatArray, step: int, dt_s: float) -> bool:
     return float(speed_mps[step] - speed_mps[step + 1]) > BRAKING_MPS2 * dt_s
 
 
-def gap_color(gap_m: float, *, wide_m: float) -> FloatArray:
+def gap_color(gap_m: float, *, wide_m: float) -> NDArray[np.uint8]:
     """RGB ``[3]`` from 0 to 255: grey at ``wide_m`` and beyond, red at the limit and below."""
     share = float(np.clip((wide_m - gap_m) / max(wide_m - LIMIT_M, 1e-9), 0.0, 1.0))
     return np.rint(SAFE + share * (CLOSE - SAFE)).astype(np.uint8)

@@ -128,7 +128,7 @@ def guarded_server(*, host: str, port: int, closed: bool = False) -> viser.Viser
     return server
 
 
-def _no_share(verbose: bool = True) -> None:  # noqa: ARG001
+def _no_share(verbose: bool = True) -> None:
     """Take the place of viser's public tunnel."""
 
 

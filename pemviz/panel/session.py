@@ -44,6 +44,7 @@ class Session:
         self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._seen_version = -1
         self._refreshed_s = 0.0
+        self._later: dict[str, Callable[[], None]] = {}
         self._closed = threading.Event()
         self._thread = threading.Thread(
             target=self._live, name=f"pemviz-browser-{client.client_id}", daemon=True
@@ -66,6 +67,13 @@ class Session:
     def post(self, work: Callable[[], None]) -> None:
         """Have the session's thread do something."""
         self._work.put(work)
+
+    def later(self, name: str, work: Callable[[], None]) -> None:
+        """Have the session's thread do something once it has nothing else to do.
+
+        Work of the same name replaces what still waits; only for the session's own thread.
+        """
+        self._later[name] = work
 
     def on(self, work: Callable[[], None]) -> Callable[[Any], None]:
         """A callback for a control: does ``work`` if a person moved it, not the program."""
@@ -123,9 +131,9 @@ class Session:
         """Do what is asked, or else let time pass."""
         pause_s = FRAME_S if self.player.playing else REFRESH_S
         try:
-            work = self._work.get(timeout=pause_s)
+            work = self._work.get(timeout=0.0 if self._later else pause_s)
         except queue.Empty:
-            work = _nothing
+            work = self._later.pop(next(iter(self._later))) if self._later else _nothing
         if work is None or self._closed.is_set():
             return
         work()

@@ -118,7 +118,8 @@ class Plot:
             pen_up = False
         self._clipped(
             f"<path d='{''.join(pieces)}' fill='none' stroke='{color}' stroke-width='{width}'"
-            f" stroke-opacity='{opacity:.2f}' stroke-linejoin='round'{_dash(dash)}>{_tip(tip)}</path>"
+            f" stroke-opacity='{opacity:.2f}' stroke-linejoin='round'{_dash(dash)}>"
+            f"{_tip(tip)}</path>"
         )
 
     def steps(self, x: FloatArray, y: FloatArray, **style: str | float) -> None:
@@ -142,13 +143,13 @@ class Plot:
             if cross:
                 r = radius
                 shape = (
-                    f"<path d='M{px - r:.1f} {py - r:.1f}l{2 * r} {2 * r}m0 {-2 * r}l{-2 * r} {2 * r}'"
-                    f" stroke='{color}' stroke-width='1.6' fill='none'>{tip}</path>"
+                    f"<path d='M{px - r:.1f} {py - r:.1f}l{2 * r} {2 * r}"
+                    f"m0 {-2 * r}l{-2 * r} {2 * r}' stroke='{color}' stroke-width='1.6'"
+                    f" fill='none'>{tip}</path>"
                 )
             else:
-                shape = (
-                    f"<circle cx='{px:.1f}' cy='{py:.1f}' r='{radius}' fill='{color}'>{tip}</circle>"
-                )
+                place_and_size = f"cx='{px:.1f}' cy='{py:.1f}' r='{radius}'"
+                shape = f"<circle {place_and_size} fill='{color}'>{tip}</circle>"
             self._parts.append(shape)
 
     def ticks_at(self, x: FloatArray, *, y_px: tuple[float, float], color: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, cast, get_args
 
 import viser
 
@@ -25,7 +25,10 @@ PRESET_HINT = (
     "Shipped configuration that fills in all controls and the scenario: paper (70 km/h, lead car "
     "brakes at 0.3 g) or town01 (30 km/h, lead car brakes hard)."
 )
+RUN_HINT = "Run what is set up below. One experiment runs at a time; all browsers see it."
+STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
+LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
 FIXED_METHODS = ("monte-carlo", "naive")
 
 
@@ -78,16 +81,18 @@ class ExperimentTab:
 
     def _add_buttons(self) -> None:
         gui, session = self._session.client.gui, self._session
-        self.run = gui.add_button("Run", icon=viser.Icon.PLAYER_PLAY, color="blue",
-            hint="Run the experiment set up below; one runs at a time, all browsers see it.")  # fmt: skip
-        self.stop = gui.add_button("Stop", icon=viser.Icon.PLAYER_STOP, color="red",
-            disabled=True, hint="Stop after the present batch of rollouts; what is finished is kept.")  # fmt: skip
+        self.run = gui.add_button("Run", icon=viser.Icon.PLAYER_PLAY, color="blue", hint=RUN_HINT)
+        self.stop = gui.add_button(
+            "Stop", icon=viser.Icon.PLAYER_STOP, color="red", disabled=True, hint=STOP_HINT
+        )
         self.run.on_click(session.on(self._run))
         self.stop.on_click(session.on(session.hub.controller.stop))
 
     def _add_choices(self) -> None:
         gui, session = self._session.client.gui, self._session
-        self.preset = gui.add_dropdown("Preset", preset_names(), initial_value=FIRST_PRESET, hint=PRESET_HINT)
+        self.preset = gui.add_dropdown(
+            "Preset", preset_names(), initial_value=FIRST_PRESET, hint=PRESET_HINT
+        )
         self.method = gui.add_dropdown("Method", get_args(MethodName), hint=hint("method"))
         self.metric = gui.add_dropdown("Metric", get_args(MetricName), hint=hint("metric"))
         self.preset.on_update(session.on(self._choose_preset))
@@ -99,7 +104,7 @@ class ExperimentTab:
         self.stages = self._count("Stages", "stages")
         self.rollouts = self._count("Rollouts", "rollouts")
         self.final_rollouts = self._count("Final rollouts", "final_rollouts")
-        self.seed = self._count("Seed", "seed", low=0, high=2**53 - 1)
+        self.seed = self._count("Seed", "seed")
 
     def _add_specification(self) -> None:
         gui, session = self._session.client.gui, self._session
@@ -112,19 +117,20 @@ class ExperimentTab:
         self._facts = gui.add_html("")
         self.spec.on_update(session.on(self._check_spec))
 
-    def _float(self, label: str, name: str, *, step: float) -> Any:
-        gui, bounds = self._session.client.gui, limits(name, step=step)
-        assert bounds.low is not None
-        assert bounds.high is not None
+    def _float(self, label: str, name: str, *, step: float) -> viser.GuiSliderHandle[float]:
+        low, high = limits(name, step=step)
         initial = float(getattr(self._base, name))
-        return gui.add_slider(label, bounds.low, bounds.high, step, initial, hint=hint(name))
+        return self._session.client.gui.add_slider(label, low, high, step, initial, hint=hint(name))
 
-    def _count(self, label: str, name: str, *, low: int = 1, high: int | None = None) -> Any:
-        gui, bounds = self._session.client.gui, limits(name, step=1)
-        least = low if bounds.low is None else int(bounds.low)
-        most = high if high is not None else int(bounds.high or 2**53 - 1)
-        return gui.add_number(
-            label, int(getattr(self._base, name)), min=least, max=most, step=1, hint=hint(name)
+    def _count(self, label: str, name: str) -> viser.GuiNumberHandle[int]:
+        low, high = limits(name, step=1)
+        return self._session.client.gui.add_number(
+            label,
+            int(getattr(self._base, name)),
+            min=int(low),
+            max=min(int(high), LARGEST_EXACT),
+            step=1,
+            hint=hint(name),
         )
 
     def _choose_preset(self) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import viser
@@ -17,9 +18,13 @@ from pemviz.panel.widgets import set_html
 if TYPE_CHECKING:
     from pemviz.panel.session import Session
 
+Key = Literal["space", "arrowleft", "arrowright"]
+
 SPEEDS = {"0.1x": 0.1, "0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0}
+STEP_HINT = "State of the rollout; drag to scrub. Keys: arrow left, arrow right."
+PLAY_HINT = "Play and pause (key: space), start again, speed as a multiple of real time."
 MARGIN_PX = 8
-PANEL_HEIGHT_PX = 342
+PANEL_HEIGHT_PX = 274
 NARROWEST_PX = 420
 PLOT_PAUSE_S = 0.12
 
@@ -31,12 +36,13 @@ class Player:
         self._session = session
         self.playing = False
         self._key: object = None
-        self._track: Track | None = None
+        self.track: Track | None = None
         self._pieces = ("", "")
         self._step = 0
         self._began: tuple[float, int] = (0.0, 0)
         self._plotted_s = 0.0
         self._width_px = 0
+        self._speed = 1.0
         self.scene = Scene(session.client.scene)
         self._panel = session.client.gui.add_panel()
         with self._panel.add_tab("Rollout", viser.Icon.MOVIE):
@@ -50,10 +56,9 @@ class Player:
         chosen = track(run, entry)
         if key == self._key:
             return
-        self._key, self._track = key, chosen
+        self._key, self.track = key, chosen
         self._pieces = track_plots(chosen)
         self.playing = False
-        self._label()
         with self._session.client.atomic():
             self.slider.max = chosen.states - 1
             self.scene.show(chosen)
@@ -65,11 +70,11 @@ class Player:
 
     def advance(self) -> None:
         """Move on with the time that has passed, while playing."""
-        chosen = self._track
+        chosen = self.track
         if not self.playing or chosen is None:
             return
         began_s, first = self._began
-        passed = (time.monotonic() - began_s) * SPEEDS.get(self.speed.value, 1.0)
+        passed = (time.monotonic() - began_s) * self._speed
         step = min(first + int(passed / chosen.scenario.dt_s), chosen.states - 1)
         if step != self._step:
             self._go_to(step)
@@ -79,25 +84,21 @@ class Player:
     def _add_controls(self) -> None:
         gui, session = self._session.client.gui, self._session
         self._plots = gui.add_html("")
-        self.slider = gui.add_slider("Step", 0, 99, 1, 0,
-            hint="State of the rollout, 0.05 s apart; drag to scrub. Keys: arrow left, right.")  # fmt: skip
-        self.play = gui.add_button_group("Playback", ("\u25b6 Play", "\u23f8 Pause", "\u23ee Restart"),
-            hint="Key: space plays and pauses.")  # fmt: skip
-        self.speed = gui.add_button_group("Speed", tuple(SPEEDS), hint="Times real time.")
-        self.follow = gui.add_checkbox("Follow ego", True,
-            hint="Keep the ego car in view: the road moves beneath it.")  # fmt: skip
+        self.slider = gui.add_slider("Step", 0, 99, 1, 0, hint=STEP_HINT)
+        buttons = ("Play", "Pause", "Restart", *SPEEDS)
+        self.play = gui.add_button_group("Playback", buttons, hint=PLAY_HINT)
         self.slider.on_update(session.on(self._scrub))
         self.play.on_click(session.on(self._play_clicked))
-        self.speed.on_click(session.on(self._speed_clicked))
-        self.follow.on_update(session.on(self._follow))
-        keys = (("Play or pause", "space", self._toggle),
-                ("Step back", "arrowleft", lambda: self._nudge(-1)),
-                ("Step ahead", "arrowright", lambda: self._nudge(1)))  # fmt: skip
-        for label, key, work in keys:
-            gui.add_command(label, hotkey=key).on_trigger(session.on(work))  # pyright: ignore[reportArgumentType]
+        self._key_for("Play or pause", "space", self._toggle)
+        self._key_for("Step back", "arrowleft", lambda: self._nudge(-1))
+        self._key_for("Step ahead", "arrowright", lambda: self._nudge(1))
+
+    def _key_for(self, label: str, key: Key, work: Callable[[], None]) -> None:
+        command = self._session.client.gui.add_command(label, hotkey=key)
+        command.on_trigger(self._session.on(work))
 
     def _go_to(self, step: int) -> None:
-        chosen = self._track
+        chosen = self.track
         if chosen is None:
             return
         self._step = min(max(step, 0), chosen.states - 1)
@@ -107,10 +108,9 @@ class Player:
             now_s = time.monotonic()
             if not self.playing or now_s - self._plotted_s >= PLOT_PAUSE_S:
                 self._plotted_s = now_s
-                set_html(self._plots, with_cursor(self._pieces, chosen, self._step))
-
-    def _label(self) -> None:
-        pass
+                set_html(
+                    self._plots, with_cursor(self._pieces, chosen, self._step, speed=self._speed)
+                )
 
     def _scrub(self) -> None:
         self._pause()
@@ -128,17 +128,19 @@ class Player:
 
     def _play_clicked(self) -> None:
         word = self.play.value
-        if "Restart" in word:
-            self._go_to(0)
-        if "Pause" in word:
+        if word in SPEEDS:
+            self._set_speed(SPEEDS[word])
+        elif word == "Pause":
             self._pause()
         else:
+            if word == "Restart":
+                self._go_to(0)
             self._play()
 
     def _play(self) -> None:
-        if self._track is None:
+        if self.track is None:
             return
-        if self._step >= self._track.states - 1:
+        if self._step >= self.track.states - 1:
             self._go_to(0)
         self.playing = True
         self._began = (time.monotonic(), self._step)
@@ -148,11 +150,14 @@ class Player:
             self.playing = False
             self._go_to(self._step)
 
-    def _speed_clicked(self) -> None:
+    def _set_speed(self, speed: float) -> None:
+        self._speed = speed
         self._began = (time.monotonic(), self._step)
+        self._go_to(self._step)
 
-    def _follow(self) -> None:
-        self.scene.follow(self.follow.value)
+    def follow(self, follow: bool) -> None:
+        """Whether the view keeps up with the ego car."""
+        self.scene.follow(follow)
         self._go_to(self._step)
 
     def _fit(self) -> None:

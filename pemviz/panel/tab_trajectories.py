@@ -9,7 +9,7 @@ import viser
 
 from pemviz.config import MetricName
 from pemviz.errors import InputError
-from pemviz.panel.ranking import RankedRow, Ranking, rank, row
+from pemviz.panel.ranking import Ranking, rank, row
 from pemviz.panel.rundata import RunData
 from pemviz.panel.views.ranking_table import ranking_table
 from pemviz.panel.views.words import block, quiet
@@ -22,6 +22,8 @@ METRIC_HINT = (
     "Metric that ranks the rollouts shown; re-ranks what is stored at once, without a new run. "
     "Violations are always decided by the classical metric."
 )
+RANK_HINT = "Which rollout to show; 1 is the least robust. Keys: arrow down, arrow up."
+FOLLOW_HINT = "Keep the ego car in view while it drives: the road moves beneath it."
 LIVE_PAUSE_S = 0.6
 
 
@@ -34,10 +36,10 @@ class TrajectoriesTab:
         self.metric = gui.add_dropdown(
             "Ranked by", get_args(MetricName), initial_value="classical", hint=METRIC_HINT
         )
-        self.place = gui.add_number("Rank", 1, min=1, max=1_000_000, step=1,
-            hint="Which rollout to show; 1 is the least robust. Keys: arrow down, arrow up.")  # fmt: skip
+        self.place = gui.add_number("Rank", 1, min=1, max=1_000_000, step=1, hint=RANK_HINT)
         self._table = gui.add_html("")
-        self._note = gui.add_html(block(quiet("")))
+        self.follow = gui.add_checkbox("Follow ego", True, hint=FOLLOW_HINT)
+        self.follow.on_update(session.on(lambda: session.player.follow(self.follow.value)))
         self.metric.on_update(session.on(self._re_rank))
         self.place.on_update(session.on(self._pick))
         self._add_keys()
@@ -50,10 +52,10 @@ class TrajectoriesTab:
         """Show another run, or a later state of the same one."""
         if run is None or run is self._run:
             return
-        if run.running and time.monotonic() - self._shown_s < LIVE_PAUSE_S and self._run:
-            if run.name == self._run.name:
-                self._session.post_refresh()
-                return
+        same = self._run is not None and run.name == self._run.name
+        if same and run.running and time.monotonic() - self._shown_s < LIVE_PAUSE_S:
+            self._session.post_refresh()
+            return
         self._shown_s = time.monotonic()
         if self._run is None or run.name != self._run.name:
             self._picked = None
@@ -126,8 +128,3 @@ class TrajectoriesTab:
         )
         found = same[ranking.order].nonzero()[0]
         return int(found[0]) if found.size else 0
-
-
-def entry_key(run: RunData, entry: RankedRow) -> tuple[str, int, int, int]:
-    """What tells a rollout from all others."""
-    return run.name, entry.repetition, entry.stage, entry.rollout

@@ -11,4 +11,4 @@ def set_html(handle: viser.GuiHtmlHandle, content: str) -> None:
 
 def element_id(handle: viser.GuiInputHandle[int]) -> str:
     """The id of the input's element in the page."""
-    return handle._impl.uuid  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
+    return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]

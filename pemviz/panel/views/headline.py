@@ -40,7 +40,9 @@ def _answer(run: RunData) -> str:
             f"P(violation) = {number(estimate.get('probability'))}"
             f" \N{PLUS-MINUS SIGN} {number(estimate.get('std_error'), 2)}"
         )
-    interval = f"95 % interval {number(estimate.get('ci_low'), 2)} to {number(estimate.get('ci_high'), 2)}"
+    interval = (
+        f"95 % interval {number(estimate.get('ci_low'), 2)} to {number(estimate.get('ci_high'), 2)}"
+    )
     counts = (
         f"{number(failures, 6)} of {number(estimate.get('rollouts_in_estimate'), 6)} rollouts"
         f" violate, {number(estimate.get('rollouts_simulated'), 6)} simulated"

@@ -76,7 +76,7 @@ def _shown_pem(run: RunData) -> str:
 
 def threshold_plot(stages: Sequence[Mapping[str, Any]], *, unit: str) -> str:
     """The level of robustness that each stage learned from."""
-    points = [(s["stage"], s["threshold"]) for s in stages if _is_number(s.get("threshold"))]
+    points = [(s["stage"], s["threshold"]) for s in stages if is_number(s.get("threshold"))]
     low, high = _range([float(v) for _, v in points], with_zero=True)
     plot = Plot(
         title="Threshold: rollouts at or below it are learned from",
@@ -94,7 +94,7 @@ def threshold_plot(stages: Sequence[Mapping[str, Any]], *, unit: str) -> str:
 
 def failure_plot(stages: Sequence[Mapping[str, Any]]) -> str:
     """Share of violating rollouts a stage."""
-    kept = [s for s in stages if _is_number(s.get("failures")) and s.get("rollouts")]
+    kept = [s for s in stages if is_number(s.get("failures")) and s.get("rollouts")]
     xs = np.array([float(s["stage"]) for s in kept])
     ys = np.array([100.0 * float(s["failures"]) / float(s["rollouts"]) for s in kept])
     plot = Plot(
@@ -112,7 +112,7 @@ def failure_plot(stages: Sequence[Mapping[str, Any]]) -> str:
 
 def ess_plot(stages: Sequence[Mapping[str, Any]]) -> str:
     """Effective sample size of each stage's failing weights."""
-    kept = [s for s in stages if _is_number(s.get("ess"))]
+    kept = [s for s in stages if is_number(s.get("ess"))]
     xs = [float(s["stage"]) for s in kept]
     ys = [float(s["ess"]) for s in kept]
     top = max([12.0, *ys]) * 1.1
@@ -138,10 +138,10 @@ def estimate_plot(run: RunData, stages: Sequence[Mapping[str, Any]]) -> str:
     points = [
         (float(s["stage"]), float(s["log10_probability"]))
         for s in stages
-        if _is_number(s.get("log10_probability"))
+        if is_number(s.get("log10_probability"))
     ]
     values = [v for _, v in points]
-    values += _logs(estimate, "probability", "ci_low", "ci_high") + _logs(reference, "probability")
+    values += logs(estimate, "probability", "ci_low", "ci_high") + logs(reference, "probability")
     shown = [v for v in values if v > -60.0]
     low, high = (
         (math.floor(min(shown)) - 1.0, math.ceil(max(shown)) + 1.0) if shown else (-20.0, 0.0)
@@ -154,15 +154,15 @@ def estimate_plot(run: RunData, stages: Sequence[Mapping[str, Any]]) -> str:
         left=52,
         bottom=48,
     )
-    for value in _logs(reference, "probability"):
+    for value in logs(reference, "probability"):
         plot.hline(value, color=GREEN, dash="", label="reference")
     kept = [(s, v) for s, v in points if v >= low]
     tips = [f"stage {s:g} alone: {number(10.0**v)}" for s, v in kept]
     plot.points([s for s, _ in kept], [v for _, v in kept], color=GREY, tips=tips)
-    answer = _logs(estimate, "probability")
+    answer = logs(estimate, "probability")
     if answer:
-        last = max([float(s["stage"]) for s in stages if _is_number(s.get("stage"))], default=0.0)
-        interval = _logs(estimate, "ci_low", "ci_high")
+        last = max([float(s["stage"]) for s in stages if is_number(s.get("stage"))], default=0.0)
+        interval = logs(estimate, "ci_low", "ci_high")
         if len(interval) == 2:
             plot.whisker(last + 0.25, interval[0], interval[1], color=VERMILLION)
         tip = f"answer {number(estimate.get('probability'))}"
@@ -184,7 +184,7 @@ def _last_repetition(stages: Sequence[Mapping[str, Any]]) -> list[Mapping[str, A
 
 
 def _stage_axis(stages: Sequence[Mapping[str, Any]]) -> Axis:
-    last = max([int(s["stage"]) for s in stages if _is_number(s.get("stage"))], default=0)
+    last = max([int(s["stage"]) for s in stages if is_number(s.get("stage"))], default=0)
     step = max(1, (last + 6) // 12)
     return Axis(-0.6, last + 0.6, "stage", ticks=tuple(float(t) for t in range(0, last + 1, step)))
 
@@ -193,15 +193,15 @@ def _unit(run: RunData) -> str:
     return "" if run.config.metric == "agm" else " [m]"
 
 
-def _logs(source: Mapping[str, Any], *names: str) -> list[float]:
-    values = [source.get(name) for name in names]
-    return [math.log10(float(v)) for v in values if _is_number(v) and float(v) > 0.0]
+def logs(source: Mapping[str, Any], *names: str) -> list[float]:
+    """Decimal logarithms of those figures that are there and above 0."""
+    values: list[Any] = [source.get(name) for name in names]
+    return [math.log10(v) for v in values if is_number(v) and v > 0.0]
 
 
-def _is_number(value: Any) -> bool:
-    return (
-        isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    )
+def is_number(value: Any) -> bool:
+    """Whether ``value`` is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _range(values: Sequence[float], *, with_zero: bool) -> tuple[float, float]:

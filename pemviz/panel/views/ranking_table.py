@@ -5,9 +5,10 @@ from html import escape
 from pemviz.panel.palette import MISSED
 from pemviz.panel.ranking import Ranking, row
 from pemviz.panel.rundata import RunData
-from pemviz.panel.views.words import block, cells, number, quiet
+from pemviz.panel.views.words import MINUS, block, cells, number, quiet
 
 PAGE_ROWS = 12
+VIOLATED = f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>"
 
 # A click writes the row's rank into viser's own input, as typing it would.
 CLICK = (
@@ -36,9 +37,11 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
     lines: list[str] = []
     for place in range(start, min(start + PAGE_ROWS, count)):
         entry = row(run, ranking, place)
-        verdict = f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>" if entry.violated else "no"
+        verdict = (
+            f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>" if entry.violated else "no"
+        )
         values = (
-            str(entry.rank), number(entry.robustness), verdict, number(entry.log_weight),
+            str(entry.rank), robustness_text(entry.robustness), verdict, number(entry.log_weight),
             str(entry.misses), str(entry.stage),
         )  # fmt: skip
         mark = "background:#dbeafe;font-weight:600;" if place == selected else ""
@@ -62,6 +65,13 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
         f"font-size:11.5px;font-variant-numeric:tabular-nums'><thead><tr>{head}</tr></thead>"
         f"<tbody>{''.join(lines)}</tbody></table>{quiet(shown)}"
     )
+
+
+def robustness_text(value: float) -> str:
+    """Robustness with as many decimals in every row, as far as that tells rows apart."""
+    if 0.01 <= abs(value) < 1000.0:
+        return f"{value:.3f}".replace("-", MINUS)
+    return number(value)
 
 
 _CELL = "padding:2px 4px;text-align:right;white-space:nowrap"

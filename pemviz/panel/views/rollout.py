@@ -52,7 +52,7 @@ class Track:
     @property
     def time_s(self) -> FloatArray:
         """Times ``[T]`` [s]."""
-        return np.arange(self.states) * self.scenario.dt_s
+        return np.arange(self.states, dtype=np.float64) * self.scenario.dt_s
 
 
 def track(run: RunData, entry: RankedRow) -> Track:
@@ -87,18 +87,16 @@ def row_title(entry: RankedRow) -> str:
 
 def track_plots(chosen: Track) -> tuple[str, str]:
     """The plots in two pieces, between which a cursor is put by :func:`with_cursor`."""
-    groups = "".join(
-        plot.group(dx=PLOT_WIDTH * place) for place, plot in enumerate(_plots(chosen))
-    )
+    groups = "".join(plot.group(dx=PLOT_WIDTH * place) for place, plot in enumerate(_plots(chosen)))
     whole = svg(groups + "@@", width=WIDTH, height=HEIGHT, title=chosen.title)
     before, after = whole.split("@@")
     return before, after
 
 
-def with_cursor(pieces: tuple[str, str], chosen: Track, step: int) -> str:
+def with_cursor(pieces: tuple[str, str], chosen: Track, step: int, *, speed: float) -> str:
     """The plots with a cursor at a step, and the values there."""
     marks: list[str] = []
-    values = _values(chosen, step)
+    values = _values(chosen, step, speed=speed)
     for place, plot in enumerate(_plots_axes(chosen)):
         x = plot.px(float(chosen.time_s[step])) + PLOT_WIDTH * place
         marks.append(
@@ -109,15 +107,15 @@ def with_cursor(pieces: tuple[str, str], chosen: Track, step: int) -> str:
     return pieces[0] + f"<g data-cursor='{step}'>{''.join(marks)}</g>" + pieces[1]
 
 
-def _values(chosen: Track, step: int) -> tuple[str, str, str]:
+def _values(chosen: Track, step: int, *, speed: float) -> tuple[str, str, str]:
     time_s = chosen.time_s[step]
     outcome = "end"
     if step < chosen.detected.size:
         outcome = "detected" if chosen.detected[step] else "MISSED"
     return (
-        f"t = {time_s:.2f} s, gap {chosen.gap_m[step]:.2f} m",
-        f"{chosen.ego_speed_mps[step]:.1f}, {chosen.lead_speed_mps[step]:.1f}",
-        outcome,
+        f"{chosen.gap_m[step]:.2f} m at {time_s:.2f} s",
+        f"ego {chosen.ego_speed_mps[step]:.1f}, lead {chosen.lead_speed_mps[step]:.1f}",
+        f"{outcome}; played at {speed:g}x",
     )
 
 
@@ -130,7 +128,7 @@ def _plots_axes(chosen: Track) -> tuple[Plot, Plot, Plot]:
     size = {"width": PLOT_WIDTH, "height": HEIGHT, "left": 42, "right": 8, "top": 22}
     return (
         Plot(title="Gap", x=time, y=Axis(low, high, "gap [m]"), **size),
-        Plot(title="Speeds [m/s]", x=time, y=Axis(0.0, fastest / 3.6 * 1.08, "speed [m/s]"), **size),
+        Plot(title="Speeds", x=time, y=Axis(0.0, fastest / 3.6 * 1.08, "speed [m/s]"), **size),
         Plot(title="Perception", x=time, y=Axis(-0.22, 1.04, "P(detected)",
              ticks=(0.0, 0.5, 1.0)), **size),
     )  # fmt: skip
@@ -142,7 +140,7 @@ def _plots(chosen: Track) -> tuple[Plot, Plot, Plot]:
     edge_m = chosen.scenario.emergency_gap_m
     gap.band(gap.y.low, 2.0, color=VERMILLION, opacity=0.10)
     gap.hline(2.0, color=VERMILLION, label="2 m", dash="")
-    gap.hline(edge_m, color=GREY, label=f"{edge_m:g} m: a detection below brakes hard")
+    gap.hline(edge_m, color=GREY, label=f"{edge_m:g} m: emergency braking")
     gap.line(time_s, chosen.gap_m, color=BLUE, width=2.2)
     speed.line(time_s, chosen.ego_speed_mps, color=EGO, width=2.2)
     speed.line(time_s, chosen.lead_speed_mps, color=LEAD, width=2.2, dash="6 3")
