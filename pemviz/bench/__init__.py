@@ -1,0 +1,1 @@
+"""Measurements of pemviz's own speed."""
