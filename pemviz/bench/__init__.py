@@ -1,1 +1,1 @@
-"""Measurements of pemviz's own speed."""
+"""Measurements of speed, each a ratio or a median of one run on this machine."""

@@ -8,19 +8,20 @@ declared bounds of the signals. The metric is discontinuous where a margin is ex
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import reduce
+from typing import TypeAlias
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
 from pemviz.stl.bounds import Interval, check_interval, margin_range
 from pemviz.stl.formulas import Predicate
-from pemviz.stl.numpy_base import NumpySemantics, window_chunks
-from pemviz.stl.windows import sliding
+from pemviz.stl.numpy_base import NumpySemantics
+from pemviz.stl.windows import fold, sliding
 
 SCENARIO_BOUNDS: Mapping[str, Interval] = {
     "gap": (-25.0, 25.0),
@@ -51,15 +52,21 @@ class Agm:
         return hash((frozenset(self.bounds.items()), self.clip))
 
 
-class Means(NamedTuple):
-    """What a conjunction over several values depends on, each [n, steps].
+Means: TypeAlias = tuple[FloatArray, ...]
+"""What the conjunction of several values depends on, each [steps, n].
 
-    Sums of one sign only, so that no digits cancel.
-    """
+The least value; the sum of min(value, 0); the sum of log(1 + value), which only counts
+(and may be NaN otherwise) where no value is negative. Sums of one sign only, so that no
+digits cancel.
+"""
 
-    least: FloatArray
-    failing: FloatArray  # sum of min(value, 0)
-    growth: FloatArray  # sum of log(1 + max(value, 0))
+
+def clipping_flips(predicate: Predicate, low: float, high: float) -> InputError:
+    """The error of bounds within which a predicate cannot change sign."""
+    return InputError(
+        f"agm: clipping to the bounds would change whether '{predicate}' holds, whose margin"
+        f" has the range [{low:g}, {high:g}]; declare wider bounds"
+    )
 
 
 class AgmSemantics(NumpySemantics):
@@ -67,6 +74,12 @@ class AgmSemantics(NumpySemantics):
 
     def __init__(self, metric: Agm) -> None:
         self.metric = metric
+        self._ranges: dict[Predicate, Interval] = {}
+
+    def _range(self, predicate: Predicate) -> Interval:
+        if predicate not in self._ranges:
+            self._ranges[predicate] = margin_range(predicate, self.metric.bounds)
+        return self._ranges[predicate]
 
     def opposite(self) -> AgmSemantics:
         return self
@@ -75,84 +88,99 @@ class AgmSemantics(NumpySemantics):
         return self.constant(1.0, like, steps)
 
     def predicate(self, predicate: Predicate, margin: FloatArray) -> FloatArray:
-        low, high = margin_range(predicate, self.metric.bounds)
+        low, high = self._range(predicate)
         if low == high:  # no signal has a say: as true and false
             return np.sign(margin)
         if self.metric.clip:
             margin = _clip(predicate, margin, low, high)
-        return margin / (high - low)
+        margin *= 1.0 / (high - low)
+        return margin
 
     def negate(self, value: FloatArray) -> FloatArray:
         return -value
 
     def conjunction(self, values: Sequence[FloatArray]) -> FloatArray:
-        return _mean_over_last(np.stack(values, axis=-1), ties_fail=True)
+        means = reduce(_join, [_means(value) for value in values])
+        return _conclude(means, len(values), ties_fail=True)
 
     def disjunction(self, values: Sequence[FloatArray]) -> FloatArray:
-        return -_mean_over_last(-np.stack(values, axis=-1), ties_fail=False)
+        means = reduce(_join, [_means(-value) for value in values])
+        return -_conclude(means, len(values), ties_fail=False)
 
     def always(self, value: FloatArray, width: int) -> FloatArray:
-        return _mean_over_windows(value, width, ties_fail=True)
+        return _over_windows(value, width, ties_fail=True)
+
+    def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
+        return self.always(self.predicate(predicate, margin), width)
 
     def eventually(self, value: FloatArray, width: int) -> FloatArray:
-        return -_mean_over_windows(-value, width, ties_fail=False)
+        return -_over_windows(-value, width, ties_fail=False)
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
-        width = last - first + 1
-        left_windows = sliding_window_view(left, last + 1, axis=-1)
-        right_windows = sliding_window_view(right, width, axis=-1)
-        result = np.empty(left_windows.shape[:2])
-        for chunk in window_chunks(left_windows):
-            held = _running_mean(left_windows[:, chunk])[..., first:]
-            reached = self.conjunction([held, right_windows[:, chunk]])
-            result[:, chunk] = -_mean_over_last(-reached, ties_fail=False)
-        return result
+        steps, width = len(left) - last, last - first + 1
+        sums = tuple(np.zeros((steps, left.shape[1])) for _ in range(2))
+        held, failed = (
+            (np.full_like(sums[0], math.inf), *sums),
+            (np.full_like(sums[0], math.inf), *sums),
+        )
+        for offset in range(last + 1):
+            held = _join(held, _means(left[offset : offset + steps]))
+            if offset >= first:
+                so_far = _conclude(held, offset + 1, ties_fail=True)
+                target = right[offset - first : offset - first + steps]
+                failed = _join(failed, _means(-self.conjunction([target, so_far])))
+        return -_conclude(failed, width, ties_fail=False)
 
 
 def _clip(predicate: Predicate, margin: FloatArray, low: float, high: float) -> FloatArray:
     clipped = np.clip(margin, low, high)
-    flipped = (np.sign(clipped) != np.sign(margin)).any()
-    if flipped:
-        raise InputError(
-            f"agm: clipping to the bounds would change whether '{predicate}' holds, whose margin"
-            f" has the range [{low:g}, {high:g}]; declare wider bounds"
-        )
+    if (np.sign(clipped) != np.sign(margin)).any():
+        raise clipping_flips(predicate, low, high)
     return clipped
 
 
-def _conclude(means: Means, count: FloatArray | int, *, ties_fail: bool) -> FloatArray:
+def _means(values: FloatArray) -> Means:
+    return values, np.minimum(values, 0.0), np.log1p(values)
+
+
+def _join(earlier: Means, later: Means) -> Means:
+    return np.minimum(earlier[0], later[0]), earlier[1] + later[1], earlier[2] + later[2]
+
+
+def _conclude(means: Means, count: int, *, ties_fail: bool) -> FloatArray:
     """The conjunction of ``count`` values; ``ties_fail``: whether a value of 0 fails."""
-    fails = means.least <= 0.0 if ties_fail else means.least < 0.0
-    return np.where(fails, means.failing / count, np.expm1(means.growth / count))
+    least, failing, growth = means
+    fails = least <= 0.0 if ties_fail else least < 0.0
+    return np.where(fails, failing / count, np.expm1(growth / count))
 
 
-def _mean_over_last(values: FloatArray, *, ties_fail: bool) -> FloatArray:
-    """Conjunction over the last axis, [..., m] -> [...]."""
-    means = Means(
-        least=values.min(axis=-1),
-        failing=np.minimum(values, 0.0).sum(axis=-1),
-        growth=np.log1p(np.maximum(values, 0.0)).sum(axis=-1),
-    )
-    return _conclude(means, values.shape[-1], ties_fail=ties_fail)
+def _over_windows(values: FloatArray, width: int, *, ties_fail: bool) -> FloatArray:
+    """Conjunction over every window of ``width`` steps, [s, n] -> [s - width + 1, n]."""
+    if len(values) > width:
+        return _conclude(sliding(_join, _means(values), width), width, ties_fail=ties_fail)
+    failing = fold(np.add, np.minimum(values, 0.0))
+    growth = fold(np.add, np.log1p(_compound(values)))
+    return _conclude((fold(np.minimum, values), failing, growth), width, ties_fail=ties_fail)
 
 
-def _mean_over_windows(values: FloatArray, width: int, *, ties_fail: bool) -> FloatArray:
-    """Conjunction over every window of ``width`` steps, [n, s] -> [n, s - width + 1]."""
-    if values.shape[-1] == width:
-        return _mean_over_last(values, ties_fail=ties_fail)[:, np.newaxis]
-    parts = (values, np.minimum(values, 0.0), np.log1p(np.maximum(values, 0.0)))
-    return _conclude(Means(*sliding(_join, parts, width)), width, ties_fail=ties_fail)
+def _compound(values: FloatArray) -> FloatArray:
+    """prod(1 + value) - 1 over groups of about 16 steps, [s, n] -> [about s / 16, n].
+
+    So one logarithm serves many steps. To full accuracy where all values are positive.
+    """
+    for _ in range(4):
+        half = len(values) // 2
+        if half == 0:
+            break
+        product = _compound_pair(values[:half], values[half : 2 * half])
+        if len(values) % 2:
+            product[0] = _compound_pair(product[0], values[-1])
+        values = product
+    return values
 
 
-def _join(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> Means:
-    return Means(np.minimum(earlier[0], later[0]), earlier[1] + later[1], earlier[2] + later[2])
-
-
-def _running_mean(values: FloatArray) -> FloatArray:
-    """Conjunction of the first 1, 2, ... values of the last axis."""
-    means = Means(
-        least=np.minimum.accumulate(values, axis=-1),
-        failing=np.add.accumulate(np.minimum(values, 0.0), axis=-1),
-        growth=np.add.accumulate(np.log1p(np.maximum(values, 0.0)), axis=-1),
-    )
-    return _conclude(means, np.arange(1, values.shape[-1] + 1), ties_fail=True)
+def _compound_pair(left: FloatArray, right: FloatArray) -> FloatArray:
+    product = left * right
+    product += left
+    product += right
+    return product

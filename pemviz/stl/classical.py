@@ -17,7 +17,7 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.stl.formulas import Predicate
 from pemviz.stl.numpy_base import NumpySemantics
-from pemviz.stl.windows import sliding_idempotent
+from pemviz.stl.windows import fold, sliding_idempotent
 
 
 @dataclass(frozen=True)
@@ -47,24 +47,26 @@ class ClassicalSemantics(NumpySemantics):
         return reduce(np.maximum, values)
 
     def always(self, value: FloatArray, width: int) -> FloatArray:
-        if value.shape[-1] == width:
-            return value.min(axis=-1, keepdims=True)
+        if len(value) == width:
+            return fold(np.minimum, value)
         return sliding_idempotent(_minimum, (value,), width)[0]
 
+    def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
+        return self.always(self.predicate(predicate, margin), width)
+
     def eventually(self, value: FloatArray, width: int) -> FloatArray:
-        if value.shape[-1] == width:
-            return value.max(axis=-1, keepdims=True)
+        if len(value) == width:
+            return fold(np.maximum, value)
         return sliding_idempotent(_maximum, (value,), width)[0]
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
         width = last - first + 1
-        if right.shape[-1] == width:  # one step is asked for: a running minimum is cheaper
-            held = np.minimum.accumulate(left, axis=-1)[:, first:]
-            return np.minimum(held, right).max(axis=-1, keepdims=True)
+        if len(right) == width:
+            return _until_once(left, right, first)
         # Over [t, t'] with t' >= t + first: [t, t + first - 1] is common to all t'.
-        target = left[:, first:], np.minimum(left[:, first:], right)
-        _, reached = sliding_idempotent(_then, target, width)
-        return reached if first == 0 else np.minimum(self.always(left[:, :-width], first), reached)
+        later = left[first:]
+        reached = sliding_idempotent(_then, (later, np.minimum(later, right)), width)[1]
+        return reached if first == 0 else np.minimum(self.always(left[:-width], first), reached)
 
 
 def _minimum(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> tuple[FloatArray]:
@@ -81,3 +83,15 @@ def _then(
     """Two stretches of time after one another: (left held throughout, right reached)."""
     held, reached = earlier
     return np.minimum(held, later[0]), np.maximum(reached, np.minimum(held, later[1]))
+
+
+def _until_once(left: FloatArray, right: FloatArray, first: int) -> FloatArray:
+    """Until at a single step, by a running minimum: [1, n]."""
+    held = left[: first + 1].min(axis=0)
+    reached = np.minimum(held, right[0])
+    met = np.empty_like(held)
+    for now, target in zip(left[first + 1 :], right[1:], strict=True):
+        np.minimum(held, now, out=held)
+        np.minimum(held, target, out=met)
+        np.maximum(reached, met, out=reached)
+    return reached[np.newaxis]

@@ -14,7 +14,7 @@ from pemviz.stl.agm import Agm, AgmSemantics
 from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical, ClassicalSemantics
 from pemviz.stl.expressions import Product, Quotient
-from pemviz.stl.formulas import Formula, Implies, Not, Predicate, Truth
+from pemviz.stl.formulas import Formula, Implies, Not, Predicate, Truth, Until
 from pemviz.stl.semantics import Semantics, evaluate, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulative, SmoothCumulativeSemantics
 
@@ -23,6 +23,12 @@ Signals: TypeAlias = Mapping[str, FloatArray]
 
 BLOCK_VALUES = 1 << 16
 """Values of one signal evaluated at once: few enough to stay in the cache."""
+
+BLOCK_ROLLOUTS = 8
+"""Fewest rollouts evaluated at once."""
+
+BLOCK_ROLLOUTS_UNTIL = 128
+"""The same for formulas with an until, which goes step by step."""
 
 
 def robustness(formula: Formula, signals: Mapping[str, AnyArray], metric: Metric) -> FloatArray:
@@ -134,36 +140,54 @@ def _by_blocks(
 ) -> FloatArray:
     """[N, steps], or as many steps as the horizon leaves. Rows do not depend on each other."""
     used, (rollouts, states) = _select(formula, signals)
+    quotients = predicates_to_check(formula)
     check_horizon(formula, states)
     steps = states - formula.horizon_steps() if steps is None else steps
     semantics = _semantics(metric)
     result = np.empty((rollouts, steps))
-    size = max(1, BLOCK_VALUES // states)
+    size = _block_rollouts(formula, states)
     with np.errstate(all="ignore"):  # what is not finite is reported, or meant
         for start in range(0, rollouts, size):
             block = {
-                name: np.ascontiguousarray(values[start : start + size], dtype=np.float64)
+                name: np.ascontiguousarray(values[start : start + size].T, dtype=np.float64)
                 for name, values in used.items()
             }
-            _check_block(block, formula, metric, start)
-            result[start : start + size] = evaluate(formula, semantics, block, start=0, steps=steps)
+            _check_block(block, metric, quotients, start)
+            result[start : start + size] = evaluate(
+                formula, semantics, block, start=0, steps=steps
+            ).T
     if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
         raise InputError("robustness is beyond the largest number; rescale the signals")
     return result
 
 
-def _check_block(block: Signals, formula: Formula, metric: Metric, start: int) -> None:
-    for name in formula.signals():
-        check_finite(block[name], f"signal {name!r}", start)
+def _block_rollouts(formula: Formula, states: int) -> int:
+    has_until = any(isinstance(part, Until) for part in formula.walk())
+    return max(BLOCK_VALUES // states, BLOCK_ROLLOUTS_UNTIL if has_until else BLOCK_ROLLOUTS)
+
+
+def predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
+    """Predicates that finite signals may leave infinite or undefined."""
+    return tuple(
+        part
+        for part in formula.walk()
+        if isinstance(part, Predicate)
+        and any(isinstance(node, Product | Quotient) for node in part.walk())
+    )
+
+
+def _check_block(
+    block: Signals, metric: Metric, predicates: tuple[Predicate, ...], start: int
+) -> None:
+    for name, values in block.items():
         if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
-            check_bounds(block[name], name, metric.bounds[name], start)
-    for part in formula.walk():
-        if isinstance(part, Predicate) and any(
-            isinstance(node, Product | Quotient) for node in part.walk()
-        ):
-            steps = next(iter(block.values())).shape[1]
-            by = margin(part, ClassicalSemantics(), block, start=0, steps=steps)
-            check_finite(by, f"margin of '{part}'", start)
+            check_bounds(values, name, metric.bounds[name], start)
+        else:
+            check_finite(values, f"signal {name!r}", start)
+    for predicate in predicates:
+        steps = len(next(iter(block.values())))
+        by = margin(predicate, ClassicalSemantics(), block, start=0, steps=steps)
+        check_finite(by, f"margin of '{predicate}'", start)
 
 
 def _select(

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from pemviz.arrays import FloatArray
@@ -21,16 +19,4 @@ class NumpySemantics:
         return np.maximum(left, right)
 
     def constant(self, value: float, like: FloatArray, steps: int) -> FloatArray:
-        return np.full((like.shape[0], steps), value)
-
-
-CHUNK_VALUES = 1 << 17
-"""Most values held at once while a window is laid out in full."""
-
-
-def window_chunks(windows: FloatArray) -> Iterator[slice]:
-    """Slices of the step axis of [n, steps, width] that keep a chunk in the cache."""
-    n, steps, width = windows.shape
-    size = max(1, CHUNK_VALUES // max(1, n * width))
-    for start in range(0, steps, size):
-        yield slice(start, start + size)
+        return np.full((steps, like.shape[1]), value)

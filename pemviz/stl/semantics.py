@@ -1,14 +1,14 @@
 """The walk over a formula that every metric shares.
 
 A metric says what happens at each operator (`Semantics`); `evaluate` says which
-steps of which part are needed. Arrays may be numpy's or torch's: [n, steps], one row
-per rollout.
+steps of which part are needed. Arrays may be numpy's or torch's; time comes first, [steps, n],
+so that what happens at a step happens to all rollouts at once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from typing import Any, Protocol, TypeVar
 
@@ -30,7 +30,10 @@ ArrayT = TypeVar("ArrayT")
 
 
 class Semantics(Protocol[ArrayT]):
-    """What one metric makes of every operator; all arrays are [n, steps]."""
+    """What one metric makes of every operator; all arrays are [steps, n].
+
+    Values and margins that are handed to an operator are its own to overwrite.
+    """
 
     def opposite(self) -> Semantics[ArrayT]:
         """The semantics under a negation (differs where positive and negative part do)."""
@@ -69,24 +72,28 @@ class Semantics(Protocol[ArrayT]):
         ...
 
     def always(self, value: ArrayT, width: int) -> ArrayT:
-        """``always`` over every window of ``width`` steps: [n, steps - width + 1]."""
+        """``always`` over every window of ``width`` steps: [steps - width + 1, n]."""
+        ...
+
+    def always_predicate(self, predicate: Predicate, margin: ArrayT, width: int) -> ArrayT:
+        """`always` of `predicate`, for which some metrics have a shorter way."""
         ...
 
     def eventually(self, value: ArrayT, width: int) -> ArrayT:
-        """``eventually`` over every window of ``width`` steps: [n, steps - width + 1]."""
+        """``eventually`` over every window of ``width`` steps: [steps - width + 1, n]."""
         ...
 
     def until(self, left: ArrayT, right: ArrayT, first: int, last: int) -> ArrayT:
         """``until`` over [first, last].
 
         Args:
-            left: [n, steps + last], from the first step on.
-            right: [n, steps + last - first], from ``first`` steps later on.
+            left: [steps + last, n], from the first step on.
+            right: [steps + last - first, n], from ``first`` steps later on.
             first: start of the interval.
             last: end of the interval, inclusive.
 
         Returns:
-            [n, steps].
+            [steps, n].
         """
         ...
 
@@ -99,12 +106,12 @@ def evaluate(  # noqa: PLR0911 (one case per operator)
     start: int,
     steps: int,
 ) -> ArrayT:
-    """Value of ``formula`` at steps ``start .. start + steps - 1``, [n, steps].
+    """Value of ``formula`` at steps ``start .. start + steps - 1``, [steps, n].
 
     Args:
         formula: its horizon must fit behind the last of these steps.
         semantics: the metric.
-        signals: arrays [n, T] by name, at least one (it gives n).
+        signals: arrays [T, n] by name, at least one (it gives n).
         start: first step.
         steps: number of steps.
     """
@@ -130,6 +137,10 @@ def evaluate(  # noqa: PLR0911 (one case per operator)
             return semantics.disjunction([value(part) for part in parts])
         case Implies(premise=premise, conclusion=conclusion):
             return semantics.disjunction([negated(premise), value(conclusion)])
+        case Always(operand=Predicate() as operand, first=first, width=width):
+            count = steps + width - 1
+            by = margin(operand, semantics, signals, start=start + first, steps=count)
+            return semantics.always_predicate(operand, by, width)
         case Always(operand=operand, first=first, width=width):
             return semantics.always(value(operand, start + first, steps + width - 1), width)
         case Eventually(operand=operand, first=first, width=width):
@@ -150,7 +161,7 @@ def margin(
     start: int,
     steps: int,
 ) -> ArrayT:
-    """By how much ``predicate`` holds (negative: fails) at each of the steps, [n, steps]."""
+    """By how much ``predicate`` holds (negative: fails) at each of the steps, [steps, n]."""
     left = _number(predicate.left, semantics, signals, start, steps)
     right = _number(predicate.right, semantics, signals, start, steps)
     by = left - right if predicate.is_lower_bound else right - left
@@ -166,7 +177,7 @@ def _number(  # noqa: PLR0911 (one case per kind of expression)
     start: int,
     steps: int,
 ) -> Any:
-    """[n, steps], or a float where no signal is involved."""
+    """[steps, n], or a float where no signal is involved."""
 
     def number(part: ex.Expression) -> Any:
         return _number(part, semantics, signals, start, steps)
@@ -175,7 +186,7 @@ def _number(  # noqa: PLR0911 (one case per kind of expression)
         case ex.Constant(value=value):
             return value
         case ex.Signal(name=name):
-            return signals[name][:, start : start + steps]
+            return signals[name][start : start + steps]
         case ex.Sum(left=left, right=right):
             return number(left) + number(right)
         case ex.Difference(left=left, right=right):
@@ -189,11 +200,21 @@ def _number(  # noqa: PLR0911 (one case per kind of expression)
         case ex.Absolute(operand=operand):
             return abs(number(operand))
         case ex.Minimum(operands=operands):
-            return reduce(semantics.minimum, [number(operand) for operand in operands])
+            return _extreme(semantics.minimum, min, [number(operand) for operand in operands])
         case ex.Maximum(operands=operands):
-            return reduce(semantics.maximum, [number(operand) for operand in operands])
+            return _extreme(semantics.maximum, max, [number(operand) for operand in operands])
         case _:
             raise TypeError(f"unknown expression {type(expression).__name__}")
+
+
+def _extreme(
+    of_arrays: Callable[[Any, Any], Any],
+    of_floats: Callable[[Iterable[float]], float],
+    values: list[Any],
+) -> Any:
+    if all(isinstance(value, float) for value in values):
+        return of_floats(values)
+    return reduce(of_arrays, values)
 
 
 def _quotient(left: Any, right: Any) -> Any:

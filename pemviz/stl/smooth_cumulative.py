@@ -13,16 +13,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
 from pemviz.stl.formulas import Predicate
-from pemviz.stl.numpy_base import NumpySemantics, window_chunks
-from pemviz.stl.windows import sliding
+from pemviz.stl.numpy_base import NumpySemantics
+from pemviz.stl.windows import fold, sliding
 
 Part: TypeAlias = Literal["positive", "negative"]
 
@@ -70,65 +70,114 @@ class SmoothCumulativeSemantics(NumpySemantics):
         return -value
 
     def conjunction(self, values: Sequence[FloatArray]) -> FloatArray:
-        return _soft_minimum(np.stack(values, axis=-1), self.metric.beta)
+        return _soft_minimum(values, self.metric.beta)
 
     def disjunction(self, values: Sequence[FloatArray]) -> FloatArray:
-        return -_soft_minimum(-np.stack(values, axis=-1), self.metric.beta)
+        return -_soft_minimum([-value for value in values], self.metric.beta)
 
     def always(self, value: FloatArray, width: int) -> FloatArray:
-        if value.shape[-1] == width:
-            return _soft_minimum(value, self.metric.beta)[:, np.newaxis]
+        if len(value) == width:
+            return _soft_minimum_over_time(value, self.metric.beta)
         return _sliding_soft_minimum(value, self.metric.beta, width)
 
+    def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
+        if len(margin) > width:
+            return self.always(self.predicate(predicate, margin), width)
+        # exp(-beta r) of a predicate's r is a sigmoid: no logarithm is needed per step.
+        grown = np.multiply(margin, self.sign * self.metric.beta)
+        np.minimum(grown, LARGEST_EXPONENT, out=grown)
+        np.exp(grown, out=grown)
+        grown += 1.0
+        total = fold(np.add, np.reciprocal(grown, out=grown) if self.sign > 0.0 else grown)
+        result = np.log(total) / -self.metric.beta
+        # Where the sum came near the ends of double precision, the careful way is needed.
+        extreme = ~((total > 1e-280) & (total < 1e280))[0]
+        if extreme.any():
+            value = self.predicate(predicate, margin[:, extreme])
+            result[:, extreme] = self.always(value, width)
+        return result
+
     def eventually(self, value: FloatArray, width: int) -> FloatArray:
-        if value.shape[-1] == width:
-            return value.sum(axis=-1, keepdims=True)
+        if len(value) == width:
+            return fold(np.add, value)
         return sliding(_add, (value,), width)[0]
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
-        beta, width = self.metric.beta, last - first + 1
-        left_windows = sliding_window_view(left, last + 1, axis=-1)
-        right_windows = sliding_window_view(right, width, axis=-1)
-        result = np.empty(left_windows.shape[:2])
-        for chunk in window_chunks(left_windows):
-            logits = np.logaddexp.accumulate(-beta * left_windows[:, chunk], axis=-1)[..., first:]
-            met = np.logaddexp(-beta * right_windows[:, chunk], logits)
-            result[:, chunk] = (met / -beta).sum(axis=-1)
+        beta, steps = self.metric.beta, len(left) - last
+        held = np.full((steps, left.shape[1]), -math.inf)  # log sum exp(-beta left) over [t, t']
+        result = np.zeros_like(held)
+        for offset in range(last + 1):
+            held = np.logaddexp(held, -beta * left[offset : offset + steps])
+            if offset >= first:
+                target = right[offset - first : offset - first + steps]
+                result -= np.logaddexp(held, -beta * target) / beta
         return result
+
+
+LARGEST_EXPONENT = 700.0
+"""Exponentials beyond it (below minus it) leave double precision, at ten times the cost."""
+
+
+def _exp(exponents: FloatArray) -> FloatArray:
+    """Exponentials of what is at most 0, never below 1e-304; they are added to 1 or more."""
+    np.maximum(exponents, -LARGEST_EXPONENT, out=exponents)
+    return np.exp(exponents, out=exponents)
 
 
 def _softplus(values: FloatArray, beta: float) -> FloatArray:
     """log(1 + exp(beta x)) / beta, without overflow."""
-    return np.maximum(values, 0.0) + np.log1p(np.exp(-beta * np.abs(values))) / beta
+    result = _exp(np.abs(values) * -beta)
+    np.log1p(result, out=result)
+    result /= beta
+    result += np.maximum(values, 0.0)
+    return result
 
 
-def _soft_minimum(values: FloatArray, beta: float) -> FloatArray:
-    """-log(sum exp(-beta x)) / beta over the last axis, shifted by the minimum."""
-    least = values.min(axis=-1, keepdims=True)
+def _exponentials(values: FloatArray, least: FloatArray, beta: float) -> FloatArray:
+    """exp(-beta (values - least)), where ``least`` is infinite as if it were 0."""
     shift = np.where(np.isfinite(least), least, 0.0)
-    total = np.exp(-beta * (values - shift)).sum(axis=-1)
-    return shift[..., 0] - np.log(total) / beta
+    exponents = (values - shift) * -beta
+    if np.isinf(least).any():
+        return np.exp(exponents)
+    return _exp(exponents)
+
+
+def _soft_minimum(values: Sequence[FloatArray], beta: float) -> FloatArray:
+    """-log(sum exp(-beta x)) / beta of several arrays, shifted by the minimum."""
+    least = reduce(np.minimum, values)
+    total = reduce(np.add, [_exponentials(value, least, beta) for value in values])
+    return _unshifted(least, total, beta)
+
+
+def _soft_minimum_over_time(values: FloatArray, beta: float) -> FloatArray:
+    """The soft minimum over all steps, [T, n] -> [1, n]."""
+    least = values.min(axis=0, keepdims=True)
+    return _unshifted(least, fold(np.add, _exponentials(values, least, beta)), beta)
+
+
+def _unshifted(least: FloatArray, total: FloatArray, beta: float) -> FloatArray:
+    return np.where(np.isfinite(least), least, 0.0) - np.log(total) / beta
 
 
 def _sliding_soft_minimum(values: FloatArray, beta: float, width: int) -> FloatArray:
-    """`_soft_minimum` of every window: pairs (shift, sum of exponentials) are combined."""
+    """The soft minimum of every window: pairs (shift, sum of exponentials) are combined."""
 
     def join(
         earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]
     ) -> tuple[FloatArray, FloatArray]:
         shift = np.minimum(earlier[0], later[0])
-        return shift, (
-            earlier[1] * np.exp(-beta * (earlier[0] - shift))
-            + later[1] * np.exp(-beta * (later[0] - shift))
-        )
+        total = earlier[1] * _exp((earlier[0] - shift) * -beta)
+        total += later[1] * _exp((later[0] - shift) * -beta)
+        return shift, total
 
     # Infinite values (from `true`) would meet as inf - inf: they go into the sum instead.
     total = np.where(np.isposinf(values), 0.0, np.where(np.isneginf(values), np.inf, 1.0))
-    shift, total = sliding(join, (np.clip(values, -_HUGE, _HUGE), total), width)
+    shift, total = sliding(join, (np.clip(values, -HUGE, HUGE), total), width)
     return shift - np.log(total) / beta
 
 
-_HUGE = 1e300
+HUGE = 1e300
+"""Stands for infinity where a difference must not be NaN."""
 
 
 def _add(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> tuple[FloatArray]:
