@@ -1,12 +1,12 @@
 """How fast the scenario's back ends are, side by side in one run."""
 
+import statistics
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pemviz.arrays import FloatArray
+from pemviz.bench.figures import Figure, median_ratio
 from pemviz.config import ScenarioConfig
 from pemviz.sampling.rollout import replay
 from pemviz.simulators.highway import HighwaySimulator
@@ -14,57 +14,53 @@ from pemviz.simulators.vectorized import VectorizedSimulator
 from pemviz.types import Simulator
 
 
-@dataclass(frozen=True)
-class BenchRow:
-    """A line of a benchmark's table.
-
-    Attributes:
-        name: Short and stable, for other programs.
-        what: What was measured, for people.
-        figure: The median of the repeats, in ``unit``.
-        unit: E.g. ``rollouts/s``; ``x`` for ratios.
-    """
-
-    name: str
-    what: str
-    figure: float
-    unit: str
-
-
-def bench_simulators(
-    config: ScenarioConfig,
+def simulator_figures(
+    config: ScenarioConfig | None = None,
     *,
     vectorized_rollouts: int = 10_000,
     highway_rollouts: int = 20,
     repeats: int = 11,
-) -> tuple[BenchRow, ...]:
+) -> Sequence[Figure]:
     """Replay random outcomes on both back ends, and step two plain highway-env vehicles.
 
     The three take turns in every repeat, so that what else the machine does meets all of them;
     ratios are formed within a repeat.
 
     Args:
-        config: The scenario.
+        config: The scenario; the paper's if ``None``.
         vectorized_rollouts: Size of the vectorized back end's batch.
         highway_rollouts: Rollouts of highway-env in a repeat.
-        repeats: Repeats that medians are taken over, after one to warm up.
-
-    Returns:
-        Rollouts per second of each, and what is required of their ratios.
+        repeats: Repeats that medians are taken over, after one that is not counted.
     """
+    config = ScenarioConfig() if config is None else config
     vectorized = _replaying(VectorizedSimulator(config), vectorized_rollouts)
     highway = _replaying(HighwaySimulator(config), highway_rollouts)
-    works = (vectorized, highway, _bare_vehicles(config, highway_rollouts))
-    counts = (vectorized_rollouts, highway_rollouts, highway_rollouts)
-    cost_s = _interleaved_s(works, repeats) / np.array(counts)
-    vectorized_s, highway_s, bare_s = cost_s.T
-    batch = f"{vectorized_rollouts:,} rollouts of {config.states} states"
+    bare = _bare_vehicles(config, highway_rollouts)
+    turns = [[_time_s(work) for work in (vectorized, highway, bare)] for _ in range(repeats + 1)]
+    batch_s, slow_s, bare_s = zip(*turns[1:], strict=True)
+    vectorized_s = [spent_s / vectorized_rollouts for spent_s in batch_s]
+    highway_s = [spent_s / highway_rollouts for spent_s in slow_s]
+    plain_s = [spent_s / highway_rollouts for spent_s in bare_s]
+    batch = f"vectorized, {vectorized_rollouts:,} rollouts of given outcomes"
     return (
-        _rate("vectorized", f"vectorized back end, outcomes given, {batch}", vectorized_s),
-        _rate("highway-env", "highway-env back end, outcomes given", highway_s),
-        _rate("bare-highway-env", "road.act() and road.step(), two plain vehicles", bare_s),
-        _ratio("vectorized-gain", "vectorized against highway-env", highway_s / vectorized_s),
-        _ratio("highway-env-cost", "highway-env back end against bare", highway_s / bare_s),
+        Figure(batch, 1e3 * statistics.median(batch_s), "ms"),
+        Figure("vectorized", 1 / statistics.median(vectorized_s), "rollouts/s"),
+        Figure("highway-env", 1 / statistics.median(highway_s), "rollouts/s"),
+        Figure(
+            "highway-env, bare road.act() and road.step()",
+            1 / statistics.median(plain_s),
+            "rollouts/s",
+        ),
+        Figure(
+            "vectorized, times faster than highway-env",
+            median_ratio(highway_s, vectorized_s),
+            goal="at least 1000",
+        ),
+        Figure(
+            "highway-env, times slower than bare",
+            median_ratio(highway_s, plain_s),
+            goal="at most 2",
+        ),
     )
 
 
@@ -88,20 +84,7 @@ def _bare_vehicles(config: ScenarioConfig, rollouts: int) -> Callable[[], object
     return work
 
 
-def _interleaved_s(works: tuple[Callable[[], object], ...], repeats: int) -> FloatArray:
-    """Wall times ``[repeats, works]`` [s]."""
-    spent_s = np.empty((repeats + 1, len(works)))
-    for repeat in range(repeats + 1):
-        for index, work in enumerate(works):
-            began = time.perf_counter()
-            work()
-            spent_s[repeat, index] = time.perf_counter() - began
-    return spent_s[1:]
-
-
-def _rate(name: str, what: str, cost_s: FloatArray) -> BenchRow:
-    return BenchRow(name=name, what=what, figure=float(np.median(1 / cost_s)), unit="rollouts/s")
-
-
-def _ratio(name: str, what: str, ratios: FloatArray) -> BenchRow:
-    return BenchRow(name=name, what=what, figure=float(np.median(ratios)), unit="x")
+def _time_s(work: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
