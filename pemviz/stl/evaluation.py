@@ -13,6 +13,7 @@ from pemviz.errors import InputError
 from pemviz.stl.agm import Agm, AgmSemantics
 from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical, ClassicalSemantics
+from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Product, Quotient
 from pemviz.stl.formulas import Formula, Implies, Not, Predicate, Truth, Until
 from pemviz.stl.semantics import Semantics, evaluate, margin
@@ -140,7 +141,7 @@ def _by_blocks(
 ) -> FloatArray:
     """[N, steps], or as many steps as the horizon leaves. Rows do not depend on each other."""
     used, (rollouts, states) = _select(formula, signals)
-    quotients = predicates_to_check(formula)
+    named, predicates = formula.signals(), predicates_to_check(formula)
     check_horizon(formula, states)
     steps = states - formula.horizon_steps() if steps is None else steps
     semantics = _semantics(metric)
@@ -152,7 +153,8 @@ def _by_blocks(
                 name: np.ascontiguousarray(values[start : start + size].T, dtype=np.float64)
                 for name, values in used.items()
             }
-            _check_block(block, metric, quotients, start)
+            _check_block({name: block[name] for name in named}, metric, start)
+            _check_margins(predicates, block, start)
             result[start : start + size] = evaluate(
                 formula, semantics, block, start=0, steps=steps
             ).T
@@ -176,18 +178,19 @@ def predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
     )
 
 
-def _check_block(
-    block: Signals, metric: Metric, predicates: tuple[Predicate, ...], start: int
-) -> None:
+def _check_block(block: Signals, metric: Metric, start: int) -> None:
     for name, values in block.items():
         if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
             check_bounds(values, name, metric.bounds[name], start)
         else:
             check_finite(values, f"signal {name!r}", start)
+
+
+def _check_margins(predicates: tuple[Predicate, ...], block: Signals, start: int) -> None:
+    steps = len(next(iter(block.values())))
     for predicate in predicates:
-        steps = len(next(iter(block.values())))
         by = margin(predicate, ClassicalSemantics(), block, start=0, steps=steps)
-        check_finite(by, f"margin of '{predicate}'", start)
+        check_finite(by, f"margin of '{shorten(predicate)}'", start)
 
 
 def _select(
