@@ -1,5 +1,6 @@
 """The engine: runs an experiment and tells observers what happens."""
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -132,7 +133,11 @@ class _Runner:
     def fail(self, message: str) -> None:
         self._result = replace(self._result, status="failed", message=message)
         self._time()
-        notify_all(self._observers, RunFailed(message=message, result=self._result))
+        event = RunFailed(message=message, result=self._result)
+        for observer in self._observers:
+            # the observer that failed the run may fail again; the others must still hear
+            with contextlib.suppress(OSError, ValueError):
+                observer.notify(event)
 
     def _repeat(self, repetition: int) -> None:
         method = self._experiment.method

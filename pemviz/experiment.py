@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
@@ -14,6 +16,7 @@ from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
+from pemviz.sampling.rollout import replay
 from pemviz.simulators.vectorized import VectorizedSimulator
 from pemviz.types import Simulator
 
@@ -95,7 +98,11 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
         InputError: It does not parse, names an unknown signal, or looks further ahead than a
             rollout is long.
     """
-    formula = stl.parse(config.spec, signals=[signal.name for signal in simulator.signals])
+    try:
+        formula = stl.parse(config.spec, signals=[signal.name for signal in simulator.signals])
+    except stl.FormulaError as error:
+        message = f"spec = {config.spec!r}: {error}"
+        raise ConfigError(message) from error
     last = simulator.states - 1
     if formula.horizon_steps() > last:
         message = (
@@ -107,13 +114,37 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
 
 
 def build_metric(config: ExperimentConfig, simulator: Simulator) -> stl.Metric:
-    """The metric that ranks rollouts."""
+    """The metric that ranks rollouts.
+
+    Raises:
+        ConfigError: The agm metric's bounds do not hold all that the scenario can reach.
+    """
     if config.metric == "agm":
-        bounds = {signal.name: (signal.low, signal.high) for signal in simulator.signals}
-        return stl.Agm(bounds=bounds)
+        check_bounds_hold(simulator)
+        return stl.Agm(bounds={s.name: (s.low, s.high) for s in simulator.signals})
     if config.metric == "smooth-cumulative":
         return stl.SmoothCumulative(beta=config.smooth_beta_per_m)
     return stl.Classical()
+
+
+def check_bounds_hold(simulator: Simulator) -> None:
+    """Check the signals' bounds on the two extreme rollouts, all missed and all detected.
+
+    Raises:
+        ConfigError: One of them leaves the bounds.
+    """
+    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    reached = replay(simulator=simulator, detected=outcomes)
+    for signal in simulator.signals:
+        low, high = float(reached[signal.name].min()), float(reached[signal.name].max())
+        if low < signal.low or high > signal.high:
+            message = (
+                f"metric = 'agm': {signal.name} reaches {low:.4g} to {high:.4g} {signal.unit}, "
+                f"beyond its bounds {signal.low:g} to {signal.high:g}; raise "
+                "scenario.gap_bound_m or scenario.speed_bound_mps"
+            )
+            raise ConfigError(message)
 
 
 def build_method(config: ExperimentConfig) -> Method[Any]:

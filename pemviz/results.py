@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import config_table
 from pemviz.types import Estimate, StageKind, StageResult
@@ -131,7 +132,7 @@ def rank_rollouts(stage: StageResult, *, count: int = LEAST_ROBUST) -> Sequence[
     scored = stage.scored
     order = np.argsort(scored.robustness, kind="stable")[:count]
     chosen = scored.rollouts
-    nll = -np.sum(chosen.log_p[order], axis=1)
+    nll = -row_sums(chosen.log_p[order])
     return [
         RankedRollout(
             repetition=stage.repetition,

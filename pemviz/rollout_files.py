@@ -104,7 +104,7 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
 
 def _load_part(path: Path) -> dict[str, AnyArray]:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             return {name: cast(AnyArray, arrays[name]) for name in arrays.files}
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
         message = f"rollouts {path}: cannot be read ({error})"

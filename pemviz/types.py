@@ -7,7 +7,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, read_only, row_sums
 
 StageKind = Literal["pretrain", "learn", "final"]
 
@@ -130,17 +130,17 @@ class RolloutBatch:
     @cached_property
     def log_p(self) -> FloatArray:
         """Log likelihood ``[N, T-1]`` of each outcome under the perception error model [nats]."""
-        return outcome_log_likelihood(self.pem_logit, self.detected)
+        return read_only(outcome_log_likelihood(self.pem_logit, self.detected))
 
     @cached_property
     def log_q(self) -> FloatArray:
         """Log likelihood ``[N, T-1]`` of each outcome under the proposal [nats]."""
-        return outcome_log_likelihood(self.proposal_logit, self.detected)
+        return read_only(outcome_log_likelihood(self.proposal_logit, self.detected))
 
     @cached_property
     def log_weight(self) -> FloatArray:
         """Log importance weight ``[N]``: sum over steps of log p - log q [nats]."""
-        return np.sum(self.log_p - self.log_q, axis=1)
+        return read_only(row_sums(self.log_p - self.log_q))
 
     def decision_states(self) -> StateBatch:
         """The states at which perception acted, arrays ``[N, T-1]``."""

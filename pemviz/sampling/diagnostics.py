@@ -43,13 +43,14 @@ def pareto_k_hat(log_weight: FloatArray) -> float | None:
     the tail has fewer than five weights, no spread, or more spread than doubles hold.
     """
     tail = int(min(log_weight.size // 5, np.ceil(3 * np.sqrt(log_weight.size))))
-    if tail < MINIMUM_TAIL or np.ptp(log_weight) == 0.0:
+    if tail < MINIMUM_TAIL or np.ptp(np.sort(log_weight)[-tail:]) == 0.0:
         return None
     from arviz_stats.base.array import array_stats  # noqa: PLC0415  slow to import
 
     # weights that span more than double precision break the fit: no figure, no warning
     with np.errstate(all="ignore"):
-        _, k_hat = array_stats.psislw(log_weight)
+        # psislw takes log likelihoods, whose negatives are its log weights
+        _, k_hat = array_stats.psislw(-log_weight)
     value = float(np.asarray(k_hat))
     return value if np.isfinite(value) else None
 
