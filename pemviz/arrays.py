@@ -16,3 +16,12 @@ def read_only(array: AnyArray) -> AnyArray:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def row_sums(values: FloatArray) -> FloatArray:
+    """Sums ``[N]`` over the second axis of ``[N, M]``.
+
+    The order of additions depends on the memory layout; in C order a row's sum does not
+    depend on how many rows there are.
+    """
+    return np.sum(np.ascontiguousarray(values), axis=1)

@@ -82,7 +82,14 @@ def check_fields(instance: Any, *, prefix: str = "") -> None:
         if is_dataclass(value):
             check_fields(value, prefix=f"{prefix}{name}.")
         elif value is not None or not _optional(annotation):
-            check_value(name=f"{prefix}{name}", value=value, annotation=_strip_none(annotation))
+            check_value(name=f"{prefix}{name}", value=value, annotation=optional_value(annotation))
+
+
+def optional_value(annotation: object) -> object:
+    """The annotation of the value itself, where ``None`` is allowed beside it."""
+    if not _optional(annotation):
+        return annotation
+    return next(arm for arm in get_args(annotation) if arm is not type(None))
 
 
 def _annotated_fields(instance: Any) -> Iterator[tuple[str, object, object]]:
@@ -101,12 +108,6 @@ def _unpack(annotation: object) -> tuple[Any, Range | None]:
 
 def _optional(annotation: object) -> bool:
     return type(None) in get_args(annotation)
-
-
-def _strip_none(annotation: object) -> object:
-    if not _optional(annotation):
-        return annotation
-    return next(arm for arm in get_args(annotation) if arm is not type(None))
 
 
 def _is_a(value: object, kind: type) -> bool:

@@ -7,7 +7,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, read_only, row_sums
 
 StageKind = Literal["pretrain", "learn", "final"]
 
@@ -130,17 +130,17 @@ class RolloutBatch:
     @cached_property
     def log_p(self) -> FloatArray:
         """Log likelihood ``[N, T-1]`` of each outcome under the perception error model [nats]."""
-        return outcome_log_likelihood(self.pem_logit, self.detected)
+        return read_only(outcome_log_likelihood(self.pem_logit, self.detected))
 
     @cached_property
     def log_q(self) -> FloatArray:
         """Log likelihood ``[N, T-1]`` of each outcome under the proposal [nats]."""
-        return outcome_log_likelihood(self.proposal_logit, self.detected)
+        return read_only(outcome_log_likelihood(self.proposal_logit, self.detected))
 
     @cached_property
     def log_weight(self) -> FloatArray:
         """Log importance weight ``[N]``: sum over steps of log p - log q [nats]."""
-        return np.sum(self.log_p - self.log_q, axis=1)
+        return read_only(row_sums(self.log_p - self.log_q))
 
     def decision_states(self) -> StateBatch:
         """The states at which perception acted, arrays ``[N, T-1]``."""
@@ -165,11 +165,13 @@ class ScoredRollouts:
         rollouts: The N rollouts.
         robustness: ``[N]`` under the chosen metric.
         violated: ``[N]`` whether the classical semantics is violated.
+        timings_s: Wall time by part of the work [s].
     """
 
     rollouts: RolloutBatch
     robustness: FloatArray
     violated: BoolArray
+    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 @dataclass(frozen=True)
@@ -218,6 +220,7 @@ class StageResult:
         log10_probability: Its decimal logarithm; ``None`` if nothing failed.
         ess: Effective sample size of the failing weights; ``None`` if nothing failed.
         loss: Training loss at the end of the fit [nats a step]; ``None`` without a fit.
+        timings_s: Wall time by part of the work [s].
     """
 
     repetition: int
@@ -233,3 +236,4 @@ class StageResult:
     log10_probability: float | None
     ess: float | None
     loss: float | None
+    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])

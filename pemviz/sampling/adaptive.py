@@ -1,5 +1,6 @@
 """State-dependent adaptive importance sampling: the paper's Algorithm 1."""
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,13 +90,16 @@ class AdaptiveSampling:
             result = self._result(state, scored, kind, proposal)
             return replace(advanced, final=scored), result
         threshold, chosen = self._chosen(kind, scored)
+        began = time.perf_counter()
         network, loss = self._fit(kind, state.network, scored, chosen)
+        fit_s = time.perf_counter() - began
         result = replace(
             self._result(state, scored, kind, proposal),
             learned=network,
             threshold=threshold,
             elites=int(chosen.sum()),
             loss=loss,
+            timings_s={**scored.timings_s, "fit": fit_s},
         )
         return replace(advanced, network=network), result
 
@@ -160,4 +164,5 @@ class AdaptiveSampling:
             log10_probability=log10_probability,
             ess=ess,
             loss=None,
+            timings_s=scored.timings_s,
         )

@@ -7,6 +7,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.sampling.weights import effective_sample_size, largest_share, log_sum
+from pemviz.types import Estimate
 
 MINIMUM_TAIL = 5
 RELIABLE_PARETO_K = 0.7
@@ -39,14 +40,17 @@ def pareto_k_hat(log_weight: FloatArray) -> float | None:
 
     Pareto smoothed importance sampling (Vehtari, Simpson, Gelman, Yao, Gabry 2024), by
     arviz-stats. Above 0.7 an average of the weights is not to be trusted. ``None`` where
-    the tail has fewer than five weights or no spread.
+    the tail has fewer than five weights, no spread, or more spread than doubles hold.
     """
     tail = int(min(log_weight.size // 5, np.ceil(3 * np.sqrt(log_weight.size))))
-    if tail < MINIMUM_TAIL or np.ptp(log_weight) == 0.0:
+    if tail < MINIMUM_TAIL or np.ptp(np.sort(log_weight)[-tail:]) == 0.0:
         return None
     from arviz_stats.base.array import array_stats  # noqa: PLC0415  slow to import
 
-    _, k_hat = array_stats.psislw(log_weight)
+    # weights that span more than double precision break the fit: no figure, no warning
+    with np.errstate(all="ignore"):
+        # psislw takes log likelihoods, whose negatives are its log weights
+        _, k_hat = array_stats.psislw(-log_weight)
     value = float(np.asarray(k_hat))
     return value if np.isfinite(value) else None
 
@@ -80,3 +84,19 @@ def weight_warnings(diagnostics: WeightDiagnostics, *, failures: int) -> Sequenc
             f"{RELIABLE_PARETO_K}): the true value may lie outside the interval"
         )
     return warnings
+
+
+def unreliable_because(estimate: Estimate) -> Sequence[str]:
+    """Why an estimate must not decide anything; empty if nothing speaks against it."""
+    if estimate.method == "monte-carlo":
+        return ()
+    reasons: list[str] = []
+    if estimate.failures == 0:
+        reasons.append("no failure was seen")
+    if (estimate.max_weight_share or 0.0) > LARGE_SHARE:
+        reasons.append(f"one rollout carries {estimate.max_weight_share:.0%} of the weight")
+    if estimate.ess is not None and estimate.ess < SMALL_ESS:
+        reasons.append(f"the effective sample size is {estimate.ess:.1f}")
+    if (estimate.pareto_k or 0.0) > RELIABLE_PARETO_K:
+        reasons.append(f"Pareto k-hat is {estimate.pareto_k:.2f}")
+    return reasons

@@ -61,6 +61,7 @@ class DirectSampling:
             log10_probability=log10_probability,
             ess=ess,
             loss=None,
+            timings_s=scored.timings_s,
         )
         return DirectState(repetition=state.repetition, scored=scored), result
 

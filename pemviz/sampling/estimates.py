@@ -3,9 +3,9 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
 from scipy import stats
 
+from pemviz.arrays import row_sums
 from pemviz.sampling.diagnostics import diagnose, negative_log_likelihood, weight_warnings
 from pemviz.sampling.weights import log_mean_failing_weight, log_std_error
 from pemviz.types import Estimate, ScoredRollouts
@@ -106,7 +106,7 @@ def _estimate(
 ) -> Estimate:
     rollouts, violated = scored.rollouts, scored.violated
     diagnostics = diagnose(rollouts.log_weight[violated])
-    nll_mean, nll_log_mean = negative_log_likelihood(np.sum(rollouts.log_p[violated], axis=1))
+    nll_mean, nll_log_mean = negative_log_likelihood(row_sums(rollouts.log_p[violated]))
     return Estimate(
         method=method,
         probability=probability,

@@ -1,7 +1,8 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +14,10 @@ Signals = Mapping[str, FloatArray]
 BATCH_ROLLOUTS = 4096
 
 
+def _no_progress(done: int, total: int) -> None:
+    """Take no note of what is done."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """A failure probability to be estimated.
@@ -22,14 +27,17 @@ class Problem:
         pem_logit: The perception error model.
         robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
         violated: Signals ``[N, T]`` to the classical verdict ``[N]``.
-        pause: Called before every batch of rollouts; may raise to stop a run.
+        batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
+        progress: Told after every batch how many of a stage's rollouts are done, and of how
+            many; may raise to stop a run.
     """
 
     simulator: Simulator
     pem_logit: LogitFunction
     robustness: Callable[[Signals], FloatArray]
     violated: Callable[[Signals], BoolArray]
-    pause: Callable[[], None] = lambda: None
+    batch_rollouts: int = BATCH_ROLLOUTS
+    progress: Callable[[int, int], None] = _no_progress
 
 
 def sample(
@@ -39,16 +47,24 @@ def sample(
     generator = np.random.default_rng(seeds)
     steps = problem.simulator.states - 1
     batches: list[ScoredRollouts] = []
-    for start in range(0, count, BATCH_ROLLOUTS):
-        problem.pause()
-        uniforms = generator.random((min(BATCH_ROLLOUTS, count - start), steps))
+    for start in range(0, count, problem.batch_rollouts):
+        size = min(problem.batch_rollouts, count - start)
+        uniforms = generator.random((size, steps))
+        began = time.perf_counter()
         rollouts = simulate(
             simulator=problem.simulator,
             pem_logit=problem.pem_logit,
             proposal=proposal,
             uniforms=uniforms,
         )
-        batches.append(score(problem, rollouts))
+        simulated = time.perf_counter()
+        scored = score(problem, rollouts)
+        timings_s = {
+            "simulation": simulated - began,
+            "robustness": time.perf_counter() - simulated,
+        }
+        batches.append(replace(scored, timings_s=timings_s))
+        problem.progress(start + size, count)
     return _concatenated(batches)
 
 
@@ -75,4 +91,7 @@ def _concatenated(batches: list[ScoredRollouts]) -> ScoredRollouts:
         ),
         robustness=np.concatenate([batch.robustness for batch in batches]),
         violated=np.concatenate([batch.violated for batch in batches]),
+        timings_s={
+            part: sum(batch.timings_s[part] for batch in batches) for part in batches[0].timings_s
+        },
     )

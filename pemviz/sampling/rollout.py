@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
+from pemviz.types import Proposal, RolloutBatch, Simulator
 
 LogitFunction = Callable[[FloatArray], FloatArray]
 """Salient variables ``[..., D]`` to the logit ``[...]`` of 'detected'."""
@@ -33,16 +33,18 @@ def simulate(
     under_pem = np.empty((steps, count))
     under_proposal = np.empty((steps, count))
     states = simulator.initial(count=count)
-    tracks = _Tracks(states, simulator.states)
+    signals = _Track(states.signals, simulator.states)
+    memory = _Track(states.memory, simulator.states)
     for step in range(steps):
         under_pem[step] = pem_logit(simulator.salient(states.signals))
         under_proposal[step] = proposal.logit(states, under_pem[step])
         detected[step] = uniforms[:, step] >= expit(-under_proposal[step])
         states = simulator.step(states, detected[step])
-        tracks.record(step + 1, states)
+        signals.record(step + 1, states.signals)
+        memory.record(step + 1, states.memory)
     return RolloutBatch(
-        signals=tracks.signals(),
-        memory=tracks.memory(),
+        signals=signals.by_rollout(),
+        memory=memory.by_rollout(),
         detected=detected.T,
         pem_logit=under_pem.T,
         proposal_logit=under_proposal.T,
@@ -52,30 +54,32 @@ def simulate(
 def replay(*, simulator: Simulator, detected: BoolArray) -> Mapping[str, FloatArray]:
     """Signals ``[N, T]`` of rollouts with given outcomes ``[N, T-1]``."""
     states = simulator.initial(count=detected.shape[0])
-    tracks = _Tracks(states, simulator.states)
+    signals = _Track(states.signals, simulator.states)
     by_step = np.ascontiguousarray(detected.T)
     for step in range(simulator.states - 1):
         states = simulator.step(states, by_step[step])
-        tracks.record(step + 1, states)
-    return tracks.signals()
+        signals.record(step + 1, states.signals)
+    return signals.by_rollout()
 
 
-class _Tracks:
-    """States as they come, kept time-major so that each step writes one contiguous row."""
+class _Track:
+    """Named values as they come, kept time-major: each step writes one contiguous row.
 
-    def __init__(self, first: StateBatch, states: int) -> None:
-        self._signals = {n: np.empty((states, *v.shape)) for n, v in first.signals.items()}
-        self._memory = {n: np.empty((states, *v.shape), v.dtype) for n, v in first.memory.items()}
+    Values of a type share one block: fresh memory takes about as long as the arithmetic of the
+    vectorized back end, and a large block comes in large pages.
+    """
+
+    def __init__(self, first: Mapping[str, AnyArray], states: int) -> None:
+        self._values = dict(first)
+        for dtype in {array.dtype for array in first.values()}:
+            names = [name for name, array in first.items() if array.dtype == dtype]
+            block = np.empty((len(names), states, *first[names[0]].shape), dtype)
+            self._values.update(zip(names, block, strict=True))
         self.record(0, first)
 
-    def record(self, index: int, states: StateBatch) -> None:
-        for name, values in states.signals.items():
-            self._signals[name][index] = values
-        for name, values in states.memory.items():
-            self._memory[name][index] = values
+    def record(self, index: int, values: Mapping[str, AnyArray]) -> None:
+        for name, array in values.items():
+            self._values[name][index] = array
 
-    def signals(self) -> dict[str, FloatArray]:
-        return {name: values.T for name, values in self._signals.items()}
-
-    def memory(self) -> dict[str, AnyArray]:
-        return {name: values.T for name, values in self._memory.items()}
+    def by_rollout(self) -> dict[str, AnyArray]:
+        return {name: array.T for name, array in self._values.items()}

@@ -1,12 +1,13 @@
-"""What both back ends of the braking scenario share: signals and salient variables."""
+"""What both back ends of the braking scenario share: all but how they step."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.config import ScenarioConfig
-from pemviz.types import Signal
+from pemviz.types import Signal, StateBatch
 
 GAP = "gap"
 EGO_SPEED = "ego_speed"
@@ -19,6 +20,49 @@ NOT_OCCLUDED = 0.0
 HEADING_AWAY_RAD = -np.pi / 2
 CAR_HEIGHT_M = 1.53
 CAR_WIDTH_M = 1.63
+
+
+@dataclass(frozen=True)
+class BrakingScenario:
+    """An ego car follows a braking lead car; a back end adds ``name`` and ``step``.
+
+    Attributes:
+        config: The scenario's parameters.
+    """
+
+    config: ScenarioConfig
+
+    @property
+    def states(self) -> int:
+        """States in a rollout."""
+        return self.config.states
+
+    @property
+    def dt_s(self) -> float:
+        """Time step [s]."""
+        return self.config.dt_s
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Gap [m], ego speed and lead speed [m/s]."""
+        return scenario_signals(self.config)
+
+    def initial(self, *, count: int) -> StateBatch:
+        """Both cars at the initial speed, arrays ``[count]``."""
+        speed_mps = np.full(count, self.config.initial_speed_mps)
+        return StateBatch(
+            step=np.zeros((), dtype=np.int64),
+            signals={
+                GAP: np.full(count, self.config.initial_gap_m),
+                EGO_SPEED: speed_mps,
+                LEAD_SPEED: speed_mps,
+            },
+            memory={SPEED_ERROR_INTEGRAL: np.zeros(count)},
+        )
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """The lead car's salient variables ``[..., 11]``."""
+        return lead_car_salient(self.config, signals)
 
 
 def scenario_signals(config: ScenarioConfig) -> tuple[Signal, ...]:

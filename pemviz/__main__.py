@@ -1,0 +1,7 @@
+"""``python -m pemviz`` is the command line."""
+
+import sys
+
+from pemviz.cli import main
+
+sys.exit(main())

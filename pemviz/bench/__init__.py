@@ -1,0 +1,1 @@
+"""Measurements of speed, each a ratio or a median of one run on this machine."""

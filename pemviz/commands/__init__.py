@@ -1,0 +1,1 @@
+"""The commands behind `pemviz`, one module each."""

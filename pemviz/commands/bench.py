@@ -1,0 +1,63 @@
+"""``pemviz bench``: measure speed on this machine."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from rich.console import Console
+from rich.table import Table
+
+from pemviz.bench.figures import Figure
+from pemviz.commands.parsing import parse_arguments
+from pemviz.exit_codes import EXIT_DONE
+
+Part = Literal["paper", "simulators", "stl"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchArguments:
+    """Options of ``pemviz bench``."""
+
+    part: tuple[Part, ...] = ("paper", "simulators", "stl")
+    """What to measure: the paper's experiment, both back ends, the robustness metrics."""
+    json: bool = False
+    """Print the figures as one JSON object and nothing else."""
+
+
+def run(words: Sequence[str]) -> int:
+    """Measure and print.
+
+    Raises:
+        InputError: The arguments are wrong.
+    """
+    arguments = parse_arguments(BenchArguments, words, command="bench", default=BenchArguments())
+    measured = {part: list(_measure(part)()) for part in arguments.part}
+    if arguments.json:
+        print(json.dumps({p: [asdict(f) for f in figures] for p, figures in measured.items()}))
+        return EXIT_DONE
+    table = Table(title="pemviz bench: medians of one run on this machine", title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    table.add_column("goal")
+    for figures in measured.values():
+        for figure in figures:
+            table.add_row(figure.name, f"{figure.value:.3g}", figure.unit or "-", figure.goal)
+        table.add_section()
+    Console().print(table)
+    return EXIT_DONE
+
+
+def _measure(part: Part) -> Callable[[], Sequence[Figure]]:
+    if part == "paper":
+        from pemviz.bench.paper import paper_figures  # noqa: PLC0415
+
+        return paper_figures
+    if part == "simulators":
+        from pemviz.bench.simulators import simulator_figures  # noqa: PLC0415
+
+        return simulator_figures
+    from pemviz.bench.stl import stl_figures  # noqa: PLC0415
+
+    return stl_figures

@@ -1,0 +1,107 @@
+"""Progress on standard error: a bar on a terminal, a line a stage elsewhere."""
+
+import contextlib
+from collections.abc import Generator
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+from pemviz.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
+from pemviz.results import StageSummary, summarise_stage
+
+
+class ProgressBar:
+    """Observer that shows stage, threshold, failures and time left."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._task: TaskID | None = None
+        self._done_before = 0
+        self._repetitions = 1
+
+    def notify(self, event: Event) -> None:
+        """Move the bar."""
+        match event:
+            case RunStarted():
+                self._repetitions = event.config.repetitions
+                self._task = self._progress.add_task("starting", total=event.planned_rollouts)
+            case RolloutsDone() if self._task is not None:
+                self._progress.update(self._task, completed=self._done_before + event.done)
+            case StageDone() if self._task is not None:
+                self._done_before += event.stage.scored.rollouts.count
+                text = stage_line(summarise_stage(event.stage), repetitions=self._repetitions)
+                self._progress.update(self._task, completed=self._done_before, description=text)
+            case _:
+                pass
+
+
+class ProgressLines:
+    """Observer that prints a line a stage, or a repetition if there are several."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._repetitions = 1
+
+    def notify(self, event: Event) -> None:
+        """Print what is done."""
+        match event:
+            case RunStarted():
+                self._repetitions = event.config.repetitions
+            case StageDone() if self._repetitions == 1:
+                self._print(stage_line(summarise_stage(event.stage), repetitions=1))
+            case RepetitionDone() if self._repetitions > 1:
+                number = f"repetition {event.repetition + 1} of {self._repetitions}"
+                self._print(f"{number}: probability {event.estimate.probability:.3g}")
+            case _:
+                pass
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, highlight=False, markup=False)
+
+
+class NoProgress:
+    """Observer that shows nothing."""
+
+    def notify(self, event: Event) -> None:
+        """Take no note of ``event``."""
+
+
+def stage_line(stage: StageSummary, *, repetitions: int) -> str:
+    """A stage in a few words."""
+    parts = [f"stage {stage.stage}"]
+    if repetitions > 1:
+        parts.insert(0, f"repetition {stage.repetition + 1} of {repetitions}")
+    if stage.kind != "learn":
+        parts.append({"pretrain": "pre-training", "final": "final"}[stage.kind])
+    if stage.threshold is not None:
+        parts.append(f"threshold {stage.threshold:.3g}")
+    parts.append(f"{stage.failures} of {stage.rollouts} violate")
+    return ", ".join(parts)
+
+
+@contextlib.contextmanager
+def progress_observer(*, quiet: bool = False) -> Generator[Observer, None, None]:
+    """The observer that suits standard error."""
+    console = Console(stderr=True)
+    if quiet and not console.is_terminal:
+        yield NoProgress()
+    elif not console.is_terminal:
+        yield ProgressLines(console)
+    else:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("rollouts,"),
+            TimeRemainingColumn(),
+            TextColumn("left"),
+        )
+        with Progress(*columns, console=console, transient=True) as progress:
+            yield ProgressBar(progress)

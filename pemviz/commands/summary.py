@@ -1,0 +1,78 @@
+"""The summary at the end of a run."""
+
+import math
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from pemviz.results import RunResult
+from pemviz.types import Estimate
+
+
+def print_summary(result: RunResult, folder: Path) -> None:
+    """Print the answer, how far to trust it, and where the run lies."""
+    console = Console(highlight=False)
+    if result.estimate is not None:
+        console.print(_table(result, result.estimate))
+        for warning in result.estimate.warnings:
+            console.print(f"warning: {warning}", style="yellow", markup=False)
+    console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
+
+
+def _table(result: RunResult, estimate: Estimate) -> Table:
+    table = Table(title="Failure probability", title_justify="left", show_header=False)
+    table.add_column("what", no_wrap=True)
+    table.add_column("value")
+    config = result.config
+    repetitions = len(result.repetitions)
+    table.add_row("specification", config.spec)
+    table.add_row(
+        "method",
+        f"{config.method} ({repetitions} repetitions)" * (repetitions > 1) or config.method,
+    )
+    table.add_row("error model", result.pem.name)
+    table.add_row("probability", probability_text(estimate))
+    table.add_row("95 % interval", interval_text(estimate))
+    table.add_row(
+        "violations",
+        f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts "
+        f"({estimate.rollouts_simulated} simulated in all)",
+    )
+    table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))
+    table.add_row("effective sample size", number_text(estimate.ess))
+    table.add_row("Pareto k-hat", number_text(estimate.pareto_k, unit="(reliable up to 0.7)"))
+    table.add_row("largest weight's share", share_text(estimate.max_weight_share))
+    worst = result.least_robust[0] if result.least_robust else None
+    if worst is not None:
+        table.add_row(
+            "least robust rollout",
+            f"robustness {worst.robustness:.3g}, {worst.misses} misses, stage {worst.stage}",
+        )
+    table.add_row("time", f"{result.timings_s.get('total', math.nan):.1f} s")
+    return table
+
+
+def probability_text(estimate: Estimate) -> str:
+    """The probability with its standard error, or what is known without a failure."""
+    if estimate.failures == 0:
+        return "0: no failure was seen"
+    error = "" if estimate.std_error is None else f" +- {estimate.std_error:.2g}"
+    return f"{estimate.probability:.3g}{error}"
+
+
+def interval_text(estimate: Estimate) -> str:
+    """The confidence interval in words."""
+    if estimate.ci_low is None or estimate.ci_high is None:
+        return "unknown"
+    return f"{estimate.ci_low:.2g} to {estimate.ci_high:.2g}"
+
+
+def number_text(value: float | None, *, unit: str = "") -> str:
+    """A number with its unit, or a dash."""
+    return "-" if value is None else f"{value:.3g} {unit}".strip()
+
+
+def share_text(value: float | None) -> str:
+    """A share in per cent, or a dash."""
+    return "-" if value is None else f"{value:.0%}"

@@ -1,0 +1,108 @@
+"""Configurations as TOML: presets, the user's files, and the copy in every run folder."""
+
+import difflib
+import tomllib
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast, get_type_hints
+
+import tomli_w
+
+from pemviz.assets import asset_path
+from pemviz.config import ExperimentConfig
+from pemviz.errors import ConfigError
+from pemviz.ranges import check_value, optional_value
+
+Config = TypeVar("Config")
+
+
+def preset_names() -> tuple[str, ...]:
+    """Names of the shipped presets."""
+    return tuple(sorted(path.stem for path in asset_path("presets").glob("*.toml")))
+
+
+def load_preset(name: str) -> ExperimentConfig:
+    """The shipped preset ``name``.
+
+    Raises:
+        ConfigError: There is no such preset.
+    """
+    if name not in preset_names():
+        message = f"preset = {name!r}: must be one of {', '.join(preset_names())}"
+        raise ConfigError(message)
+    return load_config(asset_path("presets", f"{name}.toml"))
+
+
+def load_config(path: Path) -> ExperimentConfig:
+    """Read and validate a TOML file; what it leaves out keeps its default.
+
+    Raises:
+        ConfigError: The file cannot be read, is not TOML, or holds an unknown field or a
+            value that is out of range.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        table = tomllib.loads(text)
+    except OSError as error:
+        message = f"config {path}: cannot be read ({error.strerror or error})"
+        raise ConfigError(message) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        message = f"config {path}: not valid TOML ({error})"
+        raise ConfigError(message) from error
+    except RecursionError as error:
+        message = f"config {path}: nested too deeply"
+        raise ConfigError(message) from error
+    try:
+        config = config_from_table(table)
+        config.validate()
+    except ConfigError as error:
+        message = f"config {path}: {error}"
+        raise ConfigError(message) from error
+    return config
+
+
+def config_from_table(table: dict[str, Any]) -> ExperimentConfig:
+    """The configuration that a table of plain values spells out.
+
+    Raises:
+        ConfigError: A field is unknown or of the wrong type.
+    """
+    return _build(ExperimentConfig, table, prefix="")
+
+
+def config_table(config: ExperimentConfig) -> dict[str, Any]:
+    """Every field as plain values, for TOML and JSON."""
+    return asdict(config)
+
+
+def config_text(config: ExperimentConfig) -> str:
+    """Every field as TOML that :func:`load_config` reads back to an equal configuration."""
+    return tomli_w.dumps(config_table(config))
+
+
+def _build(kind: type[Config], table: dict[str, Any], *, prefix: str) -> Config:
+    hints = get_type_hints(kind, include_extras=True)
+    known = {field.name for field in fields(cast(Any, kind))}
+    values: dict[str, Any] = {}
+    for name, value in table.items():
+        if name not in known:
+            raise ConfigError(_unknown(f"{prefix}{name}", name, known))
+        annotation = hints[name]
+        if is_dataclass(annotation):
+            if not isinstance(value, dict):
+                message = f"{prefix}{name} = {value!r}: must be a table [{prefix}{name}]"
+                raise ConfigError(message)
+            nested = cast(type[Any], annotation)
+            values[name] = _build(nested, cast(dict[str, Any], value), prefix=f"{name}.")
+        else:
+            values[name] = check_value(
+                name=f"{prefix}{name}", value=value, annotation=optional_value(annotation)
+            )
+    return kind(**values)
+
+
+def _unknown(shown: str, name: str, known: set[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    if near:
+        return f"{shown}: no such field; did you mean {near[0]}?"
+    return f"{shown}: no such field; allowed are {', '.join(sorted(known))}"

@@ -1,0 +1,187 @@
+"""Arithmetic-geometric mean robustness: Mehdipour, Vasile & Belta, ACC 2019.
+
+Dimensionless: a predicate's margin is divided by the width of its range, computed from
+declared bounds of the signals. The metric is discontinuous where a margin is exactly 0.
+"""
+
+# ruff: noqa: D102 (the operators are described by the Semantics protocol)
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import TypeAlias
+
+import numpy as np
+
+from pemviz.arrays import FloatArray
+from pemviz.errors import InputError
+from pemviz.stl.bounds import Interval, check_interval, margin_range
+from pemviz.stl.errors import shorten
+from pemviz.stl.formulas import Predicate
+from pemviz.stl.numpy_base import NumpySemantics
+from pemviz.stl.windows import fold, sliding
+
+SCENARIO_BOUNDS: Mapping[str, Interval] = {
+    "gap": (-25.0, 25.0),
+    "ego_speed": (0.0, 40.0),
+    "lead_speed": (0.0, 40.0),
+}
+"""Bounds of the braking scenario: gap in m, speeds in m/s."""
+
+
+@dataclass(frozen=True)
+class Agm:
+    """The arithmetic-geometric mean metric.
+
+    Attributes:
+        bounds: (low, high) of every signal that a formula uses, in the signal's unit.
+        clip: whether values beyond their bounds count as the bound; otherwise they
+            are an error.
+    """
+
+    bounds: Mapping[str, Interval] = field(default_factory=lambda: dict(SCENARIO_BOUNDS))
+    clip: bool = False
+
+    def __post_init__(self) -> None:
+        checked = {name: check_interval(name, pair) for name, pair in self.bounds.items()}
+        object.__setattr__(self, "bounds", checked)
+
+    def __hash__(self) -> int:
+        return hash((frozenset(self.bounds.items()), self.clip))
+
+
+Means: TypeAlias = tuple[FloatArray, ...]
+"""What the conjunction of several values depends on, each [steps, n].
+
+The least value; the sum of min(value, 0); the sum of log(1 + value), which only counts
+(and may be NaN otherwise) where no value is negative. Sums of one sign only, so that no
+digits cancel.
+"""
+
+
+def clipping_flips(predicate: Predicate, low: float, high: float) -> InputError:
+    """The error of bounds within which a predicate cannot change sign."""
+    return InputError(
+        f"agm: clipping to the bounds would change whether '{shorten(predicate)}' holds, whose"
+        f" margin has the range [{low:g}, {high:g}]; declare wider bounds"
+    )
+
+
+class AgmSemantics(NumpySemantics):
+    """Agm robustness of every operator."""
+
+    def __init__(self, metric: Agm) -> None:
+        self.metric = metric
+        self._ranges: dict[Predicate, Interval] = {}
+
+    def _range(self, predicate: Predicate) -> Interval:
+        if predicate not in self._ranges:
+            self._ranges[predicate] = margin_range(predicate, self.metric.bounds)
+        return self._ranges[predicate]
+
+    def opposite(self) -> AgmSemantics:
+        return self
+
+    def truth(self, like: FloatArray, steps: int) -> FloatArray:
+        return self.constant(1.0, like, steps)
+
+    def predicate(self, predicate: Predicate, margin: FloatArray) -> FloatArray:
+        low, high = self._range(predicate)
+        if low == high:  # no signal has a say: as true and false
+            return np.sign(margin)
+        if self.metric.clip:
+            margin = _clip(predicate, margin, low, high)
+        margin *= 1.0 / (high - low)
+        return margin
+
+    def negate(self, value: FloatArray) -> FloatArray:
+        return -value
+
+    def conjunction(self, values: Sequence[FloatArray]) -> FloatArray:
+        means = reduce(_join, [_means(value) for value in values])
+        return _conclude(means, len(values), ties_fail=True)
+
+    def disjunction(self, values: Sequence[FloatArray]) -> FloatArray:
+        means = reduce(_join, [_means(-value) for value in values])
+        return -_conclude(means, len(values), ties_fail=False)
+
+    def always(self, value: FloatArray, width: int) -> FloatArray:
+        return _over_windows(value, width, ties_fail=True)
+
+    def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
+        return self.always(self.predicate(predicate, margin), width)
+
+    def eventually(self, value: FloatArray, width: int) -> FloatArray:
+        return -_over_windows(-value, width, ties_fail=False)
+
+    def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
+        steps, width = len(left) - last, last - first + 1
+        sums = tuple(np.zeros((steps, left.shape[1])) for _ in range(2))
+        held, failed = (
+            (np.full_like(sums[0], math.inf), *sums),
+            (np.full_like(sums[0], math.inf), *sums),
+        )
+        for offset in range(last + 1):
+            held = _join(held, _means(left[offset : offset + steps]))
+            if offset >= first:
+                so_far = _conclude(held, offset + 1, ties_fail=True)
+                target = right[offset - first : offset - first + steps]
+                failed = _join(failed, _means(-self.conjunction([target, so_far])))
+        return -_conclude(failed, width, ties_fail=False)
+
+
+def _clip(predicate: Predicate, margin: FloatArray, low: float, high: float) -> FloatArray:
+    clipped = np.clip(margin, low, high)
+    if (np.sign(clipped) != np.sign(margin)).any():
+        raise clipping_flips(predicate, low, high)
+    return clipped
+
+
+def _means(values: FloatArray) -> Means:
+    return values, np.minimum(values, 0.0), np.log1p(values)
+
+
+def _join(earlier: Means, later: Means) -> Means:
+    return np.minimum(earlier[0], later[0]), earlier[1] + later[1], earlier[2] + later[2]
+
+
+def _conclude(means: Means, count: int, *, ties_fail: bool) -> FloatArray:
+    """The conjunction of ``count`` values; ``ties_fail``: whether a value of 0 fails."""
+    least, failing, growth = means
+    fails = least <= 0.0 if ties_fail else least < 0.0
+    return np.where(fails, failing / count, np.expm1(growth / count))
+
+
+def _over_windows(values: FloatArray, width: int, *, ties_fail: bool) -> FloatArray:
+    """Conjunction over every window of ``width`` steps, [s, n] -> [s - width + 1, n]."""
+    if len(values) > width:
+        return _conclude(sliding(_join, _means(values), width), width, ties_fail=ties_fail)
+    failing = fold(np.add, np.minimum(values, 0.0))
+    growth = fold(np.add, np.log1p(_compound(values)))
+    return _conclude((fold(np.minimum, values), failing, growth), width, ties_fail=ties_fail)
+
+
+def _compound(values: FloatArray) -> FloatArray:
+    """prod(1 + value) - 1 over groups of about 16 steps, [s, n] -> [about s / 16, n].
+
+    So one logarithm serves many steps. To full accuracy where all values are positive.
+    """
+    for _ in range(4):
+        half = len(values) // 2
+        if half == 0:
+            break
+        product = _compound_pair(values[:half], values[half : 2 * half])
+        if len(values) % 2:
+            product[0] = _compound_pair(product[0], values[-1])
+        values = product
+    return values
+
+
+def _compound_pair(left: FloatArray, right: FloatArray) -> FloatArray:
+    product = left * right
+    product += left
+    product += right
+    return product

@@ -1,0 +1,238 @@
+"""Robustness of a formula on a batch of rollouts, and the verdict."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.errors import InputError
+from pemviz.stl.agm import Agm, AgmSemantics
+from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
+from pemviz.stl.classical import Classical, ClassicalSemantics
+from pemviz.stl.errors import shorten
+from pemviz.stl.expressions import Product, Quotient
+from pemviz.stl.formulas import Formula, Implies, Not, Predicate, Truth, Until
+from pemviz.stl.semantics import Semantics, evaluate, margin
+from pemviz.stl.smooth_cumulative import SmoothCumulative, SmoothCumulativeSemantics
+
+Metric: TypeAlias = Classical | Agm | SmoothCumulative
+Signals: TypeAlias = Mapping[str, FloatArray]
+
+BLOCK_VALUES = 1 << 16
+"""Values of one signal evaluated at once: few enough to stay in the cache."""
+
+BLOCK_ROLLOUTS = 8
+"""Fewest rollouts evaluated at once."""
+
+BLOCK_ROLLOUTS_UNTIL = 128
+"""The same for formulas with an until, which goes step by step."""
+
+MAX_THREADS = 4
+"""Most cores used at once."""
+
+BLOCKS_PER_THREAD = 4
+"""Fewest blocks for which a further thread is started."""
+
+
+def robustness(formula: Formula, signals: Mapping[str, AnyArray], metric: Metric) -> FloatArray:
+    """Robustness of every rollout at step 0.
+
+    Args:
+        formula: the specification.
+        signals: [N, T] by name; all that the formula uses, of one shape.
+        metric: which robustness, with its parameters.
+
+    Returns:
+        [N]. Finite, except that ``true`` alone is infinite where its metric says so.
+
+    Raises:
+        FormulaError: the formula uses an unknown signal or looks past the rollouts' end.
+        InputError: a signal has the wrong shape or type, is not finite, or (agm) leaves
+            its bounds; the message names rollout and step.
+    """
+    return _by_blocks(formula, signals, metric, steps=1)[:, 0]
+
+
+def robustness_trace(
+    formula: Formula, signals: Mapping[str, AnyArray], metric: Metric
+) -> FloatArray:
+    """Robustness of every rollout at every step where the formula's horizon fits.
+
+    Takes and raises what `robustness` does.
+
+    Returns:
+        [N, T - formula.horizon_steps()].
+    """
+    return _by_blocks(formula, signals, metric, steps=None)
+
+
+def violated(formula: Formula, signals: Mapping[str, AnyArray]) -> BoolArray:
+    """Which rollouts violate the formula: the only thing that counts violations.
+
+    Decided by classical robustness < 0, whatever metric ranks the rollouts: on the
+    boundary (exactly 0) a rollout does not violate. Takes and raises what
+    `robustness` does.
+
+    Returns:
+        [N] bool.
+    """
+    return robustness(formula, signals, Classical()) < 0.0
+
+
+@dataclass(frozen=True)
+class SubformulaTrace:
+    """One part of a formula, and its robustness over time.
+
+    Attributes:
+        path: index of the child to take at every level, from the whole formula down.
+        formula: the part.
+        metric: the metric its values are in (under a negation, smooth-cumulative's
+            other part).
+        values: [N, T - formula.horizon_steps()].
+    """
+
+    path: tuple[int, ...]
+    formula: Formula
+    metric: Metric
+    values: FloatArray
+
+
+def subformula_traces(
+    formula: Formula, signals: Mapping[str, AnyArray], metric: Metric | None = None
+) -> tuple[SubformulaTrace, ...]:
+    """Robustness over time of the formula and all its parts: which part fails when.
+
+    Args:
+        formula: the specification.
+        signals: [N, T] by name.
+        metric: classical if None.
+
+    Returns:
+        One entry per part that is a formula, the whole first, then depth first, left
+        to right. Raises what `robustness` does.
+    """
+    return tuple(
+        SubformulaTrace(path, part, used, robustness_trace(part, signals, used))
+        for path, part, used in _parts(formula, metric or Classical(), ())
+    )
+
+
+def _parts(
+    formula: Formula, metric: Metric, path: tuple[int, ...]
+) -> Iterator[tuple[tuple[int, ...], Formula, Metric]]:
+    yield path, formula, metric
+    opposite = metric.opposite() if isinstance(metric, SmoothCumulative) else metric
+    for index, part in enumerate(formula.children()):
+        negated = isinstance(formula, Not) or (isinstance(formula, Implies) and index == 0)
+        if isinstance(part, Formula):
+            yield from _parts(part, opposite if negated else metric, (*path, index))
+
+
+def _semantics(metric: Metric) -> Semantics[FloatArray]:
+    match metric:
+        case Classical():
+            return ClassicalSemantics()
+        case Agm():
+            return AgmSemantics(metric)
+        case SmoothCumulative():
+            return SmoothCumulativeSemantics(metric)
+
+
+def _by_blocks(
+    formula: Formula, signals: Mapping[str, AnyArray], metric: Metric, *, steps: int | None
+) -> FloatArray:
+    """[N, steps], or as many steps as the horizon leaves. Rows do not depend on each other."""
+    used, (rollouts, states) = _select(formula, signals)
+    check_horizon(formula, states)
+    steps = states - formula.horizon_steps() if steps is None else steps
+    result = np.empty((rollouts, steps))
+    named, predicates = formula.signals(), predicates_to_check(formula)
+
+    def evaluate_block(rows: slice) -> None:
+        block = {
+            name: np.ascontiguousarray(values[rows].T, dtype=np.float64)
+            for name, values in used.items()
+        }
+        with np.errstate(all="ignore"):  # what is not finite is reported, or meant
+            _check_block({name: block[name] for name in named}, metric, rows.start)
+            _check_margins(predicates, block, rows.start)
+            result[rows] = evaluate(formula, _semantics(metric), block, start=0, steps=steps).T
+
+    size = _block_rollouts(formula, states)
+    blocks = [slice(start, start + size) for start in range(0, rollouts, size)]
+    # Minima wait for memory, not for arithmetic: classical gains nothing from more cores.
+    threads = 1 if isinstance(metric, Classical) else min(os.cpu_count() or 1, MAX_THREADS)
+    _run(blocks, evaluate_block, min(threads, len(blocks) // BLOCKS_PER_THREAD))
+    if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
+        raise InputError("robustness is beyond the largest number; rescale the signals")
+    return result
+
+
+def _run(blocks: Sequence[slice], evaluate_block: Callable[[slice], None], threads: int) -> None:
+    """Every block once; the error of the first block that has one is raised."""
+    if threads <= 1:
+        for rows in blocks:
+            evaluate_block(rows)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(evaluate_block, blocks):
+            pass
+
+
+def _block_rollouts(formula: Formula, states: int) -> int:
+    has_until = any(isinstance(part, Until) for part in formula.walk())
+    return max(BLOCK_VALUES // states, BLOCK_ROLLOUTS_UNTIL if has_until else BLOCK_ROLLOUTS)
+
+
+def predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
+    """Predicates that finite signals may leave infinite or undefined."""
+    return tuple(
+        part
+        for part in formula.walk()
+        if isinstance(part, Predicate)
+        and any(isinstance(node, Product | Quotient) for node in part.walk())
+    )
+
+
+def _check_block(block: Signals, metric: Metric, start: int) -> None:
+    for name, values in block.items():
+        if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
+            check_bounds(values, name, metric.bounds[name], start)
+        else:
+            check_finite(values, f"signal {name!r}", start)
+
+
+def _check_margins(predicates: tuple[Predicate, ...], block: Signals, start: int) -> None:
+    steps = len(next(iter(block.values())))
+    for predicate in predicates:
+        by = margin(predicate, ClassicalSemantics(), block, start=0, steps=steps)
+        check_finite(by, f"margin of '{shorten(predicate)}'", start)
+
+
+def _select(
+    formula: Formula, signals: Mapping[str, AnyArray]
+) -> tuple[dict[str, AnyArray], tuple[int, int]]:
+    """The signals that the formula uses (any one, for the shape, if none), and (N, T)."""
+    check_names(formula, signals)
+    names = sorted(formula.signals()) or sorted(signals)[:1]
+    if not names:
+        raise InputError("no signals given; at least one is needed for the number of rollouts")
+    used = {name: np.asarray(signals[name]) for name in names}
+    shape = used[names[0]].shape
+    for name, values in used.items():
+        if values.ndim != 2:
+            raise InputError(f"signal {name!r} has shape {values.shape}; must be [N, T]")
+        if values.shape != shape:
+            raise InputError(
+                f"signal {name!r} has shape {values.shape}, {names[0]!r} has {shape};"
+                " all must be alike"
+            )
+        if values.dtype.kind not in "fiub":
+            raise InputError(f"signal {name!r} has type {values.dtype}; must be real numbers")
+    return used, shape

@@ -1,0 +1,100 @@
+"""The run folder: what a run leaves on disk, readable after a kill at any moment."""
+
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+from safetensors.numpy import save as save_tensors
+
+from pemviz.arrays import AnyArray
+from pemviz.config_files import config_text
+from pemviz.errors import InputError
+from pemviz.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
+from pemviz.files import write_bytes, write_json, write_text
+from pemviz.results import RunResult, result_document
+from pemviz.rollout_files import PART_FOLDER, join_parts, part_path, stage_arrays, write_part
+from pemviz.types import Signal, StageResult
+
+
+def create_run_folder(parent: Path, *, label: str) -> Path:
+    """A new folder ``<parent>/<time>-<label>``, numbered if that is taken.
+
+    Raises:
+        InputError: It cannot be created.
+    """
+    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{label}"
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        for attempt in range(1, 1000):
+            folder = parent / (stem if attempt == 1 else f"{stem}-{attempt}")
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            return folder
+    except OSError as error:
+        message = f"out = {parent}: no run folder can be made there ({error.strerror or error})"
+        raise InputError(message) from error
+    message = f"out = {parent}: a thousand runs named {stem} are there already"
+    raise InputError(message)
+
+
+class RunStore:
+    """Observer that keeps a run folder up to date.
+
+    After every stage ``result.json`` is rewritten and the stage's rollouts are in a file of
+    their own; the end of the run joins these into ``rollouts.npz``.
+
+    Attributes:
+        folder: The run folder; it exists already.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._signals: tuple[Signal, ...] = ()
+        self._parts: list[Path] = []
+        self._proposals: dict[str, AnyArray] = {}
+
+    def notify(self, event: Event) -> None:
+        """Write what ``event`` adds.
+
+        Raises:
+            OSError: The disk is full or the folder is gone.
+        """
+        match event:
+            case RunStarted():
+                self._signals = event.signals
+                write_text(self.folder / "config.toml", config_text(event.config))
+                self._write_result(event.result)
+            case StageDone():
+                self._write_stage(event.stage)
+                self._write_result(event.result)
+            case RepetitionDone():
+                self._write_result(event.result)
+            case RunDone() | RunFailed():
+                self._join()
+                self._write_result(event.result)
+            case _:
+                pass
+
+    def _write_result(self, result: RunResult) -> None:
+        write_json(self.folder / "result.json", result_document(result))
+
+    def _write_stage(self, stage: StageResult) -> None:
+        part = part_path(self.folder, repetition=stage.repetition, stage=stage.stage)
+        write_part(part, stage_arrays(stage, self._signals))
+        self._parts.append(part)
+        if stage.learned is None:
+            return
+        prefix = f"repetition.{stage.repetition}.stage.{stage.stage}"
+        for name, array in stage.learned.arrays().items():
+            self._proposals[f"{prefix}.{name}"] = np.ascontiguousarray(array)
+        write_bytes(self.folder / "proposals.safetensors", save_tensors(self._proposals))
+
+    def _join(self) -> None:
+        if not self._parts:
+            return
+        join_parts(self._parts, self.folder / "rollouts.npz")
+        shutil.rmtree(self.folder / PART_FOLDER)
+        self._parts = []

@@ -1,0 +1,46 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from pemviz.sampling.problem import Problem
+from tests.toy import MissCounter, constant_pem
+
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)
+settings.load_profile("repeatable")
+
+SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def shared(name: str) -> Path:
+    """A file of the development data; absent in a user's checkout, required in CI."""
+    path = SHARED_DATA / name
+    if not path.exists():
+        if os.environ.get("PEMVIZ_REQUIRE_DATA") == "1":
+            pytest.fail(f"the development data must be here: {path}")
+        pytest.skip(f"development data {path} is not here")
+    return path
+
+
+@pytest.fixture(scope="session")
+def authors_checkpoint() -> Path:
+    return shared("authors_pem/pem_ml_nn.safetensors")
+
+
+@pytest.fixture(scope="session")
+def authors_proposals() -> list[Path]:
+    folder = shared("authors_pem")
+    return sorted(folder.glob("proposal_*.safetensors"))
+
+
+@pytest.fixture
+def toy_problem() -> Problem:
+    """Six steps, a miss with probability 0.1 each; four misses or more violate."""
+    return Problem(
+        simulator=MissCounter(states=7),
+        pem_logit=constant_pem(detection_probability=0.9),
+        robustness=lambda signals: np.min(signals["gap"], axis=1),
+        violated=lambda signals: np.min(signals["gap"], axis=1) < 0.0,
+    )

@@ -1,0 +1,138 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from safetensors.numpy import load_file
+
+from pemviz.proposals.gap_network import GapNetwork, gap_network_from_arrays
+from pemviz.proposals.gap_network_fit import (
+    OutcomeTable,
+    fit_gap_network,
+    initial_gap_network,
+    pool_outcomes,
+)
+
+
+def as_torch(network: GapNetwork) -> torch.nn.Module:
+    layers = torch.nn.Sequential(
+        torch.nn.Linear(1, 32), torch.nn.ReLU(), torch.nn.Linear(32, 32), torch.nn.ReLU(),
+        torch.nn.Linear(32, 2), torch.nn.LogSoftmax(dim=1),
+    ).double()  # fmt: skip
+    layers.load_state_dict({n: torch.from_numpy(a) for n, a in network.arrays().items()})
+    return layers
+
+
+def test_forward_agrees_with_torch():
+    network = initial_gap_network(seed=7)
+    gap_m = np.linspace(-5, 30, 500)
+    with torch.no_grad():
+        log_probability = as_torch(network)(torch.from_numpy(gap_m[:, None] / 12.0)).numpy()
+    np.testing.assert_allclose(
+        network.logit_at(gap_m), log_probability[:, 1] - log_probability[:, 0], rtol=1e-12
+    )
+
+
+def test_authors_proposals_load_and_agree_with_torch(authors_proposals):
+    assert len(authors_proposals) == 3
+    gap_m = np.linspace(0, 15, 200)
+    for path in authors_proposals:
+        arrays = load_file(path)
+        renamed = {
+            f"{layer}.{kind}": array
+            for layer, (weight, bias) in zip((0, 2, 4), pairs(arrays), strict=True)
+            for kind, array in (("weight", weight), ("bias", bias))
+        }
+        network = gap_network_from_arrays(renamed)
+        with torch.no_grad():
+            expected = as_torch(network)(torch.from_numpy(gap_m[:, None] / 12.0)).numpy()
+        np.testing.assert_allclose(
+            1 / (1 + np.exp(-network.logit_at(gap_m))), np.exp(expected[:, 1]), atol=1e-12
+        )
+
+
+def pairs(arrays):
+    """Weight and bias of each layer, in the order of the layers' names."""
+    names = sorted({name.rsplit(".", 1)[0] for name in arrays})
+    return [(arrays[f"{name}.weight"], arrays[f"{name}.bias"]) for name in names]
+
+
+@given(st.lists(st.floats(-20, 30), min_size=1, max_size=600), st.integers(0, 599))
+def test_a_gap_gives_the_same_bits_in_every_batch(gaps, start):
+    network = initial_gap_network(seed=1)
+    gap_m = np.array(gaps)
+    whole = network.logit_at(gap_m)
+    start = start % gap_m.size
+    np.testing.assert_array_equal(network.logit_at(gap_m[start:]), whole[start:])
+    np.testing.assert_array_equal(network.logit_at(gap_m[start : start + 1])[0], whole[start])
+
+
+@given(st.integers(1, 20), st.integers(1, 30), st.integers(0, 10_000))
+def test_pooling_keeps_the_cross_entropy(rollouts, steps, seed):
+    generator = np.random.default_rng(seed)
+    gap_m = generator.choice(np.linspace(2, 15, 9), size=(rollouts, steps))
+    detected = generator.random((rollouts, steps)) < 0.7
+    weight = generator.dirichlet(np.ones(rollouts))
+    table = pool_outcomes(gap_m=gap_m, detected=detected, rollout_weight=weight)
+    logit = initial_gap_network(seed=3).logit_at
+
+    def loss(logits, hit, weights):
+        return np.sum(weights * np.logaddexp(0.0, np.where(hit, -logits, logits)))
+
+    naive = loss(logit(gap_m), detected, weight[:, None] / steps)
+    ones = np.ones(table.gap_m.size, dtype=bool)
+    pooled = loss(logit(table.gap_m), ones, table.detected_weight) + loss(
+        logit(table.gap_m), ~ones, table.missed_weight
+    )
+    assert pooled == pytest.approx(naive, rel=1e-12)
+    assert table.detected_weight.sum() + table.missed_weight.sum() == pytest.approx(1.0)
+
+
+def test_fit_follows_plain_adam_on_the_unpooled_data():
+    """Ten steps of a naive loop over every outcome, in double precision, end alike."""
+    generator = np.random.default_rng(0)
+    gap_m = generator.choice(np.linspace(2, 15, 12), size=(8, 20))
+    detected = generator.random((8, 20)) < 0.8
+    weight = np.full(8, 1 / 8)
+    start = initial_gap_network(seed=5)
+    layers = as_torch(start)
+    optimiser = torch.optim.Adam(layers.parameters(), lr=1e-3)
+    inputs = torch.from_numpy(gap_m.reshape(-1, 1) / 12.0)
+    hit = torch.from_numpy(detected.ravel())
+    for _ in range(10):
+        optimiser.zero_grad()
+        both = layers(inputs)
+        loss = -torch.where(hit, both[:, 1], both[:, 0]).mean()
+        loss.backward()
+        optimiser.step()
+    table = pool_outcomes(gap_m=gap_m, detected=detected, rollout_weight=weight)
+    fitted, _ = fit_gap_network(start, table, epochs=10, learning_rate=1e-3)
+    grid = np.linspace(0, 16, 50)
+    with torch.no_grad():
+        expected = layers(torch.from_numpy(grid[:, None] / 12.0)).numpy()
+    np.testing.assert_allclose(fitted.logit_at(grid), expected[:, 1] - expected[:, 0], atol=1e-4)
+
+
+def test_fit_lowers_the_loss_and_leaves_its_start_alone():
+    table = OutcomeTable(
+        gap_m=np.array([4.0, 12.0]),
+        detected_weight=np.array([0.1, 0.45]),
+        missed_weight=np.array([0.4, 0.05]),
+    )
+    start = initial_gap_network(seed=2)
+    before = {name: array.copy() for name, array in start.arrays().items()}
+    fitted, loss = fit_gap_network(start, table, epochs=2000, learning_rate=1e-2)
+    for name, array in start.arrays().items():
+        np.testing.assert_array_equal(array, before[name])
+    probability = 1 / (1 + np.exp(-fitted.logit_at(table.gap_m)))
+    np.testing.assert_allclose(probability, [0.2, 0.9], atol=0.02)
+    entropy = -(0.1 * np.log(0.2) + 0.4 * np.log(0.8) + 0.45 * np.log(0.9) + 0.05 * np.log(0.1))
+    assert loss == pytest.approx(entropy, abs=1e-3)
+
+
+def test_initialisation_leaves_torchs_own_generator_alone():
+    torch.manual_seed(0)
+    expected = torch.rand(3)
+    torch.manual_seed(0)
+    initial_gap_network(seed=9)
+    assert torch.equal(torch.rand(3), expected)

@@ -1,0 +1,44 @@
+"""A scenario whose failure probability is a binomial tail."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from pemviz.types import Signal, StateBatch
+
+ALLOWED_MISSES = 3
+
+
+@dataclass(frozen=True)
+class MissCounter:
+    """The gap starts at 3.5 m and every miss costs 1 m: the fourth makes it negative."""
+
+    states: int
+    dt_s: float = 0.1
+    name: str = "miss-counter"
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        return (Signal(name="gap", key="gap_m", unit="m", low=-10.0, high=10.0),)
+
+    def initial(self, *, count: int) -> StateBatch:
+        gap_m = np.full(count, ALLOWED_MISSES + 0.5)
+        return StateBatch(step=np.zeros((), dtype=np.int64), signals={"gap": gap_m})
+
+    def step(self, states: StateBatch, detected: np.ndarray) -> StateBatch:
+        return StateBatch(step=states.step + 1, signals={"gap": states.signals["gap"] - ~detected})
+
+    def salient(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
+        return signals["gap"][..., None]
+
+
+def constant_pem(*, detection_probability: float):
+    logit = np.log(detection_probability) - np.log1p(-detection_probability)
+    return lambda salient: np.full(salient.shape[:-1], logit)
+
+
+def exact_failure_probability(*, steps: int, miss_probability: float) -> float:
+    """P(more misses than allowed)."""
+    return float(stats.binom.sf(ALLOWED_MISSES, steps, miss_probability))
