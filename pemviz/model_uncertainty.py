@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.pem import Pem, PemEnsemble, pem_interval, reweight, support_check, support_from_json
+from pemviz.pem import Pem, PemEnsemble, pem_interval, reweight, support_check, support_of
 from pemviz.pem.reweight import MemberEstimates
 from pemviz.sampling.weights import log_sum
 from pemviz.types import ScoredRollouts, Simulator
@@ -86,9 +86,7 @@ def extrapolation_warnings(
 
     Models that carry no counts of their training data are met with one warning that says so.
     """
-    card = getattr(pem, "card", None)
-    counts = getattr(card, "support", None)
-    support = support_from_json(counts or {}, where=pem.name)
+    support = support_of(pem)
     if support is None:
         return (
             f"error model {pem.name}: carries no counts of its training data, so where it "
