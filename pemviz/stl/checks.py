@@ -10,7 +10,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
-from pemviz.stl.errors import FormulaError
+from pemviz.stl.errors import FormulaError, shorten
 from pemviz.stl.formulas import Formula
 
 
@@ -18,7 +18,9 @@ def unknown_signal(name: str, known: Collection[str]) -> str:
     """What to say of a signal that does not exist, with the nearest that does."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    return f"unknown signal {name!r}; {hint}known: {', '.join(sorted(known)) or 'none'}"
+    return (
+        f"unknown signal {shorten(repr(name))}; {hint}known: {', '.join(sorted(known)) or 'none'}"
+    )
 
 
 def check_names(formula: Formula, known: Collection[str]) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -13,6 +15,7 @@ from pemviz.errors import InputError
 from pemviz.stl.agm import Agm, AgmSemantics
 from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical, ClassicalSemantics
+from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Product, Quotient
 from pemviz.stl.formulas import Formula, Implies, Not, Predicate, Truth, Until
 from pemviz.stl.semantics import Semantics, evaluate, margin
@@ -29,6 +32,12 @@ BLOCK_ROLLOUTS = 8
 
 BLOCK_ROLLOUTS_UNTIL = 128
 """The same for formulas with an until, which goes step by step."""
+
+MAX_THREADS = 4
+"""Most cores used at once."""
+
+BLOCKS_PER_THREAD = 4
+"""Fewest blocks for which a further thread is started."""
 
 
 def robustness(formula: Formula, signals: Mapping[str, AnyArray], metric: Metric) -> FloatArray:
@@ -140,25 +149,40 @@ def _by_blocks(
 ) -> FloatArray:
     """[N, steps], or as many steps as the horizon leaves. Rows do not depend on each other."""
     used, (rollouts, states) = _select(formula, signals)
-    quotients = predicates_to_check(formula)
     check_horizon(formula, states)
     steps = states - formula.horizon_steps() if steps is None else steps
-    semantics = _semantics(metric)
     result = np.empty((rollouts, steps))
+    named, predicates = formula.signals(), predicates_to_check(formula)
+
+    def evaluate_block(rows: slice) -> None:
+        block = {
+            name: np.ascontiguousarray(values[rows].T, dtype=np.float64)
+            for name, values in used.items()
+        }
+        with np.errstate(all="ignore"):  # what is not finite is reported, or meant
+            _check_block({name: block[name] for name in named}, metric, rows.start)
+            _check_margins(predicates, block, rows.start)
+            result[rows] = evaluate(formula, _semantics(metric), block, start=0, steps=steps).T
+
     size = _block_rollouts(formula, states)
-    with np.errstate(all="ignore"):  # what is not finite is reported, or meant
-        for start in range(0, rollouts, size):
-            block = {
-                name: np.ascontiguousarray(values[start : start + size].T, dtype=np.float64)
-                for name, values in used.items()
-            }
-            _check_block(block, metric, quotients, start)
-            result[start : start + size] = evaluate(
-                formula, semantics, block, start=0, steps=steps
-            ).T
+    blocks = [slice(start, start + size) for start in range(0, rollouts, size)]
+    # Minima wait for memory, not for arithmetic: classical gains nothing from more cores.
+    threads = 1 if isinstance(metric, Classical) else min(os.cpu_count() or 1, MAX_THREADS)
+    _run(blocks, evaluate_block, min(threads, len(blocks) // BLOCKS_PER_THREAD))
     if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
         raise InputError("robustness is beyond the largest number; rescale the signals")
     return result
+
+
+def _run(blocks: Sequence[slice], evaluate_block: Callable[[slice], None], threads: int) -> None:
+    """Every block once; the error of the first block that has one is raised."""
+    if threads <= 1:
+        for rows in blocks:
+            evaluate_block(rows)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(evaluate_block, blocks):
+            pass
 
 
 def _block_rollouts(formula: Formula, states: int) -> int:
@@ -176,18 +200,19 @@ def predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
     )
 
 
-def _check_block(
-    block: Signals, metric: Metric, predicates: tuple[Predicate, ...], start: int
-) -> None:
+def _check_block(block: Signals, metric: Metric, start: int) -> None:
     for name, values in block.items():
         if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
             check_bounds(values, name, metric.bounds[name], start)
         else:
             check_finite(values, f"signal {name!r}", start)
+
+
+def _check_margins(predicates: tuple[Predicate, ...], block: Signals, start: int) -> None:
+    steps = len(next(iter(block.values())))
     for predicate in predicates:
-        steps = len(next(iter(block.values())))
         by = margin(predicate, ClassicalSemantics(), block, start=0, steps=steps)
-        check_finite(by, f"margin of '{predicate}'", start)
+        check_finite(by, f"margin of '{shorten(predicate)}'", start)
 
 
 def _select(
