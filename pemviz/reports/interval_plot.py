@@ -6,6 +6,7 @@ shows there as in every terminal and editor.
 
 import math
 from dataclasses import dataclass
+from typing import TypeGuard
 
 WIDTH = 64
 
@@ -31,9 +32,8 @@ class IntervalRow:
 
 def interval_plot(rows: list[IntervalRow], *, width: int = WIDTH) -> str:
     """The rows over one axis in powers of ten; empty if no row has a positive figure."""
-    positive = [
-        value for row in rows for value in (row.value, row.low, row.high) if _drawable(value)
-    ]
+    figures = [value for row in rows for value in (row.value, row.low, row.high)]
+    positive = [value for value in figures if _drawable(value)]
     if not positive:
         return ""
     low = math.floor(min(map(math.log10, positive)) + 1e-9)
@@ -47,7 +47,7 @@ def interval_plot(rows: list[IntervalRow], *, width: int = WIDTH) -> str:
     return "\n".join([*drawn, indent + axis.ruler(), indent + axis.labels()])
 
 
-def _drawable(value: float | None) -> bool:
+def _drawable(value: float | None) -> TypeGuard[float]:
     return value is not None and value > 0.0 and math.isfinite(value)
 
 
@@ -84,13 +84,13 @@ class _Axis:
 
 def _draw(row: IntervalRow, axis: _Axis) -> str:
     line = [" "] * axis.width
-    if row.low is not None and row.high is not None and _drawable(row.high):
+    if row.low is not None and _drawable(row.high):
         first = axis.column(math.log10(row.low)) if row.low > 0.0 else 0
         last = axis.column(math.log10(row.high))
         line[first : last + 1] = "-" * (last + 1 - first)
         line[first] = "|" if row.low > 0.0 else "<"
         line[last] = "|"
-    if row.value is not None and _drawable(row.value):
+    if _drawable(row.value):
         line[axis.column(math.log10(row.value))] = row.mark
     if not "".join(line).strip():
         return "(nothing to draw: no failure was seen)"

@@ -7,6 +7,8 @@ from pemviz.reports.gate import GateDecision
 from pemviz.reports.words import interval_text, probability_text, violations_text
 from pemviz.results import RunResult
 
+DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>'
+
 
 def junit_xml(result: RunResult, *, gate: GateDecision | None = None) -> str:
     """A document with one test case that fails when the gate tripped.
@@ -37,7 +39,9 @@ def junit_xml(result: RunResult, *, gate: GateDecision | None = None) -> str:
         _add_complaint(case, result, gate, broken=broken)
     Xml.SubElement(case, "system-out").text = "\n".join(_facts(result))
     Xml.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+    )
 
 
 def _case_name(result: RunResult, gate: GateDecision | None) -> str:

@@ -158,8 +158,7 @@ def _scenario(scenario: ScenarioConfig) -> str:
     others = [
         f"{field.name} {getattr(scenario, field.name):g}"
         for field in fields(scenario)
-        if field.name not in named
-        and getattr(scenario, field.name) != getattr(default, field.name)
+        if field.name not in named and getattr(scenario, field.name) != getattr(default, field.name)
     ]
     return markdown_text("; ".join([shown, *others]))
 
