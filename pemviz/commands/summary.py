@@ -15,7 +15,7 @@ def print_summary(result: RunResult, folder: Path) -> None:
     console = Console(highlight=False)
     if result.estimate is not None:
         console.print(_table(result, result.estimate))
-        for warning in result.estimate.warnings:
+        for warning in (*result.estimate.warnings, *result.warnings):
             console.print(f"warning: {warning}", style="yellow", markup=False)
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 
@@ -34,6 +34,7 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     table.add_row("error model", result.pem.name)
     table.add_row("probability", probability_text(estimate))
     table.add_row("95 % interval", interval_text(estimate))
+    table.add_row("range over error models", model_range_text(result))
     table.add_row(
         "violations",
         f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts "
@@ -66,6 +67,16 @@ def interval_text(estimate: Estimate) -> str:
     if estimate.ci_low is None or estimate.ci_high is None:
         return "unknown"
     return f"{estimate.ci_low:.2g} to {estimate.ci_high:.2g}"
+
+
+def model_range_text(result: RunResult) -> str:
+    """The answer's range over other models that fit the same data."""
+    interval = result.pem_interval
+    if interval is None:
+        return "unknown: the model has no ensemble, or nothing failed"
+    low = "0" if interval.low is None else f"{interval.low:.2g}"
+    high = "unknown" if interval.high is None else f"{interval.high:.2g}"
+    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} models)"
 
 
 def number_text(value: float | None, *, unit: str = "") -> str:
