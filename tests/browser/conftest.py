@@ -20,7 +20,7 @@ ARGUMENTS = [
     "--enable-unsafe-swiftshader",
 ]
 VIEWPORT = {"width": 1280, "height": 800}
-WAIT_MS = 60_000
+WAIT_MS = 45_000
 
 
 def absent(reason: str):
