@@ -26,6 +26,9 @@ class Command:
 
 COMMANDS = {
     "record": Command("pemviz.commands.record", "run an experiment and keep it in a run folder"),
+    "reproduce": Command(
+        "pemviz.commands.reproduce", "the paper's tables and figures beside its numbers"
+    ),
     "bench": Command("pemviz.commands.bench", "measure speed on this machine"),
 }
 

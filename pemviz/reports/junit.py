@@ -73,7 +73,7 @@ def _add_complaint(
     if result.status != "done":
         kind, message = f"run {result.status}", result.message or "the run did not finish"
     elif gate is not None:
-        kind, message = f"gate {gate.outcome}", gate.sentence
+        kind, message = f"gate {gate.outcome}", f"gate {gate.sentence}"
     else:
         return
     attributes = {"type": kind, "message": printable_line(message)}

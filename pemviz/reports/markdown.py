@@ -48,7 +48,8 @@ def _headline(result: RunResult) -> str:
 def _status(result: RunResult, gate: GateDecision | None) -> list[str]:
     lines: list[str] = []
     if gate is not None:
-        lines.append(f"{GATE_MARKS[gate.outcome]} **{markdown_text(gate.sentence.capitalize())}**")
+        sentence = markdown_text(f"Gate {gate.sentence}")
+        lines.append(f"{GATE_MARKS[gate.outcome]} **{sentence}**")
     if result.status != "done":
         message = "" if result.message is None else f": {markdown_text(result.message)}"
         lines.append(f"⚠️ **The run {result.status}{message}.** The figures are of what was done.")
