@@ -26,6 +26,7 @@ class Command:
 
 COMMANDS = {
     "record": Command("pemviz.commands.record", "run an experiment and keep it in a run folder"),
+    "pem": Command("pemviz.commands.pem", "collect, fit, evaluate, show perception error models"),
     "reproduce": Command(
         "pemviz.commands.reproduce", "the paper's tables and figures beside its numbers"
     ),

@@ -10,7 +10,7 @@ from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.pem import Pem, load_pem
+from pemviz.pem import Pem, PemEnsemble, ensemble_of, load_pem
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
@@ -30,6 +30,7 @@ class Experiment:
     Attributes:
         config: What was asked, validated.
         pem: The perception error model.
+        ensemble: Models that its training data could as well have produced, if there are any.
         formula: The specification.
         problem: What is to be estimated.
         method: How.
@@ -38,6 +39,7 @@ class Experiment:
 
     config: ExperimentConfig
     pem: Pem
+    ensemble: PemEnsemble | None
     formula: stl.Formula
     problem: Problem
     method: Method[Any]
@@ -75,6 +77,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
     return Experiment(
         config=config,
         pem=pem,
+        ensemble=ensemble_of(config.pem),
         formula=formula,
         problem=problem,
         method=build_method(config),

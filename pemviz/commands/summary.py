@@ -8,6 +8,7 @@ from rich.table import Table
 
 from pemviz.reports.words import (
     interval_text,
+    model_range_text,
     number_text,
     probability_text,
     share_text,
@@ -22,7 +23,7 @@ def print_summary(result: RunResult, folder: Path) -> None:
     console = Console(highlight=False)
     if result.estimate is not None:
         console.print(_table(result, result.estimate))
-        for warning in result.estimate.warnings:
+        for warning in (*result.estimate.warnings, *result.warnings):
             console.print(f"warning: {warning}", style="yellow", markup=False)
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 
@@ -41,6 +42,7 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     table.add_row("error model", result.pem.name)
     table.add_row("probability", probability_text(estimate))
     table.add_row("95 % interval", interval_text(estimate))
+    table.add_row("range over error models", model_range_text(result.pem_interval))
     table.add_row("violations", violations_text(estimate))
     table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))
     table.add_row("effective sample size", number_text(estimate.ess))

@@ -1,7 +1,7 @@
 """Several models that the same data could have produced, kept and used as one."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +37,9 @@ class EnsemblePem:
         """
         if len(self.members) < 2:
             raise PemError(f"{self.card.name}: an ensemble needs at least two members")
-        if len({(member.kind, *member.options().items()) for member in self.members}) > 1:
+        first = self.members[0]
+        same = (member.options() == first.options() for member in self.members)
+        if not all(same) or len({member.kind for member in self.members}) > 1:
             raise PemError(f"{self.card.name}: an ensemble's members must be of one kind")
 
     @property
@@ -68,7 +70,7 @@ class EnsemblePem:
             for name, array in member.tensors().items()
         }
 
-    def options(self) -> dict[str, str]:
+    def options(self) -> dict[str, Any]:
         """What a file must say beside the tensors: the members' kind and their options."""
         first = self.members[0]
         return {"member_kind": first.kind, **first.options()}

@@ -118,6 +118,17 @@ def cross_validate(
     )
 
 
+def card_scores(evaluation: ModelEvaluation) -> dict[str, float]:
+    """What a card tells of a cross-validation."""
+    folds = f"{len(evaluation.folds)}-fold"
+    return {
+        f"bce, {folds}": evaluation.bce[0],
+        f"roc_auc, {folds}": evaluation.roc_auc[0],
+        f"brier, {folds}": evaluation.pooled.brier,
+        f"calibration_error, {folds}": evaluation.calibration_error,
+    }
+
+
 def _class_names(table: SalientTable) -> list[tuple[str, BoolArray]]:
     classes = table.salient[:, COLUMN["class_id"]]
     return [(name, classes == index) for index, name in enumerate(CLASS_NAMES)]

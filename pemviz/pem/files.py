@@ -17,6 +17,7 @@ from safetensors.numpy import save
 from pemviz.arrays import AnyArray
 from pemviz.pem.authors import authors_pem, is_authors_checkpoint
 from pemviz.pem.card import PemCard, card_from_mapping
+from pemviz.pem.encoding import PAPER_INPUTS
 from pemviz.pem.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.errors import PemError
 from pemviz.pem.features import FEATURES, FeatureSet
@@ -94,13 +95,21 @@ def read_tensors(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
 
 def _single(tensors: Mapping[str, AnyArray], header: _Header, *, where: str) -> SingleModel:
     if header.kind == "network":
+        _check_inputs(header, PAPER_INPUTS, where=where)
         return _network(tensors, card=header.card, where=where)
     if header.kind == "trees":
         feature_set = header.options.get("feature_set")
         if feature_set not in FEATURES:
             raise PemError(f"{where}: metadata option 'feature_set' is {feature_set!r}")
+        _check_inputs(header, FEATURES[feature_set], where=where)
         return _trees(tensors, card=header.card, feature_set=feature_set, where=where)
     raise PemError(f"{where}: unknown kind of model {header.kind!r}")
+
+
+def _check_inputs(header: _Header, expected: tuple[str, ...], *, where: str) -> None:
+    inputs = header.options.get("inputs")
+    if inputs != list(expected):
+        raise PemError(f"{where}: its inputs are {inputs}, this version computes {list(expected)}")
 
 
 def _network(tensors: Mapping[str, AnyArray], *, card: PemCard, where: str) -> NetworkPem:

@@ -6,7 +6,7 @@ Logistic regression is a network without hidden layers, guessing the mean one wh
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,9 +86,9 @@ class NetworkPem:
             named[f"layers.{index}.bias"] = layer.bias
         return named
 
-    def options(self) -> dict[str, str]:
-        """What a file must say beside the tensors: nothing."""
-        return {}
+    def options(self) -> dict[str, Any]:
+        """What a file must say beside the tensors: the inputs in order."""
+        return {"inputs": list(PAPER_INPUTS)}
 
     def logit(self, salient: ArrayLike) -> FloatArray:
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""

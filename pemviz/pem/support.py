@@ -12,8 +12,9 @@ import numpy as np
 from scipy.stats import binomtest
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.pem.card import PemCard
 from pemviz.pem.errors import PemError
-from pemviz.pem.protocol import CLASS_NAMES, COLUMN, OCCLUSION_NAMES, as_rows
+from pemviz.pem.protocol import CLASS_NAMES, COLUMN, OCCLUSION_NAMES, Pem, as_rows
 from pemviz.pem.table import SalientTable
 
 DISTANCE_EDGES_M = (0.0, 3.0, 5.0, 7.0, 13.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0)
@@ -89,6 +90,18 @@ def support_from_json(values: Mapping[str, Any], *, where: str) -> SupportSummar
     if (cells < 0).any() or (summary.missed > summary.obstacles).any():
         raise PemError(f"{where}: its support counts are contradictory")
     return summary
+
+
+def support_of(pem: Pem) -> SupportSummary | None:
+    """The counts of training obstacles that a model carries, if it does.
+
+    Raises:
+        PemError: the counts are malformed.
+    """
+    card: object = getattr(pem, "card", None)
+    if not isinstance(card, PemCard):
+        return None
+    return support_from_json(card.support, where=pem.name)
 
 
 def cell_of(salient: FloatArray) -> tuple[IntArray, ...]:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,7 +73,7 @@ class TabulatedPem:
         """Everything that decides the answers, by the names used in files."""
         return {"table.distance_m": self.distance_m, "table.logit": self.table_logit}
 
-    def options(self) -> dict[str, str]:
+    def options(self) -> dict[str, Any]:
         """What a file must say beside the tensors."""
         return {"between": self.between}
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,9 +85,9 @@ class TreesPem:
             "calibration": self.calibration,
         }
 
-    def options(self) -> dict[str, str]:
-        """What a file must say beside the tensors."""
-        return {"feature_set": self.feature_set}
+    def options(self) -> dict[str, Any]:
+        """What a file must say beside the tensors: the inputs in order."""
+        return {"feature_set": self.feature_set, "inputs": list(FEATURES[self.feature_set])}
 
     def logit(self, salient: ArrayLike) -> FloatArray:
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""

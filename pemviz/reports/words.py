@@ -1,5 +1,6 @@
 """Figures of an estimate in words, the same on the terminal and in reports."""
 
+from pemviz.model_uncertainty import ModelInterval
 from pemviz.types import Estimate
 
 
@@ -24,6 +25,15 @@ def violations_text(estimate: Estimate) -> str:
         f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts "
         f"({estimate.rollouts_simulated} simulated in all)"
     )
+
+
+def model_range_text(interval: ModelInterval | None) -> str:
+    """The answer's range over other models that fit the same data."""
+    if interval is None:
+        return "unknown: the model has no ensemble, or nothing failed"
+    low = "0" if interval.low is None else f"{interval.low:.2g}"
+    high = "unknown" if interval.high is None else f"{interval.high:.2g}"
+    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} models)"
 
 
 def number_text(value: float | None, *, unit: str = "") -> str:

@@ -14,10 +14,11 @@ DOTS_PER_INCH = 150
 WIDTH_IN, HEIGHT_IN = 7.0, 4.2
 # Okabe and Ito's palette, which colour-blind people can tell apart; line styles differ too
 BLACK, BLUE, ORANGE, GREEN, GREY = "#000000", "#0072B2", "#D55E00", "#009E73", "#999999"
+# colour, line, width: curves that coincide stay visible, the widest drawn first
 METRIC_STYLES = {
-    "classical": (BLUE, "-"),
-    "agm": (ORANGE, "--"),
-    "smooth-cumulative": (GREEN, "-."),
+    "classical": (BLUE, "-", 3.4),
+    "agm": (ORANGE, "--", 2.2),
+    "smooth-cumulative": (GREEN, "-.", 1.8),
 }
 LIMIT_M = 2.0
 
@@ -59,12 +60,12 @@ def stage_proposals_png(
     _gap_axes(axes, gap_m, emergency_gap_m)
     axes.plot(gap_m, pem, color=BLACK, linewidth=1.4, linestyle=":", label="error model (PEM)")
     for metric, curves in by_metric.items():
-        color, line = METRIC_STYLES[metric]
+        color, line, width = METRIC_STYLES[metric]
         values = np.stack(curves)
         mean, spread = values.mean(axis=0), values.std(axis=0)
         low, high = np.clip(mean - spread, 0.0, 1.0), np.clip(mean + spread, 0.0, 1.0)
         axes.fill_between(gap_m, low, high, color=color, alpha=0.15, linewidth=0.0)
-        axes.plot(gap_m, mean, color=color, linestyle=line, linewidth=2.2, label=metric)
+        axes.plot(gap_m, mean, color=color, linestyle=line, linewidth=width, label=metric)
     repetitions = max(len(curves) for curves in by_metric.values())
     axes.set_title(
         f"Proposals at stage {stage} by metric: mean of {repetitions}, band of one standard "
@@ -85,11 +86,11 @@ def least_safe_png(search: LeastSafeSearch, scenario: ScenarioConfig) -> bytes:
         2, 1, sharex=True, gridspec_kw={"height_ratios": [3.0, max(len(search.found), 1) * 0.35]}
     )
     for one in search.found:
-        color, line = METRIC_STYLES[one.metric]
+        color, line, width = METRIC_STYLES[one.metric]
         time_s = np.arange(one.gap_m.size) * search.dt_s
         label = f"{one.metric} (closest: {one.gap_m.min():.2f} m)"
-        upper.plot(time_s, one.gap_m, color=color, linestyle=line, linewidth=2.0, label=label)
-    _horizontal(upper, LIMIT_M, "must not be below 2 m")
+        upper.plot(time_s, one.gap_m, color=color, linestyle=line, linewidth=width, label=label)
+    _horizontal(upper, LIMIT_M, "specified: not below 2 m")
     _horizontal(upper, scenario.emergency_gap_m, "emergency braking on a detection")
     upper.set_ylabel("gap [m]")
     upper.set_ylim(bottom=0.0)
@@ -107,7 +108,7 @@ def least_safe_png(search: LeastSafeSearch, scenario: ScenarioConfig) -> bytes:
 
 def _outcomes(axes: Any, search: LeastSafeSearch) -> None:
     for row, one in enumerate(search.found):
-        color, _ = METRIC_STYLES[one.metric]
+        color, _, _ = METRIC_STYLES[one.metric]
         time_s = np.arange(one.detected.size) * search.dt_s
         axes.plot(time_s[one.detected], np.full(int(one.detected.sum()), row), "|",
                   color=color, markersize=8)  # fmt: skip
@@ -140,8 +141,9 @@ def _gap_axes(axes: Any, gap_m: FloatArray, emergency_gap_m: float) -> None:
 
 def _horizontal(axes: Any, value: float, text: str) -> None:
     axes.axhline(value, color=GREY, linewidth=0.8, linestyle=(0, (2, 2)))
-    axes.annotate(text, (0.0, value), xytext=(4, 3), textcoords="offset points",
-                  color="#555555", fontsize="small")  # fmt: skip
+    axes.annotate(text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(0, 3),
+                  textcoords="offset points", ha="right", color="#555555",
+                  fontsize="small")  # fmt: skip
 
 
 def _png(figure: Any) -> bytes:

@@ -1,3 +1,4 @@
+import importlib.util
 import os
 from pathlib import Path
 
@@ -29,3 +30,16 @@ def kitti_sample() -> Path:
 @pytest.fixture(scope="session")
 def authors_checkpoint() -> Path:
     return shared("authors_pem/pem_ml_nn.safetensors")
+
+
+@pytest.fixture(scope="session")
+def pyro_installed():
+    """Call it to skip (in CI: fail) where the optional package of b-nn is missing."""
+
+    def check() -> None:
+        if importlib.util.find_spec("pyro") is None:
+            if os.environ.get("CI") == "true":
+                pytest.fail("CI must have pyro-ppl")
+            pytest.skip("pyro-ppl, needed for b-nn, is not installed")
+
+    return check

@@ -1,8 +1,5 @@
 """Fits: same seed same bytes, normalisation from the training part, agreement with libraries."""
 
-import importlib.util
-import os
-
 import numpy as np
 import pytest
 from sklearn.ensemble import HistGradientBoostingClassifier
@@ -28,13 +25,6 @@ from pemviz.pem.table import SalientTable
 from tests.pem.helpers import random_rows
 
 QUICK_KINDS = [kind for kind in MODEL_KINDS if kind != "b-nn"]
-
-
-def needs_pyro():
-    if importlib.util.find_spec("pyro") is None:
-        if os.environ.get("CI") == "true":
-            pytest.fail("CI must have pyro-ppl")
-        pytest.skip("pyro-ppl, needed for b-nn, is not installed")
 
 
 def made_up_table(count=1500, seed=0) -> SalientTable:
@@ -138,8 +128,8 @@ def test_an_unknown_model_and_too_few_members_are_refused(table):
         fit_ensemble(table, members=1)
 
 
-def test_bayesian_network_learns_and_repeats(table, monkeypatch):
-    needs_pyro()
+def test_bayesian_network_learns_and_repeats(table, monkeypatch, pyro_installed):
+    pyro_installed()
     monkeypatch.setattr(fit_bayes, "STEPS", 300)
     first, second = (fit_pem(table, model="b-nn", seed=2) for _ in range(2))
     assert isinstance(first, EnsemblePem)
