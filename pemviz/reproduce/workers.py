@@ -13,7 +13,7 @@ from typing import Any
 from pemviz.errors import RunError
 
 POLL_S = 0.2
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,10 @@ def run_jobs(
         return _in_turn(jobs, on_progress=on_progress, should_stop=should_stop)
     before = set(multiprocessing.active_children())
     with _one_thread_each():
-        pool = ProcessPoolExecutor(
-            workers, mp_context=multiprocessing.get_context("spawn"), initializer=_ignore_interrupt
-        )
+        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
         try:
-            futures = {pool.submit(j.function, *j.arguments): key for key, j in jobs.items()}
+            with _interrupts_held_back():
+                futures = {pool.submit(j.function, *j.arguments): key for key, j in jobs.items()}
             results = _collect(jobs, futures, on_progress=on_progress, should_stop=should_stop)
         except BaseException:
             for child in set(multiprocessing.active_children()) - before:
@@ -110,9 +109,21 @@ def _raise_if(stop: bool) -> None:
         raise RunError(message)
 
 
-def _ignore_interrupt() -> None:
-    """Ctrl-C reaches all processes of a terminal; the parent alone decides."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _interrupts_held_back() -> Generator[None, None, None]:
+    """Ctrl-C reaches all processes of a terminal, but the parent alone shall act on it.
+
+    Processes that are started meanwhile hold it back for good, from their first instruction;
+    the parent gets it afterwards.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # as on Windows
+        yield
+        return
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 @contextmanager
