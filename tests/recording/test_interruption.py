@@ -51,7 +51,7 @@ def test_finished_stages_of_a_killed_run_are_readable(tmp_path):
         assert stage.series["gap_m"].shape == (20, 100)
         assert stage.detected.shape == (20, 99)
     assert paths.stage_curve(2) in {chunk.entity_path for chunk in chunks(path)}
-    assert "So far 3 stages" in texts(path)[paths.ANSWER]
+    assert "Stages done so far: 3." in texts(path)[paths.ANSWER]
 
 
 def test_a_failed_run_leaves_a_whole_file_that_says_why(tmp_path):
