@@ -33,7 +33,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         "- **Worst case**: the least robust rollouts; press play to watch them.\n"
         "- **Config**: everything needed to run this again.\n\n"
         "The time panel below moves along a rollout (timelines `step` and `sim_time`). "
-        "Choose `stage` there to replay the learning."
+        "Choose `stage` there to replay the tab Learning."
     )
     return "\n\n".join(parts)
 
