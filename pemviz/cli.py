@@ -26,6 +26,7 @@ class Command:
 
 COMMANDS = {
     "record": Command("pemviz.commands.record", "run an experiment and keep it in a run folder"),
+    "pem": Command("pemviz.commands.pem", "collect, fit, evaluate, show perception error models"),
     "bench": Command("pemviz.commands.bench", "measure speed on this machine"),
 }
 

@@ -4,16 +4,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.pem import Pem, load_pem
+from pemviz.pem import Pem, PemEnsemble, ensemble_of, load_pem
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
+from pemviz.sampling.rollout import replay
+from pemviz.sampling.value_specification import unsafe_states
+from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.simulators.vectorized import VectorizedSimulator
 from pemviz.types import Simulator
 
@@ -27,6 +32,7 @@ class Experiment:
     Attributes:
         config: What was asked, validated.
         pem: The perception error model.
+        ensemble: Models that its training data could as well have produced, if there are any.
         formula: The specification.
         problem: What is to be estimated.
         method: How.
@@ -35,6 +41,7 @@ class Experiment:
 
     config: ExperimentConfig
     pem: Pem
+    ensemble: PemEnsemble | None
     formula: stl.Formula
     problem: Problem
     method: Method[Any]
@@ -68,10 +75,14 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         batch_rollouts=(
             SLOW_BATCH_ROLLOUTS if config.simulator == "highway-env" else BATCH_ROLLOUTS
         ),
+        unsafe=unsafe_states(formula),
     )
+    if config.method == "value-twisted":
+        require_unsafe(problem)
     return Experiment(
         config=config,
         pem=pem,
+        ensemble=ensemble_of(config.pem),
         formula=formula,
         problem=problem,
         method=build_method(config),
@@ -111,13 +122,37 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
 
 
 def build_metric(config: ExperimentConfig, simulator: Simulator) -> stl.Metric:
-    """The metric that ranks rollouts."""
+    """The metric that ranks rollouts.
+
+    Raises:
+        ConfigError: The agm metric's bounds do not hold all that the scenario can reach.
+    """
     if config.metric == "agm":
-        bounds = {signal.name: (signal.low, signal.high) for signal in simulator.signals}
-        return stl.Agm(bounds=bounds)
+        check_bounds_hold(simulator)
+        return stl.Agm(bounds={s.name: (s.low, s.high) for s in simulator.signals})
     if config.metric == "smooth-cumulative":
         return stl.SmoothCumulative(beta=config.smooth_beta_per_m)
     return stl.Classical()
+
+
+def check_bounds_hold(simulator: Simulator) -> None:
+    """Check the signals' bounds on the two extreme rollouts, all missed and all detected.
+
+    Raises:
+        ConfigError: One of them leaves the bounds.
+    """
+    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    reached = replay(simulator=simulator, detected=outcomes)
+    for signal in simulator.signals:
+        low, high = float(reached[signal.name].min()), float(reached[signal.name].max())
+        if low < signal.low or high > signal.high:
+            message = (
+                f"metric = 'agm': {signal.name} reaches {low:.4g} to {high:.4g} {signal.unit}, "
+                f"beyond its bounds {signal.low:g} to {signal.high:g}; raise "
+                "scenario.gap_bound_m or scenario.speed_bound_mps"
+            )
+            raise ConfigError(message)
 
 
 def build_method(config: ExperimentConfig) -> Method[Any]:
@@ -131,6 +166,12 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             alpha=config.alpha,
             epochs=config.epochs,
             learning_rate=config.learning_rate,
+            seed=config.seed,
+        )
+    if config.method == "value-twisted":
+        return ValueTwistedSampling(
+            twin=VectorizedSimulator(config.scenario),
+            rollouts=config.final_rollouts,
             seed=config.seed,
         )
     proposal = (

@@ -21,6 +21,7 @@ from pemviz.errors import ConfigError
 from pemviz.events import Observer
 from pemviz.exit_codes import EXIT_DONE, EXIT_FAILED
 from pemviz.experiment import build_experiment
+from pemviz.reports.writer import ReportWriter
 from pemviz.results import result_document
 from pemviz.store import RunStore, create_run_folder
 
@@ -54,6 +55,11 @@ class RecordArguments:
     """Folder in which the run folder is made."""
     fail_above: float | None = None
     """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1."""
+    summary: Path | None = None
+    """Add the result as markdown to the end of this file, for instance $GITHUB_STEP_SUMMARY."""
+    junit: Path | None = None
+    """Write the result as JUnit XML to this file: one test case, which fails if --fail-above
+    tripped and is an error if that cannot be decided."""
     json: bool = False
     """Print the result as one JSON object and nothing else."""
     no_recording: bool = False
@@ -69,9 +75,12 @@ def run(words: Sequence[str]) -> int:
     """
     arguments = parse(words)
     experiment = build_experiment(arguments.experiment)
+    reports = ReportWriter(
+        summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
+    )
     folder = create_run_folder(arguments.out, label=arguments.experiment.method)
     with stop_on_signals() as should_stop, progress_observer(quiet=arguments.json) as progress:
-        observers: list[Observer] = [RunStore(folder), progress]
+        observers: list[Observer] = [RunStore(folder), progress, reports]
         if not arguments.no_recording:
             from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
 
