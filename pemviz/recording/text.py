@@ -33,7 +33,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         "- **Worst case**: the least robust rollouts; press play to watch them.\n"
         "- **Config**: everything needed to run this again.\n\n"
         "The time panel below moves along a rollout (timelines `step` and `sim_time`). "
-        "Choose `stage` there to replay the learning."
+        "Choose `stage` there to replay the tab Learning."
     )
     return "\n\n".join(parts)
 
@@ -42,23 +42,28 @@ def _headline(estimate: Estimate | None, *, running: bool) -> str:
     if estimate is None:
         return "# The run goes on" if running else "# No estimate"
     if estimate.failures == 0:
-        return "# No violation was seen"
-    low, high = estimate.ci_low, estimate.ci_high
-    interval = (
-        f"{estimate.confidence:.0%} interval: **{number(low)} to {number(high)}**"
-        if low is not None and high is not None
-        else "No interval is known."
-    )
+        return f"# No violation was seen\n\n{_interval(estimate)}{_caution(estimate)}"
     shown = number(estimate.probability)
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
         shown = f"10^{estimate.log10_probability:.1f}"
-    return f"# Probability of a violation: {shown}\n\n{interval}"
+    return f"# Probability of a violation: {shown}\n\n{_interval(estimate)}{_caution(estimate)}"
+
+
+def _interval(estimate: Estimate) -> str:
+    low, high = estimate.ci_low, estimate.ci_high
+    if low is None or high is None:
+        return "No interval is known."
+    return f"{estimate.confidence:.0%} interval: **{number(low)} to {number(high)}**"
+
+
+def _caution(estimate: Estimate) -> str:
+    return "\n\n**Read the warnings below before quoting this.**" if estimate.warnings else ""
 
 
 def _status(result: RunResult, *, running: bool) -> list[str]:
     stages = len(result.stages)
     if running:
-        return [f"So far {stages} stages are done."]
+        return [f"Stages done so far: {stages}."]
     if result.status == "done":
         return []
     reason = f": {result.message}" if result.message else ""
