@@ -19,7 +19,7 @@ from pemviz.recording.read import read_stages
 from pemviz.recording.web import free_port
 from tests.recording.conftest import LEARNING, chunks, texts, with_blind_pem
 from tests.recording.test_values import verify
-from tests.toy import MissCounter, constant_pem
+from tests.toy import ConstantPem, MissCounter, constant_pem
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -103,7 +103,7 @@ def test_another_simulator_is_recorded_without_the_scene(tmp_path):
     )
     path = tmp_path / "run.rrd"
     run(
-        replace(experiment, problem=problem),
+        replace(experiment, problem=problem, pem=ConstantPem(0.1), ensemble=None),
         observers=[Recorder(path, pem_logit=problem.pem_logit)],
     )
     assert verify(path).returncode == 0
