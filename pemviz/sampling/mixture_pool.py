@@ -160,9 +160,7 @@ def extended(
         decisions=_joined(pool.decisions, fresh, first=pool.count),
         component=np.concatenate([pool.component, drawn_from]),
         coefficients=coefficients,
-        log_ratio=np.vstack(
-            [before, log_ratios(fresh, coefficients, count=count, defensive=defensive)]
-        ),
+        log_ratio=np.vstack([before, after]),
         robustness=np.concatenate([pool.robustness, scored.robustness]),
         violated=np.concatenate([pool.violated, scored.violated]),
         log_p=np.concatenate([pool.log_p, log_p]),
