@@ -24,6 +24,12 @@ from pemviz.events import (
     notify_all,
 )
 from pemviz.experiment import Experiment, build_experiment
+from pemviz.model_uncertainty import (
+    extrapolation_warnings,
+    member_estimates,
+    model_interval,
+)
+from pemviz.pem.reweight import MemberEstimates
 from pemviz.results import PemInfo, RunResult, with_stage
 from pemviz.sampling.repetitions import summarise_repetitions
 from pemviz.types import RolloutBatch, StageResult
@@ -105,6 +111,7 @@ class _Runner:
         self._should_stop = should_stop
         self._began = time.perf_counter()
         self._result = _empty_result(experiment, run_id)
+        self._members: list[MemberEstimates] = []
         self.complete = False
 
     def carry_out(self) -> None:
@@ -148,6 +155,7 @@ class _Runner:
             watched = replace(problem, progress=self._progress(repetition, stage))
             state, result = method.step(watched, state)
             self._tell_stage(result)
+            self._judge_model(result)
             stage += 1
         estimate = method.estimate(state)
         estimates = (*self._result.repetitions, estimate)
@@ -159,6 +167,22 @@ class _Runner:
             self._observers,
             RepetitionDone(repetition=repetition, estimate=estimate, result=self._result),
         )
+
+    def _judge_model(self, stage: StageResult) -> None:
+        """From a repetition's final rollouts: other models' answers, and where data is thin."""
+        experiment = self._experiment
+        if stage.kind != "final":
+            return
+        simulator = experiment.problem.simulator
+        if experiment.ensemble is not None and stage.failures:
+            self._members.append(
+                member_estimates(stage.scored, simulator=simulator, ensemble=experiment.ensemble)
+            )
+            interval = model_interval(self._members)
+            self._result = replace(self._result, pem_interval=interval)
+        if not self._result.warnings:
+            warnings = extrapolation_warnings(stage.scored, simulator=simulator, pem=experiment.pem)
+            self._result = replace(self._result, warnings=warnings)
 
     def _progress(self, repetition: int, stage: int) -> Callable[[int, int], None]:
         def progress(done: int, total: int) -> None:

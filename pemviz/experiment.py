@@ -4,17 +4,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.pem import Pem, load_pem
+from pemviz.pem import Pem, PemEnsemble, ensemble_of, load_pem
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
 from pemviz.sampling.method import Method
 from pemviz.sampling.mixture import MixtureSampling
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
+from pemviz.sampling.rollout import replay
 from pemviz.sampling.value_specification import unsafe_states
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.simulators.braking_features import BrakingFeatures
@@ -31,6 +34,7 @@ class Experiment:
     Attributes:
         config: What was asked, validated.
         pem: The perception error model.
+        ensemble: Models that its training data could as well have produced, if there are any.
         formula: The specification.
         problem: What is to be estimated.
         method: How.
@@ -39,6 +43,7 @@ class Experiment:
 
     config: ExperimentConfig
     pem: Pem
+    ensemble: PemEnsemble | None
     formula: stl.Formula
     problem: Problem
     method: Method[Any]
@@ -79,6 +84,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
     return Experiment(
         config=config,
         pem=pem,
+        ensemble=ensemble_of(config.pem),
         formula=formula,
         problem=problem,
         method=build_method(config),
@@ -118,13 +124,37 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
 
 
 def build_metric(config: ExperimentConfig, simulator: Simulator) -> stl.Metric:
-    """The metric that ranks rollouts."""
+    """The metric that ranks rollouts.
+
+    Raises:
+        ConfigError: The agm metric's bounds do not hold all that the scenario can reach.
+    """
     if config.metric == "agm":
-        bounds = {signal.name: (signal.low, signal.high) for signal in simulator.signals}
-        return stl.Agm(bounds=bounds)
+        check_bounds_hold(simulator)
+        return stl.Agm(bounds={s.name: (s.low, s.high) for s in simulator.signals})
     if config.metric == "smooth-cumulative":
         return stl.SmoothCumulative(beta=config.smooth_beta_per_m)
     return stl.Classical()
+
+
+def check_bounds_hold(simulator: Simulator) -> None:
+    """Check the signals' bounds on the two extreme rollouts, all missed and all detected.
+
+    Raises:
+        ConfigError: One of them leaves the bounds.
+    """
+    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    reached = replay(simulator=simulator, detected=outcomes)
+    for signal in simulator.signals:
+        low, high = float(reached[signal.name].min()), float(reached[signal.name].max())
+        if low < signal.low or high > signal.high:
+            message = (
+                f"metric = 'agm': {signal.name} reaches {low:.4g} to {high:.4g} {signal.unit}, "
+                f"beyond its bounds {signal.low:g} to {signal.high:g}; raise "
+                "scenario.gap_bound_m or scenario.speed_bound_mps"
+            )
+            raise ConfigError(message)
 
 
 def build_method(config: ExperimentConfig) -> Method[Any]:

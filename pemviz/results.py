@@ -10,6 +10,7 @@ import numpy as np
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import config_table
+from pemviz.model_uncertainty import ModelInterval
 from pemviz.types import Estimate, StageKind, StageResult
 
 SCHEMA = 1
@@ -77,7 +78,13 @@ class RankedRollout:
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult:
-    """Everything a run tells, but for the rollouts themselves."""
+    """Everything a run tells, but for the rollouts themselves.
+
+    Attributes:
+        pem_interval: The answer's range over other models that fit the same data.
+        warnings: About the model and its data; those about sampling are the estimates' own.
+        message: Why the run failed, if it did.
+    """
 
     run_id: str
     status: RunStatus
@@ -89,6 +96,8 @@ class RunResult:
     repetitions: tuple[Estimate, ...] = ()
     stages: tuple[StageSummary, ...] = ()
     least_robust: tuple[RankedRollout, ...] = ()
+    pem_interval: ModelInterval | None = None
+    warnings: tuple[str, ...] = ()
     timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
     message: str | None = None
 
@@ -161,12 +170,13 @@ def result_document(result: RunResult) -> dict[str, Any]:
         "pem": asdict(result.pem),
         "estimate": None if result.estimate is None else estimate_document(result.estimate),
         "reference": None,
-        "pem_interval": None,
+        "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
         "sensitivity": None,
         "repetitions": [estimate_document(estimate) for estimate in result.repetitions],
         "stages": [asdict(stage) for stage in result.stages],
         "least_robust": [asdict(rollout) for rollout in result.least_robust],
         "assumptions": list(result.assumptions),
+        "warnings": list(result.warnings),
         "timings_s": dict(result.timings_s),
     }
     return _strict(document)

@@ -80,6 +80,7 @@ def test_wrong_values_are_named_with_what_is_allowed(table, message):
         ({"pem": "no-such-model"}, "no-such-model"),
         ({"pem": "  "}, "pem = ''"),
         ({"scenario": ScenarioConfig(initial_gap_m=30.0)}, "scenario.gap_bound_m, which is 25"),
+        ({"metric": "agm", "scenario": ScenarioConfig(states=150)}, "raise scenario.gap_bound_m"),
         ({"scenario": ScenarioConfig(initial_speed_kmh=144, speed_bound_mps=30)}, "30 m/s"),
     ],
 )

@@ -16,9 +16,10 @@ LAYERS = (
      "config_files", "types", "chunks"},
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
-    {"experiment", "results", "events", "engine", "rollout_files", "store", "curves"},
+    {"experiment", "model_uncertainty", "results", "events", "engine", "rollout_files", "store",
+     "curves", "reports"},
     {"recording", "panel"},
-    {"bench", "reproduce"},
+    {"bench", "reproduce", "samples"},
     {"commands", "cli", "__main__"},
 )  # fmt: skip
 APART = ({"stl", "pem", "proposals", "simulators"}, {"recording", "panel"})

@@ -21,7 +21,7 @@ def parse_arguments(
     words: Sequence[str],
     *,
     command: str,
-    default: Arguments,
+    default: Arguments | None = None,
     description: str | None = None,
 ) -> Arguments:
     """Parse a command's words into ``kind``; ``--help`` prints and exits with 0.
@@ -30,7 +30,7 @@ def parse_arguments(
         kind: A dataclass whose field docstrings are the help texts.
         words: The words after the command.
         command: Its name, for messages.
-        default: Values of fields that the words leave out.
+        default: Values of fields that the words leave out; without it, the fields' own.
         description: Shown above the options.
 
     Raises:
@@ -45,7 +45,7 @@ def parse_arguments(
                 args=list(words),
                 description=description,
                 config=(tyro.conf.FlagCreatePairsOff,),
-                default=default,
+                default=tyro.MISSING_NONPROP if default is None else default,
             )
     except SystemExit as stop:
         if not stop.code:

@@ -12,8 +12,9 @@ from pemviz.arrays import AnyArray, FloatArray
 from pemviz.pem.card import UNKNOWN_LICENCE, PemCard
 from pemviz.pem.encoding import POSE_INDEX
 from pemviz.pem.errors import PemError
-from pemviz.pem.network import Layer, NetworkPem, check_finite
+from pemviz.pem.network import Layer, NetworkPem
 from pemviz.pem.protocol import SALIENT_COLUMNS
+from pemviz.pem.tensors import check_finite
 
 BATCH_NORM_EPSILON = 1e-5
 """torch's default, which the checkpoint does not carry."""
@@ -65,7 +66,7 @@ def authors_pem(
         PemError: a tensor is missing, has the wrong shape or is not finite.
     """
     doubles = {key: np.asarray(value, dtype=np.float64) for key, value in tensors.items()}
-    check_finite(dict(doubles), where=where)
+    check_finite(doubles, where=where)
     layers: list[Layer] = []
     for linear, norm in _LINEAR_AND_NORM:
         layer = _layer(doubles, linear, where=where)

@@ -6,7 +6,7 @@ arbitrary and the same model must give the same bytes.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +15,63 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pemviz.arrays import AnyArray
+from pemviz.files import write_bytes
 from pemviz.pem.authors import authors_pem, is_authors_checkpoint
 from pemviz.pem.card import PemCard, card_from_mapping
+from pemviz.pem.encoding import PAPER_INPUTS
+from pemviz.pem.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.errors import PemError
+from pemviz.pem.features import FEATURES, FeatureSet
 from pemviz.pem.network import Layer, NetworkPem
+from pemviz.pem.tabulated import TabulatedPem
+from pemviz.pem.trees import TreesPem
 
 METADATA_KEY = "pemviz-pem"
 FORMAT_VERSION = 1
 
-
-def save_network(pem: NetworkPem, path: Path) -> None:
-    """Write a network; the same model gives the same bytes."""
-    write_tensors(path, kind="network", card=pem.card, tensors=pem.tensors())
+StoredPem = NetworkPem | TreesPem | TabulatedPem | EnsemblePem
 
 
-def write_tensors(path: Path, *, kind: str, card: PemCard, tensors: Mapping[str, AnyArray]) -> None:
-    """Write tensors with a model's kind and card as metadata."""
-    header = {"version": FORMAT_VERSION, "kind": kind, "card": asdict(card)}
+@dataclass(frozen=True)
+class _Header:
+    """What the metadata of our files says."""
+
+    kind: str
+    options: Mapping[str, Any]
+    card: PemCard
+
+
+def save_pem(pem: StoredPem, path: Path) -> None:
+    """Write a model as safetensors; the same model gives the same bytes."""
+    header = {
+        "version": FORMAT_VERSION,
+        "kind": pem.kind,
+        "options": pem.options(),
+        "card": asdict(pem.card),
+    }
     text = json.dumps(header, sort_keys=True, allow_nan=False)
-    contiguous = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
-    path.write_bytes(save(contiguous, metadata={METADATA_KEY: text}))
+    contiguous = {name: np.ascontiguousarray(array) for name, array in pem.tensors().items()}
+    write_bytes(path, save(contiguous, metadata={METADATA_KEY: text}))
+
+
+def load_file(path: Path) -> StoredPem:
+    """Read a model from a safetensors file, ours or the authors'.
+
+    Raises:
+        PemError: the file cannot be used; one line says why.
+    """
+    tensors, metadata = read_tensors(path)
+    where = str(path)
+    if is_authors_checkpoint(tensors) and METADATA_KEY not in metadata:
+        return authors_pem(tensors, name=path.stem, where=where, source=metadata.get("source"))
+    header = _header(metadata, where=where)
+    if header.kind == "ensemble":
+        return _ensemble(tensors, header, where=where)
+    if header.kind == "table":
+        _exactly(tensors, {"table.distance_m", "table.logit"}, where=where)
+        distance_m, logit = _double(tensors["table.distance_m"]), _double(tensors["table.logit"])
+        return TabulatedPem(header.card, distance_m, logit, header.options.get("between", ""))
+    return _single(tensors, header, where=where)
 
 
 def read_tensors(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
@@ -49,57 +86,91 @@ def read_tensors(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
         with safe_open(path, framework="numpy") as stream:
             tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
             metadata = dict(stream.metadata() or {})
-    except (SafetensorError, OSError, ValueError, TypeError) as error:
-        reason = str(error).splitlines()[0]
+    except (SafetensorError, OSError, ValueError, TypeError, AttributeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise PemError(
             f"{path}: not a readable safetensors file ({reason}); torch files are refused"
         ) from None
     return tensors, metadata
 
 
-def load_file(path: Path) -> NetworkPem:
-    """Read a model from a safetensors file, ours or the authors'.
-
-    Raises:
-        PemError: the file cannot be used; one line says why.
-    """
-    tensors, metadata = read_tensors(path)
-    if is_authors_checkpoint(tensors) and METADATA_KEY not in metadata:
-        source = metadata.get("source")
-        return authors_pem(tensors, name=path.stem, where=str(path), source=source)
-    kind, card = _header(metadata, where=str(path))
-    if kind != "network":
-        raise PemError(f"{path}: unknown kind of model {kind!r}")
-    return network_from_tensors(tensors, card=card, where=str(path))
+def _single(tensors: Mapping[str, AnyArray], header: _Header, *, where: str) -> SingleModel:
+    if header.kind == "network":
+        _check_inputs(header, PAPER_INPUTS, where=where)
+        return _network(tensors, card=header.card, where=where)
+    if header.kind == "trees":
+        feature_set = header.options.get("feature_set")
+        if feature_set not in FEATURES:
+            raise PemError(f"{where}: metadata option 'feature_set' is {feature_set!r}")
+        _check_inputs(header, FEATURES[feature_set], where=where)
+        return _trees(tensors, card=header.card, feature_set=feature_set, where=where)
+    raise PemError(f"{where}: unknown kind of model {header.kind!r}")
 
 
-def network_from_tensors(
-    tensors: Mapping[str, AnyArray], *, card: PemCard, where: str
-) -> NetworkPem:
-    """A network from the tensors that NetworkPem.tensors names.
+def _check_inputs(header: _Header, expected: tuple[str, ...], *, where: str) -> None:
+    inputs = header.options.get("inputs")
+    if inputs != list(expected):
+        raise PemError(f"{where}: its inputs are {inputs}, this version computes {list(expected)}")
 
-    Raises:
-        PemError: tensors are missing, unknown, misshapen or not finite.
-    """
+
+def _network(tensors: Mapping[str, AnyArray], *, card: PemCard, where: str) -> NetworkPem:
     count = sum(name.endswith(".weight") for name in tensors)
-    wanted = {"pose.mean", "pose.std"}
-    wanted |= {f"layers.{index}.{part}" for index in range(count) for part in ("weight", "bias")}
+    names = {f"layers.{index}.{part}" for index in range(count) for part in ("weight", "bias")}
+    _exactly(tensors, names | {"pose.mean", "pose.std"}, where=where)
+    doubles = {name: _double(array) for name, array in tensors.items()}
+    layers = tuple(
+        Layer(weight=doubles[f"layers.{index}.weight"], bias=doubles[f"layers.{index}.bias"])
+        for index in range(count)
+    )
+    return NetworkPem(card, doubles["pose.mean"], doubles["pose.std"], layers)
+
+
+def _trees(
+    tensors: Mapping[str, AnyArray], *, card: PemCard, feature_set: FeatureSet, where: str
+) -> TreesPem:
+    parts = ("feature", "number", "left", "root")
+    _exactly(tensors, {*(f"trees.{part}" for part in parts), "calibration"}, where=where)
+    return TreesPem(
+        card,
+        feature_set,
+        feature=tensors["trees.feature"],
+        number=_double(tensors["trees.number"]),
+        left=tensors["trees.left"],
+        root=tensors["trees.root"],
+        calibration=_double(tensors["calibration"]),
+    )
+
+
+def _ensemble(tensors: Mapping[str, AnyArray], header: _Header, *, where: str) -> EnsemblePem:
+    grouped: dict[str, dict[str, AnyArray]] = {}
+    for name, array in tensors.items():
+        prefix, _, rest = name.partition(".")
+        index, _, inner = rest.partition(".")
+        if prefix != "members" or not index.isdigit() or not inner:
+            raise PemError(f"{where}: unknown tensor {name!r}")
+        grouped.setdefault(index, {})[inner] = array
+    member_kind = str(header.options.get("member_kind"))
+    members: list[SingleModel] = []
+    for index in sorted(grouped):
+        card = replace(header.card, name=f"{header.card.name}[{int(index)}]")
+        of_member = _Header(kind=member_kind, options=header.options, card=card)
+        members.append(_single(grouped[index], of_member, where=f"{where} member {index}"))
+    return EnsemblePem(header.card, tuple(members))
+
+
+def _exactly(tensors: Mapping[str, AnyArray], wanted: set[str], *, where: str) -> None:
     if set(tensors) != wanted:
         raise PemError(
             f"{where}: lacks tensors {sorted(wanted - set(tensors))}, "
             f"has unknown {sorted(set(tensors) - wanted)}"
         )
-    doubles = {name: np.asarray(array, dtype=np.float64) for name, array in tensors.items()}
-    layers = tuple(
-        Layer(weight=doubles[f"layers.{index}.weight"], bias=doubles[f"layers.{index}.bias"])
-        for index in range(count)
-    )
-    return NetworkPem(
-        card=card, pose_mean=doubles["pose.mean"], pose_std=doubles["pose.std"], layers=layers
-    )
 
 
-def _header(metadata: Mapping[str, str], *, where: str) -> tuple[str, PemCard]:
+def _double(array: AnyArray) -> AnyArray:
+    return np.asarray(array, dtype=np.float64)
+
+
+def _header(metadata: Mapping[str, str], *, where: str) -> _Header:
     if METADATA_KEY not in metadata:
         raise PemError(f"{where}: no {METADATA_KEY!r} metadata and no authors' tensor names")
     try:
@@ -107,8 +178,8 @@ def _header(metadata: Mapping[str, str], *, where: str) -> tuple[str, PemCard]:
     except json.JSONDecodeError as error:
         raise PemError(f"{where}: metadata is not JSON ({error})") from None
     if not isinstance(header, dict) or header.get("version") != FORMAT_VERSION:
-        raise PemError(f"{where}: metadata has no 'version' {FORMAT_VERSION}")
-    card = header.get("card")
-    if not isinstance(card, dict) or not isinstance(header.get("kind"), str):
-        raise PemError(f"{where}: metadata lacks 'kind' or 'card'")
-    return header["kind"], card_from_mapping(card, where=where)
+        raise PemError(f"{where}: metadata does not say 'version' {FORMAT_VERSION}")
+    kind, options, card = (header.get(key) for key in ("kind", "options", "card"))
+    if not (isinstance(kind, str) and isinstance(options, dict) and isinstance(card, dict)):
+        raise PemError(f"{where}: metadata lacks 'kind', 'options' or 'card'")
+    return _Header(kind=kind, options=options, card=card_from_mapping(card, where=where))

@@ -14,8 +14,9 @@ from torch import nn
 
 from pemviz.arrays import FloatArray
 from pemviz.pem.authors import fold_batch_norm
+from pemviz.pem.card import PemCard
 from pemviz.pem.encoding import PAPER_INPUTS, paper_inputs, pose_statistics
-from pemviz.pem.network import Layer
+from pemviz.pem.network import Layer, NetworkPem
 from pemviz.pem.table import SalientTable
 
 HIDDEN_UNITS = 20
@@ -42,32 +43,22 @@ class NetworkRecipe:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class FittedNetwork:
-    """What training gives: normalisation and folded layers."""
-
-    pose_mean: FloatArray
-    """Shape [4]."""
-    pose_std: FloatArray
-    """Shape [4]."""
-    layers: tuple[Layer, ...]
-    """Hidden layers, then the output layer."""
-
-
 def fit_network(
     table: SalientTable,
     *,
+    card: PemCard,
     seed: int,
     recipe: NetworkRecipe = NetworkRecipe(),
-    on_epoch: Callable[[int, int], None] | None = None,
-) -> FittedNetwork:
+    on_progress: Callable[[int, int], None] | None = None,
+) -> NetworkPem:
     """Train the paper's network; the same table, seed and recipe give the same numbers.
 
     Args:
         table: the training part; normalisation is fitted on it alone.
+        card: the model's provenance.
         seed: of the initial weights and the order of batches.
         recipe: optimiser, batch, epochs.
-        on_epoch: told (epochs done, epochs in all).
+        on_progress: told (epochs done, epochs in all).
     """
     pose_mean, pose_std = pose_statistics(table.salient)
     inputs = paper_inputs(table.salient, pose_mean=pose_mean, pose_std=pose_std).T
@@ -78,9 +69,9 @@ def fit_network(
             inputs=torch.tensor(np.ascontiguousarray(inputs), dtype=torch.float32),
             outcomes=torch.tensor(table.detected, dtype=torch.float32)[:, None],
             recipe=recipe,
-            on_epoch=on_epoch,
+            on_progress=on_progress,
         )
-    return FittedNetwork(pose_mean=pose_mean, pose_std=pose_std, layers=_folded(network))
+    return NetworkPem(card, pose_mean, pose_std, _folded(network))
 
 
 @contextmanager
@@ -118,7 +109,7 @@ def _train(
     inputs: torch.Tensor,
     outcomes: torch.Tensor,
     recipe: NetworkRecipe,
-    on_epoch: Callable[[int, int], None] | None,
+    on_progress: Callable[[int, int], None] | None,
 ) -> None:
     optimiser = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate, fused=True)
     rows = len(inputs)
@@ -134,8 +125,8 @@ def _train(
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
-        if on_epoch is not None:
-            on_epoch(epoch + 1, recipe.epochs)
+        if on_progress is not None:
+            on_progress(epoch + 1, recipe.epochs)
 
 
 def _folded(network: nn.Sequential) -> tuple[Layer, ...]:

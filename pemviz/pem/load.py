@@ -5,10 +5,13 @@ from pathlib import Path
 from pemviz.assets import asset_path
 from pemviz.pem.errors import PemError
 from pemviz.pem.files import load_file
-from pemviz.pem.protocol import Pem
+from pemviz.pem.protocol import Pem, PemEnsemble
+from pemviz.pem.python_object import is_object_name, load_object
+from pemviz.pem.tabulated import load_csv
 
 ASSET_FOLDER = "pem"
 SUFFIX = ".safetensors"
+ENSEMBLE_ENDING = "-ensemble"
 
 
 def shipped_pems() -> tuple[str, ...]:
@@ -16,12 +19,14 @@ def shipped_pems() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in asset_path(ASSET_FOLDER).glob(f"*{SUFFIX}")))
 
 
-def load_pem(name_or_path: str) -> Pem:
-    """Load a shipped model by name, or a model file by path.
+def load_pem(name_or_path: str, *, allow_python: bool = False) -> Pem:
+    """Load a shipped model by name, a model file by path, or an allowed Python object.
 
     Args:
-        name_or_path: a name of shipped_pems(), or a path to ``.safetensors`` (ours or the
-            authors' format).
+        name_or_path: a name of shipped_pems(); or a path to ``.safetensors`` (ours or the
+            authors' format) or ``.csv`` (columns distance_m and p_detected); or, if allowed,
+            ``module:attribute``.
+        allow_python: whether code of the user's may run.
 
     Raises:
         PemError: no such model, or a file that cannot be used; one line says why.
@@ -31,7 +36,48 @@ def load_pem(name_or_path: str) -> Pem:
     path = Path(name_or_path)
     if path.suffix == SUFFIX:
         return load_file(path)
+    if path.suffix == ".csv":
+        return load_csv(path)
+    if is_object_name(name_or_path):
+        return load_object(name_or_path, allowed=allow_python)
+    if path.is_file():
+        raise PemError(f"{path}: not a {SUFFIX} or .csv file; torch and pickle files are refused")
     raise PemError(
-        f"no perception error model {name_or_path!r}; give one of {', '.join(shipped_pems())} "
-        f"or a path to a {SUFFIX} file"
+        f"no perception error model {name_or_path!r}; give one of {', '.join(shipped_pems())}, "
+        f"a path to {SUFFIX} or .csv, or an allowed module:attribute"
     )
+
+
+def load_ensemble(name_or_path: str) -> PemEnsemble:
+    """Load an ensemble by shipped name or path.
+
+    Raises:
+        PemError: no such model, or it is no ensemble.
+    """
+    pem = load_pem(name_or_path)
+    if not isinstance(pem, PemEnsemble):
+        raise PemError(f"{name_or_path!r} is a single model, not an ensemble")
+    return pem
+
+
+def ensemble_of(name_or_path: str) -> PemEnsemble | None:
+    """The ensemble that says how uncertain a model is, if there is one.
+
+    For a shipped ``ml-nn`` that is the shipped ``ml-nn-ensemble``, for a file ``own.safetensors``
+    the file ``own-ensemble.safetensors`` beside it; an ensemble is its own.
+
+    Raises:
+        PemError: the ensemble is there but cannot be used.
+    """
+    if name_or_path in shipped_pems():
+        partner = f"{name_or_path.removesuffix(ENSEMBLE_ENDING)}{ENSEMBLE_ENDING}"
+        return load_ensemble(partner) if partner in shipped_pems() else None
+    path = Path(name_or_path)
+    if path.suffix != SUFFIX or not path.is_file():
+        return None
+    partner_path = path.with_name(f"{path.stem.removesuffix(ENSEMBLE_ENDING)}{ENSEMBLE_ENDING}")
+    partner_path = partner_path.with_suffix(SUFFIX)
+    if partner_path.is_file():
+        return load_ensemble(str(partner_path))
+    pem = load_pem(name_or_path)
+    return pem if isinstance(pem, PemEnsemble) else None

@@ -1,24 +1,23 @@
 """Feed-forward networks on the paper's 14 inputs, evaluated in double precision by numpy.
 
-Linear regression is a network without hidden layers, guessing the mean one whose weights are 0.
+Logistic regression is a network without hidden layers, guessing the mean one whose weights are 0.
 """
 
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pemviz.arrays import AnyArray, FloatArray, read_only
+from pemviz.arrays import AnyArray, FloatArray
+from pemviz.chunks import map_rows
 from pemviz.pem.card import PemCard
 from pemviz.pem.encoding import PAPER_INPUTS, POSE_COLUMNS, check_rows, paper_inputs
 from pemviz.pem.errors import PemError
 from pemviz.pem.protocol import as_rows
-
-CHUNK_ROWS = 128
-"""Rows evaluated at once; a multiple of every vector register's length."""
+from pemviz.pem.tensors import check_finite, tensors_digest
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,8 @@ class Layer:
 @dataclass(frozen=True, eq=False)
 class NetworkPem:
     """A network with rectified hidden layers and one output, the logit of P(detected)."""
+
+    kind: ClassVar[str] = "network"
 
     card: PemCard
     pose_mean: FloatArray
@@ -75,7 +76,7 @@ class NetworkPem:
     @property
     def digest(self) -> str:
         """SHA-256 of the tensors."""
-        return tensors_digest("network", self.tensors())
+        return tensors_digest(self.kind, self.tensors())
 
     def tensors(self) -> dict[str, AnyArray]:
         """Everything that decides the answers, by the names used in files."""
@@ -85,11 +86,15 @@ class NetworkPem:
             named[f"layers.{index}.bias"] = layer.bias
         return named
 
+    def options(self) -> dict[str, Any]:
+        """What a file must say beside the tensors: the inputs in order."""
+        return {"inputs": list(PAPER_INPUTS)}
+
     def logit(self, salient: ArrayLike) -> FloatArray:
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""
         rows, shape = as_rows(salient)
         check_rows(rows)
-        return in_chunks(rows, self._logit_of_chunk).reshape(shape)
+        return map_rows(self._logit_of_chunk, rows).reshape(shape)
 
     def _logit_of_chunk(self, rows: FloatArray) -> FloatArray:
         hidden = paper_inputs(rows, pose_mean=self.pose_mean, pose_std=self.pose_std)
@@ -108,24 +113,6 @@ def forward(layers: Sequence[Layer], inputs: FloatArray) -> FloatArray:
         hidden += layer.bias[:, None]
         np.maximum(hidden, 0.0, out=hidden)
     return np.einsum("hk,kn->hn", layers[-1].weight, hidden)[0] + layers[-1].bias[0]
-
-
-def in_chunks(rows: FloatArray, evaluate: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Apply ``evaluate`` to rows [n, 11] in chunks of CHUNK_ROWS, the last one padded.
-
-    The size of a batch therefore never reaches the last digit of an answer.
-    """
-    result = np.empty(len(rows))
-    for start in range(0, len(rows), CHUNK_ROWS):
-        chunk = rows[start : start + CHUNK_ROWS]
-        count = len(chunk)
-        if count < CHUNK_ROWS:
-            padded = np.empty((CHUNK_ROWS, rows.shape[1]))
-            padded[:count] = chunk
-            padded[count:] = chunk[-1]
-            chunk = padded
-        result[start : start + count] = evaluate(chunk)[:count]
-    return result
 
 
 def check_layers(layers: Sequence[Layer], *, where: str) -> None:
@@ -154,24 +141,3 @@ def check_layers(layers: Sequence[Layer], *, where: str) -> None:
             f"{where}: the network maps {inputs} inputs to {outputs}, "
             f"it must map {len(PAPER_INPUTS)} to 1"
         )
-
-
-def check_finite(tensors: dict[str, AnyArray], *, where: str) -> None:
-    """Refuse tensors with NaN or infinity.
-
-    Raises:
-        PemError: naming the first such tensor.
-    """
-    for name in sorted(tensors):
-        if not np.isfinite(tensors[name]).all():
-            raise PemError(f"{where}: tensor {name!r} holds values that are not finite")
-
-
-def tensors_digest(kind: str, tensors: dict[str, AnyArray]) -> str:
-    """SHA-256 (hex) over a model's kind and its tensors: names, types, shapes and bytes."""
-    digest = hashlib.sha256(kind.encode())
-    for name in sorted(tensors):
-        array = np.ascontiguousarray(tensors[name])
-        digest.update(f"|{name}|{array.dtype.str}|{list(array.shape)}|".encode())
-        digest.update(read_only(array).tobytes())
-    return digest.hexdigest()

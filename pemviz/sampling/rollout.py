@@ -63,10 +63,18 @@ def replay(*, simulator: Simulator, detected: BoolArray) -> Mapping[str, FloatAr
 
 
 class _Track:
-    """Named values as they come, kept time-major: each step writes one contiguous row."""
+    """Named values as they come, kept time-major: each step writes one contiguous row.
+
+    Values of a type share one block: fresh memory takes about as long as the arithmetic of the
+    vectorized back end, and a large block comes in large pages.
+    """
 
     def __init__(self, first: Mapping[str, AnyArray], states: int) -> None:
-        self._values = {n: np.empty((states, *v.shape), v.dtype) for n, v in first.items()}
+        self._values = dict(first)
+        for dtype in {array.dtype for array in first.values()}:
+            names = [name for name, array in first.items() if array.dtype == dtype]
+            block = np.empty((len(names), states, *first[names[0]].shape), dtype)
+            self._values.update(zip(names, block, strict=True))
         self.record(0, first)
 
     def record(self, index: int, values: Mapping[str, AnyArray]) -> None:

@@ -327,6 +327,7 @@ def _view(scenario: ScenarioConfig) -> dict[str, Any]:
         "screen_width": FRAME_WIDTH_PX,
         "screen_height": FRAME_HEIGHT_PX,
         "centering_position": [ego_share, 0.5],
+        "offscreen_rendering": True,
         "scaling": float(np.clip(scale_px_per_m, 2.0, 20.0)),
         "simulation_frequency": 1 / scenario.dt_s,
         "policy_frequency": 1 / scenario.dt_s,

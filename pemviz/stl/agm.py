@@ -19,6 +19,7 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
 from pemviz.stl.bounds import Interval, check_interval, margin_range
+from pemviz.stl.errors import shorten
 from pemviz.stl.formulas import Predicate
 from pemviz.stl.numpy_base import NumpySemantics
 from pemviz.stl.windows import fold, sliding
@@ -64,8 +65,8 @@ digits cancel.
 def clipping_flips(predicate: Predicate, low: float, high: float) -> InputError:
     """The error of bounds within which a predicate cannot change sign."""
     return InputError(
-        f"agm: clipping to the bounds would change whether '{predicate}' holds, whose margin"
-        f" has the range [{low:g}, {high:g}]; declare wider bounds"
+        f"agm: clipping to the bounds would change whether '{shorten(predicate)}' holds, whose"
+        f" margin has the range [{low:g}, {high:g}]; declare wider bounds"
     )
 
 

@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 from pemviz.errors import InputError
 from pemviz.stl import expressions as ex
+from pemviz.stl.errors import shorten
 from pemviz.stl.formulas import Predicate
 
 Interval: TypeAlias = tuple[float, float]
@@ -39,7 +40,9 @@ def margin_range(predicate: Predicate, bounds: Mapping[str, Interval]) -> Interv
         left, right = right, left
     low, high = left[0] - right[1], left[1] - right[0]
     if not (math.isfinite(low) and math.isfinite(high)):
-        raise InputError(f"agm: the range of '{predicate}' within the declared bounds is infinite")
+        raise InputError(
+            f"agm: the range of '{shorten(predicate)}' within the declared bounds is infinite"
+        )
     return low, high
 
 
@@ -76,7 +79,7 @@ def _range(  # noqa: PLR0911 (one case per kind of expression)
             divisor = _range(right, bounds)
             if divisor[0] <= 0.0 <= divisor[1]:
                 raise InputError(
-                    f"agm: '{right}' can be 0 within the declared bounds, as a divisor"
+                    f"agm: '{shorten(right)}' can be 0 within the declared bounds, as a divisor"
                 )
             return _product(_range(left, bounds), (1.0 / divisor[1], 1.0 / divisor[0]))
         case _:

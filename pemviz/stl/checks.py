@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Collection
 
 import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
-from pemviz.stl.errors import FormulaError
+from pemviz.stl.errors import FormulaError, shorten
 from pemviz.stl.formulas import Formula
 
 
@@ -18,7 +17,9 @@ def unknown_signal(name: str, known: Collection[str]) -> str:
     """What to say of a signal that does not exist, with the nearest that does."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    return f"unknown signal {name!r}; {hint}known: {', '.join(sorted(known)) or 'none'}"
+    return (
+        f"unknown signal {shorten(repr(name))}; {hint}known: {', '.join(sorted(known)) or 'none'}"
+    )
 
 
 def check_names(formula: Formula, known: Collection[str]) -> None:
@@ -39,12 +40,11 @@ def check_horizon(formula: Formula, states: int) -> None:
 
 
 def check_finite(values: FloatArray, what: str, first_rollout: int) -> None:
-    """Raises InputError that names rollout and step of the first of [T, n] not finite."""
-    # The sum of squares is the quickest look; too large values only make it look twice.
-    if not math.isfinite(np.vdot(values, values)) and not np.isfinite(values).all():
-        rollout, step = np.argwhere(~np.isfinite(values.T))[0]
+    """Raises InputError that names rollout and step of the first of [n, T] not finite."""
+    if not np.isfinite(values).all():
+        rollout, step = np.argwhere(~np.isfinite(values))[0]
         raise InputError(
-            f"{what} is {values[step, rollout]} at rollout {first_rollout + rollout},"
+            f"{what} is {values[rollout, step]} at rollout {first_rollout + rollout},"
             f" step {step}; it must be finite"
         )
 
@@ -52,13 +52,13 @@ def check_finite(values: FloatArray, what: str, first_rollout: int) -> None:
 def check_bounds(
     values: FloatArray, name: str, bounds: tuple[float, float], first_rollout: int
 ) -> None:
-    """Raises InputError that names rollout and step of the first of [T, n] out of bounds."""
+    """Raises InputError that names rollout and step of the first of [n, T] out of bounds."""
     low, high = bounds
     if values.size and not (values.min() >= low and values.max() <= high):
         check_finite(values, f"signal {name!r}", first_rollout)
-        rollout, step = np.argwhere(((values < low) | (values > high)).T)[0]
+        rollout, step = np.argwhere((values < low) | (values > high))[0]
         raise InputError(
-            f"agm: signal {name!r} is {values[step, rollout]} at rollout"
+            f"agm: signal {name!r} is {values[rollout, step]} at rollout"
             f" {first_rollout + rollout}, step {step}; declared bounds [{low:g}, {high:g}]"
             " (widen them, or choose clipping)"
         )

@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
-from pemviz.stl.treebuilding import shorten
+from pemviz.stl.errors import shorten
 
 if TYPE_CHECKING:
     from lark import Token
@@ -97,7 +97,7 @@ def _hint(last_word: str, token: Token) -> str:  # noqa: PLR0911 (one case per m
 def _meant(word: str, candidates: Collection[str]) -> str:
     if word in OTHER_WORDS:
         return f"'{word}' is written {OTHER_WORDS[word]}"
-    near = difflib.get_close_matches(word.lower()[:40], candidates, n=1, cutoff=0.7)
+    near = difflib.get_close_matches(word.lower()[:40], candidates, n=1, cutoff=0.65)
     return f"did you mean '{near[0]}'?" if near else ""
 
 

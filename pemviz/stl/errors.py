@@ -41,6 +41,12 @@ class FormulaError(InputError):
 EXCERPT_WIDTH = 76
 
 
+def shorten(text: object, length: int = 40) -> str:
+    """``text`` cut to ``length`` characters."""
+    whole = str(text)
+    return whole if len(whole) <= length else whole[: length - 3] + "..."
+
+
 def error_at(text: str, position: int, message: str) -> FormulaError:
     """The error that points at ``text[position]`` (or just behind the text's end)."""
     position = min(max(position, 0), len(text))

@@ -13,6 +13,7 @@ from pemviz.errors import InputError
 from pemviz.stl.agm import Agm, AgmSemantics
 from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical, ClassicalSemantics
+from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Product, Quotient
 from pemviz.stl.formulas import Formula, Implies, Not, Predicate, Truth, Until
 from pemviz.stl.semantics import Semantics, evaluate, margin
@@ -140,22 +141,23 @@ def _by_blocks(
 ) -> FloatArray:
     """[N, steps], or as many steps as the horizon leaves. Rows do not depend on each other."""
     used, (rollouts, states) = _select(formula, signals)
-    quotients = predicates_to_check(formula)
     check_horizon(formula, states)
     steps = states - formula.horizon_steps() if steps is None else steps
-    semantics = _semantics(metric)
+    needed, predicates = steps + formula.horizon_steps(), predicates_to_check(formula)
+    named, semantics = formula.signals(), _semantics(metric)
     result = np.empty((rollouts, steps))
     size = _block_rollouts(formula, states)
-    with np.errstate(all="ignore"):  # what is not finite is reported, or meant
-        for start in range(0, rollouts, size):
-            block = {
-                name: np.ascontiguousarray(values[start : start + size].T, dtype=np.float64)
-                for name, values in used.items()
-            }
-            _check_block(block, metric, quotients, start)
-            result[start : start + size] = evaluate(
-                formula, semantics, block, start=0, steps=steps
-            ).T
+    for start in range(0, rollouts, size):
+        rows = slice(start, start + size)
+        for name in named:
+            check_signal(used[name][rows], name, metric, first_rollout=start)
+        block = {
+            name: np.ascontiguousarray(values[rows, :needed].T, dtype=np.float64)
+            for name, values in used.items()
+        }
+        with np.errstate(all="ignore"):  # what is not finite is reported, or meant
+            _check_margins(predicates, block, start)
+            result[rows] = evaluate(formula, semantics, block, start=0, steps=steps).T
     if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
         raise InputError("robustness is beyond the largest number; rescale the signals")
     return result
@@ -176,18 +178,19 @@ def predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
     )
 
 
-def _check_block(
-    block: Signals, metric: Metric, predicates: tuple[Predicate, ...], start: int
-) -> None:
-    for name, values in block.items():
-        if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
-            check_bounds(values, name, metric.bounds[name], start)
-        else:
-            check_finite(values, f"signal {name!r}", start)
+def check_signal(values: AnyArray, name: str, metric: Metric, *, first_rollout: int) -> None:
+    """Raises InputError that names rollout and step where [n, T] do not suit the metric."""
+    if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
+        check_bounds(values, name, metric.bounds[name], first_rollout)
+    else:
+        check_finite(values, f"signal {name!r}", first_rollout)
+
+
+def _check_margins(predicates: tuple[Predicate, ...], block: Signals, start: int) -> None:
+    steps = len(next(iter(block.values())))
     for predicate in predicates:
-        steps = len(next(iter(block.values())))
         by = margin(predicate, ClassicalSemantics(), block, start=0, steps=steps)
-        check_finite(by, f"margin of '{predicate}'", start)
+        check_finite(by.T, f"margin of '{shorten(predicate)}'", start)
 
 
 def _select(

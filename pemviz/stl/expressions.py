@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
-from pemviz.stl.errors import FormulaError
+from pemviz.stl.errors import FormulaError, shorten
 
 if TYPE_CHECKING:
     from pemviz.stl.formulas import Comparison, Predicate
@@ -153,7 +153,8 @@ class Signal(Expression):
         super().__post_init__()
         if not _NAME.match(self.name):
             raise FormulaError(
-                f"signal name {self.name!r}: allowed are letters, digits and _, no digit first"
+                f"signal name {shorten(repr(self.name))}: allowed are letters, digits and _,"
+                " no digit first"
             )
         if self.name in RESERVED_WORDS:
             raise FormulaError(f"signal name {self.name!r} is a word of the language")
@@ -282,7 +283,9 @@ def as_expression(value: Expression | Number) -> Expression:
     if isinstance(value, Expression):
         return value
     if isinstance(value, bool) or not hasattr(value, "__float__"):
-        raise FormulaError(f"{value!r} is no number; allowed: signals, numbers, arithmetic on them")
+        raise FormulaError(
+            f"{shorten(repr(value))} is no number; allowed: signals, numbers, arithmetic on them"
+        )
     return Constant(float(value))
 
 

@@ -11,7 +11,7 @@ import operator
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NoReturn, TypeAlias
 
-from pemviz.stl.errors import FormulaError
+from pemviz.stl.errors import FormulaError, shorten
 from pemviz.stl.expressions import Expression, Node
 
 Comparison: TypeAlias = Literal[">=", ">", "<=", "<"]
@@ -59,7 +59,7 @@ class Formula(Node):
 
     def __bool__(self) -> NoReturn:
         raise FormulaError(
-            f"formula ({self}) has no truth value in Python: combine formulas with & | ~,"
+            f"formula ({shorten(self)}) has no truth value in Python: combine formulas with & | ~,"
             " and write 1 < x < 3 as (1 < x) & (x < 3)"
         )
 
@@ -264,13 +264,15 @@ def _bound(word: str, bound: object) -> int:
 def _formula(value: object) -> Formula:
     if isinstance(value, Formula):
         return value
-    raise FormulaError(f"{value} is no formula; compare it with something, as in (gap >= 2.0)")
+    raise FormulaError(
+        f"{shorten(value)} is no formula; compare it with something, as in (gap >= 2.0)"
+    )
 
 
 def _expression(value: object) -> Expression:
     if isinstance(value, Expression):
         return value
-    raise FormulaError(f"{value} is no number and cannot be compared")
+    raise FormulaError(f"{shorten(value)} is no number and cannot be compared")
 
 
 def _text(operand: Formula, strength: int) -> str:

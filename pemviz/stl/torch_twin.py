@@ -19,9 +19,10 @@ from torch import Tensor
 from pemviz.errors import InputError
 from pemviz.stl.agm import Agm, clipping_flips
 from pemviz.stl.bounds import margin_range
-from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
+from pemviz.stl.checks import check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical
-from pemviz.stl.evaluation import Metric, predicates_to_check
+from pemviz.stl.errors import shorten
+from pemviz.stl.evaluation import Metric, check_signal, predicates_to_check
 from pemviz.stl.formulas import Formula, Predicate
 from pemviz.stl.semantics import Semantics, evaluate, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulative
@@ -83,16 +84,13 @@ def _evaluate(
 
 
 def _check_values(formula: Formula, signals: Mapping[str, Tensor], metric: Metric) -> None:
-    for name, values in signals.items():
-        array = values.detach().cpu().double().numpy()
-        check_finite(array, f"signal {name!r}", 0)
-        if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
-            check_bounds(array, name, metric.bounds[name], 0)
+    for name in formula.signals():
+        check_signal(signals[name].detach().cpu().numpy().T, name, metric, first_rollout=0)
     for predicate in predicates_to_check(formula):
         with torch.no_grad():
             steps = len(next(iter(signals.values())))
             by = margin(predicate, TorchClassical(), signals, start=0, steps=steps)
-        check_finite(by.cpu().double().numpy(), f"margin of '{predicate}'", 0)
+        check_finite(by.cpu().numpy().T, f"margin of '{shorten(predicate)}'", 0)
 
 
 def _semantics(metric: Metric) -> Semantics[Tensor]:
@@ -236,8 +234,8 @@ class TorchSmoothCumulative(_TorchSemantics):
         return -value
 
     def conjunction(self, values: Sequence[Tensor]) -> Tensor:
-        scaled = -self.metric.beta * torch.stack(tuple(values))
-        return torch.logsumexp(scaled, 0) / -self.metric.beta
+        beta = self.metric.beta
+        return reduce(_log_add_exp, [-beta * value for value in values]) / -beta
 
     def disjunction(self, values: Sequence[Tensor]) -> Tensor:
         return -self.conjunction([-value for value in values])
@@ -258,10 +256,10 @@ class TorchSmoothCumulative(_TorchSemantics):
         terms: list[Tensor] = []
         for offset in range(last + 1):
             if offset > 0:
-                held = torch.logaddexp(held, -beta * left[offset : offset + steps])
+                held = _log_add_exp(held, -beta * left[offset : offset + steps])
             if offset >= first:
                 target = right[offset - first : offset - first + steps]
-                terms.append(torch.logaddexp(held, -beta * target) / -beta)
+                terms.append(_log_add_exp(held, -beta * target) / -beta)
         return torch.stack(terms).sum(0)
 
 
@@ -295,8 +293,15 @@ def _conclude(means: Pair, count: int, *, ties_fail: bool) -> Tensor:
     return torch.where(fails, failing / count, torch.expm1(growth / count))
 
 
+def _log_add_exp(left: Tensor, right: Tensor) -> Tensor:
+    """log(exp(left) + exp(right)); where that is infinite (`true`), with gradient 0, not NaN."""
+    infinite = torch.isinf(torch.maximum(left, right))
+    finite = torch.logaddexp(left.masked_fill(infinite, 0.0), right.masked_fill(infinite, 0.0))
+    return torch.where(infinite, torch.maximum(left, right).detach(), finite)
+
+
 def _log_add(earlier: Pair, later: Pair) -> Pair:
-    return (torch.logaddexp(earlier[0], later[0]),)
+    return (_log_add_exp(earlier[0], later[0]),)
 
 
 def _add(earlier: Pair, later: Pair) -> Pair:

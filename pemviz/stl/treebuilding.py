@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from pemviz.stl import expressions as ex
-from pemviz.stl.errors import FormulaError
+from pemviz.stl.errors import FormulaError, shorten
 from pemviz.stl.formulas import (
     MAX_BOUND,
     Always,
@@ -52,12 +52,6 @@ class Steps(NamedTuple):
     first: int
     last: int
     position: int
-
-
-def shorten(text: object, length: int = 40) -> str:
-    """``text`` cut to ``length`` characters."""
-    whole = str(text)
-    return whole if len(whole) <= length else whole[: length - 3] + "..."
 
 
 def _build(position: int, make: Callable[..., NodeT], *args: Any) -> Piece:

@@ -1,0 +1,81 @@
+"""``pemviz pem evaluate``."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from pemviz.pem.commands.progress import progress_bar
+from pemviz.pem.errors import PemError
+from pemviz.pem.fit import MODEL_KINDS, ModelKind
+from pemviz.pem.table import load_table
+
+
+@dataclass(frozen=True)
+class EvaluateArguments:
+    """Cross-validate kinds of models and compare them with the paper's Table I."""
+
+    table: Path
+    """Data: CSV of 'pemviz pem collect', or a folder with salient_inputs.txt and
+    salient_labels.txt."""
+    out: Path = Path("pem-evaluation")
+    """Folder for evaluation.md, .csv, .json and reliability.png."""
+    models: tuple[ModelKind, ...] = MODEL_KINDS
+    """Kinds of models to compare; b-nn needs pyro-ppl."""
+    folds: int = 5
+    """Number of folds (2 or more)."""
+    seed: int = 0
+    """Seed of the fits (0 or more)."""
+    json: bool = False
+    """Print the results as one JSON object instead of a table."""
+
+
+def run(arguments: EvaluateArguments) -> int:
+    """Fit, score, write; gives the exit code.
+
+    Raises:
+        PemError: bad arguments or table; one line says what, where and what is allowed.
+    """
+    if not arguments.models:
+        raise PemError(f"models is empty, allowed: {', '.join(MODEL_KINDS)}")
+    if arguments.seed < 0:
+        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    table = load_table(arguments.table)
+    # scikit-learn and torch take seconds to import: not before the arguments are known good.
+    from pemviz.pem.evaluate import cross_validate, split_folds  # noqa: PLC0415
+    from pemviz.pem.report import COLUMNS, as_json, summary_row, write_report  # noqa: PLC0415
+
+    split_folds(table, folds=arguments.folds)
+    evaluations = []
+    for model in arguments.models:
+        with progress_bar(f"{model}: folds") as tell:
+            evaluations.append(
+                cross_validate(
+                    table,
+                    model=model,
+                    folds=arguments.folds,
+                    seed=arguments.seed,
+                    on_progress=tell,
+                )
+            )
+    written = write_report(evaluations, table=table, folder=arguments.out)
+    if arguments.json:
+        print(json.dumps(as_json(evaluations, table=table), allow_nan=False))
+        return 0
+    shown = Table(title=f"{len(table)} obstacles, {arguments.folds}-fold cross-validation")
+    for column in COLUMNS:
+        shown.add_column(column, justify="left" if column == "model" else "right")
+    for evaluation in evaluations:
+        shown.add_row(*(_cell(value) for value in summary_row(evaluation).values()))
+    console = Console()
+    console.print(shown)
+    console.print(f"written: {', '.join(str(path) for path in written)}")
+    return 0
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.4f}" if isinstance(value, float) else str(value)

@@ -1,0 +1,115 @@
+"""The views as a rerun blueprint."""
+
+from collections.abc import Callable, Collection
+from typing import Any
+
+import rerun.blueprint as rrb
+
+from pemviz.recording import paths
+from pemviz.recording.views import ContainerSpec, ViewKind, ViewSpec, keep_views
+
+EYE_M = (10.0, -11.5, 9.5)
+LOOK_AT_M = (10.0, 7.5, 0.0)
+
+
+def blueprint(views: ContainerSpec) -> rrb.Blueprint:
+    """The blueprint of these tabs; panels folded, time panel on ``step``."""
+    return rrb.Blueprint(
+        _container(views),
+        rrb.TimePanel(timeline=paths.STEP, state="collapsed", play_state="paused"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def shown(path: str, logged: Collection[str]) -> bool:
+    """Whether something was logged that a view's path, or its subtree ``path/**``, shows."""
+    if path.endswith(paths.SUBTREE):
+        root = path.removesuffix(paths.SUBTREE)
+        return any(entity == root or entity.startswith(f"{root}/") for entity in logged)
+    return path in logged
+
+
+def views_with_data(views: ContainerSpec, logged: Collection[str]) -> ContainerSpec:
+    """The views without those that would be empty."""
+    kept = keep_views(views, lambda view: shown(view.paths[-1], logged))
+    return views if kept is None else kept
+
+
+def _container(spec: ContainerSpec) -> rrb.Container:
+    parts = [_part(part) for part in spec.parts]
+    shares = list(spec.shares) if spec.shares else None
+    match spec.kind:
+        case "tabs":
+            return rrb.Tabs(*parts, name=spec.title, active_tab=spec.active)
+        case "horizontal":
+            return rrb.Horizontal(*parts, name=spec.title, column_shares=shares)
+        case "vertical":
+            return rrb.Vertical(*parts, name=spec.title, row_shares=shares)
+        case "grid":
+            return rrb.Grid(*parts, name=spec.title, grid_columns=spec.columns)
+
+
+def _part(spec: ViewSpec | ContainerSpec) -> Any:
+    return _view(spec) if isinstance(spec, ViewSpec) else _container(spec)
+
+
+def _view(spec: ViewSpec) -> rrb.View:
+    return VIEWS[spec.kind](spec, _common(spec))
+
+
+def _common(spec: ViewSpec) -> dict[str, Any]:
+    """Origin and contents; a view of one entity has it as origin, for short legends."""
+    first = spec.paths[0].removesuffix(paths.SUBTREE)
+    origin = first if len(spec.paths) == 1 else first.rpartition("/")[0]
+    return {
+        "name": spec.title,
+        "origin": origin,
+        "contents": [f"+ {path}" for path in spec.paths],
+    }
+
+
+def _series(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:
+    few_curves = spec.paths[0] == paths.WORST_DETECTION or spec.paths[0].endswith(
+        paths.MISSED_SHARE
+    )
+    return rrb.TimeSeriesView(
+        **common,
+        axis_y=rrb.ScalarAxis(range=spec.axis) if spec.axis else None,
+        plot_legend=rrb.PlotLegend(visible=few_curves),
+    )
+
+
+def _tensor(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
+    return rrb.TensorView(
+        **common,
+        scalar_mapping=rrb.TensorScalarMapping(colormap="viridis", mag_filter="nearest"),
+        view_fit="fill",
+    )
+
+
+def _scene(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
+    return rrb.Spatial3DView(
+        **common,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=EYE_M, look_target=LOOK_AT_M, eye_up=(0, 0, 1)
+        ),
+    )
+
+
+def _bars(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
+    return rrb.BarChartView(**common, plot_legend=rrb.PlotLegend(visible=False))
+
+
+VIEWS: dict[ViewKind, Callable[[ViewSpec, dict[str, Any]], rrb.View]] = {
+    "text": lambda _, common: rrb.TextDocumentView(**common),
+    "bars": _bars,
+    "series": _series,
+    "tensor": _tensor,
+    "states": lambda _, common: rrb.StateTimelineView(**common),
+    "scene": _scene,
+    "image": lambda _, common: rrb.Spatial2DView(**common),
+}

@@ -1,0 +1,194 @@
+"""How a run learned: curves against gap, figures of each stage, robustness distributions."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+
+from pemviz.arrays import FloatArray
+from pemviz.curves import DetectionCurves
+from pemviz.recording import colors, paths
+from pemviz.recording.stream import RecordingFile
+from pemviz.sampling.estimates import log_normal_interval, monte_carlo_estimate
+from pemviz.sampling.weights import log_mean_failing_weight, log_std_error
+from pemviz.types import StageResult
+
+HISTOGRAM_BINS = 40
+BAR_WIDTH = 0.8
+ALWAYS_REDRAWN = 100
+
+
+@dataclass(frozen=True)
+class StageFigures:
+    """One stage's row in the table; undefined figures are ``None``."""
+
+    stage: int
+    kind: str
+    rollouts: int
+    elites: int
+    threshold: float | None
+    failures: int
+    ess: float | None
+    loss: float | None
+    log10_probability: float | None
+    log10_ci_low: float | None
+    log10_ci_high: float | None
+
+
+def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
+    """The stage's figures, with the interval of its own estimate."""
+    low, high = _stage_interval(stage, method=method)
+    return StageFigures(
+        stage=stage.stage,
+        kind=stage.kind,
+        rollouts=stage.scored.rollouts.count,
+        elites=stage.elites,
+        threshold=stage.threshold,
+        failures=stage.failures,
+        ess=stage.ess,
+        loss=stage.loss,
+        log10_probability=stage.log10_probability,
+        log10_ci_low=_log10(low),
+        log10_ci_high=_log10(high),
+    )
+
+
+def _stage_interval(stage: StageResult, *, method: str) -> tuple[float | None, float | None]:
+    """95 % interval of the estimate from the stage's own rollouts."""
+    if method == "monte-carlo":
+        estimate = monte_carlo_estimate(stage.scored, method=method)
+        return estimate.ci_low, estimate.ci_high
+    if stage.failures == 0:
+        return None, None
+    log_weight, violated = stage.scored.rollouts.log_weight, stage.scored.violated
+    log_probability = log_mean_failing_weight(log_weight, violated)
+    relative = math.exp(log_std_error(log_weight, violated) - log_probability)
+    return log_normal_interval(log_probability, relative_error=relative)
+
+
+def _log10(value: float | None) -> float | None:
+    return math.log10(value) if value is not None and value > 0.0 else None
+
+
+def log_pem_curve(file: RecordingFile, gap_m: FloatArray, probability: FloatArray) -> None:
+    """The perception error model's curve ``[G]``; it does not change."""
+    file.static(paths.PEM_CURVE, _curve(gap_m, probability, colors.PEM_BARS))
+
+
+def log_curves(file: RecordingFile, curves: DetectionCurves, *, stage: int) -> None:
+    """The proposal's curve, in the current view and as one of all stages."""
+    bars = _curve(curves.gap_m, curves.proposal, colors.PROPOSAL_BARS)
+    file.at_stage(paths.PROPOSAL_CURVE, bars, stage=stage)
+    file.at_stage(paths.stage_curve(stage), bars, stage=stage)
+
+
+def _curve(gap_m: FloatArray, probability: FloatArray, color: colors.Rgba) -> rr.BarChart:
+    """Bars as wide as the grid's steps; rerun places a bar by its left edge."""
+    step_m = float(gap_m[1] - gap_m[0])
+    return rr.BarChart(probability, abscissa=gap_m, widths=np.full(gap_m.size, step_m), color=color)
+
+
+def log_robustness(file: RecordingFile, stage: StageResult, *, limit: int = HISTOGRAM_BINS) -> None:
+    """The distribution of the stage's robustness, as a histogram."""
+    values = stage.scored.robustness[np.isfinite(stage.scored.robustness)]
+    if values.size == 0:
+        return
+    counts, edges = np.histogram(values, bins=min(limit, max(10, values.size // 5)))
+    file.at_stage(
+        paths.ROBUSTNESS,
+        rr.BarChart(
+            counts.astype(np.float64),
+            abscissa=edges[:-1],
+            widths=np.diff(edges),
+            color=colors.SKY,
+        ),
+        stage=stage.stage,
+    )
+
+
+def log_figures(file: RecordingFile, rows: Sequence[StageFigures], *, stages: int) -> None:
+    """The newest stage's figures as scalars, and all so far as bars against the stage."""
+    newest = rows[-1]
+    for name in paths.FIGURES:
+        value = getattr(newest, name)
+        if value is not None:
+            file.on_stage_only(paths.figure(name), rr.Scalars(float(value)), stage=newest.stage)
+    if is_redrawn(newest.stage, stages=stages):
+        _log_bars(file, rows)
+
+
+def is_redrawn(stage: int, *, stages: int) -> bool:
+    """Whether what shows all stages so far is written again after this one.
+
+    With very many stages, doing so after each would grow with the square of their number.
+    """
+    every = max(1, math.ceil(stages / ALWAYS_REDRAWN))
+    return stage % every == 0 or stage >= stages - 1
+
+
+def _log_bars(file: RecordingFile, rows: Sequence[StageFigures]) -> None:
+    plain: Mapping[str, colors.Rgba] = {
+        "threshold": colors.GREEN,
+        "failures": colors.VERMILLION,
+        "ess": colors.SKY,
+        "loss": colors.PURPLE,
+    }
+    for name, color in plain.items():
+        _log_bar(file, rows, name=name, path=paths.bars(name), color=color, width=BAR_WIDTH)
+    width = BAR_WIDTH / 3
+    beside = {
+        "log10_ci_low": (colors.SKY, -width),
+        "log10_probability": (colors.ORANGE, 0.0),
+        "log10_ci_high": (colors.SKY, width),
+    }
+    for name, (color, shift) in beside.items():
+        path = paths.bars(name)
+        _log_bar(file, rows, name=name, path=path, color=color, width=width, shift=shift)
+
+
+def _log_bar(
+    file: RecordingFile,
+    rows: Sequence[StageFigures],
+    *,
+    name: str,
+    path: str,
+    color: colors.Rgba,
+    width: float,
+    shift: float = 0.0,
+) -> None:
+    """Bars centred on the stage's number plus ``shift``; rerun places them by the left edge."""
+    known = [
+        (row.stage, float(getattr(row, name))) for row in rows if getattr(row, name) is not None
+    ]
+    if not known:
+        return
+    stages = np.array([stage for stage, _ in known], dtype=np.float64)
+    file.at_stage(
+        path,
+        rr.BarChart(
+            np.array([value for _, value in known]),
+            abscissa=stages + shift - width / 2,
+            widths=np.full(stages.size, width),
+            color=color,
+        ),
+        stage=rows[-1].stage,
+    )
+
+
+def log_repetitions(file: RecordingFile, log10_probabilities: Sequence[float | None]) -> None:
+    """One bar for each repetition's estimate."""
+    known = [(i, value) for i, value in enumerate(log10_probabilities) if value is not None]
+    if not known:
+        return
+    places = np.array([place for place, _ in known], dtype=np.float64)
+    file.static(
+        paths.REPETITIONS,
+        rr.BarChart(
+            np.array([value for _, value in known]),
+            abscissa=places - BAR_WIDTH / 2,
+            widths=np.full(places.size, BAR_WIDTH),
+            color=colors.ORANGE,
+        ),
+    )

@@ -1,0 +1,98 @@
+"""Every entity path and timeline of a recording; the only place where they are spelled out.
+
+Timelines: ``stage`` (the learning stage), ``step`` (the step in a rollout) and ``sim_time``
+(the same in seconds). What belongs to a stage as a whole is on all three, at step 0, so that
+it shows whichever is chosen; text is static.
+"""
+
+STAGE = "stage"
+STEP = "step"
+SIM_TIME = "sim_time"
+TIMELINES = (STAGE, STEP, SIM_TIME)
+
+ANSWER = "/answer/summary"
+WARNINGS = "/answer/warnings"
+REPETITIONS = "/answer/repetitions/log10_probability"
+
+CONFIG = "/config/config_toml"
+RESULT = "/config/result_json"
+PROVENANCE = "/config/provenance"
+CONTENTS = "/config/about_this_recording"
+
+LEARNING = "/learning"
+STAGE_TABLE = "/learning/table"
+CURVES = "/learning/curves"
+PEM_CURVE = "/learning/curves/pem"
+PROPOSAL_CURVE = "/learning/curves/proposal"
+ROBUSTNESS = "/learning/robustness"
+FIGURES = (
+    "threshold",
+    "failures",
+    "ess",
+    "loss",
+    "log10_probability",
+    "log10_ci_low",
+    "log10_ci_high",
+)
+
+ROLLOUTS = "/rollouts"
+PEM_SERIES = "p_detected_pem"
+PROPOSAL_SERIES = "p_detected_proposal"
+DETECTED = "detected"
+MISSED_SHARE = "missed_share"
+TABLE = "table"
+
+WORST = "/worst_case"
+WORST_SUMMARY = "/worst_case/summary"
+SCENE = "/worst_case/scene"
+OUTCOMES = "/worst_case/outcomes"
+WORST_SERIES = "/worst_case/series"
+WORST_DETECTION = "/worst_case/p_detected"
+FRAMES = "/worst_case/highway_env"
+
+SUBTREE = "/**"  # in a view: the entity and all below it
+
+
+def figure(name: str) -> str:
+    """A stage figure as a scalar on ``stage``."""
+    return f"/learning/figures/{name}"
+
+
+def bars(name: str) -> str:
+    """A stage figure as bars against the stages done so far."""
+    return f"/learning/by_stage/{name}"
+
+
+def stage_curve(stage: int) -> str:
+    """The proposal that a stage sampled from, against gap."""
+    return f"/learning/proposals/stage_{stage:03d}"
+
+
+def rollouts(stage: int, part: str) -> str:
+    """A part (a signal's key, or one of the names above) of a stage's rollouts."""
+    return f"/rollouts/stage_{stage:03d}/{part}"
+
+
+def setting(part: str) -> str:
+    """A part of the scene that never moves and belongs to no lane."""
+    return f"/worst_case/scene/{part}"
+
+
+def lane(rank: int, part: str) -> str:
+    """A part of the scene's lane for the ``rank``-th least robust rollout, from 1."""
+    return f"/worst_case/scene/rank_{rank}/{part}"
+
+
+def outcomes(rank: int) -> str:
+    """Detected or missed at each step of the ``rank``-th least robust rollout, from 1."""
+    return f"/worst_case/outcomes/rank_{rank:02d}"
+
+
+def worst_series(part: str) -> str:
+    """A signal of the least robust rollouts, by its key."""
+    return f"/worst_case/series/{part}"
+
+
+def page(name: str, part: str) -> str:
+    """A part (``text``, ``picture``, ``series``) of a page; see :mod:`pemviz.recording.pages`."""
+    return f"/pages/{name}/{part}"

@@ -1,0 +1,142 @@
+"""Reading a recording's rollouts back into arrays, with rerun's own reader."""
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.errors import InputError
+from pemviz.recording import paths
+
+TABLE_COLUMNS = ("rollout", "robustness", "violated", "log_weight", "log_p")
+
+
+@dataclass(frozen=True)
+class RecordedStage:
+    """One stage's recorded rollouts, in the order of their index in the stage.
+
+    Attributes:
+        rollout: ``[M]`` index in the stage.
+        robustness: ``[M]`` under the ranking metric.
+        violated: ``[M]`` the classical verdict.
+        log_weight: ``[M]`` log importance weight [nats].
+        log_p: ``[M]`` log likelihood under the perception error model [nats].
+        series: By key: each signal ``[M, T]``, and P(detected) ``[M, T-1]`` of the perception
+            error model (``p_detected_pem``) and the proposal (``p_detected_proposal``).
+        detected: ``[M, T-1]`` outcomes.
+    """
+
+    rollout: IntArray
+    robustness: FloatArray
+    violated: BoolArray
+    log_weight: FloatArray
+    log_p: FloatArray
+    series: dict[str, FloatArray]
+    detected: BoolArray
+
+
+def read_stages(path: Path) -> dict[int, RecordedStage]:
+    """Every stage's recorded rollouts, by stage; also from a recording that was cut short.
+
+    Raises:
+        InputError: The file cannot be read as a recording.
+    """
+    parts: dict[int, dict[str, Any]] = {}
+    for entity, batch in batches(path):
+        pieces = entity.strip("/").split("/")
+        if len(pieces) != 3 or f"/{pieces[0]}" != paths.ROLLOUTS:
+            continue
+        stage = int(pieces[1].removeprefix("stage_"))
+        found = parts.setdefault(stage, {})
+        if pieces[2] == paths.TABLE:
+            found[paths.TABLE] = {n: np.array(_first(batch, n)) for n in TABLE_COLUMNS}
+        elif pieces[2] == paths.DETECTED:
+            found[paths.DETECTED] = _raster(_first(batch, "Tensor:data")[0])
+        elif pieces[2] != paths.MISSED_SHARE:
+            rows = zip(batch[paths.STEP].tolist(), batch["Scalars:scalars"], strict=True)
+            found.setdefault("series", {}).setdefault(pieces[2], {}).update(rows)
+    return {stage: _stage(found) for stage, found in sorted(parts.items()) if _whole(found)}
+
+
+def batches(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Entity path and columns by name of every chunk that is not static, in the file's order.
+
+    Raises:
+        InputError: The file cannot be read as a recording.
+    """
+    for chunk in chunks(path):
+        if not chunk.is_static:
+            yield chunk.entity_path, _columns(chunk.to_record_batch())
+
+
+def chunks(path: Path) -> Iterator[Any]:
+    """Rerun's chunks of the recording, in the file's order; without complaint if it was cut short.
+
+    Raises:
+        InputError: The file cannot be read as a recording.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="RRD file has no footer")
+            reader = rr.chunk.RrdReader(path)
+        yield from reader.stream()
+    except (OSError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        message = f"recording {path}: cannot be read ({reason})"
+        raise InputError(message) from error
+
+
+def _columns(batch: Any) -> dict[str, Any]:
+    columns: dict[str, Any] = {}
+    for field, column in zip(batch.schema, batch.columns, strict=True):
+        if field.name == "Scalars:scalars":
+            columns[field.name] = _rows(column)
+        elif field.name == paths.STEP:
+            columns[field.name] = column.to_numpy(zero_copy_only=False)
+        else:
+            columns[field.name] = column
+    return columns
+
+
+def _rows(column: Any) -> list[FloatArray]:
+    """A list column as one array for each row."""
+    values = column.flatten().to_numpy(zero_copy_only=False)
+    return np.split(values, np.cumsum(column.value_lengths().to_numpy(zero_copy_only=False))[:-1])
+
+
+def _first(batch: dict[str, Any], name: str) -> Any:
+    return batch[name][0].as_py()
+
+
+def _raster(tensor: dict[str, Any]) -> AnyArray:
+    """A byte tensor as an array; rerun keeps which of its buffers is used in its type."""
+    buffer = tensor["buffer"]
+    values = next(iter(buffer.values())) if isinstance(buffer, dict) else buffer
+    return np.array(list(values), dtype=np.uint8).reshape(tensor["shape"])
+
+
+def _whole(found: dict[str, Any]) -> bool:
+    return paths.TABLE in found and paths.DETECTED in found and bool(found.get("series"))
+
+
+def _stage(found: dict[str, Any]) -> RecordedStage:
+    table = found[paths.TABLE]
+    order = np.argsort(table["rollout"])
+    series = {
+        key: np.stack([rows[step] for step in sorted(rows)], axis=1)[order]
+        for key, rows in found["series"].items()
+    }
+    return RecordedStage(
+        rollout=table["rollout"][order],
+        robustness=table["robustness"][order],
+        violated=table["violated"][order],
+        log_weight=table["log_weight"][order],
+        log_p=table["log_p"][order],
+        series=series,
+        detected=found[paths.DETECTED][::-1][order].astype(np.bool_),
+    )

@@ -1,0 +1,264 @@
+"""The observer that writes a run's recording while the run goes on."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pemviz.arrays import FloatArray
+from pemviz.curves import GAP, detection_curves, gap_grid, pem_curve
+from pemviz.events import (
+    Event,
+    RepetitionDone,
+    RunDone,
+    RunFailed,
+    RunStarted,
+    StageDone,
+)
+from pemviz.pem import load_pem
+from pemviz.recording import learning, paths, scene, text, worst
+from pemviz.recording.blueprint import blueprint, views_with_data
+from pemviz.recording.rollouts import log_rollouts
+from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota
+from pemviz.recording.stream import RecordingFile
+from pemviz.recording.views import ContainerSpec, Subject, all_views
+from pemviz.results import RunResult
+from pemviz.sampling.rollout import LogitFunction
+from pemviz.simulators.scenario import EGO_SPEED
+from pemviz.types import StageResult
+
+RECORDED_REPETITION = 0
+REDRAW_GROWTH = 1.1
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What is known from the start.
+
+    Attributes:
+        started: The event.
+        views: What the recording will show.
+        quota: How many rollouts are kept.
+        gap_m: Grid of the curves against gap; ``None`` if the scenario has no gap.
+        has_scene: Whether the scenario has what the 3D scene draws.
+        pem_logit: The perception error model.
+    """
+
+    started: RunStarted
+    views: ContainerSpec
+    quota: Quota
+    gap_m: FloatArray | None
+    has_scene: bool
+    pem_logit: LogitFunction
+
+
+class Recorder:
+    """Observer that writes ``run.rrd``.
+
+    Text, curves and figures are flushed after each stage, so that a killed run's recording
+    shows every finished stage. With several repetitions, rollouts, curves and stage figures
+    are those of the first; estimates and the least robust rollouts are of all.
+
+    Attributes:
+        path: The recording.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        pem_logit: LogitFunction | None = None,
+        frames: bool = False,
+        live_port: int | None = None,
+        rollout_limit: int = ROLLOUT_LIMIT,
+    ) -> None:
+        """Prepare; nothing is written before the run starts.
+
+        Args:
+            path: Where to; overwritten if it exists.
+            pem_logit: The perception error model; by default the one that the run's
+                configuration names.
+            frames: Let highway-env draw the least robust rollout from above at the end; needs
+                highway-env.
+            live_port: Also serve the recording to live viewers on this port of the loopback
+                interface.
+            rollout_limit: Up to how many rollouts of a repetition are all recorded.
+        """
+        self.path = path
+        self._pem_logit = pem_logit
+        self._frames = frames
+        self._live_port = live_port
+        self._rollout_limit = rollout_limit
+        self._file: RecordingFile | None = None
+        self._run: _Run | None = None
+        self._figures: list[learning.StageFigures] = []
+        self._tracks: tuple[worst.Track, ...] = ()
+        self._drawn_repetitions = 0
+
+    def notify(self, event: Event) -> None:
+        """Write what ``event`` adds.
+
+        Raises:
+            RunError: The file cannot be opened.
+        """
+        if isinstance(event, RunStarted):
+            self._start(event)
+            return
+        if self._file is None or self._run is None:
+            return
+        match event:
+            case StageDone():
+                self._add_stage(self._file, self._run, event)
+            case RepetitionDone():
+                self._add_repetition(self._file, event.result)
+            case RunDone() | RunFailed():
+                self._finish(self._file, self._run, event.result)
+            case _:
+                pass
+
+    def _start(self, event: RunStarted) -> None:
+        run = self._run = _prepare(
+            event,
+            pem_logit=self._pem_logit,
+            rollout_limit=self._rollout_limit,
+            frames=self._frames,
+        )
+        config = event.config
+        file = self._file = RecordingFile(
+            self.path,
+            name=event.result.run_id,
+            layout=f"{config.method}_{event.stages}",
+            live_port=self._live_port,
+        )
+        file.blueprint(blueprint(run.views))
+        file.markdown(paths.CONFIG, text.config_document(event.result))
+        file.markdown(paths.CONTENTS, text.contents_text(run.quota, repetitions=config.repetitions))
+        self._write_texts(file, event.result, running=True)
+        if run.gap_m is not None:
+            curve = pem_curve(simulator=event.simulator, pem_logit=run.pem_logit, gap_m=run.gap_m)
+            learning.log_pem_curve(file, run.gap_m, curve)
+        if run.has_scene:
+            scene.log_scene_setting(file, config.scenario)
+        file.flush()
+
+    def _add_stage(self, file: RecordingFile, run: _Run, event: StageDone) -> None:
+        stage = event.stage
+        before = self._tracks
+        self._tracks = worst.update_tracks(before, stage, event.result)
+        if stage.repetition != RECORDED_REPETITION:
+            return
+        self._write_learning(file, run, stage)
+        log_rollouts(
+            file,
+            stage,
+            kept=choose(stage.scored.robustness, run.quota),
+            signals=run.started.signals,
+            dt_s=run.started.simulator.dt_s,
+        )
+        if run.has_scene and self._tracks[: scene.LANES] != before[: scene.LANES]:
+            scene.log_scene(
+                file, self._tracks, scenario=run.started.config.scenario, stage=stage.stage
+            )
+        self._write_texts(file, event.result, running=True)
+        file.flush()
+
+    def _write_learning(self, file: RecordingFile, run: _Run, stage: StageResult) -> None:
+        config = run.started.config
+        self._figures.append(learning.stage_figures(stage, method=config.method))
+        learning.log_figures(file, self._figures, stages=run.started.stages)
+        learning.log_robustness(file, stage)
+        if learning.is_redrawn(stage.stage, stages=run.started.stages):
+            self._write_stage_table(file, run)
+        if run.gap_m is None:
+            return
+        curves = detection_curves(
+            simulator=run.started.simulator,
+            pem_logit=run.pem_logit,
+            proposal=stage.sampled_from,
+            gap_m=run.gap_m,
+            rollouts=stage.scored.rollouts,
+        )
+        learning.log_curves(file, curves, stage=stage.stage)
+
+    def _write_stage_table(self, file: RecordingFile, run: _Run) -> None:
+        unit = robustness_unit(run.started.config.metric)
+        table = text.stage_table(self._figures, robustness_unit=unit)
+        file.markdown(paths.STAGE_TABLE, table)
+
+    def _add_repetition(self, file: RecordingFile, result: RunResult) -> None:
+        # redrawn when a tenth has been added, so that the file grows with their number only
+        count = len(result.repetitions)
+        if count >= REDRAW_GROWTH * self._drawn_repetitions:
+            self._write_repetitions(file, result)
+            self._write_texts(file, result, running=True)
+            file.flush()
+
+    def _write_repetitions(self, file: RecordingFile, result: RunResult) -> None:
+        self._drawn_repetitions = len(result.repetitions)
+        if result.config.repetitions > 1:
+            learning.log_repetitions(file, [e.log10_probability for e in result.repetitions])
+
+    def _write_texts(self, file: RecordingFile, result: RunResult, *, running: bool) -> None:
+        file.markdown(paths.ANSWER, text.answer_text(result, running=running))
+        file.markdown(paths.WARNINGS, text.warnings_text(result))
+        file.markdown(paths.PROVENANCE, text.provenance_text(result))
+        if self._tracks:
+            file.markdown(paths.WORST_SUMMARY, text.worst_table(self._tracks))
+
+    def _finish(self, file: RecordingFile, run: _Run, result: RunResult) -> None:
+        self._write_repetitions(file, result)
+        self._write_texts(file, result, running=False)
+        file.markdown(paths.RESULT, text.result_text(result))
+        if self._figures:
+            self._write_stage_table(file, run)
+            self._write_worst(file, run)
+        kept = views_with_data(run.views, file.logged)
+        if kept != run.views:
+            file.blueprint(blueprint(kept))
+        file.close()
+        self._file = None
+
+    def _write_worst(self, file: RecordingFile, run: _Run) -> None:
+        dt_s = run.started.simulator.dt_s
+        last = self._figures[-1].stage
+        worst.log_worst_plots(
+            file, self._tracks, signals=run.started.signals, stage=last, dt_s=dt_s
+        )
+        repeated = run.started.config.repetitions > 1
+        if run.has_scene and repeated:
+            scene.log_scene(file, self._tracks, scenario=run.started.config.scenario, stage=last)
+        if self._frames:
+            worst.log_frames(
+                file, self._tracks[0], scenario=run.started.config.scenario, stage=last
+            )
+
+
+def _prepare(
+    event: RunStarted, *, pem_logit: LogitFunction | None, rollout_limit: int, frames: bool
+) -> _Run:
+    config = event.config
+    names = {signal.name for signal in event.signals}
+    return _Run(
+        started=event,
+        views=all_views(
+            Subject(
+                method=config.method,
+                stages=event.stages,
+                repetitions=config.repetitions,
+                signals=event.signals,
+                robustness_unit=robustness_unit(config.metric),
+                frames=frames,
+            )
+        ),
+        quota=quota(
+            rollouts=event.planned_rollouts // config.repetitions,
+            stages=event.stages,
+            limit=rollout_limit,
+        ),
+        gap_m=gap_grid(event.simulator) if GAP in names else None,
+        has_scene={GAP, EGO_SPEED} <= names,
+        pem_logit=load_pem(config.pem).logit if pem_logit is None else pem_logit,
+    )
+
+
+def robustness_unit(metric: str) -> str:
+    """Unit of a metric's scores: metres, but agm is normalised."""
+    return "" if metric == "agm" else "m"

@@ -1,0 +1,124 @@
+"""A stage's rollouts: signals, detections and detection probabilities on ``step``."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+from scipy.special import expit
+
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.recording import colors, paths
+from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.types import ScoredRollouts, Signal, StageResult
+
+EMPHASISED = 5
+THICK = 2.5
+THIN = 1.0
+PEM_ALPHA = 70
+CROWDED = 300
+RASTER_RANGE = (0.0, 1.6)  # keeps a raster full of detections from glaring
+
+
+def log_rollouts(
+    file: RecordingFile,
+    stage: StageResult,
+    *,
+    kept: IntArray,
+    signals: Sequence[Signal],
+    dt_s: float,
+) -> None:
+    """Log the ``kept`` rollouts of a stage; each entity holds them in that order."""
+    scored = stage.scored
+    rollouts = scored.rollouts
+    steps = rollouts.detected.shape[1]
+    names = series_names(scored, kept)
+    shades = series_colors(scored.violated[kept])
+    widths = series_widths(kept.size)
+
+    def log(part: str, values: FloatArray, colours: Sequence[colors.Rgba]) -> None:
+        path = paths.rollouts(stage.stage, part)
+        times = StepTimes(stage=stage.stage, count=values.shape[1], dt_s=dt_s)
+        file.style(path, names=names, colors=colours, widths=widths)
+        file.series(path, values, times=times)
+
+    for signal in signals:
+        log(signal.key, rollouts.signals[signal.name][kept], shades)
+    grey = [colors.faded(colors.PEM, PEM_ALPHA)] * kept.size
+    log(paths.PEM_SERIES, expit(rollouts.pem_logit[kept]), grey)
+    log(paths.PROPOSAL_SERIES, expit(rollouts.proposal_logit[kept]), shades)
+    _log_detections(file, stage.stage, rollouts.detected[kept])
+    _log_missed_share(
+        file, scored, times=StepTimes(stage=stage.stage, count=steps, dt_s=dt_s), stage=stage.stage
+    )
+    _log_table(file, stage, kept)
+
+
+def series_names(scored: ScoredRollouts, kept: IntArray) -> list[str]:
+    """A name for each curve: the rollout's index in its stage and its robustness."""
+    return [f"rollout {i}, robustness {scored.robustness[i]:.3g}" for i in kept.tolist()]
+
+
+def series_colors(violated: BoolArray) -> list[colors.Rgba]:
+    """Violated or not, the last ``EMPHASISED`` opaque."""
+    faint = 110 if violated.size <= CROWDED else 60
+    plain = (colors.faded(colors.HOLDS, faint), colors.faded(colors.VIOLATED, faint + 40))
+    strong = (colors.HOLDS, colors.VIOLATED)
+    first_strong = violated.size - EMPHASISED
+    return [
+        (strong if place >= first_strong else plain)[int(flag)]
+        for place, flag in enumerate(violated.tolist())
+    ]
+
+
+def series_widths(count: int) -> list[float]:
+    """The last ``EMPHASISED`` curves, the least robust, are thick."""
+    return [THICK if place >= count - EMPHASISED else THIN for place in range(count)]
+
+
+def _log_detections(file: RecordingFile, stage: int, detected: BoolArray) -> None:
+    """The outcomes as a raster, least robust rollout in the first row."""
+    raster = np.ascontiguousarray(detected[::-1].astype(np.uint8))
+    file.at_stage(
+        paths.rollouts(stage, paths.DETECTED),
+        rr.Tensor(
+            raster, dim_names=("rollout, least robust on top", "step"), value_range=RASTER_RANGE
+        ),
+        stage=stage,
+    )
+
+
+def _log_missed_share(
+    file: RecordingFile, scored: ScoredRollouts, *, times: StepTimes, stage: int
+) -> None:
+    """The share of all rollouts that missed, for those that violate and those that do not."""
+    path = paths.rollouts(stage, paths.MISSED_SHARE)
+    groups = {
+        "specification holds": (~scored.violated, colors.HOLDS),
+        "violated": (scored.violated, colors.VIOLATED),
+    }
+    present = {name: group for name, group in groups.items() if group[0].any()}
+    missed = ~scored.rollouts.detected
+    file.style(
+        path,
+        names=[f"{name} ({int(rows.sum())})" for name, (rows, _) in present.items()],
+        colors=[color for _, color in present.values()],
+        widths=[2.0] * len(present),
+    )
+    shares = np.array([missed[rows].mean(axis=0) for rows, _ in present.values()])
+    file.series(path, shares, times=times)
+
+
+def _log_table(file: RecordingFile, stage: StageResult, kept: IntArray) -> None:
+    """What identifies and scores each curve, in the curves' order."""
+    rollouts, scored = stage.scored.rollouts, stage.scored
+    file.at_stage(
+        paths.rollouts(stage.stage, paths.TABLE),
+        rr.AnyValues(
+            rollout=kept,
+            robustness=scored.robustness[kept],
+            violated=scored.violated[kept],
+            log_weight=rollouts.log_weight[kept],
+            log_p=np.sum(rollouts.log_p, axis=1)[kept],
+        ),
+        stage=stage.stage,
+    )

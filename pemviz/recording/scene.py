@@ -1,0 +1,207 @@
+"""The least robust rollouts as a 3D scene, seen from the ego car.
+
+Every lane shows one rollout. The ego car's windscreen camera stays at x = 0, so that the lead
+car's rear stands at the gap and the rollouts can be compared; the road moves instead.
+Coordinates: x ahead, y to the left, z up, in metres.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from pemviz.arrays import AnyArray, FloatArray
+from pemviz.config import ScenarioConfig
+from pemviz.recording import colors, paths
+from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.recording.worst import Track
+from pemviz.simulators.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, EGO_SPEED, GAP
+
+LANES = 5
+POST_M = 5.5
+LABEL_M = 2.8
+LANE_SPACING_M = 4.5
+ROAD_START_M = -12.0
+ROAD_END_M = 32.0
+DASH_SPACING_M = 6.0
+DASH_M = 2.5
+TICKS_M = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
+BONNET_M = 1.8
+BONNET_HEIGHT_M = 0.9
+FOCAL_PX = 721.5
+IMAGE_PX = (1242, 375)
+AHEAD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+PAINT: colors.Rgba = (190, 190, 190, 255)
+ROAD: colors.Rgba = (55, 55, 60, 255)
+
+
+def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
+    """What never moves: axes, a ruler of gaps, and where emergency braking starts."""
+    file.static(paths.SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    near_m, far_m = -LANE_SPACING_M / 2, (LANES - 0.5) * LANE_SPACING_M
+    ticks = [[[x, near_m, 0.03], [x, far_m, 0.03]] for x in TICKS_M]
+    file.static(
+        paths.setting("ruler"),
+        rr.LineStrips3D(ticks, colors=colors.GREY, radii=0.02),
+    )
+    file.static(
+        paths.setting("ruler/labels"),
+        rr.Points3D(
+            [[x, near_m - 0.8, 0.0] for x in TICKS_M],
+            labels=[f"gap {x:g} m" for x in TICKS_M],
+            radii=0.05,
+            colors=colors.GREY,
+            show_labels=True,
+        ),
+    )
+    edge_m = scenario.emergency_gap_m
+    file.static(
+        paths.setting("emergency_gap"),
+        rr.LineStrips3D(
+            [[[edge_m, near_m, 0.05], [edge_m, far_m, 0.05], [edge_m, far_m, POST_M]]],
+            colors=colors.GREEN,
+            radii=0.07,
+        ),
+    )
+    file.static(
+        paths.setting("emergency_gap/label"),
+        rr.Points3D(
+            [[edge_m, far_m, POST_M]],
+            labels=[f"a detection nearer than {edge_m:g} m brakes hard"],
+            colors=colors.GREEN,
+            radii=0.02,
+            show_labels=True,
+        ),
+    )
+
+
+def log_scene(
+    file: RecordingFile, tracks: Sequence[Track], *, scenario: ScenarioConfig, stage: int
+) -> None:
+    """One lane for each of the first tracks; later calls replace what earlier ones drew."""
+    for rank, track in enumerate(tracks[:LANES], start=1):
+        _log_lane_setting(file, rank, scenario)
+        _log_lane(file, rank, track, scenario=scenario, stage=stage)
+
+
+def lane_y_m(rank: int) -> float:
+    """Where the lane's middle lies; the least robust rollout is nearest to the viewer."""
+    return (rank - 1) * LANE_SPACING_M
+
+
+def _log_lane_setting(file: RecordingFile, rank: int, scenario: ScenarioConfig) -> None:
+    if paths.lane(rank, "road") in file.logged:
+        return
+    y_m = lane_y_m(rank)
+    file.static(
+        paths.lane(rank, "road"),
+        rr.Boxes3D(
+            centers=[[(ROAD_START_M + ROAD_END_M) / 2, y_m, -0.06]],
+            half_sizes=[[(ROAD_END_M - ROAD_START_M) / 2, 0.45 * LANE_SPACING_M, 0.05]],
+            colors=ROAD,
+            fill_mode="solid",
+        ),
+    )
+    starts_m = np.arange(ROAD_START_M + DASH_SPACING_M, ROAD_END_M, DASH_SPACING_M)
+    side_m = y_m + 0.4 * LANE_SPACING_M
+    file.static(
+        paths.lane(rank, "paint"),
+        rr.LineStrips3D(
+            [[[x, side_m, 0.02], [x + DASH_M, side_m, 0.02]] for x in starts_m],
+            colors=PAINT,
+            radii=0.06,
+        ),
+    )
+    length_m = scenario.lead_length_m
+    ego = _car(x_m=BONNET_M - length_m, y_m=y_m, length_m=length_m, color=colors.WHITE)
+    file.static(paths.lane(rank, "ego"), ego)
+    file.static(
+        paths.lane(rank, "camera"),
+        rr.Transform3D(translation=[0.0, y_m, scenario.camera_height_m], mat3x3=AHEAD_FROM_CAMERA),
+        rr.Pinhole(
+            focal_length=FOCAL_PX, width=IMAGE_PX[0], height=IMAGE_PX[1], image_plane_distance=1.5
+        ),
+    )
+    file.static(
+        paths.lane(rank, "lead/body"), _car(x_m=0.0, y_m=y_m, length_m=length_m, color=None)
+    )
+
+
+def _car(*, x_m: float, y_m: float, length_m: float, color: colors.Rgba | None) -> rr.Boxes3D:
+    """Cabin and bonnet of a car whose rear is at ``x_m``; the bonnet ends in front.
+
+    What is logged once for all time hides what is logged over time: a car that changes its
+    colour gets none here.
+    """
+    cabin_m = length_m - BONNET_M
+    return rr.Boxes3D(
+        centers=[
+            [x_m + cabin_m / 2, y_m, CAR_HEIGHT_M / 2],
+            [x_m + cabin_m + BONNET_M / 2, y_m, BONNET_HEIGHT_M / 2],
+        ],
+        half_sizes=[
+            [cabin_m / 2, CAR_WIDTH_M / 2, CAR_HEIGHT_M / 2],
+            [BONNET_M / 2, CAR_WIDTH_M / 2, BONNET_HEIGHT_M / 2],
+        ],
+        colors=color,
+        fill_mode="solid",
+    )
+
+
+def _log_lane(
+    file: RecordingFile, rank: int, track: Track, *, scenario: ScenarioConfig, stage: int
+) -> None:
+    gap_m = track.signals[GAP]
+    times = StepTimes(stage=stage, count=gap_m.size, dt_s=scenario.dt_s)
+    shades = _outcome_colors(track)
+    zeros = np.zeros(gap_m.size)
+    lead = np.stack([gap_m, zeros, zeros], axis=1)
+    file.along(paths.lane(rank, "lead"), rr.Transform3D.columns(translation=lead), times=times)
+    file.along(paths.lane(rank, "lead/body"), rr.Boxes3D.columns(colors=shades), times=times)
+    file.along(paths.lane(rank, "camera"), rr.Pinhole.columns(color=shades), times=times)
+    travelled_m = _travelled_m(track.signals[EGO_SPEED], dt_s=scenario.dt_s)
+    road = np.stack([-(travelled_m % DASH_SPACING_M), zeros, zeros], axis=1)
+    file.along(paths.lane(rank, "paint"), rr.Transform3D.columns(translation=road), times=times)
+    _log_label(file, rank, track, times=times)
+
+
+def _log_label(file: RecordingFile, rank: int, track: Track, *, times: StepTimes) -> None:
+    """What happens at each step, in words, above the lead car."""
+    gap_m = track.signals[GAP]
+    outcomes = [*np.where(track.detected, "detected", "MISSED").tolist(), "end"]
+    words = [f"{word}, gap {gap:.1f} m" for word, gap in zip(outcomes, gap_m.tolist(), strict=True)]
+    y_m, x_m = lane_y_m(rank), np.maximum(gap_m, 0.0) + 2.5
+    position = np.stack([x_m, np.full(gap_m.size, y_m), np.full(gap_m.size, LABEL_M)], axis=1)
+    path = paths.lane(rank, "outcome")
+    file.static(
+        path, rr.Points3D.from_fields(radii=[0.05], colors=[colors.WHITE], show_labels=True)
+    )
+    file.along(
+        path,
+        rr.Points3D.columns(positions=position, labels=words),
+        times=times,
+    )
+    file.at_stage(
+        paths.lane(rank, "name"),
+        rr.Points3D(
+            [[-1.0, y_m, LABEL_M]],
+            labels=[f"rank {rank}: robustness {track.ranked.robustness:.3g}"],
+            radii=0.05,
+            colors=colors.WHITE,
+            show_labels=True,
+        ),
+        stage=times.stage,
+    )
+
+
+def _outcome_colors(track: Track) -> AnyArray:
+    """RGBA ``[T, 4]``: detected, missed, and grey at the last state, where nothing is seen."""
+    shades = np.empty((track.detected.size + 1, 4), dtype=np.uint8)
+    shades[:-1] = np.where(track.detected[:, None], colors.DETECTED, colors.MISSED)
+    shades[-1] = colors.GREY
+    return shades
+
+
+def _travelled_m(speed_mps: FloatArray, *, dt_s: float) -> FloatArray:
+    """Distance ``[T]`` since the start by explicit Euler, as the simulators step."""
+    return np.concatenate([[0.0], np.cumsum(speed_mps[:-1] * dt_s)])

@@ -1,0 +1,233 @@
+"""The texts of a recording, as markdown."""
+
+import json
+from collections.abc import Sequence
+
+from pemviz.config_files import config_text
+from pemviz.recording.learning import StageFigures
+from pemviz.recording.selection import Quota
+from pemviz.recording.worst import Track
+from pemviz.results import RunResult, result_document
+from pemviz.types import Estimate
+
+NOTHING = "none"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A figure for a reader; 'none' where it is undefined."""
+    return NOTHING if value is None else f"{value:.{digits}g}"
+
+
+def answer_text(result: RunResult, *, running: bool) -> str:
+    """The answer, its interval and diagnostics, and how to go on reading."""
+    estimate = result.estimate
+    parts = [_headline(estimate, running=running), *_status(result, running=running)]
+    if estimate is not None:
+        parts.append(_diagnostics(estimate))
+    parts.append(_question(result))
+    parts.append(
+        "## How to read on\n"
+        "- **Learning**: how the proposal came about, stage by stage.\n"
+        "- **Rollouts**: what was simulated; orange curves violate the specification, blue "
+        "ones do not, thick ones are the least robust.\n"
+        "- **Worst case**: the least robust rollouts; press play to watch them.\n"
+        "- **Config**: everything needed to run this again.\n\n"
+        "The time panel below moves along a rollout (timelines `step` and `sim_time`). "
+        "Choose `stage` there to replay the tab Learning."
+    )
+    return "\n\n".join(parts)
+
+
+def _headline(estimate: Estimate | None, *, running: bool) -> str:
+    if estimate is None:
+        return "# The run goes on" if running else "# No estimate"
+    if estimate.failures == 0:
+        return f"# No violation was seen\n\n{_interval(estimate)}{_caution(estimate)}"
+    shown = number(estimate.probability)
+    if estimate.probability == 0.0 and estimate.log10_probability is not None:
+        shown = f"10^{estimate.log10_probability:.1f}"
+    return f"# Probability of a violation: {shown}\n\n{_interval(estimate)}{_caution(estimate)}"
+
+
+def _interval(estimate: Estimate) -> str:
+    low, high = estimate.ci_low, estimate.ci_high
+    if low is None or high is None:
+        return "No interval is known."
+    return f"{estimate.confidence:.0%} interval: **{number(low)} to {number(high)}**"
+
+
+def _caution(estimate: Estimate) -> str:
+    return "\n\n**Read the warnings below before quoting this.**" if estimate.warnings else ""
+
+
+def _status(result: RunResult, *, running: bool) -> list[str]:
+    stages = len(result.stages)
+    if running:
+        return [f"Stages done so far: {stages}."]
+    if result.status == "done":
+        return []
+    reason = f": {result.message}" if result.message else ""
+    return [f"**The run {result.status}** after {stages} stages{reason}."]
+
+
+def _diagnostics(estimate: Estimate) -> str:
+    rows = [
+        ("method", estimate.method),
+        ("log10 of the probability", number(estimate.log10_probability, 4)),
+        ("standard error", number(estimate.std_error)),
+        ("rollouts simulated", f"{estimate.rollouts_simulated}"),
+        ("rollouts in the estimate", f"{estimate.rollouts_in_estimate}"),
+        ("of these, violations", f"{estimate.failures}"),
+        ("effective sample size of their weights", number(estimate.ess)),
+        ("largest weight's share", number(estimate.max_weight_share)),
+        ("Pareto k-hat (reliable up to 0.7)", number(estimate.pareto_k)),
+        ("mean NLL of the violations [nats]", number(estimate.nll_mean, 4)),
+        ("NLL of their mean likelihood [nats]", number(estimate.nll_log_mean, 4)),
+    ]
+    return _table(("figure", "value"), rows)
+
+
+def _question(result: RunResult) -> str:
+    config = result.config
+    return (
+        f"## What was asked\nHow likely is it that `{config.spec}` is violated, if perception "
+        f"misses as the error model **{result.pem.name}** says? Scenario: "
+        f"{config.scenario.initial_speed_kmh:g} km/h, {config.scenario.initial_gap_m:g} m behind "
+        f"a lead car that brakes at {config.scenario.lead_deceleration_mps2:g} m/s². "
+        f"Rollouts are ranked by the {config.metric} robustness; violations are always decided "
+        "by the classical one."
+    )
+
+
+def warnings_text(result: RunResult) -> str:
+    """The estimate's warnings, or that there are none."""
+    estimate = result.estimate
+    if result.message:
+        return f"# Warnings\n\n- {result.message}"
+    if estimate is None:
+        return "# Warnings\n\nNone so far; there is no estimate yet."
+    if not estimate.warnings:
+        return "# Warnings\n\nNone."
+    return "# Warnings\n\n" + "\n".join(f"- **{warning}**" for warning in estimate.warnings)
+
+
+def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
+    """Every stage's figures."""
+    header = (
+        "stage",
+        "rollouts",
+        f"threshold{_bracketed(robustness_unit)}",
+        "elites",
+        "violations",
+        "ESS",
+        "loss [nats a step]",
+        "log10 estimate (95 % interval)",
+    )
+    return "# Stages\n\n" + _table(header, [_stage_row(row) for row in rows])
+
+
+def _stage_row(row: StageFigures) -> tuple[str, ...]:
+    estimate = number(row.log10_probability, 4)
+    if row.log10_ci_low is not None and row.log10_ci_high is not None:
+        estimate += f" ({row.log10_ci_low:.1f} to {row.log10_ci_high:.1f})"
+    return (
+        f"{row.stage} {row.kind}",
+        f"{row.rollouts}",
+        number(row.threshold),
+        f"{row.elites}",
+        f"{row.failures}",
+        number(row.ess),
+        number(row.loss),
+        estimate,
+    )
+
+
+def worst_table(tracks: Sequence[Track]) -> str:
+    """The least robust rollouts."""
+    header = ("rank", "rollout", "violated", "misses", "longest chain", "NLL [nats]")
+    rows = [
+        (
+            f"{rank}",
+            track.title,
+            "yes" if track.ranked.violated else "no",
+            f"{track.ranked.misses}",
+            f"{longest_chain(track)}",
+            f"{track.ranked.nll:.1f}",
+        )
+        for rank, track in enumerate(tracks, start=1)
+    ]
+    return (
+        "# Least robust rollouts\n\nNLL: how unlikely the rollout's outcomes are under the "
+        "perception error model.\n\n" + _table(header, rows)
+    )
+
+
+def longest_chain(track: Track) -> int:
+    """Most misses in a row."""
+    longest = current = 0
+    for detected in track.detected.tolist():
+        current = 0 if detected else current + 1
+        longest = max(longest, current)
+    return longest
+
+
+def config_document(result: RunResult) -> str:
+    """The configuration as the run folder's ``config.toml`` has it."""
+    return f"# config.toml\n\n```toml\n{config_text(result.config)}```"
+
+
+def result_text(result: RunResult) -> str:
+    """The result as the run folder's ``result.json`` has it."""
+    return f"# result.json\n\n```json\n{json.dumps(result_document(result), indent=1)}\n```"
+
+
+def provenance_text(result: RunResult) -> str:
+    """Where the numbers come from and what they assume."""
+    versions = _table(("package", "version"), list(result.versions.items()))
+    timings = _table(
+        ("part", "seconds"), [(part, f"{s:.2f}") for part, s in result.timings_s.items()]
+    )
+    assumptions = "\n".join(f"- {assumption}" for assumption in result.assumptions)
+    return (
+        f"# Provenance\n\nRun **{result.run_id}**, seed {result.config.seed}.\n\n"
+        f"Perception error model **{result.pem.name}**, trained on: {result.pem.data} "
+        f"(SHA-256 `{result.pem.digest}`).\n\n## Assumed\n{assumptions}\n\n"
+        f"## Versions\n{versions}\n\n## Wall time\n{timings}"
+    )
+
+
+def contents_text(quota: Quota, *, repetitions: int) -> str:
+    """What this recording holds and leaves out."""
+    lines = [quota.describe()]
+    if repetitions > 1:
+        lines.append(
+            f"There are {repetitions} repetitions: rollouts, curves and stage figures are those "
+            "of the first (number 0); estimates and the least robust rollouts are of all."
+        )
+    lines.append(
+        "In each stage's plots, P(detected) of the proposal is the one that the stage's "
+        "rollouts were sampled from. Where a proposal depends on more than the gap, its curve "
+        "against gap takes all else as on average over the stage's rollouts near that gap."
+    )
+    lines.append(
+        "In the 3D scene all rollouts are seen from the ego car: its windscreen camera stands "
+        "at 0 m and the lead car's rear at the gap."
+    )
+    lines.append(
+        "Colours: blue holds or detected, orange-red violated or missed, yellow-orange the "
+        "proposal, grey the perception error model."
+    )
+    return "# About this recording\n\n" + "\n\n".join(lines)
+
+
+def _bracketed(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [_row(header), _row(["---"] * len(header)), *(_row(row) for row in rows)]
+    return "\n".join(lines)
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

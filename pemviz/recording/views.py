@@ -1,0 +1,328 @@
+"""The views of a recording as plain data: what is shown where, and under which title."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from pemviz.recording import paths
+from pemviz.types import Signal
+
+ViewKind = Literal["text", "bars", "series", "tensor", "states", "scene", "image"]
+ContainerKind = Literal["tabs", "horizontal", "vertical", "grid"]
+
+MOST_STAGE_TABS = 14
+MOST_CURVES = 12
+GRID_COLUMNS = 3
+PROBABILITY_AXIS = (-0.02, 1.03)
+
+
+@dataclass(frozen=True)
+class ViewSpec:
+    """One view.
+
+    Attributes:
+        kind: What it draws.
+        title: Names the quantities and their units.
+        paths: The entities it shows; the last is its subject, without which it is left out.
+        axis: Fixed range of the vertical axis.
+    """
+
+    kind: ViewKind
+    title: str
+    paths: tuple[str, ...]
+    axis: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class ContainerSpec:
+    """Views and containers side by side.
+
+    Attributes:
+        kind: How they are arranged.
+        title: Shown on a tab.
+        parts: What is inside.
+        shares: Relative sizes along the arrangement.
+        active: Index of the tab that is open at first.
+        columns: Columns of a grid.
+    """
+
+    kind: ContainerKind
+    title: str
+    parts: tuple["ViewSpec | ContainerSpec", ...]
+    shares: tuple[float, ...] | None = None
+    active: int = 0
+    columns: int = GRID_COLUMNS
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a run is about, as far as its views depend on it.
+
+    Attributes:
+        method: Its name.
+        stages: Stages of a repetition.
+        repetitions: How many.
+        signals: The scenario's signals.
+        robustness_unit: Unit of the ranking metric; empty if it has none.
+        frames: Whether highway-env's pictures are recorded.
+    """
+
+    method: str
+    stages: int
+    repetitions: int
+    signals: tuple[Signal, ...]
+    robustness_unit: str
+    frames: bool = False
+
+
+def all_views(subject: Subject) -> ContainerSpec:
+    """The tabs, in reading order."""
+    return ContainerSpec(
+        kind="tabs",
+        title="pemviz",
+        parts=(
+            _answer(subject),
+            _learning(subject),
+            _rollouts(subject),
+            _worst(subject),
+            _config(),
+        ),
+    )
+
+
+def views_of(spec: ViewSpec | ContainerSpec) -> list[ViewSpec]:
+    """All views, in order."""
+    if isinstance(spec, ViewSpec):
+        return [spec]
+    return [view for part in spec.parts for view in views_of(part)]
+
+
+def keep_views(spec: ContainerSpec, wanted: Callable[[ViewSpec], bool]) -> ContainerSpec | None:
+    """The container without unwanted views and without what is then empty."""
+    parts: list[ViewSpec | ContainerSpec] = []
+    shares: list[float] = []
+    active = 0
+    for index, part in enumerate(spec.parts):
+        if isinstance(part, ViewSpec):
+            kept = part if wanted(part) else None
+        else:
+            kept = keep_views(part, wanted)
+        if kept is None:
+            continue
+        if index <= spec.active:
+            active = len(parts)
+        parts.append(kept)
+        shares.append(spec.shares[index] if spec.shares else 1.0)
+    if not parts:
+        return None
+    return replace(
+        spec,
+        parts=tuple(parts),
+        shares=tuple(shares) if spec.shares else None,
+        active=active,
+    )
+
+
+def shown_stages(stages: int, limit: int = MOST_STAGE_TABS) -> list[int]:
+    """Stages that get a tab: all, or evenly spread ones with the first and the last."""
+    if stages <= limit:
+        return list(range(stages))
+    return sorted({round(float(s)) for s in np.linspace(0, stages - 1, limit)})
+
+
+def _bracketed(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _title(signal: Signal) -> str:
+    return f"{signal.name.replace('_', ' ').capitalize()}{_bracketed(signal.unit)} against step"
+
+
+def _estimate_view() -> ViewSpec:
+    return ViewSpec(
+        "bars",
+        "log10 estimate with interval against stage",
+        tuple(paths.bars(n) for n in ("log10_ci_low", "log10_probability", "log10_ci_high")),
+    )
+
+
+def _robustness_view(subject: Subject) -> ViewSpec:
+    title = f"Number of rollouts against robustness{_bracketed(subject.robustness_unit)}"
+    return ViewSpec("bars", title, (paths.ROBUSTNESS,))
+
+
+def _answer(subject: Subject) -> ContainerSpec:
+    gap = subject.signals[0]
+    plots: list[ViewSpec] = [_estimate_view() if subject.stages > 1 else _robustness_view(subject)]
+    if subject.repetitions > 1:
+        plots.append(
+            ViewSpec("bars", "log10 of the estimate against repetition", (paths.REPETITIONS,))
+        )
+    plots.append(
+        ViewSpec(
+            "series",
+            f"Least robust rollouts: {_title(gap).lower()}",
+            (paths.worst_series(gap.key),),
+        )
+    )
+    texts = ContainerSpec(
+        "vertical",
+        "Texts",
+        (
+            ViewSpec("text", "Answer", (paths.ANSWER,)),
+            ViewSpec("text", "Warnings", (paths.WARNINGS,)),
+        ),
+        shares=(4.0, 1.0),
+    )
+    return ContainerSpec(
+        "horizontal",
+        "Answer",
+        (texts, ContainerSpec("vertical", "Plots", tuple(plots))),
+        shares=(1.0, 1.0),
+    )
+
+
+def _learning(subject: Subject) -> ContainerSpec:
+    unit = _bracketed(subject.robustness_unit)
+    current = ContainerSpec(
+        "vertical",
+        "Now",
+        (
+            ViewSpec(
+                "bars",
+                "P(detected) against gap [m]: proposal (orange) beside the error model (grey)",
+                (paths.PEM_CURVE, paths.PROPOSAL_CURVE),
+            ),
+            ViewSpec("text", "Stages", (paths.STAGE_TABLE,)),
+        ),
+    )
+    if subject.stages == 1:
+        both = (current, _robustness_view(subject))
+        return ContainerSpec("horizontal", "Learning", both, shares=(1.2, 1.0))
+    figures = ContainerSpec(
+        "grid",
+        "Figures",
+        (
+            ViewSpec("bars", f"Threshold{unit} against stage", (paths.bars("threshold"),)),
+            ViewSpec("bars", "Violations [rollouts] against stage", (paths.bars("failures"),)),
+            ViewSpec("bars", "Effective sample size against stage", (paths.bars("ess"),)),
+            ViewSpec("bars", "Loss [nats a step] against stage", (paths.bars("loss"),)),
+            _estimate_view(),
+            _robustness_view(subject),
+        ),
+        columns=2,
+    )
+    overview = ContainerSpec("horizontal", "Overview", (current, figures), shares=(1.0, 1.2))
+    curves = ContainerSpec(
+        "grid",
+        "Proposal of every stage",
+        tuple(
+            ViewSpec(
+                "bars",
+                f"Stage {stage}: P(detected) against gap [m]",
+                (paths.PEM_CURVE, paths.stage_curve(stage)),
+            )
+            for stage in shown_stages(subject.stages, MOST_CURVES)
+        ),
+        columns=4,
+    )
+    return ContainerSpec("tabs", "Learning", (overview, curves))
+
+
+def _rollouts(subject: Subject) -> ContainerSpec:
+    shown = shown_stages(subject.stages)
+    tabs = tuple(_stage_rollouts(subject, stage) for stage in shown)
+    return ContainerSpec("tabs", "Rollouts", tabs, active=len(tabs) - 1)
+
+
+def _stage_rollouts(subject: Subject, stage: int) -> ContainerSpec:
+    def path(part: str) -> str:
+        return paths.rollouts(stage, part)
+
+    views = [ViewSpec("series", _title(signal), (path(signal.key),)) for signal in subject.signals]
+    views += [
+        ViewSpec(
+            "series",
+            "P(detected) against step: proposal (coloured), error model (grey)",
+            (path(paths.PEM_SERIES), path(paths.PROPOSAL_SERIES)),
+            axis=PROBABILITY_AXIS,
+        ),
+        ViewSpec(
+            "series",
+            "Share of rollouts that missed, against step",
+            (path(paths.MISSED_SHARE),),
+            axis=PROBABILITY_AXIS,
+        ),
+        ViewSpec(
+            "tensor",
+            "Outcomes: rollout against step, bright detected, dark missed",
+            (path(paths.DETECTED),),
+        ),
+    ]
+    return ContainerSpec("grid", f"Stage {stage}", tuple(views))
+
+
+def _worst(subject: Subject) -> ContainerSpec:
+    gap = subject.signals[0]
+    scene = ViewSpec(
+        "scene",
+        "Least robust rollouts as the ego car sees them [m], nearest is the least robust",
+        (paths.SCENE + paths.SUBTREE,),
+    )
+    frames = [ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,))]
+    plots = ContainerSpec(
+        "vertical",
+        "Plots",
+        (
+            *(frames if subject.frames else []),
+            ViewSpec(
+                "series",
+                f"Least robust rollouts: {_title(gap).lower()}",
+                (paths.worst_series(gap.key),),
+            ),
+            ViewSpec(
+                "series",
+                "Rank 1: P(detected) against step",
+                (paths.WORST_DETECTION,),
+                axis=PROBABILITY_AXIS,
+            ),
+        ),
+    )
+    upper = ContainerSpec("horizontal", "Scene", (scene, plots), shares=(1.6, 1.0))
+    lower = ContainerSpec(
+        "horizontal",
+        "Outcomes",
+        (
+            ViewSpec(
+                "states",
+                "Outcomes against step, by rank: blue detected, orange missed",
+                (paths.OUTCOMES + paths.SUBTREE,),
+            ),
+            ViewSpec("text", "Ranking", (paths.WORST_SUMMARY,)),
+        ),
+        shares=(1.6, 1.0),
+    )
+    return ContainerSpec("vertical", "Worst case", (upper, lower), shares=(1.25, 1.0))
+
+
+def _config() -> ContainerSpec:
+    left = ContainerSpec(
+        "vertical",
+        "About",
+        (
+            ViewSpec("text", "About this recording", (paths.CONTENTS,)),
+            ViewSpec("text", "Provenance", (paths.PROVENANCE,)),
+        ),
+        shares=(1.0, 2.0),
+    )
+    return ContainerSpec(
+        "horizontal",
+        "Config",
+        (
+            left,
+            ViewSpec("text", "Configuration", (paths.CONFIG,)),
+            ViewSpec("text", "Result", (paths.RESULT,)),
+        ),
+    )

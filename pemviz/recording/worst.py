@@ -1,0 +1,150 @@
+"""The least robust rollouts of a run: who they are, and their plots."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+
+import numpy as np
+import PIL.Image
+import rerun as rr
+from scipy.special import expit
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.config import ScenarioConfig
+from pemviz.recording import colors, paths
+from pemviz.recording.rollouts import THICK, THIN, series_colors
+from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.results import RankedRollout, RunResult
+from pemviz.types import Signal, StageResult
+
+JPEG_QUALITY = 85
+OUTCOME_LANES = 8
+KEPT_STATES = ("detected", "missed")
+
+
+@dataclass(frozen=True)
+class Track:
+    """One rollout that is among the least robust.
+
+    Attributes:
+        ranked: Which it is, and its scores.
+        signals: ``[T]`` by signal name.
+        detected: ``[T-1]`` outcomes.
+        pem_probability: ``[T-1]`` P(detected) under the perception error model.
+        proposal_probability: ``[T-1]`` P(detected) under the proposal.
+    """
+
+    ranked: RankedRollout
+    signals: dict[str, FloatArray]
+    detected: BoolArray
+    pem_probability: FloatArray
+    proposal_probability: FloatArray
+
+    @property
+    def title(self) -> str:
+        """For labels and legends."""
+        ranked = self.ranked
+        repetition = f"repetition {ranked.repetition}, " if ranked.repetition else ""
+        return (
+            f"{repetition}stage {ranked.stage}, rollout {ranked.rollout}, "
+            f"robustness {ranked.robustness:.3g}"
+        )
+
+
+def update_tracks(
+    tracks: Sequence[Track], stage: StageResult, result: RunResult
+) -> tuple[Track, ...]:
+    """The tracks of ``result``'s least robust rollouts, kept ones and those of a new stage."""
+    known = {_key(track.ranked): track for track in tracks}
+    current: list[Track] = []
+    for ranked in result.least_robust:
+        key = _key(ranked)
+        if key in known:
+            current.append(known[key])
+        elif (ranked.repetition, ranked.stage) == (stage.repetition, stage.stage):
+            current.append(_track(stage, ranked))
+    return tuple(current)
+
+
+def _key(ranked: RankedRollout) -> tuple[int, int, int]:
+    return (ranked.repetition, ranked.stage, ranked.rollout)
+
+
+def _track(stage: StageResult, ranked: RankedRollout) -> Track:
+    rollouts, row = stage.scored.rollouts, ranked.rollout
+    return Track(
+        ranked=ranked,
+        signals={name: values[row].copy() for name, values in rollouts.signals.items()},
+        detected=rollouts.detected[row].copy(),
+        pem_probability=np.asarray(expit(rollouts.pem_logit[row])),
+        proposal_probability=np.asarray(expit(rollouts.proposal_logit[row])),
+    )
+
+
+def log_worst_plots(
+    file: RecordingFile,
+    tracks: Sequence[Track],
+    *,
+    signals: Sequence[Signal],
+    stage: int,
+    dt_s: float,
+) -> None:
+    """Signals of all tracks, outcomes of each, detection probabilities of the least robust."""
+    steps = tracks[0].detected.size
+    acting = StepTimes(stage=stage, count=steps, dt_s=dt_s)
+    drawn = tracks[::-1]
+    violated = np.array([track.ranked.violated for track in drawn])
+    for signal in signals:
+        path = paths.worst_series(signal.key)
+        values = np.array([track.signals[signal.name] for track in drawn])
+        file.style(
+            path,
+            names=[track.title for track in drawn],
+            colors=series_colors(violated),
+            widths=[THICK if track is tracks[0] else THIN for track in drawn],
+        )
+        file.series(path, values, times=StepTimes(stage=stage, count=steps + 1, dt_s=dt_s))
+    file.style(
+        paths.WORST_DETECTION,
+        names=["perception error model", "proposal it was sampled from"],
+        colors=[colors.PEM, colors.PROPOSAL],
+        widths=[2.0, 2.0],
+    )
+    worst = tracks[0]
+    file.series(
+        paths.WORST_DETECTION,
+        np.array([worst.pem_probability, worst.proposal_probability]),
+        times=acting,
+    )
+    for rank, track in enumerate(tracks[:OUTCOME_LANES], start=1):
+        _log_outcomes(file, track, path=paths.outcomes(rank), times=acting)
+
+
+def _log_outcomes(file: RecordingFile, track: Track, *, path: str, times: StepTimes) -> None:
+    """A lane that changes colour where perception missed."""
+    file.static(
+        path,
+        rr.StateConfiguration(
+            values=list(KEPT_STATES),
+            labels=[" ", "miss"],
+            colors=[colors.DETECTED, colors.MISSED],
+        ),
+    )
+    words = np.where(track.detected, *KEPT_STATES).tolist()
+    file.along(path, rr.StateChange.columns(state=words), times=times)
+
+
+def log_frames(file: RecordingFile, track: Track, *, scenario: ScenarioConfig, stage: int) -> None:
+    """The rollout filmed from above by highway-env, one JPEG picture for each state."""
+    from pemviz.simulators.highway import frames  # noqa: PLC0415  pulls in pygame
+
+    encoded = [_jpeg(frame) for frame in frames(scenario, detected=track.detected)]
+    times = StepTimes(stage=stage, count=len(encoded), dt_s=scenario.dt_s)
+    file.static(paths.FRAMES, rr.EncodedImage.from_fields(media_type="image/jpeg"))
+    file.along(paths.FRAMES, rr.EncodedImage.columns(blob=encoded), times=times)
+
+
+def _jpeg(frame: AnyArray) -> bytes:
+    buffer = BytesIO()
+    PIL.Image.fromarray(np.ascontiguousarray(frame)).save(buffer, "JPEG", quality=JPEG_QUALITY)
+    return buffer.getvalue()

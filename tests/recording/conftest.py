@@ -1,0 +1,112 @@
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.engine import run
+from pemviz.events import StageDone
+from pemviz.experiment import Experiment, build_experiment
+from pemviz.recording import Recorder, read
+from pemviz.results import RunResult
+from pemviz.store import RunStore
+from pemviz.types import StageResult
+from tests.toy import constant_pem
+
+LEARNING = ExperimentConfig(stages=2, rollouts=40, final_rollouts=60, epochs=20)
+
+
+class Listener:
+    """Keeps the stages and events it hears."""
+
+    def __init__(self):
+        self.events = []
+
+    def notify(self, event):
+        self.events.append(event)
+
+    @property
+    def stages(self) -> list[StageResult]:
+        return [event.stage for event in self.events if isinstance(event, StageDone)]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A run and what it left."""
+
+    folder: Path
+    result: RunResult
+    events: list
+    stages: list[StageResult]
+
+    @property
+    def path(self) -> Path:
+        return self.folder / "run.rrd"
+
+
+def with_blind_pem(config: ExperimentConfig) -> Experiment:
+    """The experiment with an error model that misses half of the time: violations are common."""
+    experiment = build_experiment(config)
+    pem = constant_pem(detection_probability=0.5)
+    return replace(experiment, problem=replace(experiment.problem, pem_logit=pem))
+
+
+def record(experiment: Experiment, folder: Path, **options) -> Recorded:
+    listener = Listener()
+    recorder = Recorder(folder / "run.rrd", pem_logit=experiment.problem.pem_logit, **options)
+    result = run(experiment, run_id="a-run", observers=[RunStore(folder), listener, recorder])
+    return Recorded(folder, result, listener.events, listener.stages)
+
+
+@pytest.fixture(scope="session")
+def learned(tmp_path_factory) -> Recorded:
+    """An adaptive run with violations in every stage."""
+    return record(with_blind_pem(LEARNING), tmp_path_factory.mktemp("learned"))
+
+
+def chunks(path: Path) -> list:
+    return list(read.chunks(path))
+
+
+def texts(path: Path) -> dict[str, str]:
+    """The last text at each path."""
+    found = {}
+    for chunk in chunks(path):
+        batch = chunk.to_record_batch()
+        if "TextDocument:text" in batch.schema.names:
+            found[chunk.entity_path] = batch["TextDocument:text"].to_pylist()[-1][0]
+    return found
+
+
+def bars(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
+    """Abscissa and values of the last bar chart at a path."""
+    found = None
+    for chunk in chunks(path):
+        if chunk.entity_path == entity:
+            batch = chunk.to_record_batch()
+            if "BarChart:values" in batch.schema.names:
+                found = [
+                    tensor_values(batch[name].to_pylist()[-1][0])
+                    for name in ("BarChart:abscissa", "BarChart:values")
+                ]
+    assert found is not None, f"no bars at {entity}"
+    return found[0], found[1]
+
+
+def tensor_values(tensor) -> np.ndarray:
+    buffer = tensor["buffer"]
+    values = next(iter(buffer.values())) if isinstance(buffer, dict) else buffer
+    return np.asarray(values, dtype=np.float64).reshape(tensor["shape"])
+
+
+def scalars(path: Path, entity: str, timeline: str) -> dict[int, list[float]]:
+    """Rows of scalars by time."""
+    rows = {}
+    for chunk in chunks(path):
+        if chunk.entity_path == entity and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            rows.update(
+                zip(batch[timeline].to_pylist(), batch["Scalars:scalars"].to_pylist(), strict=True)
+            )
+    return rows

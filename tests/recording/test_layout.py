@@ -1,0 +1,247 @@
+"""Every view shows something, every path is documented, texts say what is left out."""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.engine import run
+from pemviz.events import RunDone, StageDone
+from pemviz.experiment import build_experiment
+from pemviz.recording import Recorder, paths, text
+from pemviz.recording.blueprint import blueprint, shown, views_with_data
+from pemviz.recording.views import (
+    ContainerSpec,
+    Subject,
+    ViewSpec,
+    all_views,
+    keep_views,
+    shown_stages,
+    views_of,
+)
+from tests.recording.conftest import LEARNING, chunks, record, texts, with_blind_pem
+
+PACKAGE = Path(text.__file__).parent
+TABS = ["Answer", "Learning", "Rollouts", "Worst case", "Config"]
+
+
+def subject_of(recorded, **changes) -> Subject:
+    started = recorded.events[0]
+    config = started.config
+    subject = Subject(
+        method=config.method,
+        stages=started.stages,
+        repetitions=config.repetitions,
+        signals=started.signals,
+        robustness_unit="m",
+    )
+    return replace(subject, **changes)
+
+
+def entities(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in chunks(path)}
+
+
+def empty_views(views, logged):
+    return [
+        (view.title, path)
+        for view in views_of(views)
+        for path in view.paths
+        if not shown(path, logged)
+    ]
+
+
+def test_every_view_of_a_learning_run_points_at_something_logged(learned):
+    assert empty_views(all_views(subject_of(learned)), entities(learned.path)) == []
+
+
+def test_every_view_of_a_run_without_violations_points_at_something_logged(tmp_path):
+    config = replace(LEARNING, method="monte-carlo", final_rollouts=20)
+    recorded = record(build_experiment(config), tmp_path)
+    logged = entities(recorded.path)
+    kept = views_with_data(all_views(subject_of(recorded)), logged)
+    titles = [view.title for view in views_of(kept)]
+    assert all(shown(view.paths[-1], logged) for view in views_of(kept))
+    assert empty_views(kept, logged) == []
+    assert "Answer" in titles
+    assert "Effective sample size against stage" not in titles
+
+
+def test_views_follow_repetitions_and_frames(tmp_path):
+    pytest.importorskip("highway_env")
+    short = replace(LEARNING.scenario, states=8)
+    config = replace(
+        LEARNING, method="naive", spec="always[0,7] (gap >= 14.9)", scenario=short, repetitions=2,
+        final_rollouts=10,
+    )  # fmt: skip
+    recorded = record(with_blind_pem(config), tmp_path, frames=True)
+    logged = entities(recorded.path)
+    assert paths.FRAMES in logged
+    pictures = [c for c in chunks(recorded.path) if c.entity_path == paths.FRAMES]
+    rows = [c for c in pictures if not c.is_static]
+    assert sum(c.num_rows for c in rows) == 8
+    blob = rows[0].to_record_batch()["EncodedImage:blob"].to_pylist()[0][0]
+    assert bytes(blob).startswith(b"\xff\xd8")
+    wanted = subject_of(recorded, frames=True)
+    missing = {title for title, _ in empty_views(all_views(wanted), logged)}
+    assert not missing
+
+
+def test_tabs_read_in_order(learned):
+    assert [part.title for part in all_views(subject_of(learned)).parts] == TABS
+
+
+def test_blueprint_in_the_file_has_the_views(learned):
+    import rerun as rr  # noqa: PLC0415
+
+    reader = rr.chunk.RrdReader(learned.path)
+    assert len(reader.blueprints()) == 1, "a complete run needs no second layout"
+    stored = list(reader.stream(store=reader.blueprints()[0]))
+    names = {
+        name
+        for chunk in stored
+        for column in ["ViewBlueprint:display_name"]
+        if column in chunk.to_record_batch().schema.names
+        for row in chunk.to_record_batch()[column].to_pylist()
+        for name in row
+    }
+    assert names == {view.title for view in views_of(all_views(subject_of(learned)))}
+
+
+def test_titles_name_axes_with_units(learned):
+    plots = [v for v in views_of(all_views(subject_of(learned))) if v.kind in ("bars", "series")]
+    assert plots
+    assert all("against" in view.title for view in plots)
+    assert any("[m/s]" in view.title for view in plots)
+
+
+def test_paths_are_spelled_out_in_one_module():
+    for module in PACKAGE.glob("*.py"):
+        if module.name == "paths.py":
+            continue
+        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                roots = [
+                    root
+                    for root in ("/answer", "/learning", "/rollouts", "/worst_case", "/config")
+                    if node.value.startswith(root)
+                ]
+                assert not roots, f"{module.name}: {node.value}"
+
+
+def test_every_logged_path_belongs_to_a_documented_root(learned):
+    roots = (paths.LEARNING, paths.ROLLOUTS, paths.WORST, "/answer", "/config", "/__properties")
+    recording = {c.entity_path for c in chunks(learned.path)}
+    layout = {p for p in recording if p.split("/")[1] in ("view", "container", "viewport")}
+    panels = {p for p in recording if p.endswith("_panel")}
+    assert [p for p in recording - layout - panels if not p.startswith(roots)] == []
+
+
+def test_a_stopped_run_has_no_views_of_what_it_did_not_reach(tmp_path):
+    class StopAfterFirstStage:
+        stop = False
+
+        def notify(self, event):
+            self.stop |= isinstance(event, StageDone)
+
+    watcher = StopAfterFirstStage()
+    experiment = with_blind_pem(LEARNING)
+    path = tmp_path / "run.rrd"
+    result = run(
+        experiment,
+        observers=[Recorder(path, pem_logit=experiment.problem.pem_logit), watcher],
+        should_stop=lambda: watcher.stop,
+    )
+    assert result.status == "stopped"
+    logged = entities(path)
+    assert paths.rollouts(0, "gap_m") in logged
+    assert paths.rollouts(1, "gap_m") not in logged
+    assert "The run stopped" in texts(path)[paths.ANSWER]
+    kept = views_with_data(
+        all_views(Subject("adaptive", 4, 1, experiment.problem.simulator.signals, "m")), logged
+    )
+    assert "Stage 1" not in str(kept)
+
+
+def test_texts_tell_answer_config_and_what_is_recorded(learned):
+    found = texts(learned.path)
+    estimate = learned.result.estimate
+    assert f"{estimate.probability:.3g}" in found[paths.ANSWER]
+    assert "always[0,99] (gap >= 2.0)" in found[paths.ANSWER]
+    for warning in estimate.warnings:
+        assert warning in found[paths.WARNINGS]
+    assert 'method = "adaptive"' in found[paths.CONFIG]
+    assert '"run_id": "a-run"' in found[paths.RESULT]
+    assert "Every rollout is recorded" in found[paths.CONTENTS]
+    assert learned.result.pem.digest in found[paths.PROVENANCE]
+    assert found[paths.STAGE_TABLE].count("\n| ") == 2 + 4
+    assert found[paths.WORST_SUMMARY].count("\n| ") == 2 + 20
+
+
+def test_no_violation_is_said_in_words(tmp_path):
+    config = replace(LEARNING, method="monte-carlo", final_rollouts=20)
+    recorded = record(build_experiment(config), tmp_path)
+    found = texts(recorded.path)
+    assert "No violation was seen" in found[paths.ANSWER]
+    assert "no failure in 20 rollouts" in found[paths.WARNINGS]
+
+
+def test_a_sample_of_rollouts_is_said_to_be_one(tmp_path):
+    config = replace(LEARNING, method="naive", final_rollouts=200)
+    recorded = record(with_blind_pem(config), tmp_path, rollout_limit=80)
+    found = texts(recorded.path)[paths.CONTENTS]
+    assert "the 20 least robust and an even sample of 60 others" in found
+
+
+def test_repetitions_are_said_to_be_left_out(tmp_path):
+    config = replace(LEARNING, method="naive", final_rollouts=10, repetitions=2)
+    recorded = record(with_blind_pem(config), tmp_path)
+    assert "2 repetitions" in texts(recorded.path)[paths.CONTENTS]
+
+
+def test_two_runs_do_not_merge_in_a_viewer(tmp_path):
+    import rerun as rr  # noqa: PLC0415
+
+    config = replace(LEARNING, method="naive", final_rollouts=10)
+    identifiers = set()
+    for name in ("one", "two"):
+        folder = tmp_path / name
+        folder.mkdir()
+        recorded = record(with_blind_pem(config), folder)
+        identifiers |= {e.recording_id for e in rr.chunk.RrdReader(recorded.path).recordings()}
+    assert len(identifiers) == 2
+
+
+def test_shown_stages_are_all_or_spread_with_both_ends():
+    assert shown_stages(12) == list(range(12))
+    many = shown_stages(1002)
+    assert many[0] == 0
+    assert many[-1] == 1001
+    assert len(many) == 14
+    assert np.ptp(np.diff(many)) <= 1
+
+
+def test_dropping_views_keeps_the_open_tab():
+    views = [ViewSpec("text", name, (f"/x/{name}",)) for name in "abc"]
+    tabs = ContainerSpec("tabs", "tabs", tuple(views), active=2)
+    kept = keep_views(tabs, lambda view: view.title != "a")
+    assert kept is not None
+    assert kept.parts[kept.active].title == "c"
+    assert keep_views(tabs, lambda view: False) is None
+
+
+@pytest.mark.parametrize("stages", [1, 3, 200])
+def test_blueprints_are_built_for_any_number_of_stages(stages):
+    signals = build_experiment(ExperimentConfig()).problem.simulator.signals
+    for repetitions in (1, 5):
+        subject = Subject("adaptive", stages, repetitions, signals, "m", frames=True)
+        assert blueprint(all_views(subject)) is not None
+
+
+def test_events_after_the_end_are_ignored(learned, tmp_path):
+    recorder = Recorder(tmp_path / "run.rrd")
+    recorder.notify(RunDone(result=learned.result))
+    assert not (tmp_path / "run.rrd").exists()

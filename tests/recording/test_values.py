@@ -1,0 +1,185 @@
+"""What a recording holds equals what the run computed, to the last bit."""
+
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun_cli
+from scipy.special import expit
+
+from pemviz.curves import detection_curves, gap_grid
+from pemviz.engine import run
+from pemviz.recording import paths
+from pemviz.recording.read import read_stages
+from pemviz.sampling.estimates import importance_sampling_estimate
+from tests.recording.conftest import (
+    LEARNING,
+    bars,
+    chunks,
+    record,
+    scalars,
+    with_blind_pem,
+)
+
+RERUN = Path(rerun_cli.__file__).parent / "rerun"
+
+
+def verify(path):
+    return subprocess.run([RERUN, "rrd", "verify", path], capture_output=True, check=False)
+
+
+def test_rerun_verifies_the_file(learned):
+    done = verify(learned.path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_rollout_reads_back_exactly(learned):
+    recorded = read_stages(learned.path)
+    assert sorted(recorded) == [stage.stage for stage in learned.stages] == [0, 1, 2, 3]
+    for stage in learned.stages:
+        found, rollouts = recorded[stage.stage], stage.scored.rollouts
+        np.testing.assert_array_equal(found.rollout, np.arange(rollouts.count))
+        for key, name in (
+            ("gap_m", "gap"),
+            ("ego_speed_mps", "ego_speed"),
+            ("lead_speed_mps", "lead_speed"),
+        ):
+            np.testing.assert_array_equal(found.series[key], rollouts.signals[name])
+        np.testing.assert_array_equal(found.detected, rollouts.detected)
+        np.testing.assert_array_equal(found.series["p_detected_pem"], expit(rollouts.pem_logit))
+        np.testing.assert_array_equal(
+            found.series["p_detected_proposal"], expit(rollouts.proposal_logit)
+        )
+        np.testing.assert_array_equal(found.robustness, stage.scored.robustness)
+        np.testing.assert_array_equal(found.violated, stage.scored.violated)
+        np.testing.assert_array_equal(found.log_weight, rollouts.log_weight)
+        np.testing.assert_array_equal(found.log_p, rollouts.log_p.sum(axis=1))
+
+
+def test_rollouts_equal_those_of_the_run_folder(learned):
+    arrays = np.load(learned.folder / "rollouts.npz")
+    for stage, found in read_stages(learned.path).items():
+        rows = arrays["stage"] == stage
+        for key in ("gap_m", "ego_speed_mps", "lead_speed_mps"):
+            np.testing.assert_array_equal(found.series[key], arrays[key][rows])
+        for key in ("detected", "robustness", "violated"):
+            np.testing.assert_array_equal(getattr(found, key), arrays[key][rows])
+
+
+def test_timelines_are_those_documented_and_agree(learned):
+    entity = paths.rollouts(1, "gap_m")
+    rows = [c for c in chunks(learned.path) if c.entity_path == entity and not c.is_static]
+    batch = rows[0].to_record_batch()
+    assert batch["step"].to_pylist() == list(range(100))
+    assert set(batch["stage"].to_pylist()) == {1}
+    dt_s = LEARNING.scenario.dt_s
+    seconds = [duration.total_seconds() for duration in batch["sim_time"].to_pylist()]
+    np.testing.assert_allclose(seconds, np.arange(100) * dt_s, atol=1e-6)
+    for chunk in chunks(learned.path):
+        assert set(chunk.timeline_names) <= set(paths.TIMELINES)
+
+
+def test_figures_of_each_stage_are_on_the_stage_timeline(learned):
+    fields = {"threshold": "threshold", "failures": "failures", "ess": "ess", "loss": "loss",
+              "log10_probability": "log10_probability"}  # fmt: skip
+    for name, field in fields.items():
+        rows = scalars(learned.path, paths.figure(name), paths.STAGE)
+        expected = {
+            stage.stage: [float(getattr(stage, field))]
+            for stage in learned.stages
+            if getattr(stage, field) is not None
+        }
+        assert rows == expected
+
+
+def test_each_stages_interval_is_that_of_an_estimate_from_its_rollouts(learned):
+    low = scalars(learned.path, paths.figure("log10_ci_low"), paths.STAGE)
+    high = scalars(learned.path, paths.figure("log10_ci_high"), paths.STAGE)
+    for stage in learned.stages:
+        estimate = importance_sampling_estimate(
+            stage.scored, method="adaptive", rollouts_simulated=stage.scored.rollouts.count
+        )
+        assert low[stage.stage] == pytest.approx([np.log10(estimate.ci_low)])
+        assert high[stage.stage] == pytest.approx([np.log10(estimate.ci_high)])
+
+
+def test_bars_show_every_stage_so_far(learned):
+    for name in ("failures", "loss"):
+        abscissa, values = bars(learned.path, paths.bars(name))
+        known = [s for s in learned.stages if getattr(s, name) is not None]
+        assert values.tolist() == [getattr(stage, name) for stage in known]
+        np.testing.assert_allclose(abscissa + 0.4, [stage.stage for stage in known])
+
+
+def test_curves_against_gap_are_those_of_the_proposal_sampled_from(learned):
+    experiment = with_blind_pem(LEARNING)
+    simulator = experiment.problem.simulator
+    for stage in learned.stages:
+        expected = detection_curves(
+            simulator=simulator,
+            pem_logit=experiment.problem.pem_logit,
+            proposal=stage.sampled_from,
+            gap_m=gap_grid(simulator),
+            rollouts=stage.scored.rollouts,
+        )
+        gap_m, probability = bars(learned.path, paths.stage_curve(stage.stage))
+        np.testing.assert_array_equal(gap_m, expected.gap_m)
+        np.testing.assert_array_equal(probability, expected.proposal)
+    _, pem = bars(learned.path, paths.PEM_CURVE)
+    np.testing.assert_array_equal(pem, expected.pem)
+
+
+def test_histogram_counts_every_rollout(learned):
+    _, counts = bars(learned.path, paths.ROBUSTNESS)
+    assert counts.sum() == LEARNING.final_rollouts
+
+
+def test_least_robust_outcomes_are_recorded(learned):
+    worst = learned.result.least_robust[0]
+    stage = learned.stages[worst.stage]
+    detected = stage.scored.rollouts.detected[worst.rollout]
+    rows = [
+        batch["StateChange:state"].to_pylist()
+        for batch in (
+            chunk.to_record_batch()
+            for chunk in chunks(learned.path)
+            if chunk.entity_path == paths.outcomes(1) and not chunk.is_static
+        )
+    ]
+    assert [[word] for word in np.where(detected, "detected", "missed").tolist()] == rows[0]
+
+
+def test_scene_places_the_lead_car_at_the_gap(learned):
+    worst = learned.result.least_robust[0]
+    gap_m = learned.stages[worst.stage].scored.rollouts.signals["gap"][worst.rollout]
+    latest = [c for c in chunks(learned.path) if c.entity_path == paths.lane(1, "lead")][-1]
+    places = latest.to_record_batch()["Transform3D:translation"].to_pylist()
+    np.testing.assert_allclose([row[0][0] for row in places], gap_m, atol=1e-5)
+
+
+def test_recording_changes_no_digit_of_the_result(learned):
+    alone = run(with_blind_pem(LEARNING), run_id="a-run")
+    assert replace(alone, timings_s={}) == replace(learned.result, timings_s={})
+
+
+def test_repetitions_show_the_first_in_detail_and_every_estimate(tmp_path):
+    config = replace(LEARNING, method="naive", repetitions=3, final_rollouts=30)
+    recorded = record(with_blind_pem(config), tmp_path)
+    found = read_stages(recorded.path)
+    np.testing.assert_array_equal(
+        found[0].series["gap_m"], recorded.stages[0].scored.rollouts.signals["gap"]
+    )
+    abscissa, values = bars(recorded.path, paths.REPETITIONS)
+    np.testing.assert_allclose(abscissa + 0.4, [0, 1, 2])
+    assert values.tolist() == [e.log10_probability for e in recorded.result.repetitions]
+
+
+def test_another_metric_is_recorded_too(tmp_path):
+    config = replace(LEARNING, method="naive", metric="agm", final_rollouts=30)
+    recorded = record(with_blind_pem(config), tmp_path)
+    assert verify(recorded.path).returncode == 0
+    np.testing.assert_array_equal(
+        read_stages(recorded.path)[0].robustness, recorded.stages[0].scored.robustness
+    )

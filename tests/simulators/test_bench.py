@@ -1,0 +1,17 @@
+import math
+
+from pemviz.bench.simulators import simulator_figures
+from pemviz.config import ScenarioConfig
+
+
+def test_rates_and_ratios_belong_together() -> None:
+    # One repeat leaves nothing to take medians over: the ratios are the rates'.
+    figures = simulator_figures(
+        ScenarioConfig(states=5), vectorized_rollouts=10, highway_rollouts=2, repeats=1
+    )
+    batch, vectorized, highway, bare, gain, cost = (figure.value for figure in figures)
+    assert [figure.unit for figure in figures] == ["ms", *["rollouts/s"] * 3, "", ""]
+    assert min(batch, vectorized, highway, bare) > 0
+    assert math.isclose(10 / vectorized, batch / 1e3)
+    assert math.isclose(gain, vectorized / highway)
+    assert math.isclose(cost, bare / highway)
