@@ -17,6 +17,8 @@ from pemviz.sampling.direct import DirectSampling
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
 from pemviz.sampling.rollout import replay
+from pemviz.sampling.value_specification import unsafe_states
+from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.simulators.vectorized import VectorizedSimulator
 from pemviz.types import Simulator
 
@@ -73,7 +75,10 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         batch_rollouts=(
             SLOW_BATCH_ROLLOUTS if config.simulator == "highway-env" else BATCH_ROLLOUTS
         ),
+        unsafe=unsafe_states(formula),
     )
+    if config.method == "value-twisted":
+        require_unsafe(problem)
     return Experiment(
         config=config,
         pem=pem,
@@ -161,6 +166,12 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             alpha=config.alpha,
             epochs=config.epochs,
             learning_rate=config.learning_rate,
+            seed=config.seed,
+        )
+    if config.method == "value-twisted":
+        return ValueTwistedSampling(
+            twin=VectorizedSimulator(config.scenario),
+            rollouts=config.final_rollouts,
             seed=config.seed,
         )
     proposal = (

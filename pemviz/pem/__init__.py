@@ -17,7 +17,7 @@ from pemviz.pem.protocol import (
     PemEnsemble,
 )
 from pemviz.pem.reweight import compare_pems, pem_interval, reweight
-from pemviz.pem.support import SupportSummary, support_of
+from pemviz.pem.support import SupportSummary, support_from_json, support_of
 from pemviz.pem.support_check import SupportReport, data_bound_pem, support_check
 from pemviz.pem.table import SalientTable, load_table, save_table
 
@@ -49,5 +49,6 @@ __all__ = [
     "save_table",
     "shipped_pems",
     "support_check",
+    "support_from_json",
     "support_of",
 ]

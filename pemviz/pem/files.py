@@ -15,6 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pemviz.arrays import AnyArray
+from pemviz.files import write_bytes
 from pemviz.pem.authors import authors_pem, is_authors_checkpoint
 from pemviz.pem.card import PemCard, card_from_mapping
 from pemviz.pem.encoding import PAPER_INPUTS
@@ -50,7 +51,7 @@ def save_pem(pem: StoredPem, path: Path) -> None:
     }
     text = json.dumps(header, sort_keys=True, allow_nan=False)
     contiguous = {name: np.ascontiguousarray(array) for name, array in pem.tensors().items()}
-    path.write_bytes(save(contiguous, metadata={METADATA_KEY: text}))
+    write_bytes(path, save(contiguous, metadata={METADATA_KEY: text}))
 
 
 def load_file(path: Path) -> StoredPem:

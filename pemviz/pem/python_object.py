@@ -32,11 +32,12 @@ def load_object(text: str, *, allowed: bool) -> Pem:
         found: object = import_module(module_name)
         for part in attribute.split("."):
             found = getattr(found, part)
-        if not isinstance(found, Pem) and callable(found):
+        # A class passes for a model by its attributes: it is an instance that answers.
+        if isinstance(found, type) or (not isinstance(found, Pem) and callable(found)):
             found = found()
     except Exception as error:
         raise PemError(f"{text!r} cannot be imported: {type(error).__name__}: {error}") from error
-    if isinstance(found, type) or not isinstance(found, Pem):
+    if not isinstance(found, Pem):
         raise PemError(
             f"{text!r} is no perception error model: it needs name, digest, data, licence, logit"
         )

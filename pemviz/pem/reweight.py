@@ -104,9 +104,23 @@ def reweight(
     log_q: FloatArray,
     violated: BoolArray,
     members: Sequence[Pem],
+    rollouts: int | None = None,
 ) -> MemberEstimates:
-    """Estimate mu under each member from the same rollouts; arguments as failing_log_weights."""
-    rollouts = len(violated)
+    """Estimate mu under each member from the same rollouts.
+
+    Args:
+        detected: outcomes of perception, shape [N, T-1].
+        salient: what the models see, shape [N, T-1, 11].
+        log_q: log probabilities under the proposal, shape [N, T-1] or [N].
+        violated: which rollouts violate the specification, shape [N].
+        members: the models.
+        rollouts: how many rollouts were drawn, if the arrays hold only some of them, at least
+            all that violate; N if None.
+
+    Raises:
+        PemError: the shapes do not fit together, or rollouts is below N.
+    """
+    rollouts = _drawn(rollouts, given=len(violated))
     log_mu, relative, effective = (np.empty(len(members)) for _ in range(3))
     for index, member in enumerate(members):
         log_weight = failing_log_weights(
@@ -155,6 +169,7 @@ def compare_pems(
     violated: BoolArray,
     old: Pem,
     new: Pem,
+    rollouts: int | None = None,
     confidence: float = 0.95,
 ) -> RatioInterval:
     """Ratio of mu under ``new`` to mu under ``old``, from the same rollouts.
@@ -169,6 +184,7 @@ def compare_pems(
         violated: which rollouts violate the specification, shape [N].
         old: the model in the denominator.
         new: the model in the numerator.
+        rollouts: how many were drawn, if the arrays hold only some, at least all that violate.
         confidence: level of the interval.
 
     Raises:
@@ -176,7 +192,7 @@ def compare_pems(
     """
     if not violated.any():
         raise PemError("no rollout violates the specification: the ratio of two models is unknown")
-    rollouts = len(violated)
+    rollouts = _drawn(rollouts, given=len(violated))
     log_weights = [
         failing_log_weights(
             detected=detected, salient=salient, log_q=log_q, violated=violated, pem=pem
@@ -198,6 +214,14 @@ def compare_pems(
         confidence=confidence,
         effective_failures=min(ess_old, ess_new),
     )
+
+
+def _drawn(rollouts: int | None, *, given: int) -> int:
+    if rollouts is None:
+        return given
+    if rollouts < given:
+        raise PemError(f"rollouts is {rollouts}, but {given} are given")
+    return rollouts
 
 
 def _summary(log_weight: FloatArray, *, rollouts: int) -> tuple[float, float, float]:

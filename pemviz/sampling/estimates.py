@@ -1,6 +1,7 @@
 """Failure probabilities from scored rollouts."""
 
 import math
+import sys
 from collections.abc import Sequence
 
 from scipy import stats
@@ -11,6 +12,8 @@ from pemviz.sampling.weights import log_mean_failing_weight, log_std_error
 from pemviz.types import Estimate, ScoredRollouts
 
 CONFIDENCE = 0.95
+ROUNDING = 1e-9
+SMALLEST_LOG = math.log(sys.float_info.min)
 
 
 def monte_carlo_estimate(scored: ScoredRollouts, *, method: str) -> Estimate:
@@ -69,7 +72,10 @@ def importance_sampling_estimate(
         interval=log_normal_interval(
             log_probability, relative_error=math.exp(log_error - log_probability)
         ),
-        warnings=weight_warnings(diagnose(log_weight[scored.violated]), failures=failures),
+        warnings=[
+            *weight_warnings(diagnose(log_weight[scored.violated]), failures=failures),
+            *magnitude_warnings(log_probability),
+        ],
         rollouts_simulated=rollouts_simulated,
     )
 
@@ -80,9 +86,10 @@ def log_normal_interval(
     """Interval around exp(log_probability), symmetric on the log scale.
 
     The log of the estimate is taken as normal (as t with ``degrees_of_freedom``) with
-    variance log(1 + relative_error^2), that of a log-normal with this relative error.
+    variance log(1 + relative_error^2), that of a log-normal with this relative error. No
+    interval is narrower than the rounding of weights that are products over many steps.
     """
-    half = math.sqrt(math.log1p(relative_error**2))
+    half = math.sqrt(math.log1p(max(relative_error, ROUNDING) ** 2))
     level = 0.5 + CONFIDENCE / 2.0
     quantile = (
         float(stats.norm.ppf(level))
@@ -91,6 +98,17 @@ def log_normal_interval(
     )
     low, high = log_probability - quantile * half, log_probability + quantile * half
     return math.exp(low), min(math.exp(min(high, 0.0)), 1.0)
+
+
+def magnitude_warnings(log_probability: float) -> Sequence[str]:
+    """What to say of a probability that no double can hold; nothing otherwise."""
+    if log_probability >= SMALLEST_LOG:
+        return ()
+    exponent = log_probability / math.log(10.0)
+    return (
+        f"the probability, 10^{exponent:.2f}, is too small for a floating-point number and shows "
+        "as 0: read log10_probability",
+    )
 
 
 def _estimate(

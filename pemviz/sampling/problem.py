@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.sampling.rollout import LogitFunction, simulate
-from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, Simulator
+from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, Simulator, StateBatch
 
 Signals = Mapping[str, FloatArray]
 BATCH_ROLLOUTS = 4096
@@ -30,6 +30,8 @@ class Problem:
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
         progress: Told after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
+        unsafe: States ``[N]`` to whether being in one of them is what violates the
+            specification, ``[N]``; ``None`` where the verdict takes more than single states.
     """
 
     simulator: Simulator
@@ -38,6 +40,7 @@ class Problem:
     violated: Callable[[Signals], BoolArray]
     batch_rollouts: int = BATCH_ROLLOUTS
     progress: Callable[[int, int], None] = _no_progress
+    unsafe: Callable[[StateBatch], BoolArray] | None = None
 
 
 def sample(

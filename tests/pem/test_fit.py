@@ -130,7 +130,7 @@ def test_an_unknown_model_and_too_few_members_are_refused(table):
 
 def test_bayesian_network_learns_and_repeats(table, monkeypatch, pyro_installed):
     pyro_installed()
-    monkeypatch.setattr(fit_bayes, "STEPS", 300)
+    monkeypatch.setattr(fit_bayes, "STEPS", 150)
     first, second = (fit_pem(table, model="b-nn", seed=2) for _ in range(2))
     assert isinstance(first, EnsemblePem)
     assert first.digest == second.digest

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import load_file
 
-from pemviz.pem import Pem, PemError, load_pem, load_table
+from pemviz.pem import Pem, PemError, load_pem, load_table, shipped_pems
 from tests.pem.helpers import braking_rows, random_rows, seeds
 
 
@@ -56,10 +56,11 @@ def test_authors_checkpoint_agrees_with_torch(authors_checkpoint, kitti_folder):
     np.testing.assert_allclose(probability, 1 / (1 + np.exp(-single.astype(float))), atol=1e-6)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
-@given(seed=seeds, count=st.integers(1, 700))
-def test_a_row_gives_the_same_bits_in_every_batch(seed, count):
-    pem = load_pem("ml-nn")
+@pytest.mark.parametrize("name", shipped_pems())
+@settings(derandomize=True, deadline=None, max_examples=15)
+@given(seed=seeds, count=st.integers(1, 1200))
+def test_a_row_gives_the_same_bits_in_every_batch(name, seed, count):
+    pem = load_pem(name)
     rng = np.random.default_rng(seed)
     rows = random_rows(rng, count)
     whole = pem.logit(rows)

@@ -67,6 +67,22 @@ def test_log_q_of_whole_rollouts_gives_the_same():
     )
 
 
+def test_the_violating_rollouts_alone_suffice_with_the_number_drawn():
+    rollouts = all_chains()
+    failing = {key: array[rollouts["violated"]] for key, array in rollouts.items()}
+    members = [FixedPem(p) for p in MODELS]
+    whole, part = (
+        reweight(**rollouts, members=members),
+        reweight(**failing, members=members, rollouts=8),
+    )
+    np.testing.assert_array_equal(part.log_mu, whole.log_mu)
+    np.testing.assert_array_equal(part.relative_std_error, whole.relative_std_error)
+    pair = {"old": members[0], "new": members[1]}
+    assert compare_pems(**failing, **pair, rollouts=8) == compare_pems(**rollouts, **pair)
+    with pytest.raises(PemError, match="rollouts is 3, but 8 are given"):
+        reweight(**rollouts, members=members, rollouts=3)
+
+
 def test_the_interval_lies_between_the_members_and_knows_when_few_rollouts_carry_it():
     estimates = reweight(**all_chains(), members=[FixedPem(p) for p in MODELS])
     interval = pem_interval(estimates)
