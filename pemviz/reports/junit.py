@@ -89,7 +89,7 @@ def _facts(result: RunResult) -> list[str]:
             f"probability {probability_text(estimate)}",
             f"interval {interval_text(estimate)}",
             f"violations {violations_text(estimate)}",
-            f"range over error models {model_range_text(result)}",
+            f"range over error models {model_range_text(result.pem_interval)}",
             *(f"warning: {warning}" for warning in (*estimate.warnings, *result.warnings)),
         ]
     return [printable_lines(line) for line in lines]

@@ -64,7 +64,7 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
         ("probability of a violation", f"**{probability_text(estimate)}**"),
         ("log10", number_text(estimate.log10_probability)),
         (f"{estimate.confidence:.0%} interval".replace("%", " %"), interval_text(estimate)),
-        ("range over error models", model_range_text(result)),
+        ("range over error models", model_range_text(result.pem_interval)),
         ("violations", violations_text(estimate)),
         ("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)")),
         ("effective sample size", number_text(estimate.ess)),
