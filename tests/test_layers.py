@@ -17,9 +17,9 @@ LAYERS = (
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
     {"experiment", "model_uncertainty", "results", "events", "engine", "rollout_files", "store",
-     "curves"},
+     "curves", "reports"},
     {"recording", "panel"},
-    {"bench", "reproduce"},
+    {"bench", "reproduce", "samples"},
     {"commands", "cli", "__main__"},
 )  # fmt: skip
 APART = ({"stl", "pem", "proposals", "simulators"}, {"recording", "panel"})

@@ -6,6 +6,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from pemviz.reports.words import (
+    interval_text,
+    model_range_text,
+    number_text,
+    probability_text,
+    share_text,
+    violations_text,
+)
 from pemviz.results import RunResult
 from pemviz.types import Estimate
 
@@ -34,12 +42,8 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     table.add_row("error model", result.pem.name)
     table.add_row("probability", probability_text(estimate))
     table.add_row("95 % interval", interval_text(estimate))
-    table.add_row("range over error models", model_range_text(result))
-    table.add_row(
-        "violations",
-        f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts "
-        f"({estimate.rollouts_simulated} simulated in all)",
-    )
+    table.add_row("range over error models", model_range_text(result.pem_interval))
+    table.add_row("violations", violations_text(estimate))
     table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))
     table.add_row("effective sample size", number_text(estimate.ess))
     table.add_row("Pareto k-hat", number_text(estimate.pareto_k, unit="(reliable up to 0.7)"))
@@ -52,38 +56,3 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
         )
     table.add_row("time", f"{result.timings_s.get('total', math.nan):.1f} s")
     return table
-
-
-def probability_text(estimate: Estimate) -> str:
-    """The probability with its standard error, or what is known without a failure."""
-    if estimate.failures == 0:
-        return "0: no failure was seen"
-    error = "" if estimate.std_error is None else f" +- {estimate.std_error:.2g}"
-    return f"{estimate.probability:.3g}{error}"
-
-
-def interval_text(estimate: Estimate) -> str:
-    """The confidence interval in words."""
-    if estimate.ci_low is None or estimate.ci_high is None:
-        return "unknown"
-    return f"{estimate.ci_low:.2g} to {estimate.ci_high:.2g}"
-
-
-def model_range_text(result: RunResult) -> str:
-    """The answer's range over other models that fit the same data."""
-    interval = result.pem_interval
-    if interval is None:
-        return "unknown: the model has no ensemble, or nothing failed"
-    low = "0" if interval.low is None else f"{interval.low:.2g}"
-    high = "unknown" if interval.high is None else f"{interval.high:.2g}"
-    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} models)"
-
-
-def number_text(value: float | None, *, unit: str = "") -> str:
-    """A number with its unit, or a dash."""
-    return "-" if value is None else f"{value:.3g} {unit}".strip()
-
-
-def share_text(value: float | None) -> str:
-    """A share in per cent, or a dash."""
-    return "-" if value is None else f"{value:.0%}"

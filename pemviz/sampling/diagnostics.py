@@ -50,7 +50,10 @@ def pareto_k_hat(log_weight: FloatArray) -> float | None:
     # weights that span more than double precision break the fit: no figure, no warning
     with np.errstate(all="ignore"):
         # psislw takes log likelihoods, whose negatives are its log weights
-        _, k_hat = array_stats.psislw(-log_weight)
+        try:
+            _, k_hat = array_stats.psislw(-log_weight)
+        except ValueError:  # it finds no spread in a tail that it cuts off elsewhere
+            return None
     value = float(np.asarray(k_hat))
     return value if np.isfinite(value) else None
 

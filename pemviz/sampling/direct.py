@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.estimates import importance_sampling_estimate, monte_carlo_estimate
-from pemviz.sampling.method import importance_stage_figures, stage_seeds
+from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import Problem, sample
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
@@ -46,22 +46,8 @@ class DirectSampling:
             count=self.rollouts,
             seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=0),
         )
-        failures, probability, log10_probability, ess = importance_stage_figures(scored)
-        result = StageResult(
-            repetition=state.repetition,
-            stage=0,
-            kind="final",
-            scored=scored,
-            sampled_from=self.proposal,
-            learned=None,
-            threshold=None,
-            elites=0,
-            failures=failures,
-            probability=probability,
-            log10_probability=log10_probability,
-            ess=ess,
-            loss=None,
-            timings_s=scored.timings_s,
+        result = final_stage(
+            repetition=state.repetition, stage=0, scored=scored, sampled_from=self.proposal
         )
         return DirectState(repetition=state.repetition, scored=scored), result
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.weights import effective_sample_size, log_mean_failing_weight
-from pemviz.types import Estimate, ScoredRollouts, StageResult
+from pemviz.types import Estimate, Proposal, ScoredRollouts, StageResult
 
 State = TypeVar("State")
 
@@ -70,4 +70,27 @@ def importance_stage_figures(
         float(np.exp(log_probability)),
         log_probability / float(np.log(10.0)),
         effective_sample_size(log_weight[scored.violated]),
+    )
+
+
+def final_stage(
+    *, repetition: int, stage: int, scored: ScoredRollouts, sampled_from: Proposal
+) -> StageResult:
+    """The record of a stage from which nothing is learned."""
+    failures, probability, log10_probability, ess = importance_stage_figures(scored)
+    return StageResult(
+        repetition=repetition,
+        stage=stage,
+        kind="final",
+        scored=scored,
+        sampled_from=sampled_from,
+        learned=None,
+        threshold=None,
+        elites=0,
+        failures=failures,
+        probability=probability,
+        log10_probability=log10_probability,
+        ess=ess,
+        loss=None,
+        timings_s=scored.timings_s,
     )

@@ -1,14 +1,14 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.sampling.rollout import LogitFunction, simulate
-from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, Simulator
+from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, Simulator, StateBatch
 
 Signals = Mapping[str, FloatArray]
 BATCH_ROLLOUTS = 4096
@@ -30,6 +30,8 @@ class Problem:
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
         progress: Told after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
+        unsafe: States ``[N]`` to whether being in one of them is what violates the
+            specification, ``[N]``; ``None`` where the verdict takes more than single states.
     """
 
     simulator: Simulator
@@ -38,6 +40,7 @@ class Problem:
     violated: Callable[[Signals], BoolArray]
     batch_rollouts: int = BATCH_ROLLOUTS
     progress: Callable[[int, int], None] = _no_progress
+    unsafe: Callable[[StateBatch], BoolArray] | None = None
 
 
 def sample(
@@ -65,7 +68,7 @@ def sample(
         }
         batches.append(replace(scored, timings_s=timings_s))
         problem.progress(start + size, count)
-    return _concatenated(batches)
+    return concatenated(batches)
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
@@ -77,7 +80,8 @@ def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
     )
 
 
-def _concatenated(batches: list[ScoredRollouts]) -> ScoredRollouts:
+def concatenated(batches: Sequence[ScoredRollouts]) -> ScoredRollouts:
+    """One batch of at least one, in order; timings add up."""
     if len(batches) == 1:
         return batches[0]
     parts = [batch.rollouts for batch in batches]

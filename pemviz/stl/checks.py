@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Collection
 
 import numpy as np
@@ -41,12 +40,11 @@ def check_horizon(formula: Formula, states: int) -> None:
 
 
 def check_finite(values: FloatArray, what: str, first_rollout: int) -> None:
-    """Raises InputError that names rollout and step of the first of [T, n] not finite."""
-    # The sum of squares is the quickest look; too large values only make it look twice.
-    if not math.isfinite(np.vdot(values, values)) and not np.isfinite(values).all():
-        rollout, step = np.argwhere(~np.isfinite(values.T))[0]
+    """Raises InputError that names rollout and step of the first of [n, T] not finite."""
+    if not np.isfinite(values).all():
+        rollout, step = np.argwhere(~np.isfinite(values))[0]
         raise InputError(
-            f"{what} is {values[step, rollout]} at rollout {first_rollout + rollout},"
+            f"{what} is {values[rollout, step]} at rollout {first_rollout + rollout},"
             f" step {step}; it must be finite"
         )
 
@@ -54,13 +52,13 @@ def check_finite(values: FloatArray, what: str, first_rollout: int) -> None:
 def check_bounds(
     values: FloatArray, name: str, bounds: tuple[float, float], first_rollout: int
 ) -> None:
-    """Raises InputError that names rollout and step of the first of [T, n] out of bounds."""
+    """Raises InputError that names rollout and step of the first of [n, T] out of bounds."""
     low, high = bounds
     if values.size and not (values.min() >= low and values.max() <= high):
         check_finite(values, f"signal {name!r}", first_rollout)
-        rollout, step = np.argwhere(((values < low) | (values > high)).T)[0]
+        rollout, step = np.argwhere((values < low) | (values > high))[0]
         raise InputError(
-            f"agm: signal {name!r} is {values[step, rollout]} at rollout"
+            f"agm: signal {name!r} is {values[rollout, step]} at rollout"
             f" {first_rollout + rollout}, step {step}; declared bounds [{low:g}, {high:g}]"
             " (widen them, or choose clipping)"
         )

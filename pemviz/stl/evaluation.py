@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -32,12 +30,6 @@ BLOCK_ROLLOUTS = 8
 
 BLOCK_ROLLOUTS_UNTIL = 128
 """The same for formulas with an until, which goes step by step."""
-
-MAX_THREADS = 4
-"""Most cores used at once."""
-
-BLOCKS_PER_THREAD = 4
-"""Fewest blocks for which a further thread is started."""
 
 
 def robustness(formula: Formula, signals: Mapping[str, AnyArray], metric: Metric) -> FloatArray:
@@ -151,38 +143,24 @@ def _by_blocks(
     used, (rollouts, states) = _select(formula, signals)
     check_horizon(formula, states)
     steps = states - formula.horizon_steps() if steps is None else steps
+    needed, predicates = steps + formula.horizon_steps(), predicates_to_check(formula)
+    named, semantics = formula.signals(), _semantics(metric)
     result = np.empty((rollouts, steps))
-    named, predicates = formula.signals(), predicates_to_check(formula)
-
-    def evaluate_block(rows: slice) -> None:
+    size = _block_rollouts(formula, states)
+    for start in range(0, rollouts, size):
+        rows = slice(start, start + size)
+        for name in named:
+            check_signal(used[name][rows], name, metric, first_rollout=start)
         block = {
-            name: np.ascontiguousarray(values[rows].T, dtype=np.float64)
+            name: np.ascontiguousarray(values[rows, :needed].T, dtype=np.float64)
             for name, values in used.items()
         }
         with np.errstate(all="ignore"):  # what is not finite is reported, or meant
-            _check_block({name: block[name] for name in named}, metric, rows.start)
-            _check_margins(predicates, block, rows.start)
-            result[rows] = evaluate(formula, _semantics(metric), block, start=0, steps=steps).T
-
-    size = _block_rollouts(formula, states)
-    blocks = [slice(start, start + size) for start in range(0, rollouts, size)]
-    # Minima wait for memory, not for arithmetic: classical gains nothing from more cores.
-    threads = 1 if isinstance(metric, Classical) else min(os.cpu_count() or 1, MAX_THREADS)
-    _run(blocks, evaluate_block, min(threads, len(blocks) // BLOCKS_PER_THREAD))
+            _check_margins(predicates, block, start)
+            result[rows] = evaluate(formula, semantics, block, start=0, steps=steps).T
     if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
         raise InputError("robustness is beyond the largest number; rescale the signals")
     return result
-
-
-def _run(blocks: Sequence[slice], evaluate_block: Callable[[slice], None], threads: int) -> None:
-    """Every block once; the error of the first block that has one is raised."""
-    if threads <= 1:
-        for rows in blocks:
-            evaluate_block(rows)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(evaluate_block, blocks):
-            pass
 
 
 def _block_rollouts(formula: Formula, states: int) -> int:
@@ -200,19 +178,19 @@ def predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
     )
 
 
-def _check_block(block: Signals, metric: Metric, start: int) -> None:
-    for name, values in block.items():
-        if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
-            check_bounds(values, name, metric.bounds[name], start)
-        else:
-            check_finite(values, f"signal {name!r}", start)
+def check_signal(values: AnyArray, name: str, metric: Metric, *, first_rollout: int) -> None:
+    """Raises InputError that names rollout and step where [n, T] do not suit the metric."""
+    if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
+        check_bounds(values, name, metric.bounds[name], first_rollout)
+    else:
+        check_finite(values, f"signal {name!r}", first_rollout)
 
 
 def _check_margins(predicates: tuple[Predicate, ...], block: Signals, start: int) -> None:
     steps = len(next(iter(block.values())))
     for predicate in predicates:
         by = margin(predicate, ClassicalSemantics(), block, start=0, steps=steps)
-        check_finite(by, f"margin of '{shorten(predicate)}'", start)
+        check_finite(by.T, f"margin of '{shorten(predicate)}'", start)
 
 
 def _select(

@@ -19,10 +19,10 @@ from torch import Tensor
 from pemviz.errors import InputError
 from pemviz.stl.agm import Agm, clipping_flips
 from pemviz.stl.bounds import margin_range
-from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
+from pemviz.stl.checks import check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical
 from pemviz.stl.errors import shorten
-from pemviz.stl.evaluation import Metric, predicates_to_check
+from pemviz.stl.evaluation import Metric, check_signal, predicates_to_check
 from pemviz.stl.formulas import Formula, Predicate
 from pemviz.stl.semantics import Semantics, evaluate, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulative
@@ -85,15 +85,12 @@ def _evaluate(
 
 def _check_values(formula: Formula, signals: Mapping[str, Tensor], metric: Metric) -> None:
     for name in formula.signals():
-        array = signals[name].detach().cpu().double().numpy()
-        check_finite(array, f"signal {name!r}", 0)
-        if isinstance(metric, Agm) and not metric.clip and name in metric.bounds:
-            check_bounds(array, name, metric.bounds[name], 0)
+        check_signal(signals[name].detach().cpu().numpy().T, name, metric, first_rollout=0)
     for predicate in predicates_to_check(formula):
         with torch.no_grad():
             steps = len(next(iter(signals.values())))
             by = margin(predicate, TorchClassical(), signals, start=0, steps=steps)
-        check_finite(by.cpu().double().numpy(), f"margin of '{shorten(predicate)}'", 0)
+        check_finite(by.cpu().numpy().T, f"margin of '{shorten(predicate)}'", 0)
 
 
 def _semantics(metric: Metric) -> Semantics[Tensor]:

@@ -265,7 +265,7 @@ def test_signals_that_do_not_fit_are_named():
     zero = np.ones((2, 3))
     zero[1, 2] = 0.0
     with pytest.raises(InputError, match=r"'1.0 / gap >= 0.0' is inf at rollout 1, step 2"):
-        violated(parse("1 / gap >= 0"), {"gap": zero})
+        violated(parse("always[0,2] (1 / gap >= 0)"), {"gap": zero})
     with pytest.raises(InputError, match="is nan"):
         violated(parse("gap > 1 / 0 - 1 / 0"), batch())
     with pytest.raises(InputError, match="no signals given"):

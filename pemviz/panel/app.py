@@ -1,0 +1,68 @@
+"""The panel's server: a session for every browser."""
+
+import logging
+import threading
+
+import viser
+
+from pemviz.panel.hub import Hub
+from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
+from pemviz.panel.server import guarded_server
+from pemviz.panel.session import Session
+
+LOG = logging.getLogger(__name__)
+
+TABS_WIDTH_PX = 500
+
+
+class App:
+    """The server and its sessions.
+
+    Attributes:
+        server: viser's server.
+    """
+
+    def __init__(self, hub: Hub, *, host: str, port: int) -> None:
+        """Start serving.
+
+        Raises:
+            InputError: The address cannot be bound.
+        """
+        self._hub = hub
+        self._sessions: dict[int, Session] = {}
+        self._lock = threading.Lock()
+        self.server = server = guarded_server(host=host, port=port)
+        server.gui.set_panel_label("pemviz")
+        server.gui.main_panel.dock_left()
+        server.gui.main_panel.set_width(TABS_WIDTH_PX)
+        server.initial_camera.position = FIRST_VIEW_POSITION
+        server.initial_camera.look_at = FIRST_VIEW_TARGET
+        server.initial_camera.fov = FIRST_VIEW_FOV
+        server.on_client_connect(self._connect)
+        server.on_client_disconnect(self._disconnect)
+
+    @property
+    def port(self) -> int:
+        """The port bound."""
+        return self.server.get_port()
+
+    def stop(self) -> None:
+        """End all sessions and the server."""
+        with self._lock:
+            sessions = list(self._sessions.values())
+            self._sessions.clear()
+        for session in sessions:
+            session.close()
+        self.server.stop()
+
+    def _connect(self, client: viser.ClientHandle) -> None:
+        session = Session(client, self._hub)
+        with self._lock:
+            self._sessions[client.client_id] = session
+        session.start()
+
+    def _disconnect(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            session = self._sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()

@@ -1,0 +1,27 @@
+"""A rollout's scene as one HTML page that plays without a server."""
+
+from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET, Scene
+from pemviz.panel.server import guarded_server
+from pemviz.panel.views.rollout import Track
+
+REST_S = 1.0
+
+
+def scene_html(track: Track) -> str:
+    """The page, with a play slider; it rests a moment at the end before it starts again."""
+    server = guarded_server(host="127.0.0.1", port=0, closed=True)
+    try:
+        server.initial_camera.position = FIRST_VIEW_POSITION
+        server.initial_camera.look_at = FIRST_VIEW_TARGET
+        server.initial_camera.fov = FIRST_VIEW_FOV
+        scene = Scene(server.scene)
+        scene.show(track)
+        scene.at(0)
+        serializer = server.get_scene_serializer()
+        for step in range(1, track.states):
+            serializer.insert_sleep(track.scenario.dt_s)
+            scene.at(step)
+        serializer.insert_sleep(REST_S)
+        return serializer.as_html()
+    finally:
+        server.stop()

@@ -1,0 +1,147 @@
+"""A run folder as the panel's data."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file
+
+from pemviz.arrays import AnyArray, FloatArray
+from pemviz.config import ExperimentConfig
+from pemviz.config_files import load_config
+from pemviz.curves import detection_curves, gap_grid, pem_curve
+from pemviz.errors import InputError
+from pemviz.panel.recordings import read_document
+from pemviz.panel.rundata import (
+    ProposalCurve,
+    RunData,
+    check_table,
+    detection_probability,
+    numbered,
+    thinned,
+)
+from pemviz.pem import load_pem
+from pemviz.proposals.gap_network import gap_network_from_arrays
+from pemviz.rollout_files import load_rollouts
+from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.types import StageKind
+
+LARGEST_ROLLOUTS_BYTES = 4 * 1024**3
+BIN_M = 0.25
+
+
+def load_run(folder: Path) -> RunData:
+    """Read a run folder.
+
+    Raises:
+        InputError: Something in it is absent or damaged.
+    """
+    config = load_config(folder / "config.toml")
+    document = read_document(folder / "result.json")
+    table = _rollouts(folder, config)
+    simulator = VectorizedSimulator(config.scenario)
+    gap_m = gap_grid(simulator)
+    try:
+        pem = load_pem(config.pem)
+        pem_detection = pem_curve(simulator=simulator, pem_logit=pem.logit, gap_m=gap_m)
+        curves = _learned_curves(folder, config, gap_m=gap_m)
+    except InputError:  # the error model's file may be elsewhere by now: the rollouts tell too
+        pem_detection = _visited_curve(table, "log_p", gap_m=gap_m)
+        curves = _learned_curves(folder, config, gap_m=gap_m)
+    if not curves and table:
+        curves = _visited_curves(table, gap_m=gap_m)
+    return RunData(
+        name=str(document.get("run_id", folder.name)),
+        config=config,
+        read_document=lambda: document,
+        gap_m=gap_m,
+        pem_detection=pem_detection,
+        curves=curves,
+        parts=thinned((numbered(table),)) if table else (),
+        simulated=int(table["violated"].size) if table else 0,
+        folder=folder,
+    )
+
+
+def _rollouts(folder: Path, config: ExperimentConfig) -> dict[str, AnyArray]:
+    whole = folder / "rollouts.npz"
+    if whole.exists() and whole.stat().st_size > LARGEST_ROLLOUTS_BYTES:
+        message = f"rollouts {whole}: larger than 4 GB, too large to show here"
+        raise InputError(message)
+    if not whole.exists() and not any((folder / "stages").glob("*.npz")):
+        return {}
+    table = load_rollouts(folder)
+    check_table(table, config, where=str(folder))
+    return table
+
+
+def _learned_curves(
+    folder: Path, config: ExperimentConfig, *, gap_m: FloatArray
+) -> tuple[ProposalCurve, ...]:
+    """Curves of the proposals kept, as far as they are the paper's networks."""
+    path = folder / "proposals.safetensors"
+    if not path.is_file():
+        return ()
+    try:
+        tensors = load_file(str(path))
+    except (SafetensorError, OSError, ValueError) as error:
+        message = f"proposals {path}: cannot be read ({error})"
+        raise InputError(message) from error
+    groups: dict[tuple[int, int], dict[str, AnyArray]] = {}
+    for name, values in tensors.items():
+        parts = name.split(".", 4)
+        if len(parts) == 5 and parts[1].isdecimal() and parts[3].isdecimal():
+            key = (int(parts[1]), int(parts[3]))
+            groups.setdefault(key, {})[parts[4]] = values
+    simulator = VectorizedSimulator(config.scenario)
+    curves: list[ProposalCurve] = []
+    for (repetition, stage), arrays in sorted(groups.items()):
+        try:
+            proposal = gap_network_from_arrays(arrays)
+            detection = detection_curves(
+                simulator=simulator,
+                pem_logit=lambda salient: np.zeros(salient.shape[:-1]),
+                proposal=proposal,
+                gap_m=gap_m,
+            ).proposal
+        except (KeyError, ValueError):
+            return ()
+        kind: StageKind = "learn" if stage else "pretrain"
+        curves.append(ProposalCurve(repetition, stage, kind, gap_m, detection))
+    return tuple(curves)
+
+
+def _visited_curves(
+    table: Mapping[str, AnyArray], *, gap_m: FloatArray
+) -> tuple[ProposalCurve, ...]:
+    """What every stage's rollouts were drawn from, where they have been."""
+    curves: list[ProposalCurve] = []
+    keys = np.unique(np.stack([table["repetition"], table["stage"]], axis=1), axis=0)
+    for repetition, stage in keys[-200:].tolist():
+        chosen = (table["repetition"] == repetition) & (table["stage"] == stage)
+        part = {name: table[name][chosen] for name in ("gap_m", "detected", "log_p", "log_q")}
+        detection = _visited_curve(part, "log_q", gap_m=gap_m)
+        curves.append(ProposalCurve(repetition, stage, "learn", gap_m, detection))
+    return tuple(curves)
+
+
+def _visited_curve(
+    table: Mapping[str, AnyArray], likelihood: str, *, gap_m: FloatArray
+) -> FloatArray:
+    """Mean P(detected) ``[G]`` at the gaps visited; NaN elsewhere."""
+    if not table:
+        return np.full(gap_m.size, np.nan)
+    detection = detection_probability(table[likelihood], table["detected"]).ravel()
+    gaps = table["gap_m"][:, :-1].ravel()
+    edges = np.arange(gap_m[0] - BIN_M / 2, gap_m[-1] + BIN_M, BIN_M)
+    inside = (gaps >= edges[0]) & (gaps < edges[-1]) & np.isfinite(detection)
+    index = np.digitize(gaps[inside], edges) - 1
+    count = np.bincount(index, minlength=edges.size - 1)
+    total = np.bincount(index, weights=detection[inside], minlength=edges.size - 1)
+    filled = count > 0
+    if not np.any(filled):
+        return np.full(gap_m.size, np.nan)
+    centres = (edges[:-1] + edges[1:]) / 2
+    mean = total[filled] / count[filled]
+    return np.interp(gap_m, centres[filled], mean, left=np.nan, right=np.nan)

@@ -1,0 +1,108 @@
+"""The rollouts of a run ranked under any metric, from what is stored; nothing is simulated."""
+
+import csv
+import io
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pemviz import stl
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.config import MetricName
+from pemviz.experiment import build_formula, build_metric
+from pemviz.panel.rundata import RunData, signals_of
+from pemviz.simulators.vectorized import VectorizedSimulator
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Rollouts under one metric.
+
+    Attributes:
+        metric: Its name.
+        robustness: ``[N]`` in the order of the run's tables.
+        order: ``[N]`` indices into the tables, least robust first.
+    """
+
+    metric: MetricName
+    robustness: FloatArray
+    order: IntArray
+
+
+def rank(run: RunData, metric: MetricName) -> Ranking:
+    """Rank a run's rollouts; computed once for a run and metric."""
+    return run.memo.get(("ranking", metric), lambda: _rank(run, metric))
+
+
+def _rank(run: RunData, metric: MetricName) -> Ranking:
+    if not run.parts:
+        empty = np.empty(0)
+        return Ranking(metric=metric, robustness=empty, order=np.empty(0, dtype=np.int64))
+    if metric == run.config.metric:
+        robustness = np.asarray(run.rollouts["robustness"], dtype=np.float64)
+    else:
+        simulator = VectorizedSimulator(run.config.scenario)
+        formula = build_formula(run.config, simulator)
+        scale = build_metric(replace(run.config, metric=metric), simulator)
+        robustness = np.asarray(stl.robustness(formula, signals_of(run), scale), dtype=np.float64)
+    order = np.argsort(robustness, kind="stable").astype(np.int64)
+    return Ranking(metric=metric, robustness=robustness, order=order)
+
+
+@dataclass(frozen=True)
+class RankedRow:
+    """A row of the ranking table."""
+
+    rank: int
+    index: int
+    repetition: int
+    stage: int
+    rollout: int
+    robustness: float
+    violated: bool
+    log_weight: float
+    misses: int
+
+
+def row(run: RunData, ranking: Ranking, place: int) -> RankedRow:
+    """The row at a zero-based place."""
+    index = int(ranking.order[place])
+    table = run.rollouts
+    return RankedRow(
+        rank=place + 1,
+        index=index,
+        repetition=int(table["repetition"][index]),
+        stage=int(table["stage"][index]),
+        rollout=int(table["rollout"][index]),
+        robustness=float(ranking.robustness[index]),
+        violated=bool(table["violated"][index]),
+        log_weight=float(run.log_weight[index]),
+        misses=int(np.count_nonzero(~table["detected"][index])),
+    )
+
+
+def elites(ranking: Ranking, *, sigma: float) -> BoolArray:
+    """Which of the rollouts ``[N]`` are among the least robust 1 - sigma, ties included."""
+    count = ranking.robustness.size
+    if not count:
+        return np.empty(0, dtype=np.bool_)
+    level = np.sort(ranking.robustness)[::-1][min(int(sigma * count), count - 1)]
+    return ranking.robustness <= level
+
+
+def ranking_csv(run: RunData, ranking: Ranking) -> str:
+    """All rows as comma-separated values, with a header that names units."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(
+        ["rank", "repetition", "stage", "rollout", f"robustness_{ranking.metric}", "violated",
+         "log_weight_nats", "pem_nll_nats", "misses"]
+    )  # fmt: skip
+    for place in range(ranking.order.size):
+        entry = row(run, ranking, place)
+        writer.writerow(
+            [entry.rank, entry.repetition, entry.stage, entry.rollout, repr(entry.robustness),
+             entry.violated, repr(entry.log_weight), repr(float(run.pem_nll[entry.index])),
+             entry.misses]
+        )  # fmt: skip
+    return text.getvalue()

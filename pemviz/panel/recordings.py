@@ -1,0 +1,164 @@
+"""The folder of kept runs: what is there, and safe access to it by name."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from pemviz.assets import asset_root
+from pemviz.errors import InputError
+
+FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
+RESULT = "result.json"
+SAMPLE = "sample"
+LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
+
+
+@dataclass(frozen=True)
+class RunEntry:
+    """A line of the list of runs.
+
+    Attributes:
+        name: The run folder's name.
+        status: As in ``result.json``.
+        method: The method.
+        metric: The metric.
+        seed: The seed.
+        probability: The estimate; ``None`` if there is none.
+        has_recording: Whether there is a ``run.rrd``.
+    """
+
+    name: str
+    status: str
+    method: str
+    metric: str
+    seed: int
+    probability: float | None
+    has_recording: bool
+
+
+class RecordingsFolder:
+    """Runs by name; no name reaches outside the folder.
+
+    Attributes:
+        root: The folder; it need not exist yet.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._entries: dict[str, tuple[float, RunEntry]] = {}
+
+    def entries(self) -> list[RunEntry]:
+        """All readable runs, newest first (the names start with the time)."""
+        found: list[RunEntry] = []
+        for name in self.names():
+            entry = self._entry(name)
+            if entry is not None:
+                found.append(entry)
+        return found
+
+    def names(self) -> list[str]:
+        """Names of run folders, newest first; links are left out, they lead elsewhere."""
+        try:
+            folders = list(self.root.iterdir())
+        except OSError:
+            return []
+        return sorted(
+            (f.name for f in folders if not f.is_symlink() and (f / RESULT).is_file()),
+            reverse=True,
+        )
+
+    def folder(self, name: str) -> Path:
+        """The folder of the run ``name``.
+
+        Raises:
+            InputError: There is no run of this name; nothing but a listed name is accepted.
+        """
+        if name not in self.names():
+            message = f"run {name[:80]!r}: is not in the recordings folder {self.root}"
+            raise InputError(message)
+        return self.root / name
+
+    def file(self, name: str, file: FileName) -> Path:
+        """A file of the run ``name``.
+
+        Raises:
+            InputError: There is no such run or file, or it leads out of the run's folder.
+        """
+        folder = self.folder(name)
+        path = folder / file
+        if path.is_symlink() or not path.is_file():
+            message = f"run {name}: has no {file}"
+            raise InputError(message)
+        return path
+
+    def content(self, name: str, file: FileName) -> bytes:
+        """A file's bytes.
+
+        Raises:
+            InputError: As for :meth:`file`; or it is too large to pass through the browser.
+        """
+        path = self.file(name, file)
+        if path.stat().st_size > LARGEST_DOWNLOAD_BYTES:
+            message = f"run {name}: {file} is larger than 512 MB; copy it from {path}"
+            raise InputError(message)
+        return path.read_bytes()
+
+    def _entry(self, name: str) -> RunEntry | None:
+        path = self.root / name / RESULT
+        try:
+            changed_s = path.stat().st_mtime
+            known = self._entries.get(name)
+            if known is not None and known[0] == changed_s:
+                return known[1]
+            entry = _entry_of(name, read_document(path), folder=self.root / name)
+        except (InputError, OSError):
+            return None
+        self._entries[name] = (changed_s, entry)
+        return entry
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The contents of a ``result.json``.
+
+    Raises:
+        InputError: It cannot be read or is not a JSON object.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        message = f"result {path}: cannot be read ({error})"
+        raise InputError(message) from error
+    if not isinstance(document, dict):
+        message = f"result {path}: must be a JSON object"
+        raise InputError(message)
+    return cast(dict[str, Any], document)
+
+
+def sample_folder() -> Path | None:
+    """The sample run that is shipped, if it is there: in the wheel, or in the checkout."""
+    root = asset_root()
+    for candidate in (root / SAMPLE, root.parent / "_sample", root.parent / "recordings" / SAMPLE):
+        if (candidate / RESULT).is_file():
+            return candidate
+    return None
+
+
+def _entry_of(name: str, document: Mapping[str, Any], *, folder: Path) -> RunEntry:
+    config = _table(document.get("config"))
+    probability = _table(document.get("estimate")).get("probability")
+    seed = document.get("seed")
+    return RunEntry(
+        name=name,
+        status=str(document.get("status", "unknown")),
+        method=str(config.get("method", "unknown")),
+        metric=str(config.get("metric", "unknown")),
+        seed=seed if isinstance(seed, int) else 0,
+        probability=float(probability) if isinstance(probability, int | float) else None,
+        has_recording=(folder / "run.rrd").is_file(),
+    )
+
+
+def _table(value: object) -> dict[str, Any]:
+    return cast(dict[str, Any], value) if isinstance(value, dict) else {}

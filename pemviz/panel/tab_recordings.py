@@ -1,0 +1,95 @@
+"""The Recordings tab: runs that are kept, loading, downloads."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pemviz.errors import InputError
+from pemviz.panel.controller import PanelState
+from pemviz.panel.export import scene_html
+from pemviz.panel.loading import load_run
+from pemviz.panel.ranking import rank, ranking_csv
+from pemviz.panel.views.recordings import recordings_table, viewer_link
+from pemviz.panel.widgets import set_html
+
+if TYPE_CHECKING:
+    from pemviz.panel.session import Session
+
+NONE = "no runs yet"
+DOWNLOAD_HINT = (
+    "Of the run chosen: its recording, its result, its ranking as a table. Of the rollout shown: "
+    "a page that plays the scene without a server."
+)
+DOWNLOADS = ("run.rrd", "result.json", "CSV", "3D scene (HTML)")
+
+
+class RecordingsTab:
+    """This browser's choice of a run."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._finished = -1
+        self._running = False
+        gui = session.client.gui
+        self.name = gui.add_dropdown("Run", list[str]([NONE]), initial_value=NONE,
+            hint="A run of the recordings folder, newest first.")  # fmt: skip
+        self.load = gui.add_button("Load", hint="Show this run here; other browsers keep theirs.")
+        self.back = gui.add_button("Back to the latest run", visible=False, color="gray",
+            hint="Show the run that was started last, or is under way.")  # fmt: skip
+        self.download = gui.add_button_group("Download", DOWNLOADS,
+            hint=DOWNLOAD_HINT)  # fmt: skip
+        self.viewer = gui.add_button("Open in rerun", color="gray",
+            visible=session.hub.open_recording is not None,
+            hint="Serve this run's recording to rerun's viewer in the browser.")  # fmt: skip
+        self._link = gui.add_html("")
+        self._table = gui.add_html("")
+        self.load.on_click(session.on(self._load))
+        self.back.on_click(session.on(self._back))
+        self.download.on_click(session.on(self._download))
+        self.viewer.on_click(session.on(self._open))
+        self.name.on_update(session.on(lambda: set_html(self._link, "")))
+
+    def refresh(self, state: PanelState) -> None:
+        """List the folder anew when a run began or ended."""
+        if self.back.visible != (self._session.loaded is not None):
+            self.back.visible = self._session.loaded is not None
+        if (state.finished_runs, state.running) == (self._finished, self._running):
+            return
+        self._finished, self._running = state.finished_runs, state.running
+        folder = self._session.hub.recordings
+        entries = folder.entries()
+        names = tuple(entry.name for entry in entries) or (NONE,)
+        if tuple(self.name.options) != names:
+            self.name.options = names
+        set_html(self._table, recordings_table(entries, folder=str(folder.root)))
+
+    def _load(self) -> None:
+        self._session.look_at(load_run(self._session.hub.recordings.folder(self.name.value)))
+
+    def _back(self) -> None:
+        self._session.look_at(None)
+
+    def _download(self) -> None:
+        word, name = self.download.value, self.name.value
+        folder, client = self._session.hub.recordings, self._session.client
+        if word == "run.rrd":
+            client.send_file_download(f"{name}.rrd", folder.content(name, "run.rrd"))
+        elif word == "result.json":
+            client.send_file_download(f"{name}.json", folder.content(name, "result.json"))
+        elif word == "CSV":
+            run = load_run(folder.folder(name))
+            text = ranking_csv(run, rank(run, run.config.metric))
+            client.send_file_download(f"{name}.csv", text.encode())
+        elif word == DOWNLOADS[-1]:
+            chosen = self._session.player.track
+            if chosen is None:
+                message = "no rollout is shown: pick one in the Trajectories tab"
+                raise InputError(message)
+            client.send_file_download("pemviz-rollout.html", scene_html(chosen).encode())
+
+    def _open(self) -> None:
+        opener = self._session.hub.open_recording
+        if opener is None:
+            return
+        path = self._session.hub.recordings.file(self.name.value, "run.rrd")
+        set_html(self._link, viewer_link(opener(path), name=self.name.value))

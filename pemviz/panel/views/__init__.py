@@ -1,0 +1,1 @@
+"""Arrays to HTML and SVG text: pure functions that know no browser library."""

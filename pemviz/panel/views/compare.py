@@ -1,0 +1,216 @@
+"""The Compare tab: metrics against each other, and two runs side by side."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from typing import Any, cast, get_args
+
+import numpy as np
+
+from pemviz.arrays import BoolArray
+from pemviz.config import MetricName
+from pemviz.config_files import config_table
+from pemviz.panel.palette import BLACK, BLUE, METRICS, PEM, VERMILLION
+from pemviz.panel.ranking import elites, rank, row
+from pemviz.panel.rundata import RunData
+from pemviz.panel.svg import Axis, Plot
+from pemviz.panel.views.learning import is_number, logs
+from pemviz.panel.views.words import block, grid, heading, number, quiet, table
+
+DASHES = {"classical": "", "agm": "7 3", "smooth-cumulative": "2 3"}
+
+
+def metrics_page(run: RunData | None) -> str:
+    """The least robust rollout of each metric, and how far their elites agree."""
+    if run is None or not run.parts:
+        return block(quiet("No rollouts yet."))
+    if run.running:
+        return block(quiet("Compared when the run under way is done."))
+    return block(run.memo.get("compare", lambda: _metrics_page(run)))
+
+
+def _metrics_page(run: RunData) -> str:
+    return "".join(
+        (
+            heading(f"Metrics, on the {run.kept:,} rollouts of {run.name}"),
+            least_robust_plot(run),
+            quiet("Each metric's least robust rollout. Where lines coincide they chose the same."),
+            overlap_table(run),
+        )
+    )
+
+
+def least_robust_plot(run: RunData) -> str:
+    """Gap against time of each metric's least robust rollout."""
+    gaps = {m: np.asarray(run.rollouts["gap_m"][row(run, rank(run, m), 0).index], dtype=np.float64)
+            for m in metric_names()}  # fmt: skip
+    every = np.concatenate(list(gaps.values()))
+    states = np.arange(run.config.scenario.states, dtype=np.float64)
+    time_s = states * run.config.scenario.dt_s
+    plot = Plot(
+        title="Least robust rollout of each metric",
+        x=Axis(0.0, float(time_s[-1]), "time [s]"),
+        y=Axis(min(-1.0, float(np.min(every)) - 0.5), float(np.max(every)) * 1.05, "gap [m]"),
+        height=206,
+        bottom=48,
+    )
+    plot.band(plot.y.low, 2.0, color=VERMILLION, opacity=0.10)
+    plot.hline(2.0, color=VERMILLION, label="2 m", dash="")
+    for place, (metric, gap_m) in enumerate(gaps.items()):
+        color, dash = METRICS.get(metric, BLACK), DASHES.get(metric, "")
+        plot.line(time_s, gap_m, color=color, width=3.4 - place, dash=dash, tip=metric)
+        plot.legend([(metric, color, dash)], x=plot.left + 100 * place, y=plot.height - 6)
+    return plot.text()
+
+
+def overlap_table(run: RunData) -> str:
+    """How many elites two metrics share."""
+    sigma = run.config.sigma
+    sets = {m: elites(rank(run, m), sigma=sigma) for m in metric_names()}
+    lines = [
+        [escape(a), *(overlap_text(sets[a], sets[b]) for b in sets)] for a in sets
+    ]  # fmt: skip
+    note = quiet(
+        f"Elites are the least robust {1 - sigma:.3g} of all rollouts, ties included; the table "
+        "counts those that both metrics choose, and in brackets the share of all that either does."
+    )
+    return (
+        heading("Overlap of the elites")
+        + grid(["", *map(escape, sets)], lines, name="Overlap of elites")
+        + note
+    )
+
+
+def overlap_text(first: BoolArray, second: BoolArray) -> str:
+    """Common elites, and their share of all elites."""
+    both = int(np.count_nonzero(first & second))
+    either = int(np.count_nonzero(first | second))
+    return f"{both} ({100 * both / either:.0f} %)" if either else "0"
+
+
+def metric_names() -> tuple[MetricName, ...]:
+    """All metrics."""
+    return cast(tuple[MetricName, ...], get_args(MetricName))
+
+
+def runs_page(first: RunData | None, second: RunData | None) -> str:
+    """Two runs side by side."""
+    if first is None or second is None:
+        return block(
+            heading("Two runs") + quiet("Choose another run above to see it beside this one.")
+        )
+    return block(
+        heading("Two runs")
+        + quiet(f"A: {first.name} (shown). B: {second.name}.")
+        + curves_plot(first, second)
+        + estimates_plot(first, second)
+        + estimates_table(first, second)
+        + differences_table(first, second)
+    )
+
+
+def curves_plot(first: RunData, second: RunData) -> str:
+    """Last proposals and error models."""
+    high = max([float(r.gap_m[-1]) for r in (first, second) if r.gap_m.size], default=20.0)
+    plot = Plot(
+        title="P(detected) against gap, last proposals",
+        x=Axis(0.0, high, "gap [m]"),
+        y=Axis(0.0, 1.0, "P(detected)", ticks=(0.0, 0.5, 1.0)),
+        height=186,
+        bottom=48,
+    )
+    for place, (run, name, dash) in enumerate(((first, "A", ""), (second, "B", "6 3"))):
+        color = (VERMILLION, BLUE)[place]
+        plot.line(run.gap_m, run.pem_detection, color=PEM, dash=dash, tip=f"error model of {name}")
+        if run.curves:
+            last = run.final_curves[-1]
+            plot.line(last.gap_m, last.detection, color=color, width=2.4, dash=dash, tip=name)
+        plot.legend([(f"proposal {name}", color, dash)], x=plot.left + 110 * place, y=180)
+    plot.legend([("error models", PEM, "")], x=plot.left + 220, y=180)
+    return plot.text()
+
+
+@dataclass(frozen=True)
+class _Answer:
+    name: str
+    estimate: Mapping[str, Any]
+
+
+def _answers(first: RunData, second: RunData) -> list[_Answer]:
+    return [
+        _Answer(name, table(run.document.get("estimate")))
+        for name, run in (("A", first), ("B", second))
+    ]
+
+
+def estimates_plot(first: RunData, second: RunData) -> str:
+    """Both answers with their intervals on a log axis."""
+    answers = _answers(first, second)
+    every = [v for a in answers for v in logs(a.estimate, "probability", "ci_low", "ci_high")]
+    shown = [v for v in every if v > -60.0] or [-20.0, 0.0]
+    plot = Plot(
+        title="Estimates with 95 % intervals",
+        x=Axis(-0.5, 1.5, "run", ticks=()),
+        y=Axis(float(np.floor(min(shown))) - 1, min(0.0, float(np.ceil(max(shown))) + 1),
+               "probability", log10=True),
+        height=150,
+        left=52,
+    )  # fmt: skip
+    for place, answer in enumerate(answers):
+        color = (VERMILLION, BLUE)[place]
+        interval = logs(answer.estimate, "ci_low", "ci_high")
+        if len(interval) == 2:
+            plot.whisker(place, interval[0], interval[1], color=color)
+        for value in logs(answer.estimate, "probability"):
+            plot.points([place], [value], color=color, radius=4.0)
+        plot.note(answer.name, plot.px(place), plot.bottom + 13, anchor="middle")
+    return plot.text()
+
+
+def estimates_table(first: RunData, second: RunData) -> str:
+    """Both answers in figures."""
+    names = (
+        ("P(violation)", "probability"),
+        ("standard error", "std_error"),
+        ("95 % from", "ci_low"),
+        ("95 % to", "ci_high"),
+        ("violations", "failures"),
+        ("rollouts simulated", "rollouts_simulated"),
+        ("effective sample size", "ess"),
+        ("Pareto k-hat", "pareto_k"),
+        ("NLL of violations [nats]", "nll_mean"),
+    )
+    answers = _answers(first, second)
+    lines = [[label, *(number(a.estimate.get(key), 3) for a in answers)] for label, key in names]
+    return grid(["", "A", "B"], lines, name="Estimates of two runs")
+
+
+def differences_table(first: RunData, second: RunData) -> str:
+    """The settings in which two runs differ."""
+    settings = [flat(config_table(run.config)) for run in (first, second)]
+    keys = sorted(set(settings[0]) | set(settings[1]))
+    lines = [
+        [escape(key), *(escape(shown_setting(s.get(key))) for s in settings)]
+        for key in keys
+        if settings[0].get(key) != settings[1].get(key)
+    ]
+    if not lines:
+        return heading("Settings") + quiet("All settings are equal.")
+    return heading("Settings that differ") + grid(["", "A", "B"], lines, name="Settings")
+
+
+def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings with dotted names."""
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            found |= flat(cast(Mapping[str, Any], value), f"{prefix}{key}.")
+        else:
+            found[prefix + key] = value
+    return found
+
+
+def shown_setting(value: object) -> str:
+    """A setting in few characters."""
+    words = f"{value:g}" if is_number(value) and isinstance(value, float) else str(value)
+    return words if len(words) <= 40 else words[:39] + "\N{HORIZONTAL ELLIPSIS}"

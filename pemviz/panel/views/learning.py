@@ -1,0 +1,217 @@
+"""The Learning tab: how the proposal forms, and what the estimate makes of it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pemviz.panel.palette import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
+from pemviz.panel.rundata import RunData
+from pemviz.panel.svg import Axis, Plot
+from pemviz.panel.views.words import block, number, quiet, rows, table
+
+DIRECT = ("monte-carlo", "naive")
+TWISTED = "value-twisted"
+
+
+def learning(run: RunData | None) -> str:
+    """All plots of the tab."""
+    if run is None:
+        return block(quiet("Nothing has run yet."))
+    return block(run.memo.get("learning", lambda: _learning(run)))
+
+
+def _learning(run: RunData) -> str:
+    stages = _last_repetition(rows(run.document.get("stages")))
+    parts = [proposal_plot(run), quiet(_what_to_see(run))]
+    if len(stages) > 1:
+        parts += [threshold_plot(stages, unit=_unit(run)), failure_plot(stages), ess_plot(stages)]
+    parts.append(estimate_plot(run, stages))
+    return "".join(parts)
+
+
+def _what_to_see(run: RunData) -> str:
+    if run.config.method in DIRECT:
+        return "Nothing is learned by this method: all rollouts come from one fixed distribution."
+    if run.config.method == TWISTED:
+        return (
+            "Black: how likely the detector is to see the car ahead. Red: the optimal proposal, "
+            "computed from the probability of a violation from each state, along the typical path."
+        )
+    return (
+        "Black: how likely the detector is to see the car ahead. Red: what rollouts are drawn "
+        "from. It learns to miss where misses cause a violation; older stages fade."
+    )
+
+
+def proposal_plot(run: RunData) -> str:
+    """Proposals of all stages against the error model's curve."""
+    high = float(run.gap_m[-1]) if run.gap_m.size else 20.0
+    plot = Plot(
+        title="P(detected) against gap",
+        x=Axis(0.0, high, "gap [m]"),
+        y=Axis(0.0, 1.0, "P(detected)", ticks=(0.0, 0.25, 0.5, 0.75, 1.0)),
+        height=216,
+        bottom=48,
+    )
+    curves = run.final_curves[-40:]
+    for age, curve in enumerate(reversed(curves)):
+        plot.line(
+            curve.gap_m,
+            curve.detection,
+            color=PROPOSAL,
+            width=2.4 if age == 0 else 1.3,
+            opacity=max(0.14, 0.75 ** (age + (1 if age else 0))) if age else 1.0,
+            tip=f"proposal after stage {curve.stage}",
+        )
+    plot.line(run.gap_m, run.pem_detection, color=PEM, width=2.0, tip="error model")
+    entries = [(f"error model ({_shown_pem(run)})", PEM, "")]
+    if curves:
+        entries.append((f"proposal after stage {curves[-1].stage}", PROPOSAL, ""))
+    for place, (label, color, _) in enumerate(entries):
+        x = plot.left + 6 + 178 * place
+        plot.legend([(label, color, "")], x=x, y=plot.height - 6)
+    return plot.text()
+
+
+def _shown_pem(run: RunData) -> str:
+    name = run.config.pem.rsplit("/", 1)[-1]
+    return name if len(name) <= 18 else name[:17] + "\N{HORIZONTAL ELLIPSIS}"
+
+
+def threshold_plot(stages: Sequence[Mapping[str, Any]], *, unit: str) -> str:
+    """The level of robustness that each stage learned from."""
+    points = [(s["stage"], s["threshold"]) for s in stages if is_number(s.get("threshold"))]
+    low, high = _range([float(v) for _, v in points], with_zero=True)
+    plot = Plot(
+        title="Threshold: rollouts at or below it are learned from",
+        x=_stage_axis(stages),
+        y=Axis(low, high, f"robustness{unit}"),
+        height=128,
+    )
+    plot.hline(0.0, color=VERMILLION, label="violation below 0")
+    xs, ys = np.array([p[0] for p in points], float), np.array([p[1] for p in points], float)
+    plot.line(xs, ys, color=BLUE)
+    tips = [f"stage {s}: {number(v)}" for s, v in points]
+    plot.points(xs.tolist(), ys.tolist(), color=BLUE, tips=tips)
+    return plot.text()
+
+
+def failure_plot(stages: Sequence[Mapping[str, Any]]) -> str:
+    """Share of violating rollouts a stage."""
+    kept = [s for s in stages if is_number(s.get("failures")) and s.get("rollouts")]
+    xs = np.array([float(s["stage"]) for s in kept])
+    ys = np.array([100.0 * float(s["failures"]) / float(s["rollouts"]) for s in kept])
+    plot = Plot(
+        title="Rollouts that violate",
+        x=_stage_axis(stages),
+        y=Axis(0.0, 100.0, "share [%]", ticks=(0.0, 50.0, 100.0)),
+        height=118,
+    )
+    for x, y, stage in zip(xs, ys, kept, strict=True):
+        tip = f"stage {stage['stage']}: {stage['failures']} of {stage['rollouts']}"
+        edges = np.array([x - 0.35, x + 0.35])
+        plot.bars(edges, np.array([y]), color=ORANGE, tips=[tip])
+    return plot.text()
+
+
+def ess_plot(stages: Sequence[Mapping[str, Any]]) -> str:
+    """Effective sample size of each stage's failing weights."""
+    kept = [s for s in stages if is_number(s.get("ess"))]
+    xs = [float(s["stage"]) for s in kept]
+    ys = [float(s["ess"]) for s in kept]
+    top = max([12.0, *ys]) * 1.1
+    plot = Plot(
+        title="Effective sample size of the violations",
+        x=_stage_axis(stages),
+        y=Axis(0.0, top, "rollouts"),
+        height=118,
+    )
+    plot.hline(10.0, color=GREY, label="below 10: do not quote")
+    plot.line(np.array(xs), np.array(ys), color=GREEN)
+    tips = [f"stage {s['stage']}: {number(s['ess'])}" for s in kept]
+    plot.points(xs, ys, color=GREEN, tips=tips)
+    if not kept:
+        plot.note("no violation yet", (plot.left + plot.right) / 2, plot.top + 30, anchor="middle")
+    return plot.text()
+
+
+def estimate_plot(run: RunData, stages: Sequence[Mapping[str, Any]]) -> str:
+    """Estimates a stage, the answer with its interval, and the reference, on a log axis."""
+    estimate = table(run.document.get("estimate"))
+    reference = table(run.document.get("reference"))
+    points = [
+        (float(s["stage"]), float(s["log10_probability"]))
+        for s in stages
+        if is_number(s.get("log10_probability"))
+    ]
+    values = [v for _, v in points]
+    values += logs(estimate, "probability", "ci_low", "ci_high") + logs(reference, "probability")
+    shown = [v for v in values if v > -60.0]
+    low, high = (
+        (math.floor(min(shown)) - 1.0, math.ceil(max(shown)) + 1.0) if shown else (-20.0, 0.0)
+    )
+    plot = Plot(
+        title="Estimate of P(violation)",
+        x=_stage_axis(stages),
+        y=Axis(low, min(high, 0.0), "probability", log10=True),
+        height=176,
+        left=52,
+        bottom=48,
+    )
+    for value in logs(reference, "probability"):
+        plot.hline(value, color=GREEN, dash="", label="reference")
+    kept = [(s, v) for s, v in points if v >= low]
+    tips = [f"stage {s:g} alone: {number(10.0**v)}" for s, v in kept]
+    plot.points([s for s, _ in kept], [v for _, v in kept], color=GREY, tips=tips)
+    answer = logs(estimate, "probability")
+    if answer:
+        last = max([float(s["stage"]) for s in stages if is_number(s.get("stage"))], default=0.0)
+        interval = logs(estimate, "ci_low", "ci_high")
+        if len(interval) == 2:
+            plot.whisker(last + 0.25, interval[0], interval[1], color=VERMILLION)
+        tip = f"answer {number(estimate.get('probability'))}"
+        plot.points([last + 0.25], answer, color=VERMILLION, radius=4.0, tips=[tip])
+    elif not kept:
+        plot.note("no violation yet", (plot.left + plot.right) / 2, plot.top + 50, anchor="middle")
+    y = plot.height - 6
+    plot.legend([("a stage alone", GREY, "")], x=plot.left, y=y)
+    plot.legend([("the answer, 95 % interval", VERMILLION, "")], x=plot.left + 105, y=y)
+    if reference:
+        plot.legend([("reference", GREEN, "")], x=plot.left + 275, y=y)
+    return plot.text()
+
+
+def _last_repetition(stages: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    kept = [s for s in stages if isinstance(s.get("stage"), int)]
+    last = max((s.get("repetition", 0) for s in kept), default=0)
+    return [s for s in kept if s.get("repetition", 0) == last]
+
+
+def _stage_axis(stages: Sequence[Mapping[str, Any]]) -> Axis:
+    last = max([int(s["stage"]) for s in stages if is_number(s.get("stage"))], default=0)
+    step = max(1, (last + 6) // 12)
+    return Axis(-0.6, last + 0.6, "stage", ticks=tuple(float(t) for t in range(0, last + 1, step)))
+
+
+def _unit(run: RunData) -> str:
+    return "" if run.config.metric == "agm" else " [m]"
+
+
+def logs(source: Mapping[str, Any], *names: str) -> list[float]:
+    """Decimal logarithms of those figures that are there and above 0."""
+    values: list[Any] = [source.get(name) for name in names]
+    return [math.log10(v) for v in values if is_number(v) and v > 0.0]
+
+
+def is_number(value: Any) -> bool:
+    """Whether ``value`` is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _range(values: Sequence[float], *, with_zero: bool) -> tuple[float, float]:
+    chosen = [*values, 0.0] if with_zero else list(values)
+    low, high = min(chosen, default=0.0), max(chosen, default=1.0)
+    margin = 0.08 * (high - low) or 1.0
+    return low - margin, high + margin

@@ -1,0 +1,162 @@
+"""One rollout against time, with a cursor in step with the scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.config import ScenarioConfig
+from pemviz.panel.palette import BLUE, DETECTED, EGO, GREY, LEAD, MISSED, PEM, PROPOSAL, VERMILLION
+from pemviz.panel.ranking import RankedRow
+from pemviz.panel.rundata import RunData, detection_probability
+from pemviz.panel.svg import Axis, Plot, svg, text
+from pemviz.panel.views.words import number
+from pemviz.simulators.scenario import scenario_signals
+
+WIDTH, HEIGHT = 900, 190
+PLOT_WIDTH = 300
+CURSOR = "#111827"
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One rollout.
+
+    Attributes:
+        title: What it is, in words.
+        scenario: The scenario that it ran in.
+        gap_m: ``[T]``.
+        ego_speed_mps: ``[T]``.
+        lead_speed_mps: ``[T]``.
+        detected: ``[T-1]`` perception's outcomes.
+        pem_detection: ``[T-1]`` P(detected) under the error model.
+        proposal_detection: ``[T-1]`` P(detected) under the proposal sampled from.
+        violated: The classical verdict on the whole rollout.
+    """
+
+    title: str
+    scenario: ScenarioConfig
+    gap_m: FloatArray
+    ego_speed_mps: FloatArray
+    lead_speed_mps: FloatArray
+    detected: BoolArray
+    pem_detection: FloatArray
+    proposal_detection: FloatArray
+    violated: bool
+
+    @property
+    def states(self) -> int:
+        """Number of states T."""
+        return int(self.gap_m.size)
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Times ``[T]`` [s]."""
+        return np.arange(self.states, dtype=np.float64) * self.scenario.dt_s
+
+
+def track(run: RunData, entry: RankedRow) -> Track:
+    """The rollout of a row of the ranking."""
+    table, index = run.rollouts, entry.index
+    signals = {
+        signal.name: np.asarray(table[signal.key][index], dtype=np.float64)
+        for signal in scenario_signals(run.config.scenario)
+    }
+    detected = np.asarray(table["detected"][index], dtype=np.bool_)
+    return Track(
+        title=row_title(entry),
+        scenario=run.config.scenario,
+        gap_m=signals["gap"],
+        ego_speed_mps=signals["ego_speed"],
+        lead_speed_mps=signals["lead_speed"],
+        detected=detected,
+        pem_detection=detection_probability(table["log_p"][index], detected),
+        proposal_detection=detection_probability(table["log_q"][index], detected),
+        violated=entry.violated,
+    )
+
+
+def row_title(entry: RankedRow) -> str:
+    """A rollout in words."""
+    verdict = "violates" if entry.violated else "does not violate"
+    return (
+        f"Rank {entry.rank}: robustness {number(entry.robustness)}, {verdict}, "
+        f"{entry.misses} misses, stage {entry.stage}, rollout {entry.rollout}"
+    )
+
+
+def track_plots(chosen: Track) -> tuple[str, str]:
+    """The plots in two pieces, between which a cursor is put by :func:`with_cursor`."""
+    groups = "".join(plot.group(dx=PLOT_WIDTH * place) for place, plot in enumerate(_plots(chosen)))
+    whole = svg(groups + "@@", width=WIDTH, height=HEIGHT, title=chosen.title)
+    before, after = whole.split("@@")
+    return before, after
+
+
+def with_cursor(pieces: tuple[str, str], chosen: Track, step: int, *, speed: float) -> str:
+    """The plots with a cursor at a step, and the values there."""
+    marks: list[str] = []
+    values = _values(chosen, step, speed=speed)
+    for place, plot in enumerate(_plots_axes(chosen)):
+        x = plot.px(float(chosen.time_s[step])) + PLOT_WIDTH * place
+        marks.append(
+            f"<path d='M{x:.1f} {plot.top}V{plot.bottom}' stroke='{CURSOR}' stroke-width='1.4'/>"
+        )
+        right = PLOT_WIDTH * place + plot.right
+        marks.append(text(values[place], right, plot.top - 9, anchor="end", color=CURSOR))
+    return pieces[0] + f"<g data-cursor='{step}'>{''.join(marks)}</g>" + pieces[1]
+
+
+def _values(chosen: Track, step: int, *, speed: float) -> tuple[str, str, str]:
+    time_s = chosen.time_s[step]
+    outcome = "end"
+    if step < chosen.detected.size:
+        outcome = "detected" if chosen.detected[step] else "MISSED"
+    return (
+        f"{chosen.gap_m[step]:.2f} m at {time_s:.2f} s",
+        f"ego {chosen.ego_speed_mps[step]:.1f}, lead {chosen.lead_speed_mps[step]:.1f}",
+        f"{outcome}; played at {speed:g}x",
+    )
+
+
+def _plots_axes(chosen: Track) -> tuple[Plot, Plot, Plot]:
+    end_s = float(chosen.time_s[-1])
+    low = min(-1.0, float(np.min(chosen.gap_m)) - 0.5)
+    high = max(float(np.max(chosen.gap_m)), chosen.scenario.emergency_gap_m) * 1.05
+    fastest = 3.6 * max(float(np.max(chosen.ego_speed_mps)), float(np.max(chosen.lead_speed_mps)))
+    time = Axis(0.0, end_s, "time [s]")
+    size = {"width": PLOT_WIDTH, "height": HEIGHT, "left": 42, "right": 8, "top": 22}
+    return (
+        Plot(title="Gap", x=time, y=Axis(low, high, "gap [m]"), **size),
+        Plot(title="Speeds", x=time, y=Axis(0.0, fastest / 3.6 * 1.08, "speed [m/s]"), **size),
+        Plot(title="Perception", x=time, y=Axis(-0.22, 1.04, "P(detected)",
+             ticks=(0.0, 0.5, 1.0)), **size),
+    )  # fmt: skip
+
+
+def _plots(chosen: Track) -> tuple[Plot, Plot, Plot]:
+    gap, speed, perception = _plots_axes(chosen)
+    time_s, steps_s = chosen.time_s, chosen.time_s[:-1]
+    edge_m = chosen.scenario.emergency_gap_m
+    gap.band(gap.y.low, 2.0, color=VERMILLION, opacity=0.10)
+    gap.hline(2.0, color=VERMILLION, label="2 m", dash="")
+    gap.hline(edge_m, color=GREY, label=f"{edge_m:g} m: emergency braking")
+    gap.line(time_s, chosen.gap_m, color=BLUE, width=2.2)
+    speed.line(time_s, chosen.ego_speed_mps, color=EGO, width=2.2)
+    speed.line(time_s, chosen.lead_speed_mps, color=LEAD, width=2.2, dash="6 3")
+    speed.legend([("ego", EGO, ""), ("lead", LEAD, "6 3")], x=speed.left + 8, y=speed.bottom - 20)
+    perception.line(steps_s, chosen.proposal_detection, color=PROPOSAL, width=1.8, dash="5 2")
+    perception.line(steps_s, chosen.pem_detection, color=PEM, width=1.8)
+    perception.legend(
+        [("error model", PEM, ""), ("proposal", PROPOSAL, "5 2")],
+        x=perception.right - 92,
+        y=perception.py(0.5) - 4,
+    )
+    hit, miss = steps_s[chosen.detected], steps_s[~chosen.detected]
+    base = perception.bottom
+    perception.ticks_at(hit, y_px=(base - 9, base - 1), color=DETECTED)
+    perception.ticks_at(miss, y_px=(base - 21, base - 12), color=MISSED)
+    for label, y, color in (("hit", base - 2, DETECTED), ("miss", base - 13, MISSED)):
+        perception.note(label, perception.left - 4, y, anchor="end")
+        del color
+    return gap, speed, perception

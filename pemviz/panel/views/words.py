@@ -1,0 +1,90 @@
+"""Numbers and small tables as HTML."""
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any, cast
+
+from pemviz.panel.palette import GREY, VERMILLION
+
+STYLE = "font-family:system-ui,sans-serif;font-size:12.5px;line-height:1.45;color:#1f2933"
+MINUS = "\N{MINUS SIGN}"
+TIMES = "\N{MULTIPLICATION SIGN}"
+SUPERSCRIPT = str.maketrans(
+    "-0123456789",
+    "\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT ZERO}\N{SUPERSCRIPT ONE}\N{SUPERSCRIPT TWO}"
+    "\N{SUPERSCRIPT THREE}\N{SUPERSCRIPT FOUR}\N{SUPERSCRIPT FIVE}\N{SUPERSCRIPT SIX}"
+    "\N{SUPERSCRIPT SEVEN}\N{SUPERSCRIPT EIGHT}\N{SUPERSCRIPT NINE}",
+)
+
+
+def number(value: object, digits: int = 3) -> str:
+    """A number in few digits, a dash if there is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return "\N{EN DASH}"
+    if value != 0.0 and not 1e-3 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa} {TIMES} 10{str(int(exponent)).translate(SUPERSCRIPT)}".replace(
+            "-", MINUS
+        )
+    return f"{value:.{digits}g}".replace("-", MINUS)
+
+
+def table(value: object) -> Mapping[str, Any]:
+    """``value`` if it is a table, else an empty one: documents may come from anywhere."""
+    return cast(Mapping[str, Any], value) if isinstance(value, Mapping) else {}
+
+
+def rows(value: object) -> Sequence[Mapping[str, Any]]:
+    """The tables in a list."""
+    items = cast(Sequence[Any], value) if isinstance(value, list | tuple) else ()
+    return [cast(Mapping[str, Any], item) for item in items if isinstance(item, Mapping)]
+
+
+def block(body: str) -> str:
+    """Text in the panel's own style, in line with viser's controls."""
+    return f"<div style='{STYLE};padding:0 0.75em 0.5em'>{body}</div>"
+
+
+def heading(words: str) -> str:
+    """A heading within a tab."""
+    return f"<div style='font-weight:600;margin:6px 0 2px'>{escape(words)}</div>"
+
+
+def quiet(words: str) -> str:
+    """An explanation."""
+    return f"<div style='color:#52606d;font-size:11.5px'>{escape(words)}</div>"
+
+
+def warning(words: str) -> str:
+    """Something that the reader must not miss; set apart by a sign, not by colour alone."""
+    return (
+        f"<div style='border-left:3px solid {VERMILLION};background:#fdf3ec;padding:3px 7px;"
+        f"margin:3px 0;font-size:11.5px'>\N{WARNING SIGN} {escape(words)}</div>"
+    )
+
+
+def good(words: str) -> str:
+    """A remark that all is well."""
+    return f"<div style='color:{GREY};font-size:11.5px'>\N{CHECK MARK} {escape(words)}</div>"
+
+
+def cells(values: Sequence[str], *, style: str) -> str:
+    """A row's cells; the values are HTML already."""
+    return "".join(f"<td style='{style}'>{value}</td>" for value in values)
+
+
+def grid(header: Sequence[str], body: Sequence[Sequence[str]], *, name: str) -> str:
+    """A table; cells are HTML already."""
+    head = "".join(f"<th style='{_CELL};color:#52606d;font-weight:500'>{h}</th>" for h in header)
+    lines = "".join(
+        f"<tr style='border-top:1px solid #e4e7eb'>{cells(line, style=_CELL)}</tr>" for line in body
+    )
+    return (
+        f"<table aria-label='{escape(name, quote=True)}' style='border-collapse:collapse;"
+        f"width:100%;font-size:11.5px;font-variant-numeric:tabular-nums'>"
+        f"<thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>"
+    )
+
+
+_CELL = "padding:2px 5px;text-align:left;vertical-align:top"

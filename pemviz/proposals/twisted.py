@@ -1,0 +1,102 @@
+"""The proposal that conditions on violation: each outcome weighted by what follows from it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.proposals.defence import defended
+from pemviz.proposals.twisted_cells import CellTable, cell_keys
+from pemviz.types import StateBatch
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwistedTables:
+    """What is known about one step, from the finest table to the coarsest.
+
+    Attributes:
+        states: Logits of single states; keys of all ``names``, cells ``distance`` wide.
+        coarse: Averages over ever larger cells of the signals alone.
+    """
+
+    states: CellTable
+    coarse: tuple[CellTable, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TwistedProposal:
+    """q(o | s) = p(o | s) V(s after o) / V(s), with V the probability of violation.
+
+    With the true V every violating rollout has the same weight, the failure probability
+    itself (the zero-variance change of measure). States that the tables do not hold, as when
+    a simulator differs from the twin that V was computed on, take the average of the states
+    around them; states far from all of them take the error model's own probabilities.
+
+    Attributes:
+        tables: By step.
+        names: Signals and memory that identify a state, in the order of keys.
+        signal_names: The signals among them, as the coarse tables use them.
+        distance: Cell size of the finest tables.
+        coarse_cells: For each coarse table, its cell sizes by signal.
+        violated: Name of the memory that says whether the rollout has violated already: from
+            then on the error model is sampled from.
+        defensive: No outcome is sampled with less than this share of its probability under
+            the error model.
+        log_probability: Log of the failure probability that V gives at the start.
+    """
+
+    tables: tuple[TwistedTables, ...]
+    names: tuple[str, ...]
+    signal_names: tuple[str, ...]
+    distance: float
+    coarse_cells: tuple[tuple[float, ...], ...]
+    violated: str
+    defensive: float
+    log_probability: float
+
+    def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+        """Logit of 'detected' ``[...]``; the step may differ along the last axis."""
+        shape = pem_logit.shape
+        step = np.broadcast_to(states.step, shape).ravel()
+        columns = {
+            name: np.broadcast_to(values, shape).ravel()
+            for name, values in (*states.signals.items(), *states.memory.items())
+        }
+        under_pem = pem_logit.ravel()
+        open_ = ~np.asarray(columns.get(self.violated, False), dtype=np.bool_)
+        result = under_pem.copy()
+        for value in np.unique(step):
+            if value < len(self.tables):
+                chosen = np.flatnonzero((step == value) & open_)
+                here = {name: column[chosen] for name, column in columns.items()}
+                result[chosen] = self._logit_at(int(value), here, under_pem[chosen])
+        return result.reshape(shape)
+
+    def arrays(self) -> Mapping[str, AnyArray]:
+        """Scalars only: the tables follow from the configuration and may be very large."""
+        return {
+            "defensive": np.array(self.defensive),
+            "log_probability": np.array(self.log_probability),
+        }
+
+    def _logit_at(
+        self, step: int, columns: Mapping[str, FloatArray], pem_logit: FloatArray
+    ) -> FloatArray:
+        twisted, found = self._find(self.tables[step], columns, pem_logit.size)
+        return np.where(found, defended(twisted, pem_logit, share=self.defensive), pem_logit)
+
+    def _find(
+        self, tables: TwistedTables, columns: Mapping[str, FloatArray], count: int
+    ) -> tuple[FloatArray, BoolArray]:
+        logit, found = np.zeros(count), np.zeros(count, dtype=np.bool_)
+        if all(name in columns for name in self.names):
+            cells = [self.distance] * len(self.names)
+            logit, found = tables.states.find(cell_keys([columns[n] for n in self.names], cells))
+        for table, cells in zip(tables.coarse, self.coarse_cells, strict=True):
+            left = np.flatnonzero(~found)
+            if left.size == 0:
+                break
+            keys = cell_keys([columns[name][left] for name in self.signal_names], cells)
+            logit[left], found[left] = table.find(keys)
+        return logit, found

@@ -1,0 +1,194 @@
+"""A run as one page of markdown, suited to the summary page of a pipeline's job."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+
+from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.config_files import config_text
+from pemviz.reports.escape import markdown_block, markdown_code, markdown_table, markdown_text
+from pemviz.reports.gate import GateDecision
+from pemviz.reports.interval_plot import IntervalRow, interval_plot
+from pemviz.reports.words import (
+    interval_text,
+    model_range_text,
+    number_text,
+    probability_text,
+    share_text,
+    violations_text,
+)
+from pemviz.results import RunResult
+from pemviz.types import Estimate
+
+MOST_REPETITIONS = 20
+GATE_MARKS = {"passed": "✅", "tripped": "❌", "undecided": "⚠️"}
+
+Row = tuple[str, str]
+
+
+def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> str:
+    """The answer, a plot of its interval, the worst rollout, warnings and provenance.
+
+    Args:
+        result: The run.
+        gate: The gate's decision, if there is a gate.
+    """
+    parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
+    if result.estimate is not None:
+        parts += [_answer(result, result.estimate), *_plot(result, gate)]
+    parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
+    parts.append(_details("Complete configuration", _config(result.config)))
+    return "\n\n".join(parts) + "\n"
+
+
+def _headline(result: RunResult) -> str:
+    if result.estimate is None:
+        return f"no estimate, the run {result.status}"
+    return f"failure probability {probability_text(result.estimate)}"
+
+
+def _status(result: RunResult, gate: GateDecision | None) -> list[str]:
+    lines: list[str] = []
+    if gate is not None:
+        sentence = markdown_text(f"Gate {gate.sentence}")
+        lines.append(f"{GATE_MARKS[gate.outcome]} **{sentence}**")
+    if result.status != "done":
+        message = "" if result.message is None else f": {markdown_text(result.message)}"
+        lines.append(f"⚠️ **The run {result.status}{message}.** The figures are of what was done.")
+    lines.append(f"Specification: {markdown_code(result.config.spec)}")
+    return lines
+
+
+def _answer(result: RunResult, estimate: Estimate) -> str:
+    rows: list[Row] = [
+        ("probability of a violation", f"**{probability_text(estimate)}**"),
+        ("log10", number_text(estimate.log10_probability)),
+        (f"{estimate.confidence:.0%} interval".replace("%", " %"), interval_text(estimate)),
+        ("range over error models", model_range_text(result.pem_interval)),
+        ("violations", violations_text(estimate)),
+        ("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)")),
+        ("effective sample size", number_text(estimate.ess)),
+        ("Pareto k-hat", number_text(estimate.pareto_k, unit="(reliable up to 0.7)")),
+        ("largest weight's share", share_text(estimate.max_weight_share)),
+    ]
+    return markdown_table(("answer", ""), rows)
+
+
+def _plot(result: RunResult, gate: GateDecision | None) -> list[str]:
+    plot = interval_plot(interval_rows(result, limit=None if gate is None else gate.limit))
+    if not plot:
+        return []
+    return ["Probability with its interval, logarithmic axis:", markdown_block(plot)]
+
+
+def interval_rows(result: RunResult, *, limit: float | None) -> list[IntervalRow]:
+    """The rows of the interval plot: the estimate, the repetitions, the gate's limit."""
+    if result.estimate is None:
+        return []
+    repetitions = result.repetitions if len(result.repetitions) > 1 else ()
+    shown = repetitions[:MOST_REPETITIONS]
+    rows = [_row(f"repetition {number + 1}", one) for number, one in enumerate(shown)]
+    name = result.estimate.method if not repetitions else f"mean of {len(repetitions)}"
+    rows.append(_row(name, result.estimate))
+    models = result.pem_interval
+    if models is not None and models.high is not None:
+        rows.append(IntervalRow("error models", models.median, models.low or 0.0, models.high))
+    if limit is not None:
+        rows.append(IntervalRow("gate", limit, mark="X"))
+    return rows
+
+
+def _row(label: str, estimate: Estimate) -> IntervalRow:
+    return IntervalRow(label, estimate.probability, estimate.ci_low, estimate.ci_high)
+
+
+def _warnings(result: RunResult) -> list[str]:
+    sampling = () if result.estimate is None else result.estimate.warnings
+    interval = () if result.pem_interval is None else result.pem_interval.warnings
+    sections: list[str] = []
+    if sampling:
+        sections += ["### Warnings", _list(sampling)]
+    if result.warnings or interval:
+        sections += [
+            "### Extrapolated: where the error model has little or no data",
+            _list((*result.warnings, *interval)),
+        ]
+    return sections
+
+
+def _list(warnings: Sequence[str]) -> str:
+    return "\n".join(f"- ⚠️ {markdown_text(warning)}" for warning in warnings)
+
+
+def _worst(result: RunResult) -> list[str]:
+    if not result.least_robust:
+        return []
+    worst = result.least_robust[0]
+    rows: list[Row] = [
+        ("robustness", f"{worst.robustness:.3g} ({result.config.metric})"),
+        ("verdict", "violates" if worst.violated else "holds"),
+        ("missed detections", f"{worst.misses} of {result.config.scenario.states - 1} steps"),
+        ("NLL under the error model", f"{worst.nll:.4g} nats"),
+        ("log weight", f"{worst.log_weight:.4g} nats"),
+        (
+            "where in rollouts.npz",
+            f"repetition {worst.repetition}, stage {worst.stage}, rollout {worst.rollout}",
+        ),
+    ]
+    return ["### Worst rollout", markdown_table(("least robust of all", ""), rows)]
+
+
+def _provenance(result: RunResult) -> list[str]:
+    config = result.config
+    rows: list[Row] = [
+        ("run", markdown_code(result.run_id)),
+        ("perception error model", markdown_code(result.pem.name)),
+        ("its data", markdown_text(result.pem.data)),
+        ("its digest (SHA-256)", markdown_code(result.pem.digest)),
+        ("method", f"{config.method}, metric {config.metric}, back end {config.simulator}"),
+        ("budget", _budget(config)),
+        ("scenario", _scenario(config.scenario)),
+        ("seed", str(config.seed)),
+        ("versions", markdown_text(", ".join(f"{n} {v}" for n, v in result.versions.items()))),
+        ("wall time", f"{result.timings_s.get('total', math.nan):.1f} s"),
+    ]
+    return ["### Provenance", markdown_table(("what", "value"), rows)]
+
+
+def _budget(config: ExperimentConfig) -> str:
+    repetitions = f", {config.repetitions} repetitions" * (config.repetitions > 1)
+    if config.method == "adaptive":
+        return (
+            f"{config.stages} stages of {config.rollouts} rollouts, {config.final_rollouts} final, "
+            f"alpha {config.alpha:g}, sigma {config.sigma:g}, {config.epochs} epochs{repetitions}"
+        )
+    return f"{config.final_rollouts} rollouts{repetitions}"
+
+
+def _scenario(scenario: ScenarioConfig) -> str:
+    """What differs from the defaults, the first figures in any case."""
+    default = ScenarioConfig()
+    shown = (
+        f"{scenario.initial_speed_kmh:g} km/h, {scenario.initial_gap_m:g} m behind a lead car "
+        f"that brakes at {scenario.lead_deceleration_mps2:g} m/s²"
+    )
+    named = {"initial_speed_kmh", "initial_gap_m", "lead_deceleration_mps2"}
+    others = [
+        f"{field.name} {getattr(scenario, field.name):g}"
+        for field in fields(scenario)
+        if field.name not in named and getattr(scenario, field.name) != getattr(default, field.name)
+    ]
+    return markdown_text("; ".join([shown, *others]))
+
+
+def _assumptions(result: RunResult) -> str:
+    items = "\n".join(f"- {markdown_text(assumption)}" for assumption in result.assumptions)
+    return f"### Assumed\n\n{items}"
+
+
+def _config(config: ExperimentConfig) -> str:
+    return markdown_block(config_text(config), language="toml")
+
+
+def _details(title: str, body: str) -> str:
+    return f"<details><summary>{title}</summary>\n\n{body}\n\n</details>"

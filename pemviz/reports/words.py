@@ -1,0 +1,46 @@
+"""Figures of an estimate in words, the same on the terminal and in reports."""
+
+from pemviz.model_uncertainty import ModelInterval
+from pemviz.types import Estimate
+
+
+def probability_text(estimate: Estimate) -> str:
+    """The probability with its standard error, or what is known without a failure."""
+    if estimate.failures == 0:
+        return "0: no failure was seen"
+    error = "" if estimate.std_error is None else f" +- {estimate.std_error:.2g}"
+    return f"{estimate.probability:.3g}{error}"
+
+
+def interval_text(estimate: Estimate) -> str:
+    """The confidence interval in words."""
+    if estimate.ci_low is None or estimate.ci_high is None:
+        return "unknown"
+    return f"{estimate.ci_low:.2g} to {estimate.ci_high:.2g}"
+
+
+def violations_text(estimate: Estimate) -> str:
+    """How many of the rollouts that count violate, and how many were simulated."""
+    return (
+        f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts "
+        f"({estimate.rollouts_simulated} simulated in all)"
+    )
+
+
+def model_range_text(interval: ModelInterval | None) -> str:
+    """The answer's range over other models that fit the same data."""
+    if interval is None:
+        return "unknown: the model has no ensemble, or nothing failed"
+    low = "0" if interval.low is None else f"{interval.low:.2g}"
+    high = "unknown" if interval.high is None else f"{interval.high:.2g}"
+    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} models)"
+
+
+def number_text(value: float | None, *, unit: str = "") -> str:
+    """A number with its unit, or a dash."""
+    return "-" if value is None else f"{value:.3g} {unit}".strip()
+
+
+def share_text(value: float | None) -> str:
+    """A share in per cent, or a dash."""
+    return "-" if value is None else f"{value:.0%}"

@@ -1,0 +1,75 @@
+"""The observer that writes a run's reports at its end, whatever that end is."""
+
+import os
+from pathlib import Path
+
+from pemviz.errors import ConfigError, RunError
+from pemviz.events import Event, RunDone, RunFailed
+from pemviz.files import write_text
+from pemviz.reports.gate import decide_run
+from pemviz.reports.junit import junit_xml
+from pemviz.reports.markdown import summary_markdown
+from pemviz.results import RunResult
+
+
+class ReportWriter:
+    """Writes the summary page and the JUnit file when a run is done, stopped or failed.
+
+    The summary is added to the end of its file, as the summary page of a pipeline's job is
+    shared by all its steps; the JUnit file is written anew, whole or not at all.
+    """
+
+    def __init__(
+        self,
+        *,
+        summary: Path | None = None,
+        junit: Path | None = None,
+        fail_above: float | None = None,
+    ) -> None:
+        """Check the places; nothing is written yet.
+
+        Args:
+            summary: Markdown file.
+            junit: XML file.
+            fail_above: The gate's limit, if there is a gate.
+
+        Raises:
+            ConfigError: A file cannot be written there.
+        """
+        for name, path in (("summary", summary), ("junit", junit)):
+            if path is not None:
+                _check_place(name, path)
+        self._summary = summary
+        self._junit = junit
+        self._limit = fail_above
+
+    def notify(self, event: Event) -> None:
+        """Write at the end of a run.
+
+        Raises:
+            RunError: A file cannot be written.
+        """
+        if isinstance(event, RunDone | RunFailed):
+            try:
+                self._write(event.result)
+            except OSError as error:
+                message = f"the reports cannot be written ({error})"
+                raise RunError(message) from error
+
+    def _write(self, result: RunResult) -> None:
+        gate = None if self._limit is None else decide_run(result, limit=self._limit)
+        if self._summary is not None:
+            with self._summary.open("a", encoding="utf-8") as stream:
+                stream.write(summary_markdown(result, gate=gate))
+        if self._junit is not None:
+            write_text(self._junit, junit_xml(result, gate=gate))
+
+
+def _check_place(name: str, path: Path) -> None:
+    folder = path.parent
+    if path.is_dir():
+        raise ConfigError(f"{name} = {path}: must be a file, is a folder")
+    if not folder.is_dir():
+        raise ConfigError(f"{name} = {path}: must lie in a folder that exists")
+    if not os.access(path if path.exists() else folder, os.W_OK):
+        raise ConfigError(f"{name} = {path}: cannot be written there")

@@ -1,0 +1,70 @@
+"""Specifications that single states decide: ``always (predicate on the state)``."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz import stl
+from pemviz.arrays import BoolArray
+from pemviz.stl.formulas import Always, And, Formula
+from pemviz.types import StateBatch
+
+
+@dataclass(frozen=True)
+class StateRule:
+    """From step ``first`` to step ``last`` the state must satisfy ``predicate``."""
+
+    first: int
+    last: int
+    predicate: Formula
+
+
+@dataclass(frozen=True)
+class UnsafeStates:
+    """Which states violate a specification by themselves.
+
+    Attributes:
+        rules: All must hold.
+    """
+
+    rules: tuple[StateRule, ...]
+
+    def __call__(self, states: StateBatch) -> BoolArray:
+        """Whether states ``[N]``, all of one step, break a rule ``[N]``."""
+        step = int(states.step)
+        shape = next(iter(states.signals.values())).shape
+        unsafe = np.zeros(shape, dtype=np.bool_)
+        for rule in self.rules:
+            if rule.first <= step <= rule.last:
+                single = {name: values[:, None] for name, values in states.signals.items()}
+                unsafe |= stl.violated(rule.predicate, single)
+        return unsafe
+
+
+def unsafe_states(formula: Formula) -> UnsafeStates | None:
+    """The states that violate ``formula``; ``None`` where single states do not decide it.
+
+    Within reach are ``always`` over a formula without temporal operators, nested ``always``,
+    and conjunctions of these. A rollout violates the formula if and only if one of its states
+    breaks a rule.
+    """
+    rules = _rules(formula)
+    return None if rules is None else UnsafeStates(rules)
+
+
+def _rules(formula: Formula) -> tuple[StateRule, ...] | None:
+    if formula.horizon_steps() == 0 and not any(isinstance(p, Always) for p in formula.walk()):
+        return (StateRule(0, 0, formula),)
+    if isinstance(formula, And):
+        parts = [_rules(part) for part in formula.parts]
+        known = [part for part in parts if part is not None]
+        return tuple(r for part in known for r in part) if len(known) == len(parts) else None
+    if isinstance(formula, Always):
+        inner = _rules(formula.operand)
+        if inner is None:
+            return None
+        return tuple(
+            StateRule(formula.first + rule.first, formula.last + rule.last, rule.predicate)
+            for rule in inner
+        )
+    return None

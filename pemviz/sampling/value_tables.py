@@ -1,0 +1,112 @@
+"""From the reachable states' values to the tables that the twisted proposal looks up."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.proposals.defence import share_for
+from pemviz.proposals.twisted import TwistedProposal, TwistedTables
+from pemviz.proposals.twisted_cells import CellTable, cell_keys
+from pemviz.sampling.rollout import LogitFunction
+from pemviz.sampling.value_reachable import (
+    MERGE_DISTANCE,
+    Layer,
+    Unsafe,
+    Values,
+    explore,
+    log_sum_by,
+    solve,
+    state_columns,
+    state_names,
+)
+from pemviz.simulators.latched import VIOLATED
+from pemviz.types import Signal, Simulator, outcome_log_likelihood
+
+COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
+NEGLIGIBLE_SHARE = 1e-12
+DEFENSIVE_STEPS = 2.0
+APPROXIMATE_DEFENCE = 2.5
+LARGEST_LAYER = 300_000
+
+
+def build_twisted_proposal(
+    *,
+    twin: Simulator,
+    pem_logit: LogitFunction,
+    unsafe: Unsafe,
+    largest_layer: int = LARGEST_LAYER,
+    defensive_steps: float = DEFENSIVE_STEPS,
+) -> TwistedProposal:
+    """Explore the twin, solve for the probability of violation, tabulate the proposal.
+
+    Args:
+        twin: A scenario whose ``step`` is cheap for many states.
+        pem_logit: The error model.
+        unsafe: What violates the specification.
+        largest_layer: Above so many states a step, neighbours are taken for one.
+        defensive_steps: How many of a rollout's steps are drawn from the error model itself,
+            on average: the price of bounded weights where the twin is wrong. More where states
+            had to be merged.
+    """
+    layers = explore(twin=twin, pem_logit=pem_logit, unsafe=unsafe, largest_layer=largest_layer)
+    values = solve(layers)
+    exact = all(layer.exact for layer in layers)
+    drawn = defensive_steps * (1.0 if exact else APPROXIMATE_DEFENCE)
+    cells = tuple(
+        tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
+        for share in COARSE_SHARES
+    )
+    return TwistedProposal(
+        tables=tuple(
+            _tables(layer, values, index, cells=cells) for index, layer in enumerate(layers)
+        ),
+        names=state_names(twin.initial(count=1)),
+        signal_names=tuple(signal.name for signal in _sorted_signals(twin)),
+        distance=MERGE_DISTANCE,
+        coarse_cells=cells,
+        violated=VIOLATED,
+        defensive=share_for(drawn_steps=drawn, steps=twin.states - 1),
+        log_probability=values.log_probability,
+    )
+
+
+def _sorted_signals(twin: Simulator) -> Sequence[Signal]:
+    return sorted(twin.signals, key=lambda signal: signal.name)
+
+
+def _tables(
+    layer: Layer, values: Values, index: int, *, cells: tuple[tuple[float, ...], ...]
+) -> TwistedTables:
+    logit = values.proposal_logit[index]
+    log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
+    kept = log_share > np.log(NEGLIGIBLE_SHARE)
+    columns = [column[kept] for column in state_columns(layer.states)]
+    keys = cell_keys(columns, [MERGE_DISTANCE] * len(columns))
+    signals = columns[: len(layer.states.signals)]
+    return TwistedTables(
+        states=_sorted(keys, logit[kept]),
+        coarse=tuple(
+            averaged(cell_keys(signals, sizes), logit[kept], log_share[kept]) for sizes in cells
+        ),
+    )
+
+
+def averaged(keys: IntArray, logit: FloatArray, log_share: FloatArray) -> CellTable:
+    """One logit for each distinct key: that of the mean probability under ``exp(log_share)``.
+
+    The mean is the constant with the least cross-entropy from the states' own probabilities.
+    """
+    distinct, group = np.unique(keys, return_inverse=True)
+    hit = log_sum_by(group, log_share + _outcome(logit, hit=True), distinct.size)
+    miss = log_sum_by(group, log_share + _outcome(logit, hit=False), distinct.size)
+    return CellTable(keys=distinct, logit=hit - miss)
+
+
+def _outcome(logit: FloatArray, *, hit: bool) -> FloatArray:
+    return outcome_log_likelihood(logit, np.full(logit.shape, hit))
+
+
+def _sorted(keys: IntArray, logit: FloatArray) -> CellTable:
+    order = np.argsort(keys, kind="stable")
+    return CellTable(keys=keys[order], logit=logit[order])

@@ -1,0 +1,134 @@
+"""Importance sampling with the proposal that a twin's value function gives."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from pemviz.errors import InputError
+from pemviz.proposals.twisted import TwistedProposal
+from pemviz.sampling.estimates import importance_sampling_estimate
+from pemviz.sampling.method import final_stage, stage_seeds
+from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.rollout import LogitFunction
+from pemviz.sampling.value_reachable import Unsafe
+from pemviz.sampling.value_tables import DEFENSIVE_STEPS, LARGEST_LAYER, build_twisted_proposal
+from pemviz.simulators.latched import LatchedSimulator
+from pemviz.types import Estimate, ScoredRollouts, Simulator, StageResult
+
+
+@dataclass(frozen=True)
+class ValueTwistedState:
+    """The repetition, its proposal, and its rollouts once they are drawn."""
+
+    repetition: int
+    proposal: TwistedProposal
+    scored: ScoredRollouts | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValueTwistedSampling:
+    """One batch of rollouts that are steered towards violation by the twin's values.
+
+    Unbiased on any simulator; the closer the twin, the less the weights vary.
+
+    Attributes:
+        twin: The scenario that the value function is computed on.
+        rollouts: How many.
+        seed: Root of all randomness.
+        largest_layer: Above so many states a step, the value function is approximate.
+        defensive_steps: How many of a rollout's steps are drawn from the error model itself, on
+            average.
+    """
+
+    twin: Simulator
+    rollouts: int
+    seed: int
+    largest_layer: int = LARGEST_LAYER
+    defensive_steps: float = DEFENSIVE_STEPS
+    name: str = "value-twisted"
+    stages: int = 1
+
+    def init(self, problem: Problem, *, repetition: int) -> ValueTwistedState:
+        """Compute the value function; repetitions share it.
+
+        Raises:
+            InputError: Single states do not decide the specification.
+        """
+        proposal = _proposal(
+            self.twin,
+            problem.pem_logit,
+            require_unsafe(problem),
+            self.largest_layer,
+            self.defensive_steps,
+        )
+        return ValueTwistedState(repetition=repetition, proposal=proposal)
+
+    def step(
+        self, problem: Problem, state: ValueTwistedState
+    ) -> tuple[ValueTwistedState, StageResult]:
+        """Draw and score all rollouts."""
+        scored = sample(
+            with_latch(problem),
+            proposal=state.proposal,
+            count=self.rollouts,
+            seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=0),
+        )
+        result = final_stage(
+            repetition=state.repetition, stage=0, scored=scored, sampled_from=state.proposal
+        )
+        return replace(state, scored=scored), result
+
+    def is_done(self, state: ValueTwistedState) -> bool:
+        """Whether the batch is drawn."""
+        return state.scored is not None
+
+    def estimate(self, state: ValueTwistedState) -> Estimate:
+        """The batch's estimate.
+
+        Raises:
+            ValueError: The batch is not drawn yet.
+        """
+        if state.scored is None:
+            message = "no rollouts have been drawn yet"
+            raise ValueError(message)
+        return importance_sampling_estimate(
+            state.scored, method=self.name, rollouts_simulated=self.rollouts
+        )
+
+
+def require_unsafe(problem: Problem) -> Unsafe:
+    """What single states violate the specification.
+
+    Raises:
+        InputError: There is no such answer for it.
+    """
+    if problem.unsafe is None:
+        message = (
+            "method value-twisted: the specification must be 'always' over a condition on single "
+            "states, such as always[0,99] (gap >= 2.0); use mixture or adaptive for others"
+        )
+        raise InputError(message)
+    return problem.unsafe
+
+
+def with_latch(problem: Problem) -> Problem:
+    """The problem on a simulator that remembers violations, where single states decide them."""
+    if problem.unsafe is None:
+        return problem
+    return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
+
+
+@lru_cache(maxsize=1)  # large, and the same for all repetitions
+def _proposal(
+    twin: Simulator,
+    pem_logit: LogitFunction,
+    unsafe: Unsafe,
+    largest_layer: int,
+    defensive_steps: float,
+) -> TwistedProposal:
+    return build_twisted_proposal(
+        twin=twin,
+        pem_logit=pem_logit,
+        unsafe=unsafe,
+        largest_layer=largest_layer,
+        defensive_steps=defensive_steps,
+    )

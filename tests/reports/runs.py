@@ -1,0 +1,82 @@
+"""Results made up for the reports' tests."""
+
+from dataclasses import replace
+
+from pemviz.config import ExperimentConfig
+from pemviz.model_uncertainty import ModelInterval
+from pemviz.results import PemInfo, RankedRollout, RunResult
+from pemviz.types import Estimate
+
+NASTY = (
+    "a|b `c` ``d`` <script>alert(1)</script> & \"q\" 'r' ]]> --> **bold** _em_ [x](javascript:1) "
+    "![i](http://e.x/p.png) @someone #12 $x^2$ :boom: https://e.x www.e.x \\| \\` &lt; é 漢 \n| new"
+    " | row |\r\n# heading\x00\x07\x1b[31m\u202e\ud800\ufffe"
+)
+
+
+def estimate(**changes):
+    values = {
+        "method": "adaptive",
+        "probability": 2e-15,
+        "log10_probability": -14.69897,
+        "std_error": 1e-15,
+        "ci_low": 8e-16,
+        "ci_high": 5e-15,
+        "rollouts_simulated": 1200,
+        "rollouts_in_estimate": 100,
+        "failures": 52,
+        "nll_mean": 33.4,
+        "nll_log_mean": 31.0,
+        "ess": 40.0,
+        "pareto_k": 0.3,
+        "max_weight_share": 0.1,
+        "unbiased_probability": 2e-15,
+        "unbiased_std_error": 1e-15,
+        "warnings": (),
+    }
+    return Estimate(**{**values, **changes})
+
+
+def result(one=None, *, repetitions=1, **changes):
+    one = estimate() if one is None else one
+    base = RunResult(
+        run_id="20260101-000000-adaptive",
+        status="done",
+        config=ExperimentConfig(repetitions=repetitions),
+        pem=PemInfo(name="ml-nn", digest="ab" * 32, data="37498 obstacles"),
+        versions={"pemviz": "0.1.0", "numpy": "2.3.0"},
+        assumptions=("misses are independent",),
+        estimate=one,
+        repetitions=(one,) * repetitions,
+        least_robust=(
+            RankedRollout(
+                repetition=0, stage=11, rollout=7, robustness=-3.25, violated=True, nll=34.5,
+                log_weight=-33.0, misses=9,
+            ),
+        ),
+        timings_s={"total": 2.5},
+        warnings=("no obstacle closer than 7 m",),
+        pem_interval=ModelInterval(
+            low=1e-17, high=1e-13, median=3e-15, members=20, confidence=0.95,
+            warnings=("few effective failures",),
+        ),
+    )  # fmt: skip
+    return replace(base, **changes)
+
+
+def nasty_result():
+    one = estimate(warnings=(NASTY, "second"))
+    return result(
+        one,
+        config=ExperimentConfig(spec=NASTY, pem=NASTY),
+        run_id=NASTY,
+        message=NASTY,
+        status="failed",
+        pem=PemInfo(name=NASTY, digest=NASTY, data=NASTY),
+        versions={"pemviz": NASTY},
+        assumptions=(NASTY,),
+        warnings=(NASTY,),
+        pem_interval=ModelInterval(
+            low=None, high=1e-13, median=None, members=20, confidence=0.95, warnings=(NASTY,)
+        ),
+    )

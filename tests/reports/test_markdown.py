@@ -1,0 +1,134 @@
+import re
+
+import pytest
+from markdown_it import MarkdownIt
+
+from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.reports.escape import (
+    markdown_block,
+    markdown_code,
+    markdown_table,
+    markdown_text,
+    printable_line,
+)
+from pemviz.reports.gate import decide_gate, decide_run
+from pemviz.reports.markdown import summary_markdown
+from tests.reports.runs import NASTY, estimate, nasty_result, result
+
+
+def github() -> MarkdownIt:
+    """CommonMark with tables, HTML let through: what a summary page is made with."""
+    return MarkdownIt("commonmark", {"html": True}).enable("table")
+
+
+def shown_text(source: str) -> str:
+    """What a reader sees of one line of markdown."""
+    tokens = github().parseInline(source)[0].children
+    assert {token.type for token in tokens} <= {"text", "html_inline", "text_special"}
+    return "".join(t.content for t in tokens if t.type != "html_inline")
+
+
+def test_escaped_text_shows_as_it_was():
+    assert shown_text(markdown_text(NASTY)) == printable_line(NASTY)
+    assert shown_text(markdown_code(NASTY)) == printable_line(NASTY)
+
+
+def test_only_code_tags_reach_the_page():
+    tokens = github().parseInline(markdown_code(NASTY))[0].children
+    assert [t.content for t in tokens if t.type == "html_inline"] == ["<code>", "</code>"]
+
+
+def test_unprintable_characters_are_replaced():
+    assert printable_line("a\x00b\u202ec\ud800d") == "a�b�c�d"
+    printable_line(NASTY).encode("utf-8")
+
+
+def test_a_table_keeps_its_shape_whatever_its_cells_hold():
+    table = markdown_table(("a", "b"), [(markdown_text(NASTY), markdown_code(NASTY))])
+    html = github().render(table)
+    assert html.count("<tr>") == 2
+    assert html.count("<td>") == 2
+
+
+def test_a_fence_outlasts_the_backticks_in_it():
+    tokens = github().parse(markdown_block("a\n````\n<b>\n```"))
+    assert [t.type for t in tokens] == ["fence"]
+    assert tokens[0].content == "a\n````\n<b>\n```\n"
+
+
+def test_a_nasty_run_leaves_no_markup_of_its_own():
+    page = summary_markdown(nasty_result(), gate=decide_run(nasty_result(), limit=1e-9))
+    page.encode("utf-8")
+    tokens = github().parse(page)
+    children = [child for token in tokens for child in token.children or ()]
+    kinds = {child.type for child in children}
+    assert kinds <= {"text", "html_inline", "strong_open", "strong_close", "softbreak"}
+    inline = {child.content for child in children if child.type == "html_inline"}
+    assert inline == {"<code>", "</code>"}
+    assert [t.content.strip() for t in tokens if t.type == "html_block"] == [
+        "<details><summary>Complete configuration</summary>",
+        "</details>",
+    ]
+    # the title, warnings, extrapolation, worst rollout, provenance, assumptions
+    assert len([t for t in tokens if t.type == "heading_open"]) == 6
+
+
+def test_the_page_tells_the_whole_story():
+    warned = estimate(warnings=("one rollout carries 27% of the weight",))
+    page = summary_markdown(result(warned), gate=decide_gate(warned, limit=1e-9))
+    html = github().render(page)
+    for part in (
+        "failure probability 2e-15 +- 1e-15",
+        "✅ <strong>Gate passed",
+        "always[0,99] (gap &gt;= 2.0)",
+        "8e-16 to 5e-15",
+        "52 of 100 rollouts (1200 simulated in all)",
+        "one rollout carries 27% of the weight",
+        "-3.25 (classical)",
+        "9 of 99 steps",
+        "ab" * 32,
+        "37498 obstacles",
+        "misses are independent",
+        "1e-17 to 1e-13 (95% of 20 models)",
+        "no obstacle closer than 7 m",
+        "few effective failures",
+        "numpy 2.3.0",
+        "10 stages of 100 rollouts, 100 final",
+        "70 km/h, 15 m behind",
+        "initial_gap_m = 15.0",
+        "+--",
+    ):
+        assert part in html, part
+
+
+def test_repetitions_each_have_a_row_and_long_runs_are_cut():
+    page = summary_markdown(result(repetitions=30))
+    assert len(re.findall(r"^repetition \d+ ", page, flags=re.MULTILINE)) == 20
+    assert "mean of 30" in page
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"probability": 0.0, "failures": 0, "ci_low": None, "ci_high": None}, "unknown"),
+        ({"ess": None, "pareto_k": None, "max_weight_share": None, "nll_mean": None}, "| - |"),
+    ],
+)
+def test_undefined_figures_are_dashes_not_nan(changes, words):
+    page = summary_markdown(result(estimate(**changes)))
+    assert words in page
+    assert "nan" not in page.lower().replace("provenance", "")
+
+
+def test_a_run_without_an_estimate_says_so():
+    page = summary_markdown(result(estimate=None, status="stopped", repetitions=1))
+    assert "no estimate, the run stopped" in page
+
+
+def test_what_differs_from_the_scenarios_defaults_is_named():
+    config = ExperimentConfig(scenario=ScenarioConfig(emergency_gap_m=12.0))
+    assert "emergency_gap_m 12" in markdown_to_text(summary_markdown(result(config=config)))
+
+
+def markdown_to_text(page: str) -> str:
+    return github().render(page)
