@@ -220,7 +220,7 @@ def contents_text(quota: Quota, *, repetitions: int) -> str:
     lines.append(
         "In each stage's plots, P(detected) of the proposal is the one that the stage's "
         "rollouts were sampled from. Where a proposal depends on more than the gap, its curve "
-        "against gap takes all else as on average over the stage's rollouts near that gap."
+        "against gap is the average over the states near that gap in the stage's rollouts."
     )
     lines.append(
         "In the 3D scene all rollouts are seen from the ego car: its windscreen camera stands "
