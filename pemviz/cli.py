@@ -26,8 +26,12 @@ class Command:
 
 COMMANDS = {
     "record": Command("pemviz.commands.record", "run an experiment and keep it in a run folder"),
-    "serve": Command("pemviz.commands.serve", "show the panel in the browser"),
     "pem": Command("pemviz.commands.pem", "collect, fit, evaluate, show perception error models"),
+    "serve": Command("pemviz.commands.serve", "show the panel in the browser"),
+    "open": Command("pemviz.commands.open", "show a run's recording in rerun's viewer"),
+    "reproduce": Command(
+        "pemviz.commands.reproduce", "the paper's tables and figures beside its numbers"
+    ),
     "bench": Command("pemviz.commands.bench", "measure speed on this machine"),
 }
 

@@ -15,10 +15,12 @@ from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
 from pemviz.sampling.method import Method
+from pemviz.sampling.mixture import MixtureSampling
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
 from pemviz.sampling.rollout import replay
 from pemviz.sampling.value_specification import unsafe_states
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
+from pemviz.simulators.braking_features import BrakingFeatures
 from pemviz.simulators.vectorized import VectorizedSimulator
 from pemviz.types import Simulator
 
@@ -174,6 +176,14 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             rollouts=config.final_rollouts,
             seed=config.seed,
         )
+    if config.method == "mixture":
+        return MixtureSampling(
+            learning_stages=config.stages,
+            rollouts=config.rollouts,
+            final_rollouts=config.final_rollouts,
+            seed=config.seed,
+            features=BrakingFeatures(config.scenario),
+        )
     proposal = (
         PemProposal()
         if config.method == "monte-carlo"
@@ -186,6 +196,6 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
 
 def rollouts_per_repetition(config: ExperimentConfig) -> int:
     """How many rollouts one repetition simulates."""
-    if config.method == "adaptive":
+    if config.method in ("adaptive", "mixture"):
         return (config.stages + 1) * config.rollouts + config.final_rollouts
     return config.final_rollouts

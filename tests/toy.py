@@ -1,5 +1,6 @@
 """A scenario whose failure probability is a binomial tail."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -42,3 +43,21 @@ def constant_pem(*, detection_probability: float):
 def exact_failure_probability(*, steps: int, miss_probability: float) -> float:
     """P(more misses than allowed)."""
     return float(stats.binom.sf(ALLOWED_MISSES, steps, miss_probability))
+
+
+@dataclass(frozen=True)
+class ConstantPem:
+    """Misses with one probability everywhere."""
+
+    miss_probability: float
+    digest: str = ""
+    data: str = "nothing"
+    licence: str = "none"
+
+    @property
+    def name(self):
+        return f"miss-{self.miss_probability}"
+
+    def logit(self, salient):
+        value = math.log1p(-self.miss_probability) - math.log(self.miss_probability)
+        return np.full(np.shape(salient)[:-1], value)

@@ -1,6 +1,6 @@
 """Pictures of a recording's tabs, made without a display.
 
-    python tools/recording_pictures.py RUN.rrd --out FOLDER [--step 60] [--width 1600]
+    python tools/recording_pictures.py RUN.rrd --out FOLDER [--step 60]
 
 Needs a Vulkan driver; on a machine without a graphics card that is Debian's
 mesa-vulkan-drivers. Prints each picture's path and any complaint of the views.
@@ -8,20 +8,19 @@ mesa-vulkan-drivers. Prints each picture's path and any complaint of the views.
 
 import argparse
 import re
-import socket
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import rerun_cli
 from rerun.experimental import ViewerClient
 
-LOOPBACK = "127.0.0.1"
-START_S = 60.0
+from pemviz.recording.open import viewer_process
+from pemviz.recording.web import LOOPBACK, free_port, wait_for_port
+
+ATTEMPTS = 6
 SETTLE_S = 4.0
 
 
@@ -58,7 +57,7 @@ def take_pictures(recording: Path, *, out: Path, step: int, settle_s: float) -> 
             viewer.set_blueprint(layout, "recording")
             time.sleep(settle_s)
             picture = out / f"{name}.png"
-            picture.write_bytes(viewer.take_screenshot())
+            picture.write_bytes(screenshot(viewer))
             print(picture)
             complaints += [
                 f"{name}: {view.name}: {report.severity}: {report.summary}"
@@ -113,42 +112,19 @@ def _slug(title: str) -> str:
 @contextmanager
 def headless_viewer() -> Iterator[ViewerClient]:
     """A viewer without a window, on the loopback interface, ended on leaving."""
-    program = Path(rerun_cli.__file__).parent / "rerun"
-    port = _free_port()
-    command = [
-        str(program),
-        "--headless",
-        "--bind",
-        LOOPBACK,
-        "--port",
-        str(port),
-        "--hide-welcome-screen",
-    ]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as viewer:  # noqa: S603
-        try:
-            _wait_for(port, viewer)
-            yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-        finally:
-            viewer.terminate()
+    port = free_port()
+    arguments = ["--headless", "--bind", LOOPBACK, "--port", str(port), "--hide-welcome-screen"]
+    with viewer_process(arguments) as process:
+        wait_for_port(port, process)
+        yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return probe.getsockname()[1]
-
-
-def _wait_for(port: int, viewer: subprocess.Popen[bytes]) -> None:
-    end = time.monotonic() + START_S
-    while time.monotonic() < end:
-        if viewer.poll() is not None:
-            break
-        with socket.socket() as probe:
-            if probe.connect_ex((LOOPBACK, port)) == 0:
-                return
-        time.sleep(0.1)
-    message = "the headless viewer did not start; is a Vulkan driver (mesa-vulkan-drivers) there?"
-    raise SystemExit(message)
+def screenshot(viewer: ViewerClient) -> bytes:
+    """A picture of the whole viewer; a software renderer may need more than one attempt."""
+    for _ in range(ATTEMPTS - 1):
+        with suppress(TimeoutError):
+            return viewer.take_screenshot()
+    return viewer.take_screenshot()
 
 
 if __name__ == "__main__":

@@ -16,5 +16,5 @@ EXIT_CODES = {
 def gate_exit_code(estimate: Estimate, *, fail_above: float) -> int:
     """1 if the upper bound is above ``fail_above``, 4 if the estimate cannot tell, else 0."""
     decision = decide_gate(estimate, limit=fail_above)
-    print(f"pemviz: {decision.sentence}", file=sys.stderr)
+    print(f"pemviz: gate {decision.sentence}", file=sys.stderr)
     return EXIT_CODES[decision.outcome]

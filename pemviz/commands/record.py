@@ -21,9 +21,13 @@ from pemviz.errors import ConfigError
 from pemviz.events import Observer
 from pemviz.exit_codes import EXIT_DONE, EXIT_FAILED
 from pemviz.experiment import build_experiment
+from pemviz.ranges import Range, check_value
 from pemviz.reports.writer import ReportWriter
 from pemviz.results import result_document
 from pemviz.store import RunStore, create_run_folder
+
+FailAbove = Annotated[float, Range(low=0.0, low_open=True, high=1.0)]
+Port = Annotated[int, Range(low=1, high=65535)]
 
 DESCRIPTION = (
     "Estimate the probability that the scenario violates the specification. "
@@ -53,7 +57,7 @@ class RecordArguments:
     )
     out: Path = Path("recordings")
     """Folder in which the run folder is made."""
-    fail_above: float | None = None
+    fail_above: FailAbove | None = None
     """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1."""
     summary: Path | None = None
     """Add the result as markdown to the end of this file, for instance $GITHUB_STEP_SUMMARY."""
@@ -64,6 +68,11 @@ class RecordArguments:
     """Print the result as one JSON object and nothing else."""
     no_recording: bool = False
     """Leave out run.rrd."""
+    no_frames: bool = False
+    """Leave highway-env's pictures of the least robust rollout out of run.rrd."""
+    live: Port | None = None
+    """Also serve the recording, while the run goes on, to live rerun viewers on this port of
+    the loopback interface; 1 to 65535."""
 
 
 def run(words: Sequence[str]) -> int:
@@ -84,7 +93,13 @@ def run(words: Sequence[str]) -> int:
         if not arguments.no_recording:
             from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
 
-            observers.insert(1, Recorder(folder / "run.rrd"))
+            recorder = Recorder(
+                folder / "run.rrd",
+                pem_logit=experiment.pem.logit,
+                frames=not arguments.no_frames,
+                live_port=arguments.live,
+            )
+            observers.insert(1, recorder)
         result = run_engine(
             experiment, run_id=folder.name, observers=observers, should_stop=should_stop
         )
@@ -111,10 +126,12 @@ def parse(words: Sequence[str]) -> RecordArguments:
     arguments = parse_arguments(
         RecordArguments, words, command="record", default=start, description=DESCRIPTION
     )
-    limit = arguments.fail_above
-    if limit is not None and not 0.0 < limit <= 1.0:
-        message = f"fail-above = {limit}: must be a number, above 0 and at most 1"
-        raise ConfigError(message)
+    for name, value, annotation in (
+        ("fail-above", arguments.fail_above, FailAbove),
+        ("live", arguments.live, Port),
+    ):
+        if value is not None:
+            check_value(name=name, value=value, annotation=annotation)
     return arguments
 
 

@@ -42,7 +42,7 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     table.add_row("error model", result.pem.name)
     table.add_row("probability", probability_text(estimate))
     table.add_row("95 % interval", interval_text(estimate))
-    table.add_row("range over error models", model_range_text(result))
+    table.add_row("range over error models", model_range_text(result.pem_interval))
     table.add_row("violations", violations_text(estimate))
     table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))
     table.add_row("effective sample size", number_text(estimate.ess))

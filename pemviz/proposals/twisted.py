@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.proposals.defence import defended
 from pemviz.proposals.twisted_cells import CellTable, cell_keys
-from pemviz.types import StateBatch, outcome_log_likelihood
+from pemviz.types import StateBatch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,21 +100,3 @@ class TwistedProposal:
             keys = cell_keys([columns[name][left] for name in self.signal_names], cells)
             logit[left], found[left] = table.find(keys)
         return logit, found
-
-
-def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
-    """The mixture of a proposal (weight 1 - share) and the error model (share), as logits.
-
-    Hesterberg's defensive mixture (1995), applied to every outcome: a single outcome's
-    weight is at most 1 / share, whatever the proposal. ``share`` lies in (0, 1).
-    """
-    sides: list[FloatArray] = []
-    for hit in (True, False):
-        detected = np.full(logit.shape, hit)
-        sides.append(
-            np.logaddexp(
-                np.log1p(-share) + outcome_log_likelihood(logit, detected),
-                np.log(share) + outcome_log_likelihood(pem_logit, detected),
-            )
-        )
-    return sides[0] - sides[1]

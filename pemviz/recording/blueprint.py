@@ -16,7 +16,7 @@ def blueprint(views: ContainerSpec) -> rrb.Blueprint:
     """The blueprint of these tabs; panels folded, time panel on ``step``."""
     return rrb.Blueprint(
         _container(views),
-        rrb.TimePanel(timeline=paths.STEP, state="collapsed"),
+        rrb.TimePanel(timeline=paths.STEP, state="collapsed", play_state="paused"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_views=False,
@@ -93,7 +93,6 @@ def _tensor(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
 def _scene(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
     return rrb.Spatial3DView(
         **common,
-        background=[24, 24, 28],
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=EYE_M, look_target=LOOK_AT_M, eye_up=(0, 0, 1)

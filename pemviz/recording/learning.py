@@ -115,10 +115,17 @@ def log_figures(file: RecordingFile, rows: Sequence[StageFigures], *, stages: in
         value = getattr(newest, name)
         if value is not None:
             file.on_stage_only(paths.figure(name), rr.Scalars(float(value)), stage=newest.stage)
-    # with very many stages, bars after each would grow with the square of their number
-    every = max(1, math.ceil(stages / ALWAYS_REDRAWN))
-    if newest.stage % every == 0 or newest.stage >= stages - 1:
+    if is_redrawn(newest.stage, stages=stages):
         _log_bars(file, rows)
+
+
+def is_redrawn(stage: int, *, stages: int) -> bool:
+    """Whether what shows all stages so far is written again after this one.
+
+    With very many stages, doing so after each would grow with the square of their number.
+    """
+    every = max(1, math.ceil(stages / ALWAYS_REDRAWN))
+    return stage % every == 0 or stage >= stages - 1
 
 
 def _log_bars(file: RecordingFile, rows: Sequence[StageFigures]) -> None:

@@ -91,3 +91,8 @@ def outcomes(rank: int) -> str:
 def worst_series(part: str) -> str:
     """A signal of the least robust rollouts, by its key."""
     return f"/worst_case/series/{part}"
+
+
+def page(name: str, part: str) -> str:
+    """A part (``text``, ``picture``, ``series``) of a page; see :mod:`pemviz.recording.pages`."""
+    return f"/pages/{name}/{part}"

@@ -165,10 +165,8 @@ class Recorder:
         self._figures.append(learning.stage_figures(stage, method=config.method))
         learning.log_figures(file, self._figures, stages=run.started.stages)
         learning.log_robustness(file, stage)
-        file.markdown(
-            paths.STAGE_TABLE,
-            text.stage_table(self._figures, robustness_unit=robustness_unit(config.metric)),
-        )
+        if learning.is_redrawn(stage.stage, stages=run.started.stages):
+            self._write_stage_table(file, run)
         if run.gap_m is None:
             return
         curves = detection_curves(
@@ -179,6 +177,11 @@ class Recorder:
             rollouts=stage.scored.rollouts,
         )
         learning.log_curves(file, curves, stage=stage.stage)
+
+    def _write_stage_table(self, file: RecordingFile, run: _Run) -> None:
+        unit = robustness_unit(run.started.config.metric)
+        table = text.stage_table(self._figures, robustness_unit=unit)
+        file.markdown(paths.STAGE_TABLE, table)
 
     def _add_repetition(self, file: RecordingFile, result: RunResult) -> None:
         # redrawn when a tenth has been added, so that the file grows with their number only
@@ -204,7 +207,8 @@ class Recorder:
         self._write_repetitions(file, result)
         self._write_texts(file, result, running=False)
         file.markdown(paths.RESULT, text.result_text(result))
-        if self._tracks and self._figures:
+        if self._figures:
+            self._write_stage_table(file, run)
             self._write_worst(file, run)
         kept = views_with_data(run.views, file.logged)
         if kept != run.views:

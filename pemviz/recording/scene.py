@@ -18,6 +18,8 @@ from pemviz.recording.worst import Track
 from pemviz.simulators.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, EGO_SPEED, GAP
 
 LANES = 5
+POST_M = 5.5
+LABEL_M = 2.8
 LANE_SPACING_M = 4.5
 ROAD_START_M = -12.0
 ROAD_END_M = 32.0
@@ -56,7 +58,7 @@ def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
     file.static(
         paths.setting("emergency_gap"),
         rr.LineStrips3D(
-            [[[edge_m, near_m, 0.05], [edge_m, far_m, 0.05]]],
+            [[[edge_m, near_m, 0.05], [edge_m, far_m, 0.05], [edge_m, far_m, POST_M]]],
             colors=colors.GREEN,
             radii=0.07,
         ),
@@ -64,7 +66,7 @@ def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
     file.static(
         paths.setting("emergency_gap/label"),
         rr.Points3D(
-            [[edge_m, near_m - 2.2, 0.0]],
+            [[edge_m, far_m, POST_M]],
             labels=[f"a detection nearer than {edge_m:g} m brakes hard"],
             colors=colors.GREEN,
             radii=0.02,
@@ -169,7 +171,7 @@ def _log_label(file: RecordingFile, rank: int, track: Track, *, times: StepTimes
     outcomes = [*np.where(track.detected, "detected", "MISSED").tolist(), "end"]
     words = [f"{word}, gap {gap:.1f} m" for word, gap in zip(outcomes, gap_m.tolist(), strict=True)]
     y_m, x_m = lane_y_m(rank), np.maximum(gap_m, 0.0) + 2.5
-    position = np.stack([x_m, np.full(gap_m.size, y_m), np.full(gap_m.size, 2.8)], axis=1)
+    position = np.stack([x_m, np.full(gap_m.size, y_m), np.full(gap_m.size, LABEL_M)], axis=1)
     path = paths.lane(rank, "outcome")
     file.static(
         path, rr.Points3D.from_fields(radii=[0.05], colors=[colors.WHITE], show_labels=True)
@@ -182,8 +184,8 @@ def _log_label(file: RecordingFile, rank: int, track: Track, *, times: StepTimes
     file.at_stage(
         paths.lane(rank, "name"),
         rr.Points3D(
-            [[ROAD_END_M - 10.0, y_m, 0.6]],
-            labels=[f"{rank}: {track.title}"],
+            [[-1.0, y_m, LABEL_M]],
+            labels=[f"rank {rank}: robustness {track.ranked.robustness:.3g}"],
             radii=0.05,
             colors=colors.WHITE,
             show_labels=True,

@@ -7,7 +7,7 @@ import numpy as np
 from pemviz.arrays import FloatArray, IntArray
 
 ROLLOUT_LIMIT = 3000
-SMALLEST_STAGE = 50
+SMALLEST_STAGE = 10
 LEAST_ROBUST_SHARE = 4
 
 

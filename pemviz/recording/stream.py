@@ -1,5 +1,6 @@
 """One recording being written: a thin layer over rerun that knows this project's timelines."""
 
+import socket
 import uuid
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,7 @@ class RecordingFile:
     """A recording that is written to a file and, on request, served to a live viewer.
 
     Attributes:
+        path: The file.
         logged: The entity paths written so far.
     """
 
@@ -54,8 +56,9 @@ class RecordingFile:
             live_port: Port on the loopback interface where a live viewer can connect.
 
         Raises:
-            RunError: The file cannot be opened.
+            RunError: The file cannot be opened, or the port is taken.
         """
+        self.path = path
         self.logged: set[str] = set()
         # a random identifier: a viewer merges recordings that have the same one
         self._stream = rr.RecordingStream(
@@ -64,14 +67,15 @@ class RecordingFile:
         self._stream.set_log_time_enabled(False)
         self._stream.set_log_tick_enabled(False)
         sinks: list[Any] = []
+        if live_port is not None:
+            _check_port(live_port)
         try:
             sinks.append(rr.FileSink(path))
             if live_port is not None:
                 sinks.append(rr.GrpcServerSink(bind_ip=LOOPBACK, port=live_port))
             self._stream.set_sinks(*sinks)
         except (OSError, RuntimeError, ValueError) as error:
-            message = f"recording {path}: cannot be written ({error})"
-            raise RunError(message) from error
+            raise RunError(_cannot_write(path, error)) from error
         self._stream.send_recording_name(name)
 
     def markdown(self, path: str, text: str) -> None:
@@ -127,10 +131,37 @@ class RecordingFile:
         self._stream.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def flush(self) -> None:
-        """Make what was logged readable in the file, even if the process is killed next."""
-        self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
+        """Make what was logged readable in the file, even if the process is killed next.
+
+        Raises:
+            RunError: It cannot be written.
+        """
+        try:
+            self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
+        except (OSError, RuntimeError, ValueError) as error:
+            raise RunError(_cannot_write(self.path, error)) from error
 
     def close(self) -> None:
-        """Write the footer."""
-        self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
-        self._stream.disconnect()
+        """Write the footer.
+
+        Raises:
+            RunError: It cannot be written.
+        """
+        try:
+            self.flush()
+        finally:
+            self._stream.disconnect()
+
+
+def _cannot_write(path: Path, error: Exception) -> str:
+    return f"recording {path}: cannot be written ({' '.join(str(error).split())})"
+
+
+def _check_port(port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            message = f"live port {port}: cannot be used ({error.strerror or error})"
+            raise RunError(message) from error

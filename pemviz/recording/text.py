@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 
 from pemviz.config_files import config_text
+from pemviz.model_uncertainty import ModelInterval
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
@@ -23,6 +24,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     estimate = result.estimate
     parts = [_headline(estimate, running=running), *_status(result, running=running)]
     if estimate is not None:
+        parts.append(_model_range(result.pem_interval))
         parts.append(_diagnostics(estimate))
     parts.append(_question(result))
     parts.append(
@@ -33,7 +35,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         "- **Worst case**: the least robust rollouts; press play to watch them.\n"
         "- **Config**: everything needed to run this again.\n\n"
         "The time panel below moves along a rollout (timelines `step` and `sim_time`). "
-        "Choose `stage` there to replay the learning."
+        "Choose `stage` there to replay the tab Learning."
     )
     return "\n\n".join(parts)
 
@@ -42,23 +44,38 @@ def _headline(estimate: Estimate | None, *, running: bool) -> str:
     if estimate is None:
         return "# The run goes on" if running else "# No estimate"
     if estimate.failures == 0:
-        return "# No violation was seen"
-    low, high = estimate.ci_low, estimate.ci_high
-    interval = (
-        f"{estimate.confidence:.0%} interval: **{number(low)} to {number(high)}**"
-        if low is not None and high is not None
-        else "No interval is known."
-    )
+        return f"# No violation was seen\n\n{_interval(estimate)}{_caution(estimate)}"
     shown = number(estimate.probability)
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
         shown = f"10^{estimate.log10_probability:.1f}"
-    return f"# Probability of a violation: {shown}\n\n{interval}"
+    return f"# Probability of a violation: {shown}\n\n{_interval(estimate)}{_caution(estimate)}"
+
+
+def _interval(estimate: Estimate) -> str:
+    low, high = estimate.ci_low, estimate.ci_high
+    if low is None or high is None:
+        return "No interval is known."
+    return f"{estimate.confidence:.0%} interval: **{number(low)} to {number(high)}**"
+
+
+def _model_range(interval: ModelInterval | None) -> str:
+    if interval is None or interval.high is None:
+        return "Over other error models: unknown."
+    low = "0" if interval.low is None else number(interval.low)
+    return (
+        f"Over {interval.members} error models that fit the same data: "
+        f"**{low} to {number(interval.high)}**"
+    )
+
+
+def _caution(estimate: Estimate) -> str:
+    return "\n\n**Read the warnings below before quoting this.**" if estimate.warnings else ""
 
 
 def _status(result: RunResult, *, running: bool) -> list[str]:
     stages = len(result.stages)
     if running:
-        return [f"So far {stages} stages are done."]
+        return [f"Stages done so far: {stages}."]
     if result.status == "done":
         return []
     reason = f": {result.message}" if result.message else ""
@@ -95,15 +112,16 @@ def _question(result: RunResult) -> str:
 
 
 def warnings_text(result: RunResult) -> str:
-    """The estimate's warnings, or that there are none."""
+    """The estimate's warnings (bold) and the error model's, or that there are none."""
     estimate = result.estimate
     if result.message:
         return f"# Warnings\n\n- {result.message}"
     if estimate is None:
         return "# Warnings\n\nNone so far; there is no estimate yet."
-    if not estimate.warnings:
+    warnings = (*(f"**{warning}**" for warning in estimate.warnings), *result.warnings)
+    if not warnings:
         return "# Warnings\n\nNone."
-    return "# Warnings\n\n" + "\n".join(f"- **{warning}**" for warning in estimate.warnings)
+    return "# Warnings\n\n" + "\n".join(f"- {warning}" for warning in warnings)
 
 
 def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
@@ -202,7 +220,7 @@ def contents_text(quota: Quota, *, repetitions: int) -> str:
     lines.append(
         "In each stage's plots, P(detected) of the proposal is the one that the stage's "
         "rollouts were sampled from. Where a proposal depends on more than the gap, its curve "
-        "against gap takes all else as on average over the stage's rollouts near that gap."
+        "against gap is the average over the states near that gap in the stage's rollouts."
     )
     lines.append(
         "In the 3D scene all rollouts are seen from the ego car: its windscreen camera stands "

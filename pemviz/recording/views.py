@@ -143,14 +143,19 @@ def _title(signal: Signal) -> str:
 def _estimate_view() -> ViewSpec:
     return ViewSpec(
         "bars",
-        "log10 estimate (orange), interval's ends (blue), against stage",
+        "log10 estimate with interval against stage",
         tuple(paths.bars(n) for n in ("log10_ci_low", "log10_probability", "log10_ci_high")),
     )
 
 
+def _robustness_view(subject: Subject) -> ViewSpec:
+    title = f"Number of rollouts against robustness{_bracketed(subject.robustness_unit)}"
+    return ViewSpec("bars", title, (paths.ROBUSTNESS,))
+
+
 def _answer(subject: Subject) -> ContainerSpec:
     gap = subject.signals[0]
-    plots: list[ViewSpec] = [_estimate_view()]
+    plots: list[ViewSpec] = [_estimate_view() if subject.stages > 1 else _robustness_view(subject)]
     if subject.repetitions > 1:
         plots.append(
             ViewSpec("bars", "log10 of the estimate against repetition", (paths.REPETITIONS,))
@@ -193,6 +198,9 @@ def _learning(subject: Subject) -> ContainerSpec:
             ViewSpec("text", "Stages", (paths.STAGE_TABLE,)),
         ),
     )
+    if subject.stages == 1:
+        both = (current, _robustness_view(subject))
+        return ContainerSpec("horizontal", "Learning", both, shares=(1.2, 1.0))
     figures = ContainerSpec(
         "grid",
         "Figures",
@@ -202,7 +210,7 @@ def _learning(subject: Subject) -> ContainerSpec:
             ViewSpec("bars", "Effective sample size against stage", (paths.bars("ess"),)),
             ViewSpec("bars", "Loss [nats a step] against stage", (paths.bars("loss"),)),
             _estimate_view(),
-            ViewSpec("bars", f"Rollouts against robustness{unit}", (paths.ROBUSTNESS,)),
+            _robustness_view(subject),
         ),
         columns=2,
     )
@@ -220,8 +228,6 @@ def _learning(subject: Subject) -> ContainerSpec:
         ),
         columns=4,
     )
-    if subject.stages == 1:
-        return replace(overview, title="Learning")
     return ContainerSpec("tabs", "Learning", (overview, curves))
 
 

@@ -1,9 +1,11 @@
 """Text that others wrote, made harmless in markdown and XML."""
 
+import re
 import unicodedata
 
 REPLACEMENT = "\N{REPLACEMENT CHARACTER}"
-MARKDOWN_ACTIVE = frozenset("\\`*_{}[]<>#|~@&$:")
+# an underscore inside a word and a colon before a space do nothing, and read better as they are
+MARKDOWN_ACTIVE = re.compile(r"[\\`*{}\[\]<>#|~@&$]|(?<![^\W_])_|_(?![^\W_])|:(?!\s|$)")
 # categories: control, format (bidirectional overrides too), surrogate, private, unassigned
 UNPRINTABLE = frozenset(("Cc", "Cf", "Cs", "Co", "Cn"))
 
@@ -35,10 +37,8 @@ def markdown_text(text: str) -> str:
     Whatever markdown could act on becomes a numeric character reference: neither a table's
     bars nor HTML, links, mentions or formulas can come out of ``text``.
     """
-    return "".join(
-        f"&#{ord(character)};" if character in MARKDOWN_ACTIVE else character
-        for character in printable_line(text)
-    ).replace("www.", "www&#46;")
+    shown = MARKDOWN_ACTIVE.sub(lambda found: f"&#{ord(found[0])};", printable_line(text))
+    return shown.replace("www.", "www&#46;")
 
 
 def markdown_code(text: str) -> str:

@@ -29,7 +29,7 @@ class GateDecision:
     def sentence(self) -> str:
         """Outcome and reason."""
         words = {"undecided": "cannot be decided"}.get(self.outcome, self.outcome)
-        return f"gate {words}: {self.reason}"
+        return f"{words}: {self.reason}"
 
 
 def decide_gate(estimate: Estimate, *, limit: float) -> GateDecision:

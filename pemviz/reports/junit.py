@@ -4,7 +4,7 @@ from xml.etree import ElementTree as Xml
 
 from pemviz.reports.escape import printable_line, printable_lines
 from pemviz.reports.gate import GateDecision
-from pemviz.reports.words import interval_text, probability_text, violations_text
+from pemviz.reports.words import interval_text, model_range_text, probability_text, violations_text
 from pemviz.results import RunResult
 
 DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>'
@@ -73,7 +73,7 @@ def _add_complaint(
     if result.status != "done":
         kind, message = f"run {result.status}", result.message or "the run did not finish"
     elif gate is not None:
-        kind, message = f"gate {gate.outcome}", gate.sentence
+        kind, message = f"gate {gate.outcome}", f"gate {gate.sentence}"
     else:
         return
     attributes = {"type": kind, "message": printable_line(message)}
@@ -89,6 +89,7 @@ def _facts(result: RunResult) -> list[str]:
             f"probability {probability_text(estimate)}",
             f"interval {interval_text(estimate)}",
             f"violations {violations_text(estimate)}",
-            *(f"warning: {warning}" for warning in estimate.warnings),
+            f"range over error models {model_range_text(result.pem_interval)}",
+            *(f"warning: {warning}" for warning in (*estimate.warnings, *result.warnings)),
         ]
     return [printable_lines(line) for line in lines]

@@ -1,6 +1,7 @@
 """A run as one page of markdown, suited to the summary page of a pipeline's job."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import fields
 
 from pemviz.config import ExperimentConfig, ScenarioConfig
@@ -10,6 +11,7 @@ from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.reports.words import (
     interval_text,
+    model_range_text,
     number_text,
     probability_text,
     share_text,
@@ -33,7 +35,7 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     """
     parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
     if result.estimate is not None:
-        parts += [_answer(result.estimate), *_plot(result, gate)]
+        parts += [_answer(result, result.estimate), *_plot(result, gate)]
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
     parts.append(_details("Complete configuration", _config(result.config)))
     return "\n\n".join(parts) + "\n"
@@ -48,7 +50,8 @@ def _headline(result: RunResult) -> str:
 def _status(result: RunResult, gate: GateDecision | None) -> list[str]:
     lines: list[str] = []
     if gate is not None:
-        lines.append(f"{GATE_MARKS[gate.outcome]} **{markdown_text(gate.sentence.capitalize())}**")
+        sentence = markdown_text(f"Gate {gate.sentence}")
+        lines.append(f"{GATE_MARKS[gate.outcome]} **{sentence}**")
     if result.status != "done":
         message = "" if result.message is None else f": {markdown_text(result.message)}"
         lines.append(f"⚠️ **The run {result.status}{message}.** The figures are of what was done.")
@@ -56,11 +59,12 @@ def _status(result: RunResult, gate: GateDecision | None) -> list[str]:
     return lines
 
 
-def _answer(estimate: Estimate) -> str:
+def _answer(result: RunResult, estimate: Estimate) -> str:
     rows: list[Row] = [
         ("probability of a violation", f"**{probability_text(estimate)}**"),
         ("log10", number_text(estimate.log10_probability)),
         (f"{estimate.confidence:.0%} interval".replace("%", " %"), interval_text(estimate)),
+        ("range over error models", model_range_text(result.pem_interval)),
         ("violations", violations_text(estimate)),
         ("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)")),
         ("effective sample size", number_text(estimate.ess)),
@@ -86,6 +90,9 @@ def interval_rows(result: RunResult, *, limit: float | None) -> list[IntervalRow
     rows = [_row(f"repetition {number + 1}", one) for number, one in enumerate(shown)]
     name = result.estimate.method if not repetitions else f"mean of {len(repetitions)}"
     rows.append(_row(name, result.estimate))
+    models = result.pem_interval
+    if models is not None and models.high is not None:
+        rows.append(IntervalRow("error models", models.median, models.low or 0.0, models.high))
     if limit is not None:
         rows.append(IntervalRow("gate", limit, mark="X"))
     return rows
@@ -96,10 +103,21 @@ def _row(label: str, estimate: Estimate) -> IntervalRow:
 
 
 def _warnings(result: RunResult) -> list[str]:
-    if result.estimate is None or not result.estimate.warnings:
-        return []
-    items = "\n".join(f"- ⚠️ {markdown_text(warning)}" for warning in result.estimate.warnings)
-    return ["### Warnings", items]
+    sampling = () if result.estimate is None else result.estimate.warnings
+    interval = () if result.pem_interval is None else result.pem_interval.warnings
+    sections: list[str] = []
+    if sampling:
+        sections += ["### Warnings", _list(sampling)]
+    if result.warnings or interval:
+        sections += [
+            "### Extrapolated: where the error model has little or no data",
+            _list((*result.warnings, *interval)),
+        ]
+    return sections
+
+
+def _list(warnings: Sequence[str]) -> str:
+    return "\n".join(f"- ⚠️ {markdown_text(warning)}" for warning in warnings)
 
 
 def _worst(result: RunResult) -> list[str]:

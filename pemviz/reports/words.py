@@ -1,6 +1,6 @@
 """Figures of an estimate in words, the same on the terminal and in reports."""
 
-from pemviz.results import RunResult
+from pemviz.model_uncertainty import ModelInterval
 from pemviz.types import Estimate
 
 
@@ -27,6 +27,15 @@ def violations_text(estimate: Estimate) -> str:
     )
 
 
+def model_range_text(interval: ModelInterval | None) -> str:
+    """The answer's range over other models that fit the same data."""
+    if interval is None:
+        return "unknown: the model has no ensemble, or nothing failed"
+    low = "0" if interval.low is None else f"{interval.low:.2g}"
+    high = "unknown" if interval.high is None else f"{interval.high:.2g}"
+    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} models)"
+
+
 def number_text(value: float | None, *, unit: str = "") -> str:
     """A number with its unit, or a dash."""
     return "-" if value is None else f"{value:.3g} {unit}".strip()
@@ -35,13 +44,3 @@ def number_text(value: float | None, *, unit: str = "") -> str:
 def share_text(value: float | None) -> str:
     """A share in per cent, or a dash."""
     return "-" if value is None else f"{value:.0%}"
-
-
-def model_range_text(result: RunResult) -> str:
-    """The answer's range over other models that fit the same data."""
-    interval = result.pem_interval
-    if interval is None:
-        return "unknown: the model has no ensemble, or nothing failed"
-    low = "0" if interval.low is None else f"{interval.low:.2g}"
-    high = "unknown" if interval.high is None else f"{interval.high:.2g}"
-    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} models)"

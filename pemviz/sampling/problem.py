@@ -1,7 +1,7 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,7 +68,7 @@ def sample(
         }
         batches.append(replace(scored, timings_s=timings_s))
         problem.progress(start + size, count)
-    return _concatenated(batches)
+    return concatenated(batches)
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
@@ -80,7 +80,8 @@ def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
     )
 
 
-def _concatenated(batches: list[ScoredRollouts]) -> ScoredRollouts:
+def concatenated(batches: Sequence[ScoredRollouts]) -> ScoredRollouts:
+    """One batch of at least one, in order; timings add up."""
     if len(batches) == 1:
         return batches[0]
     parts = [batch.rollouts for batch in batches]

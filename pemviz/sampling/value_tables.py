@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.proposals.defence import share_for
 from pemviz.proposals.twisted import TwistedProposal, TwistedTables
 from pemviz.proposals.twisted_cells import CellTable, cell_keys
 from pemviz.sampling.rollout import LogitFunction
@@ -26,7 +27,6 @@ COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
 NEGLIGIBLE_SHARE = 1e-12
 DEFENSIVE_STEPS = 2.0
 APPROXIMATE_DEFENCE = 2.5
-LARGEST_DEFENSIVE_SHARE = 0.1
 LARGEST_LAYER = 300_000
 
 
@@ -66,7 +66,7 @@ def build_twisted_proposal(
         distance=MERGE_DISTANCE,
         coarse_cells=cells,
         violated=VIOLATED,
-        defensive=min(drawn / (twin.states - 1), LARGEST_DEFENSIVE_SHARE),
+        defensive=share_for(drawn_steps=drawn, steps=twin.states - 1),
         log_probability=values.log_probability,
     )
 

@@ -11,25 +11,7 @@ from pemviz.engine import run_experiment
 from pemviz.model_uncertainty import extrapolation_warnings, member_estimates, model_interval
 from pemviz.proposals.simple import ConstantProposal
 from pemviz.sampling.problem import sample
-from tests.toy import MissCounter, exact_failure_probability
-
-
-@dataclass(frozen=True)
-class ConstantPem:
-    """Misses with one probability everywhere."""
-
-    miss_probability: float
-    digest: str = ""
-    data: str = "nothing"
-    licence: str = "none"
-
-    @property
-    def name(self):
-        return f"miss-{self.miss_probability}"
-
-    def logit(self, salient):
-        value = math.log1p(-self.miss_probability) - math.log(self.miss_probability)
-        return np.full(np.shape(salient)[:-1], value)
+from tests.toy import ConstantPem, MissCounter, exact_failure_probability
 
 
 @dataclass(frozen=True)

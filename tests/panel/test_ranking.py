@@ -22,9 +22,7 @@ def test_re_ranking_gives_the_scores_of_a_run_under_that_metric(controller, naiv
     under = wait_until(controller).run
     # the naive method draws the same rollouts whatever the metric
     np.testing.assert_array_equal(under.rollouts["gap_m"], naive_run.rollouts["gap_m"])
-    np.testing.assert_array_equal(
-        rank(naive_run, metric).robustness, under.rollouts["robustness"]
-    )
+    np.testing.assert_array_equal(rank(naive_run, metric).robustness, under.rollouts["robustness"])
 
 
 def test_order_is_least_robust_first_and_classical_is_the_minimum_gap(naive_run):
@@ -66,15 +64,11 @@ def test_thinning_keeps_the_least_robust_and_their_numbers(naive_run):
     np.testing.assert_array_equal(np.sort(few["robustness"]), lowest)
     for place in range(7):
         original = few["rollout"][place]
-        np.testing.assert_array_equal(
-            few["gap_m"][place], naive_run.rollouts["gap_m"][original]
-        )
+        np.testing.assert_array_equal(few["gap_m"][place], naive_run.rollouts["gap_m"][original])
 
 
 def test_numbering_counts_within_repetition_and_stage():
-    table = numbered(
-        {"repetition": np.array([0, 0, 0, 1, 1]), "stage": np.array([0, 1, 0, 0, 0])}
-    )
+    table = numbered({"repetition": np.array([0, 0, 0, 1, 1]), "stage": np.array([0, 1, 0, 0, 0])})
     assert table["rollout"].tolist() == [0, 0, 1, 0, 1]
 
 

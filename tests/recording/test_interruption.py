@@ -1,21 +1,25 @@
 """A recording survives a kill, a failure and a scenario of one's own."""
 
+import socket
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from pemviz.engine import run
 from pemviz.errors import InputError, RunError
+from pemviz.events import StageDone
 from pemviz.experiment import build_experiment
 from pemviz.recording import Recorder, paths
 from pemviz.recording.read import read_stages
+from pemviz.recording.web import free_port
 from tests.recording.conftest import LEARNING, chunks, texts, with_blind_pem
 from tests.recording.test_values import verify
-from tests.toy import MissCounter, constant_pem
+from tests.toy import ConstantPem, MissCounter, constant_pem
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -51,7 +55,7 @@ def test_finished_stages_of_a_killed_run_are_readable(tmp_path):
         assert stage.series["gap_m"].shape == (20, 100)
         assert stage.detected.shape == (20, 99)
     assert paths.stage_curve(2) in {chunk.entity_path for chunk in chunks(path)}
-    assert "So far 3 stages" in texts(path)[paths.ANSWER]
+    assert "Stages done so far: 3." in texts(path)[paths.ANSWER]
 
 
 def test_a_failed_run_leaves_a_whole_file_that_says_why(tmp_path):
@@ -99,10 +103,49 @@ def test_another_simulator_is_recorded_without_the_scene(tmp_path):
     )
     path = tmp_path / "run.rrd"
     run(
-        replace(experiment, problem=problem),
+        replace(experiment, problem=problem, pem=ConstantPem(0.1), ensemble=None),
         observers=[Recorder(path, pem_logit=problem.pem_logit)],
     )
     assert verify(path).returncode == 0
     assert read_stages(path)[0].series["gap_m"].shape == (40, 7)
     logged = {chunk.entity_path for chunk in chunks(path)}
     assert not any(entity.startswith(paths.SCENE) for entity in logged)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a disk that is full")
+def test_a_full_disk_is_one_line():
+    experiment = with_blind_pem(replace(LEARNING, method="naive"))
+    with pytest.raises(RunError, match="cannot be written") as caught:
+        run(experiment, observers=[Recorder(Path("/dev/full"))])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_live_viewer_can_connect_from_this_machine_only(tmp_path):
+    ports = []
+
+    class Look:
+        def notify(self, event):
+            if isinstance(event, StageDone):
+                ports.extend(
+                    (connection.laddr.ip, connection.laddr.port)
+                    for connection in psutil.Process().net_connections(kind="inet")
+                    if connection.status == psutil.CONN_LISTEN
+                )
+
+    port = free_port()
+    path = tmp_path / "run.rrd"
+    experiment = with_blind_pem(replace(LEARNING, method="naive"))
+    run(experiment, observers=[Recorder(path, live_port=port), Look()])
+    assert ("127.0.0.1", port) in ports
+    assert verify(path).returncode == 0
+
+
+def test_a_taken_live_port_is_one_line(tmp_path):
+    experiment = with_blind_pem(replace(LEARNING, method="naive"))
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(RunError, match=f"live port {port}") as caught:
+            run(experiment, observers=[Recorder(tmp_path / "run.rrd", live_port=port)])
+    assert "\n" not in str(caught.value)

@@ -65,13 +65,7 @@ def test_every_view_of_a_run_without_violations_points_at_something_logged(tmp_p
     kept = views_with_data(all_views(subject_of(recorded)), logged)
     titles = [view.title for view in views_of(kept)]
     assert all(shown(view.paths[-1], logged) for view in views_of(kept))
-    # of the interval only the upper end is known
-    assert empty_views(kept, logged) == [
-        (title, paths.bars(name))
-        for title in titles
-        if title.startswith("log10 estimate")
-        for name in ("log10_ci_low", "log10_probability")
-    ]
+    assert empty_views(kept, logged) == []
     assert "Answer" in titles
     assert "Effective sample size against stage" not in titles
 
@@ -80,7 +74,7 @@ def test_views_follow_repetitions_and_frames(tmp_path):
     pytest.importorskip("highway_env")
     short = replace(LEARNING.scenario, states=8)
     config = replace(
-        LEARNING, method="naive", spec="always[0,7] (gap >= 2.0)", scenario=short, repetitions=2,
+        LEARNING, method="naive", spec="always[0,7] (gap >= 14.9)", scenario=short, repetitions=2,
         final_rollouts=10,
     )  # fmt: skip
     recorded = record(with_blind_pem(config), tmp_path, frames=True)
@@ -93,7 +87,7 @@ def test_views_follow_repetitions_and_frames(tmp_path):
     assert bytes(blob).startswith(b"\xff\xd8")
     wanted = subject_of(recorded, frames=True)
     missing = {title for title, _ in empty_views(all_views(wanted), logged)}
-    assert all("against stage" in title or "estimate" in title for title in missing), missing
+    assert not missing
 
 
 def test_tabs_read_in_order(learned):

@@ -36,4 +36,4 @@ def test_a_quota_is_shared_by_the_stages():
     assert quota(rollouts=1200, stages=12).per_stage is None
     assert quota(rollouts=10_000, stages=1).per_stage == 3000
     assert quota(rollouts=100_000, stages=10).per_stage == 300
-    assert quota(rollouts=10_000_000, stages=1000).per_stage == 50
+    assert quota(rollouts=10_000_000, stages=1000).per_stage == 10

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from pemviz.config import ExperimentConfig
+from pemviz.model_uncertainty import ModelInterval
 from pemviz.results import PemInfo, RankedRollout, RunResult
 from pemviz.types import Estimate
 
@@ -54,6 +55,11 @@ def result(one=None, *, repetitions=1, **changes):
             ),
         ),
         timings_s={"total": 2.5},
+        warnings=("no obstacle closer than 7 m",),
+        pem_interval=ModelInterval(
+            low=1e-17, high=1e-13, median=3e-15, members=20, confidence=0.95,
+            warnings=("few effective failures",),
+        ),
     )  # fmt: skip
     return replace(base, **changes)
 
@@ -69,4 +75,8 @@ def nasty_result():
         pem=PemInfo(name=NASTY, digest=NASTY, data=NASTY),
         versions={"pemviz": NASTY},
         assumptions=(NASTY,),
+        warnings=(NASTY,),
+        pem_interval=ModelInterval(
+            low=None, high=1e-13, median=None, members=20, confidence=0.95, warnings=(NASTY,)
+        ),
     )

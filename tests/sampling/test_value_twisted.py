@@ -12,7 +12,7 @@ from pemviz import stl
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import InputError
 from pemviz.experiment import build_experiment
-from pemviz.proposals.twisted import defended
+from pemviz.proposals.defence import defended
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollout import replay
 from pemviz.sampling.value_reachable import explore, solve

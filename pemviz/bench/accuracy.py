@@ -1,0 +1,215 @@
+"""How wrong each method is: many seeds on scenarios whose failure probability is known."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from pemviz.config import ExperimentConfig, MethodName
+from pemviz.errors import InputError
+from pemviz.experiment import build_experiment, build_method
+from pemviz.sampling.method import Method
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.value_reference import exact_log_probability, reference
+from pemviz.simulators.vectorized import VectorizedSimulator
+
+SEEDS_PER_JOB = 10
+LEARNING = ("adaptive", "mixture")
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Case:
+    """One method at one budget on one scenario.
+
+    Attributes:
+        scenario: Its name in tables.
+        config: What is run; only the seed varies.
+        truth: The failure probability.
+    """
+
+    scenario: str
+    config: ExperimentConfig
+    truth: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One run of a case.
+
+    Attributes:
+        ratio: Estimate over truth.
+        covers: Whether the 95 % interval contains the truth.
+        rollouts: Simulated in all stages.
+        wall_s: Wall time, without what runs share [s].
+    """
+
+    ratio: float
+    covers: bool
+    rollouts: int
+    wall_s: float
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What the runs of one case, or of several pooled, show.
+
+    Attributes:
+        scenario: The scenario, or ``all``.
+        method: The method.
+        rollouts: Of one run, all stages.
+        runs: How many.
+        truth: The failure probability; ``None`` for pooled scenarios.
+        relative_rmse: Root mean square of estimate / truth - 1.
+        median_ratio: Median of estimate / truth.
+        coverage: Share of intervals that contain the truth.
+        coverage_low: Exact binomial interval of that share at 95 %, lower end.
+        coverage_high: Upper end.
+        median_wall_s: Median wall time of a run [s].
+    """
+
+    scenario: str
+    method: str
+    rollouts: int
+    runs: int
+    truth: float | None
+    relative_rmse: float
+    median_ratio: float
+    coverage: float
+    coverage_low: float
+    coverage_high: float
+    median_wall_s: float
+
+
+def with_budget(config: ExperimentConfig, *, method: MethodName, rollouts: int) -> ExperimentConfig:
+    """``config`` with a method that simulates ``rollouts`` in all, stages included.
+
+    Methods that learn in K stages give one stage's share to each and the rest to the final
+    batch: at 1,200 with K = 10 the paper's twelve times 100; from 2,400 on the final batch
+    takes half.
+
+    Raises:
+        InputError: Too few rollouts for the stages.
+    """
+    if method not in LEARNING:
+        return replace(config, method=method, final_rollouts=rollouts)
+    learning = config.stages + 1
+    share = rollouts // (learning + 1) if rollouts < 2400 else rollouts // (2 * learning)
+    if share < 2:
+        message = f"rollouts = {rollouts}: must be at least {2 * (learning + 1)} for {method}"
+        raise InputError(message)
+    return replace(
+        config, method=method, rollouts=share, final_rollouts=rollouts - share * learning
+    )
+
+
+def known_probability(config: ExperimentConfig, *, rollouts: int = 200_000) -> float:
+    """The failure probability: by recursion where it is exact, else by the reference.
+
+    Raises:
+        InputError: The specification is out of the reference's reach.
+    """
+    problem = build_experiment(replace(config, method="value-twisted")).problem
+    twin = VectorizedSimulator(config.scenario)
+    exact = exact_log_probability(problem, twin=twin)
+    return math.exp(exact) if exact is not None else known_by_sampling(config, rollouts=rollouts)
+
+
+def known_by_sampling(config: ExperimentConfig, *, rollouts: int) -> float:
+    """The failure probability by importance sampling with the twin's value function."""
+    problem = build_experiment(replace(config, method="value-twisted")).problem
+    twin = VectorizedSimulator(config.scenario)
+    return reference(problem, twin=twin, rollouts=rollouts).probability
+
+
+def measure(
+    cases: Sequence[Case], *, seeds: int, workers: int, first_seed: int = 0
+) -> Mapping[Case, Sequence[Outcome]]:
+    """Run every case with ``seeds`` seeds, in ``workers`` processes.
+
+    The outcomes do not depend on the number of workers.
+    """
+    jobs = [
+        (case, tuple(range(start, min(start + SEEDS_PER_JOB, first_seed + seeds))))
+        for case in cases
+        for start in range(first_seed, first_seed + seeds, SEEDS_PER_JOB)
+    ]
+    if workers == 1:
+        found = [_run_job(job) for job in jobs]
+    else:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            found = list(pool.map(_run_job, jobs))
+    outcomes: dict[Case, list[Outcome]] = {case: [] for case in cases}
+    for (case, _), part in zip(jobs, found, strict=True):
+        outcomes[case].extend(part)
+    return outcomes
+
+
+def summarise(
+    outcomes: Sequence[Outcome], *, scenario: str, method: str, truth: float | None
+) -> Accuracy:
+    """The figures of at least one outcome."""
+    ratio = np.array([outcome.ratio for outcome in outcomes])
+    covering = sum(outcome.covers for outcome in outcomes)
+    interval = stats.binomtest(covering, len(outcomes)).proportion_ci(CONFIDENCE, method="exact")
+    return Accuracy(
+        scenario=scenario,
+        method=method,
+        rollouts=max(outcome.rollouts for outcome in outcomes),
+        runs=len(outcomes),
+        truth=truth,
+        relative_rmse=float(np.sqrt(np.mean((ratio - 1.0) ** 2))),
+        median_ratio=float(np.median(ratio)),
+        coverage=covering / len(outcomes),
+        coverage_low=float(interval.low),
+        coverage_high=float(interval.high),
+        median_wall_s=float(np.median([outcome.wall_s for outcome in outcomes])),
+    )
+
+
+def accuracy_table(outcomes: Mapping[Case, Sequence[Outcome]]) -> Sequence[Accuracy]:
+    """A row for each case, and for each method and budget one over all scenarios."""
+    rows = [
+        summarise(found, scenario=case.scenario, method=case.config.method, truth=case.truth)
+        for case, found in outcomes.items()
+    ]
+    pooled: dict[tuple[str, int], list[Outcome]] = {}
+    for case, found in outcomes.items():
+        key = (case.config.method, max(outcome.rollouts for outcome in found))
+        pooled.setdefault(key, []).extend(found)
+    if len({case.scenario for case in outcomes}) > 1:
+        rows += [
+            summarise(found, scenario="all", method=method, truth=None)
+            for (method, _), found in pooled.items()
+        ]
+    return rows
+
+
+def _run_job(job: tuple[Case, tuple[int, ...]]) -> list[Outcome]:
+    """The outcomes of one case for several seeds; what the runs share is built once."""
+    case, seeds = job
+    problem = build_experiment(case.config).problem
+    methods = [build_method(replace(case.config, seed=seed)) for seed in seeds]
+    methods[0].init(problem, repetition=0)
+    return [_run_once(method, problem, case.truth) for method in methods]
+
+
+def _run_once(method: Method[Any], problem: Problem, truth: float) -> Outcome:
+    state = method.init(problem, repetition=0)
+    began = time.perf_counter()
+    while not method.is_done(state):
+        state, _ = method.step(problem, state)
+    found = method.estimate(state)
+    low, high = found.ci_low, found.ci_high
+    return Outcome(
+        ratio=found.probability / truth,
+        covers=low is not None and high is not None and low <= truth <= high,
+        rollouts=found.rollouts_simulated,
+        wall_s=time.perf_counter() - began,
+    )

@@ -1,0 +1,169 @@
+"""Carries a reproduction out: jobs first, then all files at once."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pemviz.config import ExperimentConfig
+from pemviz.curves import gap_grid, pem_curve
+from pemviz.errors import ConfigError
+from pemviz.experiment import Experiment, build_experiment
+from pemviz.pem import load_table
+from pemviz.reproduce import artefacts
+from pemviz.reproduce.artefacts import Artefact, DetectionAxis, table_artefact
+from pemviz.reproduce.experiments import (
+    RepetitionOutcome,
+    metric_experiments,
+    run_repetition,
+    table_2_experiments,
+)
+from pemviz.reproduce.failure_tables import table_2, table_3
+from pemviz.reproduce.least_safe import LeastSafeSearch, find_least_safe
+from pemviz.reproduce.page import page_markdown
+from pemviz.reproduce.reference import exact_reference
+from pemviz.reproduce.settings import METRICS, Settings
+from pemviz.reproduce.table_one import score_model, table_1, trainable_models
+from pemviz.reproduce.workers import Job, OnProgress, no_progress, run_jobs
+
+MODEL, REPETITION, SEARCH, REFERENCE = "model", "repetition", "search", "reference"
+Key = tuple[Any, ...]
+Results = Mapping[Key, Any]
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What was computed.
+
+    Attributes:
+        artefacts: Tables and figures in the paper's order.
+        page: All of them as one page of markdown.
+        search: The least safe rollouts, if they were asked for.
+    """
+
+    artefacts: tuple[Artefact, ...]
+    page: str
+    search: LeastSafeSearch | None
+
+    def files(self) -> dict[str, bytes]:
+        """Contents by file name, the page last."""
+        contents = {name: c for one in self.artefacts for name, c in one.files().items()}
+        return {**contents, "reproduction.md": self.page.encode()}
+
+
+def reproduce(
+    settings: Settings,
+    *,
+    on_progress: OnProgress = no_progress,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> Reproduction:
+    """Compute what ``settings`` ask; nothing is written.
+
+    Args:
+        settings: What, and with what effort.
+        on_progress: Told (jobs done, jobs in all, the last one's label).
+        should_stop: Asked several times a second.
+
+    Raises:
+        InputError: A setting or the data is wrong.
+        RunError: Stopped, or a process died.
+    """
+    _check(settings)
+    began = time.perf_counter()
+    experiment = build_experiment(settings.experiment)
+    results = run_jobs(
+        plan(settings), workers=settings.workers, on_progress=on_progress, should_stop=should_stop
+    )
+    made = tuple(_artefacts(settings, experiment, results))
+    return Reproduction(
+        artefacts=made,
+        page=page_markdown(
+            settings,
+            pem=experiment.pem,
+            sections=[one.markdown for one in made],
+            wall_s=time.perf_counter() - began,
+        ),
+        search=results.get((SEARCH,)),
+    )
+
+
+def plan(settings: Settings) -> dict[Key, Job]:
+    """All jobs, those that several tables share only once, long ones first."""
+    jobs: dict[Key, Job] = {}
+    if "table1" in settings.parts and settings.data is not None:
+        for model in reversed(trainable_models()):
+            arguments = (model, settings.data, settings.seed)
+            jobs[MODEL, model] = Job(f"Table I, {model}", score_model, arguments)
+    if {"table2", "table3"} & set(settings.parts):
+        arguments = (settings.experiment, settings.reference_rollouts)
+        jobs[(REFERENCE,)] = Job("exact reference", exact_reference, arguments)
+    if "figures" in settings.parts:
+        arguments = (settings.experiment, METRICS, settings.least_safe_rollouts)
+        jobs[(SEARCH,)] = Job("least safe rollouts", find_least_safe, arguments)
+    for name, config in _experiments(settings).items():
+        for repetition in range(settings.repetitions):
+            label = f"{name}, repetition {repetition + 1} of {settings.repetitions}"
+            jobs.setdefault(
+                (REPETITION, config, repetition), Job(label, run_repetition, (config, repetition))
+            )
+    return jobs
+
+
+def _experiments(settings: Settings) -> dict[str, ExperimentConfig]:
+    wanted: dict[str, ExperimentConfig] = {}
+    if {"table3", "figures"} & set(settings.parts):
+        wanted |= metric_experiments(settings)
+    if "table2" in settings.parts:
+        wanted |= table_2_experiments(settings)
+    return wanted
+
+
+def _artefacts(settings: Settings, experiment: Experiment, results: Results) -> Sequence[Artefact]:
+    made: list[Artefact] = []
+    scores = {key[1]: results[key] for key in results if key[0] == MODEL}
+    if scores:
+        made.append(table_artefact(table_1({m: scores[m] for m in trainable_models()})))
+    reference = results.get((REFERENCE,))
+    if "table2" in settings.parts:
+        outcomes = _outcomes(settings, table_2_experiments(settings), results)
+        made.append(table_artefact(table_2(outcomes, reference)))
+    if "table3" in settings.parts:
+        outcomes = _outcomes(settings, metric_experiments(settings), results)
+        made.append(table_artefact(table_3(outcomes, reference)))
+    if "figures" in settings.parts:
+        made += _figures(settings, experiment, results)
+    return made
+
+
+def _figures(settings: Settings, experiment: Experiment, results: Results) -> Sequence[Artefact]:
+    problem = experiment.problem
+    gap_m = gap_grid(problem.simulator)
+    pem = pem_curve(simulator=problem.simulator, pem_logit=problem.pem_logit, gap_m=gap_m)
+    axis = DetectionAxis(gap_m=gap_m, pem=pem)
+    scenario = settings.experiment.scenario
+    outcomes = _outcomes(settings, metric_experiments(settings), results)
+    return [
+        artefacts.learned_proposal(outcomes["classical"], axis, scenario),
+        artefacts.stage_proposals(outcomes, axis, scenario, stage=settings.figure_stage),
+        artefacts.least_safe(results[(SEARCH,)], scenario),
+    ]
+
+
+def _outcomes(
+    settings: Settings, experiments: Mapping[str, ExperimentConfig], results: Results
+) -> dict[str, list[RepetitionOutcome]]:
+    return {
+        name: [results[REPETITION, config, number] for number in range(settings.repetitions)]
+        for name, config in experiments.items()
+    }
+
+
+def _check(settings: Settings) -> None:
+    if settings.repetitions < 1:
+        raise ConfigError(f"repetitions = {settings.repetitions}: must be at least 1")
+    if settings.workers < 1:
+        raise ConfigError(f"workers = {settings.workers}: must be at least 1")
+    if settings.parts == ("table1",) and settings.data is None:
+        raise ConfigError("table1 needs --data, the paper's training set (a folder or a .csv)")
+    if "table1" in settings.parts and settings.data is not None:
+        load_table(settings.data)

@@ -1,0 +1,136 @@
+"""Particles of multilevel splitting: rollouts that can be cut and continued."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from pemviz.arrays import AnyArray, FloatArray, IntArray
+from pemviz.sampling.problem import Problem
+from pemviz.types import RolloutBatch, StateBatch
+
+
+@dataclass(frozen=True)
+class Particles:
+    """N rollouts under the error model.
+
+    Attributes:
+        rollouts: The rollouts.
+        score: ``[N, T]``: the robustness that each would have if, from each step on,
+            everything were detected; running minimum. Its last column is no larger than the
+            rollout's own robustness.
+    """
+
+    rollouts: RolloutBatch
+    score: FloatArray
+
+    @property
+    def lowest(self) -> FloatArray:
+        """The lowest score of each rollout, ``[N]``."""
+        return self.score[:, -1]
+
+
+def draw_particles(problem: Problem, *, count: int, generator: np.random.Generator) -> Particles:
+    """``count`` independent rollouts."""
+    steps = problem.simulator.states - 1
+    start = problem.simulator.initial(count=count)
+    empty = RolloutBatch(
+        signals={name: np.zeros((count, steps + 1)) for name in start.signals},
+        memory={
+            name: np.zeros((count, steps + 1), dtype=values.dtype)
+            for name, values in start.memory.items()
+        },
+        detected=np.zeros((count, steps), dtype=np.bool_),
+        pem_logit=np.zeros((count, steps)),
+        proposal_logit=np.zeros((count, steps)),
+    )
+    return _continued(problem, empty, np.zeros(count, dtype=np.int64), generator)
+
+
+def restarted(
+    problem: Problem, particles: Particles, *, cut: IntArray, generator: np.random.Generator
+) -> Particles:
+    """New rollouts that share the states up to ``cut [N]`` and go on independently."""
+    return _continued(problem, particles.rollouts, cut, generator)
+
+
+def taken(particles: Particles, index: AnyArray) -> Particles:
+    """The particles at ``index``."""
+    old = particles.rollouts
+    return Particles(
+        rollouts=RolloutBatch(
+            signals={name: values[index] for name, values in old.signals.items()},
+            memory={name: values[index] for name, values in old.memory.items()},
+            detected=old.detected[index],
+            pem_logit=old.pem_logit[index],
+            proposal_logit=old.proposal_logit[index],
+        ),
+        score=particles.score[index],
+    )
+
+
+def joined(parts: Sequence[Particles]) -> Particles:
+    """All particles, in order."""
+    first = parts[0].rollouts
+    every = [part.rollouts for part in parts]
+    return Particles(
+        rollouts=RolloutBatch(
+            signals={n: np.concatenate([p.signals[n] for p in every]) for n in first.signals},
+            memory={n: np.concatenate([p.memory[n] for p in every]) for n in first.memory},
+            detected=np.concatenate([p.detected for p in every]),
+            pem_logit=np.concatenate([p.pem_logit for p in every]),
+            proposal_logit=np.concatenate([p.proposal_logit for p in every]),
+        ),
+        score=np.concatenate([part.score for part in parts]),
+    )
+
+
+def _continued(
+    problem: Problem, old: RolloutBatch, cut: IntArray, generator: np.random.Generator
+) -> Particles:
+    """Rollouts ``[N]`` drawn anew from step ``cut`` on; 0 draws them whole."""
+    simulator = problem.simulator
+    count, steps = old.detected.shape
+    signals = {name: values.copy() for name, values in old.signals.items()}
+    memory = {name: values.copy() for name, values in old.memory.items()}
+    detected, logit = old.detected.copy(), old.pem_logit.copy()
+    uniforms = generator.random((count, steps))
+    states = simulator.initial(count=count)
+    score = np.empty((count, steps + 1))
+    for step in range(steps + 1):
+        for name, values in states.signals.items():
+            signals[name][:, step] = values
+        for name, values in states.memory.items():
+            memory[name][:, step] = values
+        score[:, step] = problem.robustness(_if_detected(problem, signals, states, step))
+        if step == steps:
+            break
+        logit[:, step] = problem.pem_logit(simulator.salient(states.signals))
+        fresh = uniforms[:, step] >= expit(-logit[:, step])
+        detected[:, step] = np.where(step >= cut, fresh, detected[:, step])
+        states = simulator.step(states, detected[:, step])
+    return Particles(
+        rollouts=RolloutBatch(
+            signals=signals,
+            memory=memory,
+            detected=detected,
+            pem_logit=logit,
+            proposal_logit=logit,
+        ),
+        score=np.minimum.accumulate(score, axis=1),
+    )
+
+
+def _if_detected(
+    problem: Problem, signals: dict[str, FloatArray], states: StateBatch, step: int
+) -> dict[str, FloatArray]:
+    """Signals ``[N, T]`` of the rollouts if everything is detected from ``step`` on."""
+    simulator = problem.simulator
+    result = {name: values.copy() for name, values in signals.items()}
+    everything = np.ones(next(iter(states.signals.values())).size, dtype=np.bool_)
+    for later in range(step + 1, simulator.states):
+        states = simulator.step(states, everything)
+        for name, values in states.signals.items():
+            result[name][:, later] = values
+    return result
