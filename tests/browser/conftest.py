@@ -33,7 +33,7 @@ def absent(reason: str):
 @pytest.fixture(scope="session")
 def chromium():
     try:
-        from playwright.sync_api import sync_playwright
+        from playwright.sync_api import sync_playwright  # noqa: PLC0415  may be absent
     except ImportError:
         absent("playwright is not installed (pip install playwright)")
     with sync_playwright() as playwright:
