@@ -1,12 +1,10 @@
 """P(detected) against gap, of the perception error model and of a proposal; for any viewer.
 
-A proposal may depend on more than the gap. Its curve is then drawn along the *typical path*:
-at each gap, every other feature takes its mean over the states near that gap which given
-rollouts passed through.
+A proposal may depend on more than the gap. Its curve is then the mean of what it gives at the
+states near each gap that given rollouts passed through.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.special import expit
@@ -19,6 +17,7 @@ GAP = "gap"
 STEP_M = 0.1
 SMALLEST_END_M = 20.0
 MARGIN = 4 / 3
+PROBED_ROLLOUTS = 10
 
 
 @dataclass(frozen=True)
@@ -65,20 +64,44 @@ def detection_curves(
         pem_logit: The perception error model.
         proposal: The proposal.
         gap_m: Ascending gaps ``[G]`` [m].
-        rollouts: Whose states give the typical path; without any, all other features are
-            those of the initial state.
-        rollout_weight: Weights ``[N]`` of the rollouts in the typical path; equal if ``None``.
+        rollouts: Whose states a proposal of more than the gap is averaged over; without any,
+            all else is as in the initial state.
+        rollout_weight: Weights ``[N]`` of the rollouts in that average; equal if ``None``.
     """
-    if rollouts is None:
-        states = initial_states(simulator, gap_m=gap_m)
-    else:
-        states = typical_states(rollouts, gap_m=gap_m, rollout_weight=rollout_weight)
+    states = initial_states(simulator, gap_m=gap_m)
     pem_logits = np.asarray(pem_logit(simulator.salient(states.signals)), dtype=np.float64)
+    probability = _probability(proposal, states, pem_logits)
+    if rollouts is not None and not _needs_gap_alone(simulator, proposal, rollouts):
+        probability = mean_near_gaps(
+            _probability(proposal, rollouts.decision_states(), rollouts.pem_logit),
+            rollouts=rollouts,
+            gap_m=gap_m,
+            rollout_weight=rollout_weight,
+        )
     return DetectionCurves(
-        gap_m=gap_m,
-        pem=np.asarray(expit(pem_logits), dtype=np.float64),
-        proposal=np.asarray(expit(proposal.logit(states, pem_logits)), dtype=np.float64),
+        gap_m=gap_m, pem=np.asarray(expit(pem_logits), dtype=np.float64), proposal=probability
     )
+
+
+def _probability(proposal: Proposal, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+    return np.asarray(expit(proposal.logit(states, pem_logit)), dtype=np.float64)
+
+
+def _needs_gap_alone(simulator: Simulator, proposal: Proposal, rollouts: RolloutBatch) -> bool:
+    """Whether some of the rollouts' states get the same as the initial state at their gaps."""
+    some = slice(0, PROBED_ROLLOUTS)
+    states = rollouts.decision_states()
+    gaps = states.signals[GAP][some]
+    probed = StateBatch(
+        step=states.step,
+        signals={name: values[some] for name, values in states.signals.items()},
+        memory={name: values[some] for name, values in states.memory.items()},
+    )
+    else_initial = initial_states(simulator, gap_m=gaps.ravel())
+    pem_logits = rollouts.pem_logit[some]
+    here = proposal.logit(probed, pem_logits)
+    there = proposal.logit(else_initial, pem_logits.ravel()).reshape(gaps.shape)
+    return bool(np.array_equal(here, there))
 
 
 def initial_states(simulator: Simulator, *, gap_m: FloatArray) -> StateBatch:
@@ -91,38 +114,28 @@ def initial_states(simulator: Simulator, *, gap_m: FloatArray) -> StateBatch:
     )
 
 
-def typical_states(
-    rollouts: RolloutBatch, *, gap_m: FloatArray, rollout_weight: FloatArray | None = None
-) -> StateBatch:
-    """The typical path at gaps ``[G]``: weighted means of every feature but the gap.
+def mean_near_gaps(
+    values: FloatArray,
+    *,
+    rollouts: RolloutBatch,
+    gap_m: FloatArray,
+    rollout_weight: FloatArray | None = None,
+) -> FloatArray:
+    """Weighted mean ``[G]`` of ``values`` ``[N, T-1]`` over the states nearest to each gap.
 
-    States are assigned to the nearest grid gap; grid gaps that no state is near take values
-    interpolated between their neighbours, constant beyond the ends. Rollouts with weights
-    that are all 0 count equally.
+    Grid gaps that no state is near take values interpolated between their neighbours, constant
+    beyond the ends. Rollouts with weights that are all 0 count equally.
     """
-    states = rollouts.decision_states()
-    gaps = states.signals[GAP]
+    gaps = rollouts.decision_states().signals[GAP]
     weight = np.ones(rollouts.count) if rollout_weight is None else rollout_weight
     if not np.sum(weight) > 0.0:
         weight = np.ones(rollouts.count)
-    edges = (gap_m[1:] + gap_m[:-1]) / 2
-    index = np.searchsorted(edges, gaps.ravel())
-    total = _sums(index, np.broadcast_to(weight[:, None], gaps.shape), gap_m.size)
+    spread = np.broadcast_to(weight[:, None], gaps.shape)
+    index = np.searchsorted((gap_m[1:] + gap_m[:-1]) / 2, gaps.ravel())
+    total = _sums(index, spread, gap_m.size)
     filled = total > 0.0
-
-    def mean(values: AnyArray) -> FloatArray:
-        spread = np.broadcast_to(values, gaps.shape)
-        sums = _sums(index, spread * weight[:, None], gap_m.size)
-        return np.interp(gap_m, gap_m[filled], sums[filled] / total[filled])
-
-    def means(table: Any) -> dict[str, FloatArray]:
-        return {name: mean(values) for name, values in table.items()}
-
-    return StateBatch(
-        step=np.rint(mean(states.step)).astype(np.int64),
-        signals={**means(states.signals), GAP: gap_m},
-        memory=means(states.memory),
-    )
+    mean = _sums(index, spread * values, gap_m.size)[filled] / total[filled]
+    return np.interp(gap_m, gap_m[filled], mean)
 
 
 def _sums(index: AnyArray, weights: AnyArray, size: int) -> FloatArray:

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.special import expit
 
 from pemviz.config import ScenarioConfig
-from pemviz.curves import detection_curves, gap_grid, pem_curve, typical_states
+from pemviz.curves import detection_curves, gap_grid, mean_near_gaps, pem_curve
+from pemviz.proposals.gap_network_fit import initial_gap_network
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.simulators.vectorized import VectorizedSimulator
 from pemviz.types import RolloutBatch, StateBatch
@@ -67,7 +68,7 @@ def test_curves_of_proposals_that_need_no_path():
         np.testing.assert_allclose(curves.proposal, curve)
 
 
-def test_other_features_take_their_weighted_mean_near_the_gap():
+def test_a_proposal_of_more_than_the_gap_is_averaged_over_the_states_near_it():
     rollouts = batch([[10.0, 5.0, 0.0], [10.0, 5.0, 0.0]], [[8.0, 2.0, 0.0], [4.0, 6.0, 0.0]])
     curves = detection_curves(
         simulator=SIMULATOR,
@@ -77,21 +78,38 @@ def test_other_features_take_their_weighted_mean_near_the_gap():
         rollouts=rollouts,
         rollout_weight=np.array([3.0, 1.0]),
     )
-    # at 5 m (3*2 + 6)/4 = 3, at 10 m (3*8 + 4)/4 = 7, halfway 5, the ends held
-    np.testing.assert_allclose(curves.proposal, expit([3.0, 3.0, 5.0, 7.0, 7.0]))
+    near = (3 * expit(2.0) + expit(6.0)) / 4
+    far = (3 * expit(8.0) + expit(4.0)) / 4
+    # halfway between two gaps that states are near, and the ends held
+    expected = [near, near, (near + far) / 2, far, far]
+    np.testing.assert_allclose(curves.proposal, expected)
+
+
+def test_a_proposal_of_the_gap_alone_needs_no_states_near_it():
+    grid = gap_grid(SIMULATOR)
+    network = initial_gap_network(seed=3)
+    curves = detection_curves(
+        simulator=SIMULATOR,
+        pem_logit=sloping_pem,
+        proposal=network,
+        gap_m=grid,
+        rollouts=batch([[10.0, 5.0, 0.0]], [[8.0, 2.0, 0.0]]),
+    )
+    np.testing.assert_array_equal(curves.proposal, expit(network.logit_at(grid)))
 
 
 @given(
     gaps=st.lists(st.floats(0, 20), min_size=3, max_size=30),
     weights=st.lists(st.floats(0, 5), min_size=2, max_size=2),
 )
-def test_the_typical_path_stays_within_what_rollouts_passed(gaps, weights):
+def test_means_stay_within_what_is_averaged(gaps, weights):
     speeds = np.linspace(3.0, 9.0, len(gaps))
     rollouts = batch([gaps, gaps[::-1]], [speeds, speeds + 1.0])
-    states = typical_states(
-        rollouts, gap_m=np.linspace(0, 20, 41), rollout_weight=np.array(weights)
+    means = mean_near_gaps(
+        rollouts.decision_states().signals["ego_speed"],
+        rollouts=rollouts,
+        gap_m=np.linspace(0, 20, 41),
+        rollout_weight=np.array(weights),
     )
-    assert (states.signals["ego_speed"] >= 3.0 - 1e-9).all()
-    assert (states.signals["ego_speed"] <= 10.0 + 1e-9).all()
-    assert states.step.dtype == np.int64
-    assert ((states.step >= 0) & (states.step < len(gaps))).all()
+    assert means.shape == (41,)
+    assert ((means >= 3.0 - 1e-9) & (means <= 10.0 + 1e-9)).all()

@@ -8,7 +8,6 @@ import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
@@ -97,10 +96,9 @@ def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
 
 def recorders(folder: Path) -> Sequence[Observer]:
     """Observers of a run that is kept, beside those of the panel itself."""
-    if find_spec("pemviz.recording") is None:
-        return []
-    recording = import_module("pemviz.recording")  # rerun is slow to import
-    return [recording.Recorder(folder / "run.rrd")]
+    from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
+
+    return [Recorder(folder / "run.rrd")]
 
 
 def _warm_up() -> None:

@@ -42,7 +42,7 @@ class Scene:
         self._travelled_m: FloatArray = np.zeros(1)
         api.configure_default_lights(enabled=False)
         api.add_light_hemisphere(
-            "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 150), intensity=0.75
+            "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 150), intensity=0.65
         )
         api.add_light_directional("/light/sun", intensity=1.0, position=(-6.0, -10.0, 14.0))
         self._world = api.add_frame("/world", show_axes=False)
@@ -211,7 +211,7 @@ class Scene:
                 faces=mesh.faces.astype(np.uint32),
                 batched_wxyzs=np.tile(np.array([1.0, 0, 0, 0], dtype=np.float32), (count, 1)),
                 batched_positions=positions,
-                batched_colors=rgb(color),
+                batched_colors=linear(rgb(color)),
                 flat_shading=True,
                 side="double",
                 lod="off",
@@ -224,6 +224,12 @@ def braking(speed_mps: FloatArray, step: int, dt_s: float) -> bool:
     if step + 1 >= speed_mps.size:
         return False
     return float(speed_mps[step] - speed_mps[step + 1]) > BRAKING_MPS2 * dt_s
+
+
+def linear(color: tuple[int, int, int]) -> tuple[int, int, int]:
+    """A colour as batched meshes want it: viser takes theirs for linear light."""
+    red, green, blue = (round(255 * (channel / 255) ** 2.2) for channel in color)
+    return red, green, blue
 
 
 def gap_color(gap_m: float, *, wide_m: float) -> NDArray[np.uint8]:

@@ -245,7 +245,7 @@ class Plot:
             text(self._title, self.left, self.top - 9, color=INK, weight="600", size=11.5),
             f"<path d='M{self.left} {self.bottom}H{self.right}' stroke='{FAINT}'/>",
         ]
-        for value in self.y.tick_values(count=max(2, (self.bottom - self.top) // 32)):
+        for value in self.y.tick_values(count=max(3, (self.bottom - self.top) // 30)):
             py = self.py(value)
             parts.append(f"<path d='M{self.left} {py:.1f}H{self.right}' stroke='{GRID}'/>")
             parts.append(

@@ -29,7 +29,7 @@ RUN_HINT = "Run what is set up below. One experiment runs at a time; all browser
 STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
-FIXED_METHODS = ("monte-carlo", "naive")
+FIXED_METHODS = ("monte-carlo", "naive", "value-twisted")
 
 
 class ExperimentTab:

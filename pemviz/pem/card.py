@@ -10,6 +10,19 @@ from pemviz.pem.errors import PemError
 KITTI_LICENCE = "CC BY-NC-SA 3.0 (KITTI, on which the model was trained; non-commercial)"
 UNKNOWN_LICENCE = "not stated (if trained on KITTI: CC BY-NC-SA 3.0, non-commercial)"
 
+LIMITS = """\
+## Limits
+
+- Fitted once with the seed above and taken as it came, not chosen for the failure probability
+  that it leads to. Fits that differ in the seed alone can put that probability orders of
+  magnitude apart: quote it with the interval over an ensemble.
+- It answers everywhere, also where no training obstacle lies near; the support check tells where.
+- Scores are of single obstacles; consecutive misses of one obstacle are not modelled as dependent.
+- Obstacles of one drive, and of one image, resemble each other: cross-validated scores over
+  obstacles are better than scores on a new drive would be.
+- The file's metadata holds counts of training obstacles and misses by class, occlusion, place and
+  distance, under the same terms as the model."""
+
 
 @dataclass(frozen=True)
 class PemCard:
@@ -82,4 +95,4 @@ def card_markdown(card: PemCard, *, digest: str) -> str:
         *((f"Score: {name}", f"{value:.4f}") for name, value in card.scores.items()),
     ]
     body = "\n".join(f"| {left} | {right} |" for left, right in rows)
-    return f"# Perception error model `{card.name}`\n\n| | |\n|---|---|\n{body}\n"
+    return f"# Perception error model `{card.name}`\n\n| | |\n|---|---|\n{body}\n\n{LIMITS}\n"

@@ -51,7 +51,7 @@ def write_picture(curve: DistanceCurve, path: Path, *, title: str) -> None:
     axes.set_xlabel("distance z [m] (grey: no training data)")
     axes.set_ylabel("P(missed)")
     axes.set_title(title)
-    axes.legend(loc="upper left")
+    figure.legend(loc="outside lower center", ncols=3)
     figure.savefig(path, dpi=150)
 
 

@@ -65,7 +65,7 @@ class SupportReport:
     bands: tuple[BandSupport, ...]
     """All distance bands, near to far."""
     warnings: tuple[str, ...]
-    """Where the model extrapolates, near to far; empty if nowhere."""
+    """Where the model extrapolates or contradicts the data, near to far; empty if nowhere."""
 
 
 def support_check(salient: FloatArray, *, support: SupportSummary, pem: Pem) -> SupportReport:
@@ -188,4 +188,10 @@ def _warnings(bands: tuple[BandSupport, ...], *, obstacle: str) -> Iterator[str]
                 f"thin data: {band.missed} of {band.obstacles} training obstacles ({obstacle}) "
                 f"with {where} were missed, P(missed) {band.miss_low:.2g} to {band.miss_high:.2g} "
                 f"(95 %, exact); {model} is close to a guess"
+            )
+        elif not band.miss_low <= band.model_miss <= band.miss_high:
+            yield (
+                f"misfit: {band.missed} of {band.obstacles} training obstacles ({obstacle}) with "
+                f"{where} were missed, P(missed) {band.miss_low:.2g} to {band.miss_high:.2g} "
+                f"(95 %, exact), where {share} fall; {model} lies outside"
             )

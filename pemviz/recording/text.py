@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 
 from pemviz.config_files import config_text
+from pemviz.model_uncertainty import ModelInterval
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
@@ -23,6 +24,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     estimate = result.estimate
     parts = [_headline(estimate, running=running), *_status(result, running=running)]
     if estimate is not None:
+        parts.append(_model_range(result.pem_interval))
         parts.append(_diagnostics(estimate))
     parts.append(_question(result))
     parts.append(
@@ -54,6 +56,16 @@ def _interval(estimate: Estimate) -> str:
     if low is None or high is None:
         return "No interval is known."
     return f"{estimate.confidence:.0%} interval: **{number(low)} to {number(high)}**"
+
+
+def _model_range(interval: ModelInterval | None) -> str:
+    if interval is None or interval.high is None:
+        return "Over other error models: unknown."
+    low = "0" if interval.low is None else number(interval.low)
+    return (
+        f"Over {interval.members} error models that fit the same data: "
+        f"**{low} to {number(interval.high)}**"
+    )
 
 
 def _caution(estimate: Estimate) -> str:
@@ -100,15 +112,16 @@ def _question(result: RunResult) -> str:
 
 
 def warnings_text(result: RunResult) -> str:
-    """The estimate's warnings, or that there are none."""
+    """The estimate's warnings (bold) and the error model's, or that there are none."""
     estimate = result.estimate
     if result.message:
         return f"# Warnings\n\n- {result.message}"
     if estimate is None:
         return "# Warnings\n\nNone so far; there is no estimate yet."
-    if not estimate.warnings:
+    warnings = (*(f"**{warning}**" for warning in estimate.warnings), *result.warnings)
+    if not warnings:
         return "# Warnings\n\nNone."
-    return "# Warnings\n\n" + "\n".join(f"- **{warning}**" for warning in estimate.warnings)
+    return "# Warnings\n\n" + "\n".join(f"- {warning}" for warning in warnings)
 
 
 def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
@@ -207,7 +220,7 @@ def contents_text(quota: Quota, *, repetitions: int) -> str:
     lines.append(
         "In each stage's plots, P(detected) of the proposal is the one that the stage's "
         "rollouts were sampled from. Where a proposal depends on more than the gap, its curve "
-        "against gap takes all else as on average over the stage's rollouts near that gap."
+        "against gap is the average over the states near that gap in the stage's rollouts."
     )
     lines.append(
         "In the 3D scene all rollouts are seen from the ego car: its windscreen camera stands "

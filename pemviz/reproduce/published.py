@@ -56,6 +56,3 @@ TABLE_3: dict[MetricName, Published] = {
 
 AUTHORS_PEM_DIGEST = "4c478a138947b33dddf048e9b18fbab1550bb3b24e54c9c81b68a54532de968b"
 """Of the authors' published ML-NN network."""
-AUTHORS_PEM_PROBABILITY = 6.69e-15
-"""Failure probability of the ``paper`` preset with that network, computed independently."""
-AUTHORS_PEM_RELATIVE_ERROR = 0.002

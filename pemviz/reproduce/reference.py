@@ -1,20 +1,15 @@
 """The exact failure probability, which the paper lacked."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pemviz.config import ExperimentConfig
-from pemviz.config_files import load_preset
-from pemviz.pem import load_pem
-from pemviz.reproduce.published import (
-    AUTHORS_PEM_DIGEST,
-    AUTHORS_PEM_PROBABILITY,
-    AUTHORS_PEM_RELATIVE_ERROR,
-)
+from pemviz.engine import run_experiment
+from pemviz.sampling.diagnostics import unreliable_because
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The true failure probability as far as it is known.
+    """The true failure probability.
 
     Attributes:
         probability: The figure.
@@ -27,14 +22,19 @@ class Reference:
     source: str
 
 
-def exact_reference(config: ExperimentConfig, rollouts: int) -> Reference | None:  # noqa: ARG001
-    """The exact probability of ``config``'s experiment; ``None`` where it is not known."""
-    paper = load_preset("paper")
-    same = config.scenario == paper.scenario and config.spec == paper.spec
-    if same and load_pem(config.pem).digest == AUTHORS_PEM_DIGEST:
-        return Reference(
-            probability=AUTHORS_PEM_PROBABILITY,
-            std_error=AUTHORS_PEM_RELATIVE_ERROR * AUTHORS_PEM_PROBABILITY,
-            source="computed independently for the authors' own network",
-        )
-    return None
+def exact_reference(config: ExperimentConfig, rollouts: int) -> Reference | None:
+    """The exact probability of ``config``'s experiment, to a fraction of a per cent.
+
+    Computed by the value-twisted method; ``None`` where the result is not to be relied on.
+    """
+    twisted = replace(
+        config, method="value-twisted", metric="classical", final_rollouts=rollouts, repetitions=1
+    )
+    estimate = run_experiment(twisted).estimate
+    if estimate is None or estimate.std_error is None or unreliable_because(estimate):
+        return None
+    return Reference(
+        probability=estimate.probability,
+        std_error=estimate.std_error,
+        source=f"value-twisted, {rollouts} rollouts",
+    )

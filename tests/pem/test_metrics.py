@@ -63,6 +63,12 @@ def test_models_learn_the_synthetic_detector():
     assert truth.bce < ours.bce < truth.bce + 0.3 * (guess.bce - truth.bce)
 
 
+def test_folds_in_processes_of_their_own_give_the_same_bits():
+    table = synthetic_table()
+    alone, together = (cross_validate(table, model="lr", folds=2, workers=n) for n in (1, 2))
+    np.testing.assert_array_equal(together.logit, alone.logit)
+
+
 def test_a_report_holds_table_scores_groups_and_picture(tmp_path):
     table = synthetic_table()
     evaluations = [cross_validate(table, model=kind, folds=3) for kind in ("guess-mu", "lr")]

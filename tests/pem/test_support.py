@@ -68,15 +68,24 @@ def test_the_default_scenario_is_warned_about_in_words(report):
     assert "132 training obstacles" in text
     assert "none missed, so the data allow P(missed) up to 0.022" in text
     assert "2 of 27 training obstacles" in text
+    # 28 of 192 missed between 15 and 20 m, where the network says 4 %.
+    assert "misfit: 28 of 192 training obstacles" in text
 
 
-def test_a_well_covered_scenario_is_not_warned_about():
+def test_a_well_covered_scenario_is_warned_about_only_where_the_model_misfits():
     rng = np.random.default_rng(0)
     rows = braking_rows(rng.uniform(5.0, 7.0, 20_000))
-    table = table_of(rows, missed_share=0.1)
     pem = load_pem("ml-nn")
-    found = support_check(rows, support=summarise_support(table), pem=pem)
-    assert found.warnings == ()
+    share = float(np.mean(1 / (1 + np.exp(pem.logit(rows)))))
+    fitting = support_check(
+        rows, support=summarise_support(table_of(rows, missed_share=share)), pem=pem
+    )
+    assert fitting.warnings == ()
+    misfitting = support_check(
+        rows, support=summarise_support(table_of(rows, missed_share=10 * share)), pem=pem
+    )
+    assert len(misfitting.warnings) == 1
+    assert misfitting.warnings[0].startswith("misfit: ")
 
 
 def table_of(rows, *, missed_share):

@@ -12,6 +12,7 @@ from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.words import block, number, quiet, rows, table
 
 DIRECT = ("monte-carlo", "naive")
+TWISTED = "value-twisted"
 
 
 def learning(run: RunData | None) -> str:
@@ -33,6 +34,11 @@ def _learning(run: RunData) -> str:
 def _what_to_see(run: RunData) -> str:
     if run.config.method in DIRECT:
         return "Nothing is learned by this method: all rollouts come from one fixed distribution."
+    if run.config.method == TWISTED:
+        return (
+            "Black: how likely the detector is to see the car ahead. Red: the optimal proposal, "
+            "computed from the probability of a violation from each state, along the typical path."
+        )
     return (
         "Black: how likely the detector is to see the car ahead. Red: what rollouts are drawn "
         "from. It learns to miss where misses cause a violation; older stages fade."

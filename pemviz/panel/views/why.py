@@ -259,11 +259,16 @@ def _interval(run: RunData) -> str:
     interval = table(run.document.get("pem_interval"))
     if not interval:
         return ""
+    share = interval.get("confidence")
+    words = f"{100 * share:.3g} % of" if is_number(share) else "Of"
+    notes = interval.get("warnings")
+    warnings = cast(list[object], notes) if isinstance(notes, list | tuple) else []
     return quiet(
-        f"Uncertainty of the error model itself: {number(interval.get('low'), 2)} to "
-        f"{number(interval.get('high'), 2)}, from {number(interval.get('members'), 6)} models "
-        "fitted to resampled data."
-    )
+        f"Uncertainty of the error model itself: {words} {number(interval.get('members'), 6)} "
+        f"models that the same data could have produced put P(violation) between "
+        f"{number(interval.get('low'), 2)} and {number(interval.get('high'), 2)} "
+        f"(median {number(interval.get('median'), 2)})."
+    ) + "".join(warning(str(w)) for w in warnings)
 
 
 def _assumptions(run: RunData) -> str:

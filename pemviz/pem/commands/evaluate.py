@@ -12,6 +12,9 @@ from pemviz.pem.errors import PemError
 from pemviz.pem.fit import MODEL_KINDS, ModelKind
 from pemviz.pem.table import load_table
 
+QUICK_MODELS = ("guess-mu", "lr")
+"""Fitted sooner than a process starts."""
+
 
 @dataclass(frozen=True)
 class EvaluateArguments:
@@ -28,6 +31,8 @@ class EvaluateArguments:
     """Number of folds (2 or more)."""
     seed: int = 0
     """Seed of the fits (0 or more)."""
+    workers: int = 2
+    """Folds fitted at once, each in its own process (1 to 64); the result is the same."""
     json: bool = False
     """Print the results as one JSON object instead of a table."""
 
@@ -42,6 +47,8 @@ def run(arguments: EvaluateArguments) -> int:
         raise PemError(f"models is empty, allowed: {', '.join(MODEL_KINDS)}")
     if arguments.seed < 0:
         raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    if not 1 <= arguments.workers <= 64:
+        raise PemError(f"workers is {arguments.workers}, allowed: 1 to 64")
     table = load_table(arguments.table)
     # scikit-learn and torch take seconds to import: not before the arguments are known good.
     from pemviz.pem.evaluate import cross_validate, split_folds  # noqa: PLC0415
@@ -57,6 +64,7 @@ def run(arguments: EvaluateArguments) -> int:
                     model=model,
                     folds=arguments.folds,
                     seed=arguments.seed,
+                    workers=1 if model in QUICK_MODELS else arguments.workers,
                     on_progress=tell,
                 )
             )

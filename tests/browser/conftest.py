@@ -1,0 +1,116 @@
+"""A real Chromium, the panel in this process, and a screenshot of every flow."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from pemviz.panel.app import App
+from pemviz.panel.controller import Controller
+from pemviz.panel.hub import Hub
+from pemviz.panel.recordings import RecordingsFolder
+from pemviz.panel.start import show_something
+from tests.panel.conftest import SMALL, wait_until
+
+ARGUMENTS = [
+    "--no-sandbox",  # CI runs as root; only this machine's own page is opened
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+VIEWPORT = {"width": 1280, "height": 800}
+WAIT_MS = 60_000
+
+
+def absent(reason: str):
+    """Skip on a user's machine; fail where a browser must be."""
+    if os.environ.get("PEMVIZ_REQUIRE_BROWSER") == "1":
+        pytest.fail(f"a browser must be here: {reason}")
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        absent("playwright is not installed (pip install playwright)")
+    with sync_playwright() as playwright:
+        own = playwright.chromium.executable_path
+        names = ("chromium", "chromium-browser", "google-chrome")
+        program = own if Path(own).exists() else next(filter(None, map(shutil.which, names)), None)
+        if program is None:
+            absent("no Chromium (apt-get install chromium, or playwright install chromium)")
+        browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="session")
+def shots(tmp_path_factory) -> Path:
+    """Where screenshots go; ``PEMVIZ_SCREENSHOTS`` names another folder."""
+    named = os.environ.get("PEMVIZ_SCREENSHOTS")
+    folder = Path(named) if named else tmp_path_factory.mktemp("screenshots")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def first_run(tmp_path_factory) -> Path:
+    """A small adaptive run in a recordings folder."""
+    root = tmp_path_factory.mktemp("first")
+    controller = Controller(root)
+    controller.start(SMALL)
+    state = wait_until(controller)
+    controller.close()
+    assert state.run is not None
+    assert state.run.folder is not None
+    return state.run.folder
+
+
+class Panel:
+    """The panel under test."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.controller = Controller(root)
+        recordings = RecordingsFolder(root)
+        self.app = App(Hub(self.controller, recordings), host="127.0.0.1", port=0)
+        show_something(self.controller, recordings)
+        self.address = f"http://127.0.0.1:{self.app.port}"
+
+    def close(self) -> None:
+        self.controller.close()
+        self.app.stop()
+
+
+@pytest.fixture
+def panel(tmp_path, first_run):
+    root = tmp_path / "recordings"
+    shutil.copytree(first_run, root / first_run.name)
+    made = Panel(root)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def open_page(chromium, panel):
+    """Opens the panel in a new browser context; checks that its console stays clean."""
+    contexts, complaints = [], []
+
+    def open_one():
+        context = chromium.new_context(viewport=VIEWPORT)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(panel.address)
+        page.get_by_role("button", name="Run", exact=True).wait_for()
+        page.locator("g[data-cursor]").wait_for()
+        return page
+
+    yield open_one
+    for context in contexts:
+        context.close()
+    assert complaints == []

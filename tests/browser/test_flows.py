@@ -1,0 +1,262 @@
+"""What a person does with the panel, in a real browser; assertions read the page."""
+
+import json
+import re
+
+import pytest
+
+from tests.browser.conftest import WAIT_MS, Panel
+
+pytest.importorskip("viser")
+
+TABS = ("Experiment", "Learning", "Trajectories", "Compare", "Why", "Recordings")
+
+
+def tab(page, name):
+    page.get_by_text(name, exact=True).first.click()
+
+
+def choose(page, label, option):
+    page.get_by_role("combobox", name=label, exact=True).click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def enter(page, label, value):
+    box = page.get_by_role("textbox", name=label, exact=True)
+    box.fill(str(value))
+    box.press("Enter")
+
+
+def slide(page, label, value):
+    """Sliders have no label of their own: their box is found beside the text."""
+    row = page.locator("div.mantine-Flex-root", has=page.get_by_text(label, exact=True)).last
+    row.get_by_role("textbox").fill(str(value))
+    row.get_by_role("textbox").press("Enter")
+
+
+def small(page, *, stages=2):
+    enter(page, "Stages", stages)
+    enter(page, "Rollouts", 40)
+    enter(page, "Final rollouts", 40)
+
+
+def run(page):
+    page.get_by_role("button", name="Run", exact=True).click()
+
+
+def expect_done(page):
+    page.get_by_text("Ready.").wait_for(timeout=4 * WAIT_MS)
+
+
+def selected(page):
+    row = page.locator("table[aria-label=Ranking] tr[aria-selected=true]")
+    return int(row.get_attribute("data-rank"))
+
+
+def until(page, condition, *, timeout_ms=WAIT_MS):
+    for _ in range(timeout_ms // 50):
+        if condition():
+            return
+        page.wait_for_timeout(50)
+    pytest.fail("the page did not get there")
+
+
+def newest_curve(page):
+    tab(page, "Learning")
+    plot = page.get_by_role("img", name="P(detected) against gap")
+    plot.wait_for()
+    return plot.locator("path[stroke-width='2.4']").first.get_attribute("d")
+
+
+def test_start_shows_a_run_and_every_tab_has_content(open_page, shots, first_run):
+    page = open_page()
+    page.get_by_text(first_run.name).first.wait_for()
+    assert "P(violation)" in page.content()
+    contents = {
+        "Experiment": "The specification is understood.",
+        "Learning": "gap [m]",
+        "Trajectories": "Ranks 1 to 12 of 200 under classical",
+        "Compare": "Overlap of the elites",
+        "Why": "How far to trust the number",
+        "Recordings": "method, metric",
+    }
+    for name in TABS:
+        tab(page, name)
+        page.get_by_text(contents[name]).first.wait_for()
+        page.wait_for_timeout(400)
+        page.screenshot(path=shots / f"tab-{name.lower()}.png")
+    # drawn, not blank: the scene's pixels differ from one another
+    canvas = page.locator("canvas").first
+    assert len(canvas.screenshot()) > 20_000
+
+
+def test_paper_runs_end_to_end(open_page, shots):
+    page = open_page()
+    choose(page, "Preset", "paper")
+    run(page)
+    page.get_by_text(re.compile(r"Stage \d+ of 11: .* rollouts")).wait_for()
+    assert page.get_by_role("button", name="Run", exact=True).is_disabled()
+    tab(page, "Learning")
+    page.get_by_text("proposal after stage 3").first.wait_for(timeout=4 * WAIT_MS)
+    page.screenshot(path=shots / "paper-running.png")
+    expect_done(page)
+    page.get_by_text(re.compile(r"P\(violation\) = [\d.]+ × 10⁻¹⁵")).wait_for()
+    page.get_by_text("86 of 100 rollouts violate, 1200 simulated").wait_for()
+    page.get_by_text("proposal after stage 10").first.wait_for()
+    page.screenshot(path=shots / "paper-done.png")
+
+
+def test_metric_alpha_and_sigma_change_the_curves(open_page, shots, panel):
+    page = open_page()
+    curves = []
+    for change in (
+        lambda: None,
+        lambda: choose(page, "Metric", "smooth-cumulative"),
+        lambda: slide(page, "alpha", 0.9),
+        lambda: slide(page, "sigma", 0.98),
+    ):
+        tab(page, "Experiment")
+        small(page)
+        change()
+        before = panel.controller.state.finished_runs
+        run(page)
+        until(page, lambda n=before: panel.controller.state.finished_runs > n)
+        expect_done(page)
+        page.get_by_text(panel.controller.state.run.name).first.wait_for()
+        curves.append(newest_curve(page))
+    assert len(set(curves)) == 4
+    config = panel.controller.state.run.config
+    assert (config.metric, config.alpha, config.sigma) == ("smooth-cumulative", 0.9, 0.98)
+    page.screenshot(path=shots / "changed-settings.png")
+
+
+def test_stop_keeps_what_was_finished(open_page, shots, panel):
+    page = open_page()
+    small(page, stages=500)
+    run(page)
+    page.get_by_text(re.compile("Stage 1 of 501")).wait_for()
+    page.get_by_role("button", name="Stop", exact=True).click()
+    expect_done(page)
+    page.get_by_text("no estimate: the run did not come to its end").wait_for()
+    page.screenshot(path=shots / "stopped.png")
+    folder = panel.controller.state.run.folder
+    assert json.loads((folder / "result.json").read_text())["status"] == "stopped"
+    assert (folder / "rollouts.npz").exists()
+
+
+def test_a_bad_formula_is_told_where_it_is_typed_and_when_run(open_page, shots):
+    page = open_page()
+    box = page.get_by_role("textbox", name="Specification")
+    box.fill("always[0,99] (gap >= ")
+    page.get_by_role("alert").first.wait_for()
+    first = page.get_by_role("alert").first.inner_text()
+    box.fill("always[0,99] (distance >= 2.0)")
+    page.get_by_role("alert").get_by_text("distance").wait_for()
+    assert page.get_by_role("alert").first.inner_text() != first
+    run(page)
+    until(page, lambda: page.get_by_role("alert").count() >= 2)
+    page.screenshot(path=shots / "bad-formula.png")
+    box.fill("always[0,99] (gap >= 1.0)")
+    page.get_by_text("The specification is understood.").wait_for()
+    choose(page, "Method", "naive")
+    run(page)
+    expect_done(page)
+
+
+def test_pick_the_worst_rollout_and_play_it(open_page, shots):
+    page = open_page()
+    tab(page, "Trajectories")
+    page.locator("tr[data-rank='4']").click()
+    until(page, lambda: selected(page) == 4)
+    page.keyboard.press("ArrowDown")
+    until(page, lambda: selected(page) == 5)
+    choose(page, "Ranked by", "smooth-cumulative")
+    page.get_by_text("under smooth-cumulative").wait_for()
+    until(page, lambda: selected(page) == 1)
+    cursor = page.locator("g[data-cursor]")
+    page.get_by_role("button", name="Restart", exact=True).click()
+    until(page, lambda: int(cursor.get_attribute("data-cursor")) > 10)
+    page.get_by_role("button", name="Pause", exact=True).click()
+    page.wait_for_timeout(500)
+    step = int(cursor.get_attribute("data-cursor"))
+    page.wait_for_timeout(700)
+    assert int(cursor.get_attribute("data-cursor")) == step
+    page.screenshot(path=shots / "paused.png")
+    slide(page, "Step", 80)
+    until(page, lambda: cursor.get_attribute("data-cursor") == "80")
+    assert " at 4.00 s" in cursor.inner_text()
+
+
+def test_two_browsers_and_a_reload_in_mid_run(open_page, shots, panel):
+    first, second = open_page(), open_page()
+    for page in (first, second):
+        tab(page, "Trajectories")
+        page.locator("tr[data-rank='3']").wait_for()
+    second.locator("tr[data-rank='3']").click()
+    until(second, lambda: selected(second) == 3)
+    assert selected(first) == 1
+    tab(first, "Experiment")
+    small(first, stages=12)
+    run(first)
+    second.get_by_text(re.compile(r"Stage \d+ of 13")).wait_for()
+    second.screenshot(path=shots / "second-browser-sees-progress.png")
+    first.context.close()
+    second.reload()
+    second.get_by_text(re.compile(r"Stage \d+ of 13")).wait_for()
+    second.screenshot(path=shots / "reloaded-in-mid-run.png")
+    expect_done(second)
+    second.get_by_text(panel.controller.state.run.name).first.wait_for()
+    assert panel.controller.state.run.document["status"] == "done"
+    assert panel.controller.state.error is None
+
+
+def test_recordings_load_compare_and_download(open_page, shots, panel, first_run, tmp_path):
+    page = open_page()
+    choose(page, "Method", "naive")
+    run(page)
+    expect_done(page)
+    page.get_by_text(panel.controller.state.run.name).first.wait_for()
+    tab(page, "Compare")
+    choose(page, "Compare with", first_run.name)
+    page.get_by_text("Settings that differ").wait_for()
+    page.screenshot(path=shots / "compare-two-runs.png")
+    tab(page, "Recordings")
+    choose(page, "Run", first_run.name)
+    page.get_by_role("button", name="Load", exact=True).click()
+    page.get_by_role("button", name="Back to the latest run").wait_for()
+    page.get_by_text("adaptive, classical", exact=True).wait_for()
+    for button, suffix in (("result.json", ".json"), ("CSV", ".csv"), ("3D scene (HTML)", ".html")):
+        with page.expect_download() as download:
+            page.get_by_role("button", name=button, exact=True).click()
+        path = tmp_path / f"download{suffix}"
+        download.value.save_as(path)
+        assert path.stat().st_size > 1000
+    assert (tmp_path / "download.json").read_bytes() == (first_run / "result.json").read_bytes()
+    assert (tmp_path / "download.csv").read_text().startswith("rank,repetition,stage")
+    assert "__VISER_EMBED_DATA__" in (tmp_path / "download.html").read_text()
+    page.get_by_role("button", name="run.rrd", exact=True).click()
+    page.get_by_text("has no run.rrd").wait_for()
+    page.screenshot(path=shots / "recordings.png")
+
+
+def test_a_servers_error_is_shown_and_the_server_lives_on(chromium, tmp_path, shots):
+    root = tmp_path / "recordings"
+    root.write_text("a file where a folder should be")
+    made = Panel(root)
+    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    try:
+        page = context.new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.goto(made.address)
+        page.locator("g[data-cursor]").wait_for()  # the quick look: never an empty page
+        run(page)
+        page.get_by_role("alert").get_by_text("no run folder can be made there").wait_for()
+        page.screenshot(path=shots / "server-error.png")
+        root.unlink()
+        choose(page, "Method", "naive")
+        run(page)
+        expect_done(page)
+        page.get_by_text(made.controller.state.run.name).first.wait_for()
+    finally:
+        context.close()
+        made.close()

@@ -1,0 +1,90 @@
+"""Ranking from what is stored agrees with running under that metric."""
+
+import csv
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.panel.ranking import elites, rank, ranking_csv, row
+from pemviz.panel.rundata import numbered, thinned
+from pemviz.panel.views.why import failures_of, longest_runs
+from tests.panel.conftest import NAIVE, wait_until
+
+METRICS = ("classical", "agm", "smooth-cumulative")
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_re_ranking_gives_the_scores_of_a_run_under_that_metric(controller, naive_run, metric):
+    controller.start(replace(NAIVE, metric=metric))
+    under = wait_until(controller).run
+    # the naive method draws the same rollouts whatever the metric
+    np.testing.assert_array_equal(under.rollouts["gap_m"], naive_run.rollouts["gap_m"])
+    np.testing.assert_array_equal(rank(naive_run, metric).robustness, under.rollouts["robustness"])
+
+
+def test_order_is_least_robust_first_and_classical_is_the_minimum_gap(naive_run):
+    ranking = rank(naive_run, "classical")
+    assert np.all(np.diff(ranking.robustness[ranking.order]) >= 0.0)
+    lowest = np.min(naive_run.rollouts["gap_m"], axis=1) - 2.0
+    np.testing.assert_allclose(ranking.robustness, lowest, rtol=0, atol=1e-12)
+
+
+def test_row_tells_what_the_tables_hold(naive_run):
+    entry = row(naive_run, rank(naive_run, "classical"), 0)
+    table = naive_run.rollouts
+    assert entry.rank == 1
+    assert entry.misses == int(np.sum(~table["detected"][entry.index]))
+    weight = float(np.sum(table["log_p"][entry.index] - table["log_q"][entry.index]))
+    assert entry.log_weight == pytest.approx(weight, rel=1e-12)
+    assert entry.violated == (entry.robustness < 0.0)
+
+
+def test_elites_are_the_least_robust_share_with_ties(naive_run):
+    ranking = rank(naive_run, "classical")
+    chosen = elites(ranking, sigma=0.95)
+    assert np.sum(chosen) == 3  # 60 rollouts: the 57th largest and what lies below
+    assert set(np.flatnonzero(chosen)) == set(ranking.order[:3].tolist())
+
+
+def test_csv_has_a_line_a_rollout(naive_run):
+    text = ranking_csv(naive_run, rank(naive_run, "agm"))
+    lines = list(csv.DictReader(io.StringIO(text)))
+    assert len(lines) == 60
+    assert [int(line["rank"]) for line in lines] == list(range(1, 61))
+    robustness = [float(line["robustness_agm"]) for line in lines]
+    assert robustness == sorted(robustness)
+
+
+def test_thinning_keeps_the_least_robust_and_their_numbers(naive_run):
+    (few,) = thinned(naive_run.parts, limit=7)
+    lowest = np.sort(naive_run.rollouts["robustness"])[:7]
+    np.testing.assert_array_equal(np.sort(few["robustness"]), lowest)
+    for place in range(7):
+        original = few["rollout"][place]
+        np.testing.assert_array_equal(few["gap_m"][place], naive_run.rollouts["gap_m"][original])
+
+
+def test_numbering_counts_within_repetition_and_stage():
+    table = numbered({"repetition": np.array([0, 0, 0, 1, 1]), "stage": np.array([0, 1, 0, 0, 0])})
+    assert table["rollout"].tolist() == [0, 0, 1, 0, 1]
+
+
+def test_longest_chain_of_misses():
+    missed = np.array([[1, 1, 0, 1], [0, 0, 0, 0], [1, 1, 1, 1], [0, 1, 0, 1]], dtype=bool)
+    assert longest_runs(missed).tolist() == [2, 0, 4, 1]
+
+
+def test_weights_of_failures_sum_to_one_and_follow_the_likelihoods(naive_run):
+    failures = failures_of(naive_run)
+    assert failures is not None
+    assert np.sum(failures.weight) == pytest.approx(1.0)
+    violated = naive_run.rollouts["violated"]
+    likeliest = int(np.argmax(naive_run.log_weight[violated]))
+    assert int(np.argmax(failures.weight)) == likeliest
+
+
+def test_default_config_has_every_metric():
+    assert ExperimentConfig().metric in METRICS

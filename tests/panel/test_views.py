@@ -1,0 +1,215 @@
+"""Views: the right figures, units, and nothing of a stranger's text taken for markup."""
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.panel.controller import PanelState
+from pemviz.panel.fields import field_docs, hint, limits
+from pemviz.panel.ranking import rank, row
+from pemviz.panel.rundata import RunData
+from pemviz.panel.scene import braking, gap_color
+from pemviz.panel.svg import Axis, Plot, nice_ticks
+from pemviz.panel.tab_player import interesting_step
+from pemviz.panel.views import compare, experiment, headline, learning, recordings, why
+from pemviz.panel.views.ranking_table import first_place, ranking_table
+from pemviz.panel.views.rollout import track, track_plots, with_cursor
+from pemviz.panel.views.words import number
+from pemviz.panel.watcher import Progress
+
+CRAFTED = "<script>alert(1)</script>"
+
+
+def well_formed(fragment: str) -> ET.Element:
+    return ET.fromstring(f"<all>{fragment.replace('<br>', '<br/>')}</all>")
+
+
+def test_every_page_is_well_formed(live_run, loaded_run, naive_run):
+    for run in (live_run, loaded_run, naive_run):
+        for page in (
+            headline.headline(run),
+            learning.learning(run),
+            why.why(run),
+            compare.metrics_page(run),
+            compare.runs_page(run, live_run),
+            ranking_table(run, rank(run, "classical"), selected=0, target="x"),
+        ):
+            well_formed(page)
+
+
+def test_pages_without_a_run_say_so():
+    assert "Nothing has run yet" in headline.headline(None)
+    assert "Nothing has run yet" in learning.learning(None)
+    assert "Nothing has run yet" in why.why(None)
+    assert "No rollouts yet" in compare.metrics_page(None)
+
+
+def test_loaded_run_shows_what_the_live_one_showed(live_run, loaded_run):
+    assert loaded_run.document == live_run.document
+    assert len(loaded_run.curves) == len(live_run.curves)
+    for live, loaded in zip(live_run.curves, loaded_run.curves, strict=True):
+        np.testing.assert_allclose(loaded.detection, live.detection, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(loaded_run.pem_detection, live_run.pem_detection)
+
+
+def test_headline_gives_the_estimate(naive_run):
+    text = headline.headline(naive_run)
+    estimate = naive_run.document["estimate"]
+    assert number(estimate["probability"]) in text
+    assert f"{estimate['failures']} of 60" in text
+
+
+def test_headline_never_gives_a_bare_zero(naive_run):
+    document = {**naive_run.document}
+    document["estimate"] = {
+        **document["estimate"], "failures": 0, "probability": 0.0, "ci_high": 0.03,
+    }  # fmt: skip
+    text = headline.headline(with_document(naive_run, document))
+    assert "no violation was seen" in text
+    assert "0.03" in text
+
+
+def test_a_strangers_recording_cannot_smuggle_markup(naive_run):
+    document = {**naive_run.document}
+    estimate = {**document["estimate"], "warnings": [CRAFTED], "probability": CRAFTED}
+    document |= {
+        "estimate": estimate,
+        "causes": [{CRAFTED: CRAFTED}],
+        "sensitivity": {"bands": [{"band": CRAFTED}]},
+        "assumptions": [CRAFTED],
+        "reference": {"probability": CRAFTED},
+        "stages": [{"stage": CRAFTED}, {"stage": 1, "threshold": CRAFTED}, CRAFTED],
+    }
+    run = replace(with_document(naive_run, document), name=CRAFTED)
+    entry = recordings.RunEntry(CRAFTED, CRAFTED, CRAFTED, CRAFTED, 0, None, False)
+    for page in (
+        headline.headline(run),
+        learning.learning(run),
+        why.why(run),
+        compare.runs_page(run, run),
+        compare.metrics_page(run),
+        recordings.recordings_table([entry], folder=CRAFTED),
+        recordings.viewer_link("http://127.0.0.1:1/", name=CRAFTED),
+        headline.status(PanelState(error=CRAFTED)),
+        experiment.spec_verdict(CRAFTED, spec="x"),
+    ):
+        assert "<script" not in page
+        well_formed(page)
+
+
+def test_status_tells_stage_rollouts_and_time_left():
+    progress = Progress(0, 1, 4, 12, 500, 1200, 10.0)
+    text = headline.status(PanelState(running=True, progress=progress))
+    assert "Stage 4 of 11: 500 of 1,200 rollouts, about 14 s left" in text
+    assert "Stopping" in headline.status(PanelState(running=True, stopping=True))
+    assert "Ready" in headline.status(PanelState())
+    assert "gap is no signal" in headline.status(PanelState(error="gap is no signal"))
+
+
+def test_parser_message_is_shown_without_repeating_the_text():
+    spec = "always[0,99] (gap >="
+    text = experiment.spec_verdict(f"spec = {spec!r}: column 21: a number is missing", spec=spec)
+    assert "column 21" in text
+    assert "always" not in text
+
+
+def test_every_control_has_a_hint_with_what_the_field_says():
+    docs = field_docs(ExperimentConfig)
+    for name in (
+        "method", "metric", "alpha", "sigma", "stages", "rollouts", "final_rollouts", "seed",
+        "pem", "simulator", "spec",
+    ):  # fmt: skip
+        assert len(hint(name)) > 20
+        assert hint(name) == docs[name]
+    assert limits("alpha", step=0.01) == (0.0, 1.0)
+    low, high = limits("sigma", step=0.005)
+    assert low == 0.95
+    assert high == pytest.approx(0.995)
+    with pytest.raises(ValueError, match="declares no bounds"):
+        limits("spec", step=1)
+
+
+def test_track_holds_the_rollout_and_its_probabilities(naive_run):
+    entry = row(naive_run, rank(naive_run, "classical"), 0)
+    chosen = track(naive_run, entry)
+    np.testing.assert_array_equal(chosen.gap_m, naive_run.rollouts["gap_m"][entry.index])
+    np.testing.assert_allclose(chosen.proposal_detection, 0.5, rtol=1e-12)
+    assert np.all((chosen.pem_detection > 0.5) & (chosen.pem_detection < 1.0))
+    step = interesting_step(chosen)
+    assert chosen.gap_m[step] < 2.0
+    assert np.all(chosen.gap_m[:step] >= 2.0)
+
+
+def test_cursor_stands_at_its_step(naive_run):
+    chosen = track(naive_run, row(naive_run, rank(naive_run, "classical"), 0))
+    pieces = track_plots(chosen)
+    for step in (0, 40, 99):
+        page = with_cursor(pieces, chosen, step, speed=1.0)
+        well_formed(page)
+        assert f"data-cursor='{step}'" in page
+        assert f"{chosen.gap_m[step]:.2f} m at {step * 0.05:.2f} s" in page
+
+
+def test_ranking_table_marks_the_selected_row(naive_run):
+    page = ranking_table(naive_run, rank(naive_run, "classical"), selected=30, target="abc")
+    rows = [r for r in well_formed(page).iter("tr") if r.get("data-rank")]
+    assert [r.get("data-rank") for r in rows if r.get("aria-selected") == "true"] == ["31"]
+    assert len(rows) == 12
+    assert first_place(59, 60) == 48
+    assert first_place(3, 5) == 0
+
+
+def test_a_full_overlap_is_a_hundred_per_cent():
+    one, two = np.array([True, True, False]), np.array([True, False, True])
+    assert compare.overlap_text(one, one) == "2 (100 %)"
+    assert compare.overlap_text(one, two) == "1 (33 %)"
+    assert compare.overlap_text(~(one | two), ~(one | two)) == "0"
+
+
+def test_settings_that_differ_are_listed(live_run, naive_run):
+    table = compare.differences_table(live_run, naive_run)
+    assert "method" in table
+    assert "final_rollouts" in table
+    assert "alpha" not in table
+
+
+def test_numbers():
+    assert number(1.824e-15) == "1.82 × 10⁻¹⁵"
+    assert number(0.0) == "0"
+    assert number(None) == number(math.nan) == number("x") == "–"
+    assert number(-3.25, 3) == "−3.25"
+
+
+def test_ticks_are_round_and_inside():
+    assert nice_ticks(0.0, 20.0, count=4) == [0.0, 5.0, 10.0, 15.0, 20.0]
+    assert nice_ticks(-16.0, -13.0, count=4, whole=True) == [-16.0, -15.0, -14.0, -13.0]
+    assert nice_ticks(1.0, 1.0, count=4) == [1.0]
+
+
+def test_plot_maps_values_to_pixels_and_breaks_lines_at_nan():
+    plot = Plot(x=Axis(0.0, 10.0, "x [m]"), y=Axis(0.0, 1.0, "y"), width=200, height=100)
+    assert plot.px(0.0) == plot.left
+    assert plot.px(10.0) == plot.right
+    assert plot.py(1.0) == plot.top
+    plot.line(np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, np.nan, 1.0]), color="#000")
+    text = plot.text()
+    assert "x [m]" in text
+    path = [p for p in well_formed(text).iter() if p.get("fill") == "none"][0].get("d")
+    assert path is not None
+    assert path.count("M") == 2
+
+
+def test_brake_lights_and_gap_colour():
+    speeds = np.array([20.0, 20.0, 19.6, 19.6])
+    assert [braking(speeds, step, 0.05) for step in range(4)] == [False, True, False, False]
+    assert gap_color(10.0, wide_m=10.0).tolist() == [120, 130, 140]
+    assert gap_color(-3.0, wide_m=10.0).tolist() == [225, 20, 20]
+    assert gap_color(2.0, wide_m=2.0).tolist() == [120, 130, 140]
+
+
+def with_document(run: RunData, document) -> RunData:
+    return replace(run, read_document=lambda: document)
