@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pemviz.errors import ConfigError
 from pemviz.ranges import Range, check_fields
 
-MethodName = Literal["adaptive", "mixture", "value-twisted", "monte-carlo", "naive"]
+MethodName = Literal["adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
 SimulatorName = Literal["vectorized", "highway-env"]
 

@@ -18,6 +18,7 @@ from pemviz.sampling.method import Method
 from pemviz.sampling.mixture import MixtureSampling
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
 from pemviz.sampling.rollout import replay
+from pemviz.sampling.splitting import SplittingSampling
 from pemviz.sampling.value_specification import unsafe_states
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.simulators.braking_features import BrakingFeatures
@@ -187,6 +188,8 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             seed=config.seed,
             features=BrakingFeatures(config.scenario),
         )
+    if config.method == "splitting":
+        return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
     proposal = (
         PemProposal()
         if config.method == "monte-carlo"
@@ -201,4 +204,6 @@ def rollouts_per_repetition(config: ExperimentConfig) -> int:
     """How many rollouts one repetition simulates."""
     if config.method in ("adaptive", "mixture"):
         return (config.stages + 1) * config.rollouts + config.final_rollouts
+    if config.method == "splitting":  # particles that are cut and continued come on top
+        return config.stages * config.rollouts
     return config.final_rollouts
