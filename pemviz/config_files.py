@@ -77,7 +77,9 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
 
 def config_text(config: ExperimentConfig) -> str:
     """Every field as TOML that :func:`load_config` reads back to an equal configuration."""
-    return tomli_w.dumps(config_table(config))
+    # TOML has no null: what is not set is left out
+    set_values = {n: value for n, value in config_table(config).items() if value is not None}
+    return tomli_w.dumps(set_values)
 
 
 def _build(kind: type[Config], table: dict[str, Any], *, prefix: str) -> Config:

@@ -24,6 +24,7 @@ from pemviz.events import (
     notify_all,
 )
 from pemviz.experiment import Experiment, build_experiment
+from pemviz.explanation import explain
 from pemviz.model_uncertainty import (
     data_bound,
     extrapolation_warnings,
@@ -158,7 +159,7 @@ class _Runner:
             watched = replace(problem, progress=self._progress(repetition, stage))
             state, result = method.step(watched, state)
             self._tell_stage(result)
-            self._judge_model(result)
+            self._judge(result)
             stage += 1
         estimate = method.estimate(state)
         estimates = (*self._result.repetitions, estimate)
@@ -171,11 +172,19 @@ class _Runner:
             RepetitionDone(repetition=repetition, estimate=estimate, result=self._result),
         )
 
-    def _judge_model(self, stage: StageResult) -> None:
-        """From a repetition's final rollouts: other models' answers, and where data is thin."""
+    def _judge(self, stage: StageResult) -> None:
+        """From a repetition's final rollouts: causes, other models' answers, thin data."""
         experiment = self._experiment
-        if stage.kind != "final":
+        if stage.kind != "final" or not experiment.has_likelihood_ratios:
             return
+        explanation = explain(
+            stage,
+            features=experiment.features,
+            farthest_m=experiment.config.scenario.initial_gap_m,
+            target=experiment.config.target,
+        )
+        if explanation is not None:
+            self._result = replace(self._result, explanation=explanation)
         simulator = experiment.problem.simulator
         if experiment.ensemble is not None and stage.failures:
             self._members.append(

@@ -11,6 +11,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem import Pem, PemEnsemble, ensemble_of, load_pem
+from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
@@ -40,6 +41,7 @@ class Experiment:
         problem: What is to be estimated.
         twin: A fast simulator of the same scenario, for the reference and the data's bound.
         method: How.
+        features: What the scenario's states offer to look at.
         planned_rollouts: How many rollouts all repetitions take together.
     """
 
@@ -50,7 +52,13 @@ class Experiment:
     problem: Problem
     twin: Simulator
     method: Method[Any]
+    features: StateFeatures
     planned_rollouts: int
+
+    @property
+    def has_likelihood_ratios(self) -> bool:
+        """Whether rollouts carry weights; splitting's particles are cut and copied instead."""
+        return self.config.method != "splitting"
 
 
 def build_experiment(config: ExperimentConfig) -> Experiment:
@@ -92,6 +100,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         problem=problem,
         twin=VectorizedSimulator(config.scenario),
         method=build_method(config),
+        features=BrakingFeatures(config.scenario),
         planned_rollouts=config.repetitions * rollouts_per_repetition(config),
     )
 
