@@ -97,6 +97,8 @@ class ExperimentConfig:
     """Root of all randomness; the same seed and config give the same result; 0 or more."""
     repetitions: Annotated[int, Range(low=1, high=100_000)] = 1
     """Independent repetitions, summarised by their mean; 1 to 100000."""
+    reference: bool = False
+    """Also compute the answer by the value-twisted reference, to compare with."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
 

@@ -38,6 +38,7 @@ class Experiment:
         ensemble: Models that its training data could as well have produced, if there are any.
         formula: The specification.
         problem: What is to be estimated.
+        twin: A fast simulator of the same scenario, for the reference and the data's bound.
         method: How.
         planned_rollouts: How many rollouts all repetitions take together.
     """
@@ -47,6 +48,7 @@ class Experiment:
     ensemble: PemEnsemble | None
     formula: stl.Formula
     problem: Problem
+    twin: Simulator
     method: Method[Any]
     planned_rollouts: int
 
@@ -80,7 +82,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         ),
         unsafe=unsafe_states(formula),
     )
-    if config.method == "value-twisted":
+    if config.reference or config.method == "value-twisted":
         require_unsafe(problem)
     return Experiment(
         config=config,
@@ -88,6 +90,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         ensemble=ensemble_of(config.pem),
         formula=formula,
         problem=problem,
+        twin=VectorizedSimulator(config.scenario),
         method=build_method(config),
         planned_rollouts=config.repetitions * rollouts_per_repetition(config),
     )
