@@ -1,14 +1,22 @@
 """A rollout's scene as one HTML page that plays without a server."""
 
+import threading
+
 from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET, Scene
 from pemviz.panel.server import guarded_server
 from pemviz.panel.views.rollout import Track
 
 REST_S = 1.0
+_ONE_AT_A_TIME = threading.Lock()
 
 
 def scene_html(track: Track) -> str:
     """The page, with a play slider; it rests a moment at the end before it starts again."""
+    with _ONE_AT_A_TIME:
+        return _scene_html(track)
+
+
+def _scene_html(track: Track) -> str:
     server = guarded_server(host="127.0.0.1", port=0, closed=True)
     try:
         server.initial_camera.position = FIRST_VIEW_POSITION

@@ -21,6 +21,7 @@ from pemviz.errors import InputError
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 _PATCH = threading.Lock()
+_SERVE = websockets.asyncio.server.serve
 
 
 def is_loopback(host: str) -> bool:
@@ -141,7 +142,6 @@ def _guarding(
     viser passes neither origins nor a socket on to websockets, and moves to another port
     if its own is taken.
     """
-    serve = websockets.asyncio.server.serve
     used = threading.Event()
 
     def guarded_serve(ws_handler: Any, host: Any, port: Any, **options: Any) -> Any:  # noqa: ARG001
@@ -154,7 +154,7 @@ def _guarding(
             return inner(connection, request)
 
         used.set()
-        return serve(ws_handler, sock=listening, process_request=process, **options)
+        return _SERVE(ws_handler, sock=listening, process_request=process, **options)
 
     with _PATCH:
         module = cast(Any, websockets.asyncio.server)
@@ -162,7 +162,7 @@ def _guarding(
         try:
             yield used.is_set
         finally:
-            module.serve = serve
+            module.serve = _SERVE
 
 
 def text_response(status: http.HTTPStatus, text: str) -> Response:

@@ -30,7 +30,7 @@ def absent(reason: str):
     pytest.skip(reason)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chromium():
     try:
         from playwright.sync_api import sync_playwright  # noqa: PLC0415  may be absent

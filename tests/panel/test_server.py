@@ -4,6 +4,7 @@ import http.client
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -176,3 +177,22 @@ def test_serve_ends_with_code_2_on_bad_options(words, tmp_path):
     done = serve(*words, "--recordings", str(tmp_path))
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
+
+
+def test_servers_that_start_at_once_are_all_guarded():
+    made = []
+
+    def start():
+        made.append(guarded_server(host="127.0.0.1", port=0, closed=True))
+
+    threads = [threading.Thread(target=start) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    try:
+        assert len(made) == 4
+        assert [get(one.get_port())[0] for one in made] == [403] * 4
+    finally:
+        for one in made:
+            one.stop()
