@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pemviz.errors import ConfigError
 from pemviz.ranges import Range, check_fields
 
-MethodName = Literal["adaptive", "mixture", "value-twisted", "monte-carlo", "naive"]
+MethodName = Literal["adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
 SimulatorName = Literal["vectorized", "highway-env"]
 
@@ -97,6 +97,8 @@ class ExperimentConfig:
     """Root of all randomness; the same seed and config give the same result; 0 or more."""
     repetitions: Annotated[int, Range(low=1, high=100_000)] = 1
     """Independent repetitions, summarised by their mean; 1 to 100000."""
+    reference: bool = False
+    """Also compute the answer by the value-twisted reference, to compare with."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
 

@@ -25,6 +25,7 @@ from pemviz.events import (
 )
 from pemviz.experiment import Experiment, build_experiment
 from pemviz.model_uncertainty import (
+    data_bound,
     extrapolation_warnings,
     member_estimates,
     model_interval,
@@ -32,6 +33,7 @@ from pemviz.model_uncertainty import (
 from pemviz.pem.reweight import MemberEstimates
 from pemviz.results import PemInfo, RunResult, with_stage
 from pemviz.sampling.repetitions import summarise_repetitions
+from pemviz.sampling.value_reference import agreement_warning, reference
 from pemviz.types import RolloutBatch, StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
@@ -129,6 +131,7 @@ class _Runner:
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
+        self._compare()
         self.complete = True
 
     def finish(self, status: Any) -> RunResult:
@@ -181,8 +184,33 @@ class _Runner:
             interval = model_interval(self._members)
             self._result = replace(self._result, pem_interval=interval)
         if not self._result.warnings:
-            warnings = extrapolation_warnings(stage.scored, simulator=simulator, pem=experiment.pem)
-            self._result = replace(self._result, warnings=warnings)
+            self._judge_data(stage)
+
+    def _judge_data(self, stage: StageResult) -> None:
+        """Once a run: where the model extrapolates, and what its data alone allow."""
+        experiment = self._experiment
+        warnings = extrapolation_warnings(
+            stage.scored, simulator=experiment.problem.simulator, pem=experiment.pem
+        )
+        twin = replace(experiment.problem, simulator=experiment.twin)
+        bound = data_bound(twin, pem=experiment.pem, seed=experiment.config.seed)
+        if bound is not None:
+            warnings = (
+                *warnings,
+                "the training data alone, without the model's guesses, allow a failure "
+                f"probability up to {bound.probability:.1g} ({bound.confidence:.0%})",
+            )
+        self._result = replace(self._result, warnings=warnings, data_bound=bound)
+
+    def _compare(self) -> None:
+        """The reference beside the estimate, with a warning where they disagree."""
+        experiment, estimate = self._experiment, self._result.estimate
+        if not experiment.config.reference or estimate is None:
+            return
+        known = reference(experiment.problem, twin=experiment.twin)
+        disagreement = agreement_warning(estimate, known)
+        warnings = self._result.warnings + ((disagreement,) if disagreement else ())
+        self._result = replace(self._result, reference=known, warnings=warnings)
 
     def _progress(self, repetition: int, stage: int) -> Callable[[int, int], None]:
         def progress(done: int, total: int) -> None:

@@ -6,6 +6,7 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -68,16 +69,23 @@ def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
     from pemviz.panel.recordings import RecordingsFolder  # noqa: PLC0415
     from pemviz.panel.server import is_loopback  # noqa: PLC0415
     from pemviz.panel.start import show_something  # noqa: PLC0415
+    from pemviz.panel.viewers import Viewers  # noqa: PLC0415
 
+    local = is_loopback(arguments.host)
+    viewers = Viewers(viewer)
     controller = Controller(arguments.recordings, observers=recorders)
     recordings = RecordingsFolder(arguments.recordings)
     app = App(
-        Hub(controller=controller, recordings=recordings),
+        Hub(
+            controller=controller,
+            recordings=recordings,
+            open_recording=viewers.open if local else None,  # the viewer serves this machine only
+        ),
         host=arguments.host,
         port=arguments.port,
     )
     address = f"http://{arguments.host}:{app.port}"
-    if not is_loopback(arguments.host):
+    if not local:
         print(
             f"pemviz: warning: {arguments.host} can be reached by others on the network; whoever "
             "reaches it can run experiments and read the recordings, without a password",
@@ -92,6 +100,7 @@ def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
     print("pemviz: stopping", file=sys.stderr)
     controller.close()
     app.stop()
+    viewers.close()
 
 
 def recorders(folder: Path) -> Sequence[Observer]:
@@ -99,6 +108,14 @@ def recorders(folder: Path) -> Sequence[Observer]:
     from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
 
     return [Recorder(folder / "run.rrd")]
+
+
+def viewer(path: Path) -> AbstractContextManager[str]:
+    """Rerun's viewer for a recording, as a page of this machine."""
+    from pemviz.recording.open import viewer_process  # noqa: PLC0415
+    from pemviz.recording.web import web_viewer  # noqa: PLC0415
+
+    return web_viewer(path, port=0, start=viewer_process)
 
 
 def _warm_up() -> None:

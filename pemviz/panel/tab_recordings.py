@@ -70,22 +70,24 @@ class RecordingsTab:
         self._session.look_at(None)
 
     def _download(self) -> None:
-        word, name = self.download.value, self.name.value
-        folder, client = self._session.hub.recordings, self._session.client
+        filename, content = self._downloaded(self.download.value, self.name.value)
+        self._session.client.send_file_download(filename, content, save_immediately=True)
+
+    def _downloaded(self, word: str, name: str) -> tuple[str, bytes]:
+        """File name and content of a download."""
+        folder = self._session.hub.recordings
         if word == "run.rrd":
-            client.send_file_download(f"{name}.rrd", folder.content(name, "run.rrd"))
-        elif word == "result.json":
-            client.send_file_download(f"{name}.json", folder.content(name, "result.json"))
-        elif word == "CSV":
+            return f"{name}.rrd", folder.content(name, "run.rrd")
+        if word == "result.json":
+            return f"{name}.json", folder.content(name, "result.json")
+        if word == "CSV":
             run = load_run(folder.folder(name))
-            text = ranking_csv(run, rank(run, run.config.metric))
-            client.send_file_download(f"{name}.csv", text.encode())
-        elif word == DOWNLOADS[-1]:
-            chosen = self._session.player.track
-            if chosen is None:
-                message = "no rollout is shown: pick one in the Trajectories tab"
-                raise InputError(message)
-            client.send_file_download("pemviz-rollout.html", scene_html(chosen).encode())
+            return f"{name}.csv", ranking_csv(run, rank(run, run.config.metric)).encode()
+        chosen = self._session.player.track
+        if chosen is None:
+            message = "no rollout is shown: pick one in the Trajectories tab"
+            raise InputError(message)
+        return "pemviz-rollout.html", scene_html(chosen).encode()
 
     def _open(self) -> None:
         opener = self._session.hub.open_recording

@@ -20,7 +20,7 @@ ARGUMENTS = [
     "--enable-unsafe-swiftshader",
 ]
 VIEWPORT = {"width": 1280, "height": 800}
-WAIT_MS = 60_000
+WAIT_MS = 45_000
 
 
 def absent(reason: str):
@@ -33,7 +33,7 @@ def absent(reason: str):
 @pytest.fixture(scope="session")
 def chromium():
     try:
-        from playwright.sync_api import sync_playwright
+        from playwright.sync_api import sync_playwright  # noqa: PLC0415  may be absent
     except ImportError:
         absent("playwright is not installed (pip install playwright)")
     with sync_playwright() as playwright:

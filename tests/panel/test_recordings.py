@@ -1,6 +1,7 @@
 """No name leads out of the recordings folder; damaged runs are told in one line."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -47,7 +48,7 @@ def test_a_link_within_a_run_is_not_followed(folder, tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("x")
     (folder.root / "run" / "run.rrd").symlink_to(secret)
-    with pytest.raises(InputError, match="has no run.rrd"):
+    with pytest.raises(InputError, match=r"has no run\.rrd"):
         folder.content("run", "run.rrd")
 
 
@@ -65,8 +66,6 @@ def test_a_rewritten_result_is_read_again(folder):
     path = folder.root / "run" / "result.json"
     document = json.loads(path.read_text())
     path.write_text(json.dumps(document | {"status": "stopped"}))
-    import os
-
     os.utime(path, (1, 1))
     assert folder.entries()[0].status == "stopped"
 

@@ -25,7 +25,7 @@ CRAFTED = "<script>alert(1)</script>"
 
 
 def well_formed(fragment: str) -> ET.Element:
-    return ET.fromstring(f"<all>{fragment.replace('<br>', '<br/>')}</all>")
+    return ET.fromstring(f"<all>{fragment.replace('<br>', '<br/>')}</all>")  # noqa: S314  our own
 
 
 def test_every_page_is_well_formed(live_run, loaded_run, naive_run):
@@ -198,7 +198,7 @@ def test_plot_maps_values_to_pixels_and_breaks_lines_at_nan():
     plot.line(np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, np.nan, 1.0]), color="#000")
     text = plot.text()
     assert "x [m]" in text
-    path = [p for p in well_formed(text).iter() if p.get("fill") == "none"][0].get("d")
+    path = next(p for p in well_formed(text).iter() if p.get("fill") == "none").get("d")
     assert path is not None
     assert path.count("M") == 2
 

@@ -14,7 +14,8 @@ VIOLATED = f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>"
 CLICK = (
     "(function(r){var i=document.getElementById(r.dataset.target);if(!i)return;"
     "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,r.dataset.rank);"
-    "i.dispatchEvent(new Event('input',{bubbles:true}));setTimeout(function(){i.blur();},0);})(this)"
+    "i.dispatchEvent(new Event('input',{bubbles:true}));"
+    "setTimeout(function(){i.blur();},0);})(this)"
 )
 
 
@@ -53,9 +54,9 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
         )
     shown = (
         f"Ranks {start + 1} to {start + len(lines)} of {count:,} under {ranking.metric}. "
-        "Click a row, or press the up and down arrow keys; type a rank to jump. In the scene, flat "
-        "blue marks on the road say where the camera detected the car ahead, upright crosses where "
-        "it missed; the blue strip is where a detection brakes hard, the line across it the 2 m limit."
+        "Click a row, or press the up and down arrow keys; type a rank to jump. In the scene, "
+        "flat blue marks on the road say where the camera detected the car ahead, upright crosses "
+        "where it missed; in the blue strip a detection brakes hard, the line is the 2 m limit."
     )
     if run.kept < run.simulated:
         shown += (

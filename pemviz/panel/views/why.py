@@ -259,7 +259,7 @@ def _interval(run: RunData) -> str:
     interval = table(run.document.get("pem_interval"))
     if not interval:
         return ""
-    share = interval.get("confidence")
+    share: Any = interval.get("confidence")
     words = f"{100 * share:.3g} % of" if is_number(share) else "Of"
     notes = interval.get("warnings")
     warnings = cast(list[object], notes) if isinstance(notes, list | tuple) else []
