@@ -11,7 +11,7 @@ import tomli_w
 from pemviz.assets import asset_path
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.ranges import check_value, optional_value
+from pemviz.ranges import allows_none, check_value, optional_value
 
 Config = TypeVar("Config")
 
@@ -96,6 +96,8 @@ def _build(kind: type[Config], table: dict[str, Any], *, prefix: str) -> Config:
                 raise ConfigError(message)
             nested = cast(type[Any], annotation)
             values[name] = _build(nested, cast(dict[str, Any], value), prefix=f"{name}.")
+        elif value is None and allows_none(annotation):
+            values[name] = None
         else:
             values[name] = check_value(
                 name=f"{prefix}{name}", value=value, annotation=optional_value(annotation)

@@ -23,7 +23,11 @@ CAMERA = {
     "look_at": [0.0, 0.0, 0.0],
     "up_direction": [0.0, 0.0, 1.0],
 }
-LEFT_ALONE = ("Run", "Stop", *filter(None, os.environ.get("PEMVIZ_SOAK_LEAVE", "").split(",")))  # what changes the experiment itself
+LEFT_ALONE = (
+    "Run",
+    "Stop",
+    *filter(None, os.environ.get("PEMVIZ_SOAK_LEAVE", "").split(",")),
+)  # what changes the experiment itself
 
 
 class LightClient:
