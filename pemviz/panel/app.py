@@ -6,6 +6,7 @@ import threading
 import viser
 
 from pemviz.panel.hub import Hub
+from pemviz.panel.memory import give_back
 from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
 from pemviz.panel.server import guarded_server
 from pemviz.panel.session import Session
@@ -66,3 +67,6 @@ class App:
             session = self._sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
+            session.join()
+            del session
+            give_back()

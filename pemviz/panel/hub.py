@@ -1,10 +1,11 @@
 """What all browsers share."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pemviz.panel.controller import Controller
+from pemviz.panel.loading import LoadedRuns
 from pemviz.panel.recordings import RecordingsFolder
 
 OpenRecording = Callable[[Path], str]
@@ -19,8 +20,10 @@ class Hub:
         recordings: The runs kept.
         open_recording: Serves a recording to a viewer and returns the viewer's address;
             ``None`` where there is no viewer.
+        loaded: Runs that browsers have loaded.
     """
 
     controller: Controller
     recordings: RecordingsFolder
     open_recording: OpenRecording | None = None
+    loaded: LoadedRuns = field(default_factory=LoadedRuns)

@@ -1,7 +1,9 @@
 """A run folder as the panel's data."""
 
+import threading
 from collections.abc import Mapping
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 from safetensors import SafetensorError
@@ -29,6 +31,31 @@ from pemviz.types import StageKind
 
 LARGEST_ROLLOUTS_BYTES = 4 * 1024**3
 BIN_M = 0.25
+
+
+class LoadedRuns:
+    """Runs read from folders; browsers that look at the same one share its arrays."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._runs: WeakValueDictionary[tuple[Path, int], RunData] = WeakValueDictionary()
+
+    def get(self, folder: Path) -> RunData:
+        """The run in a folder, read unless some browser holds it.
+
+        Raises:
+            InputError: Something in it is absent or damaged.
+        """
+        with self._lock:
+            try:
+                key = (folder, (folder / "result.json").stat().st_mtime_ns)
+            except OSError as error:
+                message = f"run {folder}: cannot be read ({error.strerror or error})"
+                raise InputError(message) from error
+            run = self._runs.get(key)
+            if run is None:
+                self._runs[key] = run = load_run(folder)
+            return run
 
 
 def load_run(folder: Path) -> RunData:

@@ -64,6 +64,10 @@ class Session:
         self._closed.set()
         self._work.put(None)
 
+    def join(self, *, timeout_s: float = 10.0) -> None:
+        """Wait until the session has ended; after :meth:`close`."""
+        self._thread.join(timeout_s)
+
     def post(self, work: Callable[[], None]) -> None:
         """Have the session's thread do something."""
         self._work.put(work)

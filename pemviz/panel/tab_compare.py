@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.panel.controller import PanelState
-from pemviz.panel.loading import load_run
 from pemviz.panel.rundata import RunData
 from pemviz.panel.views.compare import metrics_page, runs_page
 from pemviz.panel.widgets import set_html
@@ -46,7 +45,7 @@ class CompareTab:
         if name == NONE:
             self._second = None
         else:
-            self._second = load_run(self._session.hub.recordings.folder(name))
+            self._second = self._session.hub.loaded.get(self._session.hub.recordings.folder(name))
         self._show()
 
     def _show(self) -> None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from pemviz.errors import InputError
 from pemviz.panel.controller import PanelState
 from pemviz.panel.export import scene_html
-from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import rank, ranking_csv
 from pemviz.panel.views.recordings import recordings_table, viewer_link
 from pemviz.panel.widgets import set_html
@@ -64,7 +63,8 @@ class RecordingsTab:
         set_html(self._table, recordings_table(entries, folder=str(folder.root)))
 
     def _load(self) -> None:
-        self._session.look_at(load_run(self._session.hub.recordings.folder(self.name.value)))
+        hub = self._session.hub
+        self._session.look_at(hub.loaded.get(hub.recordings.folder(self.name.value)))
 
     def _back(self) -> None:
         self._session.look_at(None)
@@ -81,7 +81,7 @@ class RecordingsTab:
         if word == "result.json":
             return f"{name}.json", folder.content(name, "result.json")
         if word == "CSV":
-            run = load_run(folder.folder(name))
+            run = self._session.hub.loaded.get(folder.folder(name))
             return f"{name}.csv", ranking_csv(run, rank(run, run.config.metric)).encode()
         chosen = self._session.player.track
         if chosen is None:

@@ -1,6 +1,5 @@
 """A client that speaks viser's protocol without drawing: for many at once."""
 
-import os
 import random
 import threading
 import time
@@ -23,11 +22,7 @@ CAMERA = {
     "look_at": [0.0, 0.0, 0.0],
     "up_direction": [0.0, 0.0, 1.0],
 }
-LEFT_ALONE = (
-    "Run",
-    "Stop",
-    *filter(None, os.environ.get("PEMVIZ_SOAK_LEAVE", "").split(",")),
-)  # what changes the experiment itself
+LEFT_ALONE = ("Run", "Stop")  # what changes the experiment itself
 
 
 class LightClient:

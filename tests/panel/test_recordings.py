@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pemviz.errors import InputError
-from pemviz.panel.loading import load_run
+from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.recordings import RecordingsFolder, sample_folder
 
 CRAFTED = (
@@ -145,3 +145,14 @@ def test_the_sample_is_a_run_if_it_is_shipped():
     if sample is None:
         pytest.skip("no sample run is shipped in this checkout")
     assert load_run(sample).kept > 0
+
+
+def test_browsers_share_a_loaded_run_until_it_changes(folder):
+    runs = LoadedRuns()
+    run = folder.root / "run"
+    first = runs.get(run)
+    assert runs.get(run) is first
+    os.utime(run / "result.json", (1, 1))
+    assert runs.get(run) is not first
+    with pytest.raises(InputError, match="cannot be read"):
+        runs.get(folder.root / "absent")
