@@ -30,7 +30,7 @@ def sample_config() -> ExperimentConfig:
         paper,
         stages=5,
         rollouts=26,
-        final_rollouts=24,
+        final_rollouts=18,
         seed=6,
         spec="always[0,69] (gap >= 2.0)",
         scenario=replace(paper.scenario, states=70),

@@ -9,7 +9,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from pemviz import samples
-from pemviz.config_files import config_table, load_config
+from pemviz.config_files import config_from_table, load_config
 from pemviz.errors import InputError
 from pemviz.recording.read import chunks
 from pemviz.reproduce.sample import MOST_BYTES, folder_bytes, make_sample, sample_config
@@ -92,7 +92,7 @@ def test_its_recording_holds_its_own_configuration(sample):
         if field.name.endswith(":text")
     ]
     toml = text.split("```toml\n")[1].split("```")[0] if "```toml" in text else text
-    assert tomllib.loads(toml) == config_table(sample_config())
+    assert config_from_table(tomllib.loads(toml)) == sample_config()
 
 
 def test_its_first_stage_comes_out_the_same_everywhere(sample, fresh):
