@@ -12,7 +12,7 @@ import numpy as np
 from pemviz import __version__
 from pemviz.arrays import read_only
 from pemviz.config import ExperimentConfig
-from pemviz.errors import PemvizError, RunError
+from pemviz.errors import RunError
 from pemviz.events import (
     Observer,
     RepetitionDone,
@@ -92,7 +92,7 @@ def run(
     except KeyboardInterrupt:
         runner.finish("stopped")
         raise
-    except (PemvizError, OSError, ArithmeticError, ValueError, MemoryError) as error:
+    except Exception as error:  # a simulator or model of the user's may raise anything
         message = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         runner.fail(message)
         raise RunError(message) from error
