@@ -63,6 +63,9 @@ def run(words: Sequence[str]) -> int:
 
 
 def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
+    from pemviz.panel.memory import share_arenas  # noqa: PLC0415
+
+    share_arenas()
     from pemviz.panel.app import App  # noqa: PLC0415  viser is slow to import
     from pemviz.panel.controller import Controller  # noqa: PLC0415
     from pemviz.panel.hub import Hub  # noqa: PLC0415
