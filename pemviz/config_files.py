@@ -11,7 +11,7 @@ import tomli_w
 from pemviz.assets import asset_path
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.ranges import check_value, optional_value
+from pemviz.ranges import allows_none, check_value, optional_value
 
 Config = TypeVar("Config")
 
@@ -77,7 +77,9 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
 
 def config_text(config: ExperimentConfig) -> str:
     """Every field as TOML that :func:`load_config` reads back to an equal configuration."""
-    return tomli_w.dumps(config_table(config))
+    # TOML has no null: what is not set is left out
+    set_values = {n: value for n, value in config_table(config).items() if value is not None}
+    return tomli_w.dumps(set_values)
 
 
 def _build(kind: type[Config], table: dict[str, Any], *, prefix: str) -> Config:
@@ -94,6 +96,8 @@ def _build(kind: type[Config], table: dict[str, Any], *, prefix: str) -> Config:
                 raise ConfigError(message)
             nested = cast(type[Any], annotation)
             values[name] = _build(nested, cast(dict[str, Any], value), prefix=f"{name}.")
+        elif value is None and allows_none(annotation):
+            values[name] = None
         else:
             values[name] = check_value(
                 name=f"{prefix}{name}", value=value, annotation=optional_value(annotation)

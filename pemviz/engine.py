@@ -12,7 +12,7 @@ import numpy as np
 from pemviz import __version__
 from pemviz.arrays import read_only
 from pemviz.config import ExperimentConfig
-from pemviz.errors import PemvizError, RunError
+from pemviz.errors import RunError
 from pemviz.events import (
     Observer,
     RepetitionDone,
@@ -24,7 +24,9 @@ from pemviz.events import (
     notify_all,
 )
 from pemviz.experiment import Experiment, build_experiment
+from pemviz.explanation import explain
 from pemviz.model_uncertainty import (
+    data_bound,
     extrapolation_warnings,
     member_estimates,
     model_interval,
@@ -32,6 +34,7 @@ from pemviz.model_uncertainty import (
 from pemviz.pem.reweight import MemberEstimates
 from pemviz.results import PemInfo, RunResult, with_stage
 from pemviz.sampling.repetitions import summarise_repetitions
+from pemviz.sampling.value_reference import agreement_warning, reference
 from pemviz.types import RolloutBatch, StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
@@ -89,7 +92,7 @@ def run(
     except KeyboardInterrupt:
         runner.finish("stopped")
         raise
-    except (PemvizError, OSError, ArithmeticError, ValueError, MemoryError) as error:
+    except Exception as error:  # a simulator or model of the user's may raise anything
         message = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         runner.fail(message)
         raise RunError(message) from error
@@ -129,6 +132,7 @@ class _Runner:
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
+        self._compare()
         self.complete = True
 
     def finish(self, status: Any) -> RunResult:
@@ -155,7 +159,7 @@ class _Runner:
             watched = replace(problem, progress=self._progress(repetition, stage))
             state, result = method.step(watched, state)
             self._tell_stage(result)
-            self._judge_model(result)
+            self._judge(result)
             stage += 1
         estimate = method.estimate(state)
         estimates = (*self._result.repetitions, estimate)
@@ -168,11 +172,19 @@ class _Runner:
             RepetitionDone(repetition=repetition, estimate=estimate, result=self._result),
         )
 
-    def _judge_model(self, stage: StageResult) -> None:
-        """From a repetition's final rollouts: other models' answers, and where data is thin."""
+    def _judge(self, stage: StageResult) -> None:
+        """From a repetition's final rollouts: causes, other models' answers, thin data."""
         experiment = self._experiment
-        if stage.kind != "final":
+        if stage.kind != "final" or not experiment.has_likelihood_ratios:
             return
+        explanation = explain(
+            stage,
+            features=experiment.features,
+            farthest_m=experiment.config.scenario.initial_gap_m,
+            target=experiment.config.target,
+        )
+        if explanation is not None:
+            self._result = replace(self._result, explanation=explanation)
         simulator = experiment.problem.simulator
         if experiment.ensemble is not None and stage.failures:
             self._members.append(
@@ -181,8 +193,33 @@ class _Runner:
             interval = model_interval(self._members)
             self._result = replace(self._result, pem_interval=interval)
         if not self._result.warnings:
-            warnings = extrapolation_warnings(stage.scored, simulator=simulator, pem=experiment.pem)
-            self._result = replace(self._result, warnings=warnings)
+            self._judge_data(stage)
+
+    def _judge_data(self, stage: StageResult) -> None:
+        """Once a run: where the model extrapolates, and what its data alone allow."""
+        experiment = self._experiment
+        warnings = extrapolation_warnings(
+            stage.scored, simulator=experiment.problem.simulator, pem=experiment.pem
+        )
+        twin = replace(experiment.problem, simulator=experiment.twin)
+        bound = data_bound(twin, pem=experiment.pem, seed=experiment.config.seed)
+        if bound is not None:
+            warnings = (
+                *warnings,
+                "the training data alone, without the model's guesses, allow a failure "
+                f"probability up to {bound.probability:.1g} ({bound.confidence:.0%})",
+            )
+        self._result = replace(self._result, warnings=warnings, data_bound=bound)
+
+    def _compare(self) -> None:
+        """The reference beside the estimate, with a warning where they disagree."""
+        experiment, estimate = self._experiment, self._result.estimate
+        if not experiment.config.reference or estimate is None:
+            return
+        known = reference(experiment.problem, twin=experiment.twin)
+        disagreement = agreement_warning(estimate, known)
+        warnings = self._result.warnings + ((disagreement,) if disagreement else ())
+        self._result = replace(self._result, reference=known, warnings=warnings)
 
     def _progress(self, repetition: int, stage: int) -> Callable[[int, int], None]:
         def progress(done: int, total: int) -> None:

@@ -11,6 +11,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem import Pem, PemEnsemble, ensemble_of, load_pem
+from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
@@ -18,6 +19,7 @@ from pemviz.sampling.method import Method
 from pemviz.sampling.mixture import MixtureSampling
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
 from pemviz.sampling.rollout import replay
+from pemviz.sampling.splitting import SplittingSampling
 from pemviz.sampling.value_specification import unsafe_states
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.simulators.braking_features import BrakingFeatures
@@ -37,7 +39,9 @@ class Experiment:
         ensemble: Models that its training data could as well have produced, if there are any.
         formula: The specification.
         problem: What is to be estimated.
+        twin: A fast simulator of the same scenario, for the reference and the data's bound.
         method: How.
+        features: What the scenario's states offer to look at.
         planned_rollouts: How many rollouts all repetitions take together.
     """
 
@@ -46,8 +50,15 @@ class Experiment:
     ensemble: PemEnsemble | None
     formula: stl.Formula
     problem: Problem
+    twin: Simulator
     method: Method[Any]
+    features: StateFeatures
     planned_rollouts: int
+
+    @property
+    def has_likelihood_ratios(self) -> bool:
+        """Whether rollouts carry weights; splitting's particles are cut and copied instead."""
+        return self.config.method != "splitting"
 
 
 def build_experiment(config: ExperimentConfig) -> Experiment:
@@ -79,7 +90,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         ),
         unsafe=unsafe_states(formula),
     )
-    if config.method == "value-twisted":
+    if config.reference or config.method == "value-twisted":
         require_unsafe(problem)
     return Experiment(
         config=config,
@@ -87,7 +98,9 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         ensemble=ensemble_of(config.pem),
         formula=formula,
         problem=problem,
+        twin=VectorizedSimulator(config.scenario),
         method=build_method(config),
+        features=BrakingFeatures(config.scenario),
         planned_rollouts=config.repetitions * rollouts_per_repetition(config),
     )
 
@@ -184,6 +197,8 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             seed=config.seed,
             features=BrakingFeatures(config.scenario),
         )
+    if config.method == "splitting":
+        return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
     proposal = (
         PemProposal()
         if config.method == "monte-carlo"
@@ -198,4 +213,6 @@ def rollouts_per_repetition(config: ExperimentConfig) -> int:
     """How many rollouts one repetition simulates."""
     if config.method in ("adaptive", "mixture"):
         return (config.stages + 1) * config.rollouts + config.final_rollouts
+    if config.method == "splitting":  # particles that are cut and continued come on top
+        return config.stages * config.rollouts
     return config.final_rollouts

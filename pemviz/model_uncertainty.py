@@ -2,15 +2,30 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.pem import Pem, PemEnsemble, pem_interval, reweight, support_check, support_of
+from pemviz.pem import (
+    Pem,
+    PemEnsemble,
+    data_bound_pem,
+    pem_interval,
+    reweight,
+    support_check,
+    support_of,
+)
 from pemviz.pem.reweight import MemberEstimates
+from pemviz.proposals.simple import PemProposal
+from pemviz.sampling.estimates import CONFIDENCE, monte_carlo_estimate
+from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.rollout import replay
 from pemviz.sampling.weights import log_sum
 from pemviz.types import ScoredRollouts, Simulator
+
+DATA_BOUND_ROLLOUTS = 10_000
+DATA_BOUND_KEY = 2**32 - 2
 
 
 @dataclass(frozen=True)
@@ -39,23 +54,15 @@ def member_estimates(
 ) -> MemberEstimates:
     """The failure probability under each of the ensemble's models, from the same rollouts."""
     rollouts, violated = scored.rollouts, scored.violated
-    failures = int(violated.sum())
     states = rollouts.decision_states()
     failing = {name: values[violated] for name, values in states.signals.items()}
-    estimates = reweight(
+    return reweight(
         detected=rollouts.detected[violated],
         salient=simulator.salient(failing),
         log_q=rollouts.log_q[violated],
-        violated=np.ones(failures, dtype=np.bool_),
+        violated=violated[violated],
         members=ensemble.members,
-    )
-    # the average over the failing rollouts, spread over all of them
-    share = math.log(failures / rollouts.count) if failures else 0.0
-    return MemberEstimates(
-        names=estimates.names,
-        log_mu=estimates.log_mu + share,
-        relative_std_error=estimates.relative_std_error,
-        effective_failures=estimates.effective_failures,
+        rollouts=rollouts.count,
     )
 
 
@@ -76,6 +83,54 @@ def model_interval(repetitions: Sequence[MemberEstimates]) -> ModelInterval:
         members=interval.members,
         confidence=interval.confidence,
         warnings=interval.warnings,
+    )
+
+
+@dataclass(frozen=True)
+class DataBound:
+    """What the training data alone allow, without the model's own guesses.
+
+    Attributes:
+        probability: The failure probability is below this with ``confidence``, if P(missed) is
+            constant within distance bands and misses never help.
+        rollouts: Plain Monte Carlo rollouts that it rests on.
+        failures: Those that violate.
+        confidence: Of the bands' bounds together, and again of the Monte Carlo bound.
+    """
+
+    probability: float
+    rollouts: int
+    failures: int
+    confidence: float
+
+
+def data_bound(problem: Problem, *, pem: Pem, seed: int) -> DataBound | None:
+    """Bound the failure probability by the training data's counts alone.
+
+    The exact (Clopper-Pearson) upper bound of P(missed) in each distance band, and certain
+    misses where there is no data, make a model of their own; plain Monte Carlo carries it to
+    the failure probability. ``None`` for a model without counts.
+    """
+    support = support_of(pem)
+    if support is None:
+        return None
+    simulator = problem.simulator
+    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    visited = simulator.salient(replay(simulator=simulator, detected=outcomes))
+    bound = data_bound_pem(visited, support=support, confidence=CONFIDENCE)
+    scored = sample(
+        replace(problem, pem_logit=bound.logit),
+        proposal=PemProposal(),
+        count=DATA_BOUND_ROLLOUTS,
+        seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
+    )
+    found = monte_carlo_estimate(scored, method="monte-carlo")
+    return DataBound(
+        probability=1.0 if found.ci_high is None else found.ci_high,
+        rollouts=DATA_BOUND_ROLLOUTS,
+        failures=found.failures,
+        confidence=CONFIDENCE,
     )
 
 

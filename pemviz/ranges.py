@@ -81,13 +81,13 @@ def check_fields(instance: Any, *, prefix: str = "") -> None:
     for name, value, annotation in _annotated_fields(instance):
         if is_dataclass(value):
             check_fields(value, prefix=f"{prefix}{name}.")
-        elif value is not None or not _optional(annotation):
+        elif value is not None or not allows_none(annotation):
             check_value(name=f"{prefix}{name}", value=value, annotation=optional_value(annotation))
 
 
 def optional_value(annotation: object) -> object:
     """The annotation of the value itself, where ``None`` is allowed beside it."""
-    if not _optional(annotation):
+    if not allows_none(annotation):
         return annotation
     return next(arm for arm in get_args(annotation) if arm is not type(None))
 
@@ -106,7 +106,8 @@ def _unpack(annotation: object) -> tuple[Any, Range | None]:
     return annotation, None
 
 
-def _optional(annotation: object) -> bool:
+def allows_none(annotation: object) -> bool:
+    """Whether ``None`` is allowed beside a value."""
     return type(None) in get_args(annotation)
 
 

@@ -10,7 +10,9 @@ import numpy as np
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import config_table
-from pemviz.model_uncertainty import ModelInterval
+from pemviz.explanation import Explanation
+from pemviz.model_uncertainty import DataBound, ModelInterval
+from pemviz.sampling.value_reference import Reference
 from pemviz.types import Estimate, StageKind, StageResult
 
 SCHEMA = 1
@@ -81,7 +83,10 @@ class RunResult:
     """Everything a run tells, but for the rollouts themselves.
 
     Attributes:
+        reference: The answer by the value-twisted reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
+        data_bound: What the model's training data alone allow.
+        explanation: Where and when the detector misses before violations, and what would help.
         warnings: About the model and its data; those about sampling are the estimates' own.
         message: Why the run failed, if it did.
     """
@@ -96,7 +101,10 @@ class RunResult:
     repetitions: tuple[Estimate, ...] = ()
     stages: tuple[StageSummary, ...] = ()
     least_robust: tuple[RankedRollout, ...] = ()
+    reference: Reference | None = None
     pem_interval: ModelInterval | None = None
+    data_bound: DataBound | None = None
+    explanation: Explanation | None = None
     warnings: tuple[str, ...] = ()
     timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
     message: str | None = None
@@ -169,9 +177,10 @@ def result_document(result: RunResult) -> dict[str, Any]:
         "config": config_table(result.config),
         "pem": asdict(result.pem),
         "estimate": None if result.estimate is None else estimate_document(result.estimate),
-        "reference": None,
+        "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
-        "sensitivity": None,
+        "data_bound": None if result.data_bound is None else asdict(result.data_bound),
+        **_explanation_document(result.explanation),
         "repetitions": [estimate_document(estimate) for estimate in result.repetitions],
         "stages": [asdict(stage) for stage in result.stages],
         "least_robust": [asdict(rollout) for rollout in result.least_robust],
@@ -190,6 +199,13 @@ def estimate_document(estimate: Estimate) -> dict[str, Any]:
     table["unbiased"] = {"probability": probability, "std_error": std_error}
     table["warnings"] = list(estimate.warnings)
     return table
+
+
+def _explanation_document(explanation: Explanation | None) -> dict[str, Any]:
+    if explanation is None:
+        return {"sensitivity": None, "causes": None}
+    causes = asdict(explanation)
+    return {"sensitivity": causes.pop("sensitivity"), "causes": causes}
 
 
 def _strict(value: Any) -> Any:

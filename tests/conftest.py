@@ -24,6 +24,13 @@ def shared(name: str) -> Path:
     return path
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Browser tests share one worker: two browsers at once are too much for two cores."""
+    for item in items:
+        if "tests/browser" in item.path.as_posix():
+            item.add_marker(pytest.mark.xdist_group("browser"))
+
+
 @pytest.fixture(scope="session")
 def authors_checkpoint() -> Path:
     return shared("authors_pem/pem_ml_nn.safetensors")

@@ -79,9 +79,13 @@ def test_wrong_values_are_named_with_what_is_allowed(table, message):
         ({"spec": "always[0,9] (gapp >= 2)"}, "gap"),
         ({"pem": "no-such-model"}, "no-such-model"),
         ({"pem": "  "}, "pem = ''"),
-        ({"scenario": ScenarioConfig(initial_gap_m=30.0)}, "scenario.gap_bound_m, which is 25"),
+        ({"metric": "agm", "scenario": ScenarioConfig(initial_gap_m=30.0)}, "gap reaches"),
+        ({"target": 0.0}, "target = 0.0: must be a number, above 0 and at most 1"),
         ({"metric": "agm", "scenario": ScenarioConfig(states=150)}, "raise scenario.gap_bound_m"),
-        ({"scenario": ScenarioConfig(initial_speed_kmh=144, speed_bound_mps=30)}, "30 m/s"),
+        (
+            {"metric": "agm", "scenario": ScenarioConfig(speed_bound_mps=15.0)},
+            "beyond its bounds 0 to 15",
+        ),
     ],
 )
 def test_what_does_not_fit_together_is_refused_before_anything_runs(changes, fragment):

@@ -1,4 +1,4 @@
-"""``pemviz bench``: measure speed on this machine."""
+"""``pemviz bench``: measure speed on this machine, or the methods' accuracy."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -17,7 +17,11 @@ Part = Literal["paper", "simulators", "stl"]
 
 @dataclass(frozen=True, kw_only=True)
 class BenchArguments:
-    """Options of ``pemviz bench``."""
+    """Measure speed on this machine.
+
+    ``pemviz bench accuracy`` measures how wrong the methods are on scenarios with known
+    answers; it has options of its own.
+    """
 
     part: tuple[Part, ...] = ("paper", "simulators", "stl")
     """What to measure: the paper's experiment, both back ends, the robustness metrics."""
@@ -31,6 +35,8 @@ def run(words: Sequence[str]) -> int:
     Raises:
         InputError: The arguments are wrong.
     """
+    if words and words[0] == "accuracy":
+        return _accuracy(words[1:])
     arguments = parse_arguments(BenchArguments, words, command="bench", default=BenchArguments())
     measured = {part: list(_measure(part)()) for part in arguments.part}
     if arguments.json:
@@ -46,6 +52,15 @@ def run(words: Sequence[str]) -> int:
             table.add_row(figure.name, f"{figure.value:.3g}", figure.unit or "-", figure.goal)
         table.add_section()
     Console().print(table)
+    return EXIT_DONE
+
+
+def _accuracy(words: Sequence[str]) -> int:
+    from pemviz.bench.accuracy_report import accuracy_lines  # noqa: PLC0415
+    from pemviz.bench.accuracy_study import AccuracyStudy, run_study  # noqa: PLC0415
+
+    study = parse_arguments(AccuracyStudy, words, command="bench accuracy")
+    print("\n".join(accuracy_lines(run_study(study))))
     return EXIT_DONE
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from pemviz.explanation import Explanation
 from pemviz.reports.words import (
     interval_text,
     model_range_text,
@@ -15,7 +16,10 @@ from pemviz.reports.words import (
     violations_text,
 )
 from pemviz.results import RunResult
+from pemviz.sampling.sensitivity import BandSensitivity
 from pemviz.types import Estimate
+
+SHOWN_MISSES = 0.005
 
 
 def print_summary(result: RunResult, folder: Path) -> None:
@@ -23,6 +27,8 @@ def print_summary(result: RunResult, folder: Path) -> None:
     console = Console(highlight=False)
     if result.estimate is not None:
         console.print(_table(result, result.estimate))
+        if result.explanation is not None:
+            console.print(_causes(result.explanation, target=result.config.target))
         for warning in (*result.estimate.warnings, *result.warnings):
             console.print(f"warning: {warning}", style="yellow", markup=False)
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
@@ -56,3 +62,30 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
         )
     table.add_row("time", f"{result.timings_s.get('total', math.nan):.1f} s")
     return table
+
+
+def _causes(explanation: Explanation, *, target: float | None) -> Table:
+    """Where misses cause violations, and by how much they would have to become rarer."""
+    table = Table(title="Misses that cause it, by gap", title_justify="left")
+    table.add_column("gap")
+    table.add_column("misses a violation", justify="right")
+    table.add_column("sensitivity", justify="right")
+    if target is not None:
+        table.add_column(f"factor on misses for {target:g}", justify="right")
+    everywhere, *bands = explanation.sensitivity
+    total = sum(band.misses for band in explanation.misses_by_distance)
+    for misses, band in zip(explanation.misses_by_distance, bands, strict=True):
+        if misses.misses > SHOWN_MISSES:
+            row = _band_row(f"{misses.low:g} to {misses.high:g} m", misses.misses, band, target)
+            table.add_row(*row)
+    table.add_row(*_band_row("all", total, everywhere, target), end_section=True)
+    return table
+
+
+def _band_row(
+    name: str, misses: float, band: BandSensitivity, target: float | None
+) -> tuple[str, ...]:
+    row = (name, f"{misses:.2f}", f"{band.elasticity:.2f}")
+    if target is None:
+        return row
+    return (*row, "not enough alone" if band.target_factor is None else f"{band.target_factor:.3g}")

@@ -44,6 +44,7 @@ class TwistedProposal:
         defensive: No outcome is sampled with less than this share of its probability under
             the error model.
         log_probability: Log of the failure probability that V gives at the start.
+        exact: Whether V is that of the twin up to rounding.
     """
 
     tables: tuple[TwistedTables, ...]
@@ -54,6 +55,7 @@ class TwistedProposal:
     violated: str
     defensive: float
     log_probability: float
+    exact: bool
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]``; the step may differ along the last axis."""

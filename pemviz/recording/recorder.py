@@ -16,6 +16,7 @@ from pemviz.events import (
 from pemviz.pem import load_pem
 from pemviz.recording import learning, paths, scene, text, worst
 from pemviz.recording.blueprint import blueprint, views_with_data
+from pemviz.recording.compact import compact
 from pemviz.recording.rollouts import log_rollouts
 from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota
 from pemviz.recording.stream import RecordingFile
@@ -69,6 +70,7 @@ class Recorder:
         frames: bool = False,
         live_port: int | None = None,
         rollout_limit: int = ROLLOUT_LIMIT,
+        compacted: bool = False,
     ) -> None:
         """Prepare; nothing is written before the run starts.
 
@@ -81,12 +83,14 @@ class Recorder:
             live_port: Also serve the recording to live viewers on this port of the loopback
                 interface.
             rollout_limit: Up to how many rollouts of a repetition are all recorded.
+            compacted: Make the file smaller once the run is done.
         """
         self.path = path
         self._pem_logit = pem_logit
         self._frames = frames
         self._live_port = live_port
         self._rollout_limit = rollout_limit
+        self._compacted = compacted
         self._file: RecordingFile | None = None
         self._run: _Run | None = None
         self._figures: list[learning.StageFigures] = []
@@ -215,6 +219,8 @@ class Recorder:
             file.blueprint(blueprint(kept))
         file.close()
         self._file = None
+        if self._compacted:
+            compact(self.path, blueprint=blueprint(kept))
 
     def _write_worst(self, file: RecordingFile, run: _Run) -> None:
         dt_s = run.started.simulator.dt_s

@@ -65,6 +65,7 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
         ("log10", number_text(estimate.log10_probability)),
         (f"{estimate.confidence:.0%} interval".replace("%", " %"), interval_text(estimate)),
         ("range over error models", model_range_text(result.pem_interval)),
+        *_beside(result),
         ("violations", violations_text(estimate)),
         ("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)")),
         ("effective sample size", number_text(estimate.ess)),
@@ -72,6 +73,19 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
         ("largest weight's share", share_text(estimate.max_weight_share)),
     ]
     return markdown_table(("answer", ""), rows)
+
+
+def _beside(result: RunResult) -> list[Row]:
+    """What else is known of the probability, if it is."""
+    rows: list[Row] = []
+    if result.reference is not None:
+        known = result.reference
+        rows.append(("reference", f"{known.probability:.4g} +- {known.std_error:.1g}"))
+    if result.data_bound is not None:
+        bound = result.data_bound
+        words = f"below {bound.probability:.2g} (confidence {bound.confidence:.0%})"
+        rows.append(("by the error model's data alone", words))
+    return rows
 
 
 def _plot(result: RunResult, gate: GateDecision | None) -> list[str]:
@@ -93,6 +107,8 @@ def interval_rows(result: RunResult, *, limit: float | None) -> list[IntervalRow
     models = result.pem_interval
     if models is not None and models.high is not None:
         rows.append(IntervalRow("error models", models.median, models.low or 0.0, models.high))
+    if result.reference is not None:
+        rows.append(IntervalRow("reference", result.reference.probability, mark="*"))
     if limit is not None:
         rows.append(IntervalRow("gate", limit, mark="X"))
     return rows

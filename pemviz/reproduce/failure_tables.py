@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pemviz.reproduce.differences import table_2_remarks, table_3_remarks
 from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.published import NOT_GIVEN, NOTHING, TABLE_2, TABLE_3, Published
-from pemviz.reproduce.reference import Reference
 from pemviz.reproduce.summary import RowSummary, summarise
 from pemviz.reproduce.tables import Cell, Column, Table
+from pemviz.sampling.value_reference import Reference
 
 Outcomes = Mapping[str, Sequence[RepetitionOutcome]]
 

@@ -90,8 +90,10 @@ def least_safe_png(search: LeastSafeSearch, scenario: ScenarioConfig) -> bytes:
         time_s = np.arange(one.gap_m.size) * search.dt_s
         label = f"{one.metric} (closest: {one.gap_m.min():.2f} m)"
         upper.plot(time_s, one.gap_m, color=color, linestyle=line, linewidth=width, label=label)
-    _horizontal(upper, LIMIT_M, "specified: not below 2 m")
-    _horizontal(upper, scenario.emergency_gap_m, "emergency braking on a detection")
+    _horizontal(upper, LIMIT_M, "specified: not below 2 m", at=0.0, align="left")
+    _horizontal(
+        upper, scenario.emergency_gap_m, "emergency braking on a detection", at=1.0, align="right"
+    )
     upper.set_ylabel("gap [m]")
     upper.set_ylim(bottom=0.0)
     upper.legend(loc="upper right", frameon=False)
@@ -139,10 +141,10 @@ def _gap_axes(axes: Any, gap_m: FloatArray, emergency_gap_m: float) -> None:
                       color="#555555", fontsize="small")  # fmt: skip
 
 
-def _horizontal(axes: Any, value: float, text: str) -> None:
+def _horizontal(axes: Any, value: float, text: str, *, at: float, align: str) -> None:
     axes.axhline(value, color=GREY, linewidth=0.8, linestyle=(0, (2, 2)))
-    axes.annotate(text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(0, 3),
-                  textcoords="offset points", ha="right", color="#555555",
+    axes.annotate(text, (at, value), xycoords=("axes fraction", "data"), xytext=(0, 3),
+                  textcoords="offset points", ha=align, color="#555555",
                   fontsize="small")  # fmt: skip
 
 

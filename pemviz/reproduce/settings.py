@@ -45,7 +45,7 @@ class Settings:
     naive_rollouts: tuple[int, int] = (100, 1_000)
     least_safe_rollouts: int = 10_000
     figure_stage: int = 3
-    reference_rollouts: int = 10_000
+    reference_rollouts: int = 20_000
     base: ExperimentConfig = field(default_factory=_paper)
 
     @property

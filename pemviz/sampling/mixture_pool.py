@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.proposals.defence import defended
 from pemviz.proposals.offset_logistic import (
     PolynomialBasis,
@@ -139,7 +139,7 @@ def extended(
     """
     fresh = decisions_of(scored.rollouts, features=features, basis=basis)
     count = scored.rollouts.count
-    log_p = np.sum(np.ascontiguousarray(scored.rollouts.log_p), axis=1)
+    log_p = row_sums(scored.rollouts.log_p)
     if pool is None:
         return Pool(
             decisions=fresh,

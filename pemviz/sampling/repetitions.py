@@ -23,6 +23,7 @@ def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
     count = len(estimates)
     mean = float(np.mean(probabilities))
     error = float(np.std(probabilities, ddof=1)) / math.sqrt(count)
+    unbiased, unbiased_error = _unbiased(estimates)
     failures = sum(estimate.failures for estimate in estimates)
     low, high = _repetition_interval(estimates, mean=mean, error=error)
     return Estimate(
@@ -40,10 +41,18 @@ def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
         ess=_extreme(min, [e.ess for e in estimates]),
         pareto_k=_extreme(max, [e.pareto_k for e in estimates]),
         max_weight_share=_extreme(max, [e.max_weight_share for e in estimates]),
-        unbiased_probability=mean,
-        unbiased_std_error=error if failures else None,
+        unbiased_probability=unbiased,
+        unbiased_std_error=unbiased_error if failures else None,
         warnings=repetition_warnings(estimates),
     )
+
+
+def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None]:
+    """Mean of the repetitions' unbiased figures and its standard error; ``None`` without any."""
+    known = [e.unbiased_probability for e in estimates if e.unbiased_probability is not None]
+    if len(known) < len(estimates):
+        return None, None
+    return float(np.mean(known)), float(np.std(known, ddof=1)) / math.sqrt(len(known))
 
 
 def _repetition_interval(

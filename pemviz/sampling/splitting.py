@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pemviz.arrays import BoolArray
+from pemviz.arrays import BoolArray, row_sums
 from pemviz.proposals.simple import PemProposal
 from pemviz.sampling.diagnostics import negative_log_likelihood
 from pemviz.sampling.estimates import log_normal_interval
@@ -153,7 +153,7 @@ def _replaced(
 
 def _estimate(state: SplittingState, *, name: str) -> Estimate:
     logs = np.array([run.log_probability for run in state.runs])
-    failing = [run.scored.rollouts.log_p[run.scored.violated].sum(axis=1) for run in state.runs]
+    failing = [row_sums(run.scored.rollouts.log_p[run.scored.violated]) for run in state.runs]
     log_p = np.concatenate(failing)
     nll_mean, nll_log_mean = negative_log_likelihood(log_p)
     warnings: list[str] = []

@@ -1,6 +1,7 @@
 """From the reachable states' values to the tables that the twisted proposal looks up."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,7 +37,6 @@ def build_twisted_proposal(
     pem_logit: LogitFunction,
     unsafe: Unsafe,
     largest_layer: int = LARGEST_LAYER,
-    defensive_steps: float = DEFENSIVE_STEPS,
 ) -> TwistedProposal:
     """Explore the twin, solve for the probability of violation, tabulate the proposal.
 
@@ -45,14 +45,9 @@ def build_twisted_proposal(
         pem_logit: The error model.
         unsafe: What violates the specification.
         largest_layer: Above so many states a step, neighbours are taken for one.
-        defensive_steps: How many of a rollout's steps are drawn from the error model itself,
-            on average: the price of bounded weights where the twin is wrong. More where states
-            had to be merged.
     """
     layers = explore(twin=twin, pem_logit=pem_logit, unsafe=unsafe, largest_layer=largest_layer)
     values = solve(layers)
-    exact = all(layer.exact for layer in layers)
-    drawn = defensive_steps * (1.0 if exact else APPROXIMATE_DEFENCE)
     cells = tuple(
         tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
         for share in COARSE_SHARES
@@ -66,9 +61,22 @@ def build_twisted_proposal(
         distance=MERGE_DISTANCE,
         coarse_cells=cells,
         violated=VIOLATED,
-        defensive=share_for(drawn_steps=drawn, steps=twin.states - 1),
+        defensive=share_for(drawn_steps=DEFENSIVE_STEPS, steps=twin.states - 1),
         log_probability=values.log_probability,
+        exact=all(layer.exact for layer in layers),
     )
+
+
+def with_defence(
+    proposal: TwistedProposal, *, defensive_steps: float, steps: int
+) -> TwistedProposal:
+    """The proposal with so many of a rollout's ``steps`` drawn from the error model, on average.
+
+    That is the price of bounded weights where the twin is wrong; it is raised where states
+    had to be merged.
+    """
+    drawn = defensive_steps * (1.0 if proposal.exact else APPROXIMATE_DEFENCE)
+    return replace(proposal, defensive=share_for(drawn_steps=drawn, steps=steps))
 
 
 def _sorted_signals(twin: Simulator) -> Sequence[Signal]:

@@ -10,7 +10,12 @@ from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollout import LogitFunction
 from pemviz.sampling.value_reachable import Unsafe
-from pemviz.sampling.value_tables import DEFENSIVE_STEPS, LARGEST_LAYER, build_twisted_proposal
+from pemviz.sampling.value_tables import (
+    DEFENSIVE_STEPS,
+    LARGEST_LAYER,
+    build_twisted_proposal,
+    with_defence,
+)
 from pemviz.simulators.latched import LatchedSimulator
 from pemviz.types import Estimate, ScoredRollouts, Simulator, StageResult
 
@@ -58,7 +63,9 @@ class ValueTwistedSampling:
             problem.pem_logit,
             require_unsafe(problem),
             self.largest_layer,
-            self.defensive_steps,
+        )
+        proposal = with_defence(
+            proposal, defensive_steps=self.defensive_steps, steps=self.twin.states - 1
         )
         return ValueTwistedState(repetition=repetition, proposal=proposal)
 
@@ -117,18 +124,16 @@ def with_latch(problem: Problem) -> Problem:
     return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
 
 
-@lru_cache(maxsize=1)  # large, and the same for all repetitions
+@lru_cache(maxsize=1)  # large, and the same for all repetitions and for the reference
 def _proposal(
     twin: Simulator,
     pem_logit: LogitFunction,
     unsafe: Unsafe,
     largest_layer: int,
-    defensive_steps: float,
 ) -> TwistedProposal:
     return build_twisted_proposal(
         twin=twin,
         pem_logit=pem_logit,
         unsafe=unsafe,
         largest_layer=largest_layer,
-        defensive_steps=defensive_steps,
     )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -24,6 +27,11 @@ Signals: TypeAlias = Mapping[str, FloatArray]
 
 BLOCK_VALUES = 1 << 16
 """Values of one signal evaluated at once: few enough to stay in the cache."""
+
+THREADED_VALUES = 1 << 19
+"""Fewest values of one signal for which starting threads pays."""
+
+MOST_THREADS = 4
 
 BLOCK_ROLLOUTS = 8
 """Fewest rollouts evaluated at once."""
@@ -147,7 +155,8 @@ def _by_blocks(
     named, semantics = formula.signals(), _semantics(metric)
     result = np.empty((rollouts, steps))
     size = _block_rollouts(formula, states)
-    for start in range(0, rollouts, size):
+
+    def fill(start: int) -> None:
         rows = slice(start, start + size)
         for name in named:
             check_signal(used[name][rows], name, metric, first_rollout=start)
@@ -158,9 +167,28 @@ def _by_blocks(
         with np.errstate(all="ignore"):  # what is not finite is reported, or meant
             _check_margins(predicates, block, start)
             result[rows] = evaluate(formula, semantics, block, start=0, steps=steps).T
+
+    _for_each(fill, range(0, rollouts, size), threads=_threads(metric, rollouts * states))
     if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
         raise InputError("robustness is beyond the largest number; rescale the signals")
     return result
+
+
+def _threads(metric: Metric, values: int) -> int:
+    """How many threads pay: classical robustness waits for memory, the others compute."""
+    if isinstance(metric, Classical) or values < THREADED_VALUES:
+        return 1
+    return min(os.cpu_count() or 1, MOST_THREADS)
+
+
+def _for_each(act: Callable[[int], None], starts: Iterable[int], *, threads: int) -> None:
+    """Call ``act`` for every start; of several errors the first start's is raised."""
+    if threads == 1:
+        for start in starts:
+            act(start)
+        return
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        deque(pool.map(act, starts), maxlen=0)
 
 
 def _block_rollouts(formula: Formula, states: int) -> int:

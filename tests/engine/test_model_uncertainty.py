@@ -70,6 +70,18 @@ def test_the_default_scenario_is_told_to_extrapolate():
     assert "no training obstacle" in text
     assert "132 training obstacles" in text
     assert "2 of 27" in text
+    assert result.data_bound is not None
+    # by recursion over all reachable states the bounding model gives 6.98e-5
+    assert 6.98e-5 < result.data_bound.probability < 2e-3
+    assert f"up to {result.data_bound.probability:.1g}" in text
+
+
+def test_the_reference_stands_beside_the_estimate():
+    result = run_experiment(ExperimentConfig(method="naive", final_rollouts=50, reference=True))
+    assert result.reference is not None
+    # exact recursion over the reachable states: log mu = -32.3785
+    assert math.log(result.reference.probability) == pytest.approx(-32.3785, abs=0.002)
+    assert any("trust the reference" in warning for warning in result.warnings)
 
 
 def test_a_model_without_counts_is_said_to_have_none(scored):

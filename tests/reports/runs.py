@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 from pemviz.config import ExperimentConfig
-from pemviz.model_uncertainty import ModelInterval
+from pemviz.model_uncertainty import DataBound, ModelInterval
 from pemviz.results import PemInfo, RankedRollout, RunResult
+from pemviz.sampling.value_reference import Reference
 from pemviz.types import Estimate
 
 NASTY = (
@@ -56,6 +57,8 @@ def result(one=None, *, repetitions=1, **changes):
         ),
         timings_s={"total": 2.5},
         warnings=("no obstacle closer than 7 m",),
+        reference=Reference(probability=6.69e-15, std_error=6e-18, log10_probability=-14.17),
+        data_bound=DataBound(probability=0.0042, rollouts=1000, failures=1, confidence=0.95),
         pem_interval=ModelInterval(
             low=1e-17, high=1e-13, median=3e-15, members=20, confidence=0.95,
             warnings=("few effective failures",),

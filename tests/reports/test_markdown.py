@@ -92,6 +92,8 @@ def test_the_page_tells_the_whole_story():
         "1e-17 to 1e-13 (95% of 20 models)",
         "no obstacle closer than 7 m",
         "few effective failures",
+        "6.69e-15 +- 6e-18",
+        "below 0.0042 (confidence 95%)",
         "numpy 2.3.0",
         "10 stages of 100 rollouts, 100 final",
         "70 km/h, 15 m behind",

@@ -90,6 +90,5 @@ def test_the_reference_of_the_authors_network_is_that_computed_independently(aut
     config = ExperimentConfig(pem=str(authors_checkpoint))
     assert load_pem(config.pem).digest == AUTHORS_PEM_DIGEST
     reference = exact_reference(config, 1000)
-    assert reference is not None
     assert reference.probability == pytest.approx(6.69e-15, rel=0.01)  # 1 % are 3 errors or more
     assert reference.std_error < 0.0035 * reference.probability

@@ -9,13 +9,13 @@ import pytest
 from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.failure_tables import table_2, table_3
 from pemviz.reproduce.published import ADAPTIVE, TABLE_2, TABLE_3
-from pemviz.reproduce.reference import Reference
 from pemviz.reproduce.summary import summarise
 from pemviz.reproduce.table_one import score_model, table_1
+from pemviz.sampling.value_reference import Reference
 from tests.conftest import shared
 from tests.reports.runs import estimate
 
-REFERENCE = Reference(probability=4e-15, std_error=1e-17, source="by hand")
+REFERENCE = Reference(probability=4e-15, std_error=1e-17, log10_probability=-14.39794)
 
 
 def outcomes(*estimates):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from pemviz.errors import InputError
 from pemviz.stl import (
     TRUE,
     Agm,
@@ -258,3 +259,15 @@ def test_values_far_beyond_the_exponential_stay_finite():
     # Far from the threshold the positive part is the margin itself: no digit is lost.
     high = robustness(parse("always[0,0] (gap >= 2)"), {"gap": gap}, POSITIVE)
     np.testing.assert_allclose(high, [23.0, 398.0, 0.0, 99998.0], rtol=1e-15, atol=1e-15)
+
+
+@pytest.mark.parametrize("metric", [Agm(bounds={"gap": (-25.0, 25.0)}), SmoothCumulative()])
+def test_threads_change_no_bit_and_the_first_error_is_told(metric):
+    gap = np.random.default_rng(0).uniform(-20.0, 20.0, (12_000, 100))
+    formula = parse("always[0,99] (gap >= 2.0)")
+    whole = robustness(formula, {"gap": gap}, metric)
+    parts = [robustness(formula, {"gap": part}, metric) for part in np.array_split(gap, 40)]
+    np.testing.assert_array_equal(whole, np.concatenate(parts))
+    gap[7_000, 3] = gap[300, 50] = np.nan
+    with pytest.raises(InputError, match="300"):
+        robustness(formula, {"gap": gap}, metric)

@@ -1,0 +1,93 @@
+"""The reference, and what is said where an estimate disagrees with it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.proposals.simple import ConstantProposal
+from pemviz.sampling.direct import DirectSampling
+from pemviz.sampling.mixture import MixtureSampling
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.repetitions import summarise_repetitions
+from pemviz.sampling.value_reference import (
+    Reference,
+    agreement_warning,
+    exact_log_probability,
+    reference,
+)
+from pemviz.sampling.value_twisted import ValueTwistedSampling
+from pemviz.simulators.toy import (
+    ToyPem,
+    ToySimulator,
+    toy_probability_by_recursion,
+    toy_robustness,
+    toy_unsafe,
+    toy_violated,
+)
+
+SIMULATOR, PEM = ToySimulator(initial_gap=5, states=20), ToyPem(at_zero=2.5)
+TRUTH = toy_probability_by_recursion(SIMULATOR, PEM)
+PROBLEM = Problem(
+    simulator=SIMULATOR,
+    pem_logit=PEM.logit,
+    robustness=toy_robustness,
+    violated=toy_violated,
+    unsafe=toy_unsafe,
+)
+
+
+def estimate_of(method, problem=PROBLEM, *, repetition=0):
+    state = method.init(problem, repetition=repetition)
+    while not method.is_done(state):
+        state, _ = method.step(problem, state)
+    return method.estimate(state)
+
+
+def test_reference_is_the_exact_answer():
+    found = reference(PROBLEM, twin=SIMULATOR)
+    assert abs(found.probability - TRUTH) < 4 * found.std_error
+    assert found.std_error < 1e-3 * TRUTH
+    exact = exact_log_probability(PROBLEM, twin=SIMULATOR)
+    assert exact is not None
+    assert math.exp(exact) == pytest.approx(TRUTH, rel=1e-12)
+
+
+def test_all_methods_agree_with_the_reference():
+    known = reference(PROBLEM, twin=SIMULATOR)
+    methods = (
+        ValueTwistedSampling(twin=SIMULATOR, rollouts=500, seed=1),
+        MixtureSampling(learning_stages=5, rollouts=200, final_rollouts=500, seed=1),
+        DirectSampling(name="naive", proposal=ConstantProposal(0.4), rollouts=50_000, seed=1),
+    )
+    for method in methods:
+        assert agreement_warning(estimate_of(method), known) is None
+
+
+def test_disagreement_is_said_in_words():
+    found = estimate_of(ValueTwistedSampling(twin=SIMULATOR, rollouts=500, seed=2))
+    wrong = Reference(probability=3 * TRUTH, std_error=0.0, log10_probability=None)
+    warning = agreement_warning(found, wrong)
+    assert warning is not None
+    assert "0.33 times the reference" in warning
+
+
+@pytest.mark.parametrize("name", ["value-twisted", "mixture"])
+def test_results_do_not_depend_on_the_batch_size(name):
+    method = (
+        ValueTwistedSampling(twin=SIMULATOR, rollouts=70, seed=3)
+        if name == "value-twisted"
+        else MixtureSampling(learning_stages=3, rollouts=70, final_rollouts=70, seed=3)
+    )
+    assert estimate_of(method) == estimate_of(method, replace(PROBLEM, batch_rollouts=11))
+
+
+def test_repetitions_average_the_unbiased_figures_too():
+    method = MixtureSampling(learning_stages=3, rollouts=60, final_rollouts=60, seed=4)
+    found = [estimate_of(method, repetition=repetition) for repetition in range(4)]
+    summary = summarise_repetitions(found)
+    assert summary.probability == pytest.approx(np.mean([e.probability for e in found]))
+    expected = np.mean([e.unbiased_probability for e in found])
+    assert summary.unbiased_probability == pytest.approx(expected)
+    assert summary.unbiased_probability != summary.probability
