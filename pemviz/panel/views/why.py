@@ -188,7 +188,8 @@ def _engine_part(run: RunData, key: str, title: str) -> str:
     if isinstance(value, Mapping):
         found = cast(Mapping[str, Any], value)
         nested = [k for k, v in found.items() if rows(v)]
-        plain = {k: v for k, v in found.items() if k not in nested}
+        # long series are plotted above or kept to result.json
+        plain = {k: v for k, v in found.items() if not isinstance(v, list | tuple | Mapping)}
         return (
             heading(title)
             + (_pairs(plain, name=title) if plain else "")
@@ -201,7 +202,7 @@ def _rows_table(value: object, *, name: str) -> str:
     found = rows(value)
     if not found:
         return quiet(str(value)[:400])
-    keys = list(found[0])
+    keys = [key for key in found[0] if any(line.get(key) is not None for line in found)]
     body = [[_shown(line.get(key)) for key in keys] for line in found[:SHOWN_ROWS]]
     more = f"and {len(found) - SHOWN_ROWS} more in result.json" if len(found) > SHOWN_ROWS else ""
     return grid([escape(_label(key)) for key in keys], body, name=name) + quiet(more)
@@ -219,7 +220,7 @@ def _shown(value: object) -> str:
     if is_number(value):
         return number(value)
     if isinstance(value, list | tuple):
-        return ", ".join(_shown(item) for item in cast(list[object], value)[:8])
+        return ", ".join(_shown(item) for item in cast(list[object], value)[:16])
     return escape("\N{EN DASH}" if value is None else str(value)[:120])
 
 
