@@ -156,7 +156,9 @@ class _Runner:
         state = method.init(problem, repetition=repetition)
         stage = 0
         while not method.is_done(state):
-            watched = replace(problem, progress=self._progress(repetition, stage))
+            watched = replace(
+                problem, progress=self._progress(repetition, stage), pause=self._pause
+            )
             state, result = method.step(watched, state)
             self._tell_stage(result)
             self._judge(result)
@@ -227,10 +229,13 @@ class _Runner:
                 self._observers,
                 RolloutsDone(repetition=repetition, stage=stage, done=done, total=total),
             )
-            if self._should_stop():
-                raise _StopRequested
+            self._pause()
 
         return progress
+
+    def _pause(self) -> None:
+        if self._should_stop():
+            raise _StopRequested
 
     def _tell_stage(self, stage: StageResult) -> None:
         frozen = replace(

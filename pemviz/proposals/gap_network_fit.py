@@ -1,5 +1,6 @@
 """Training of the paper's proposal network by weighted cross-entropy."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,6 +8,8 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.proposals.gap_network import GAP_SCALE_M, HIDDEN_UNITS, GapNetwork
+
+EPOCHS_BETWEEN_PAUSES = 50
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,12 @@ def initial_gap_network(*, seed: int) -> GapNetwork:
 
 
 def fit_gap_network(
-    start: GapNetwork, table: OutcomeTable, *, epochs: int, learning_rate: float
+    start: GapNetwork,
+    table: OutcomeTable,
+    *,
+    epochs: int,
+    learning_rate: float,
+    pause: Callable[[], None] | None = None,
 ) -> tuple[GapNetwork, float]:
     """Minimise the weighted cross-entropy by full-batch Adam, fresh moments, from ``start``.
 
@@ -66,6 +74,7 @@ def fit_gap_network(
         table: The outcomes.
         epochs: Training steps.
         learning_rate: Adam's step size.
+        pause: Called every so many epochs; may raise to stop.
 
     Returns:
         The trained network and its loss [nats a step].
@@ -83,7 +92,9 @@ def fit_gap_network(
     )
     optimiser = torch.optim.Adam(layers.parameters(), lr=learning_rate, fused=True)
     with _one_thread():
-        for _ in range(epochs):
+        for epoch in range(epochs):
+            if pause is not None and epoch % EPOCHS_BETWEEN_PAUSES == 0:
+                pause()
             optimiser.zero_grad(set_to_none=True)
             loss = -(target * torch.log_softmax(layers(inputs), dim=1)).sum()
             loss.backward()

@@ -91,7 +91,7 @@ class AdaptiveSampling:
             return replace(advanced, final=scored), result
         threshold, chosen = self._chosen(kind, scored)
         began = time.perf_counter()
-        network, loss = self._fit(kind, state.network, scored, chosen)
+        network, loss = self._fit(problem, state, scored, chosen)
         fit_s = time.perf_counter() - began
         result = replace(
             self._result(state, scored, kind, proposal),
@@ -133,17 +133,23 @@ class AdaptiveSampling:
         return threshold, elites(scored.robustness, threshold=threshold)
 
     def _fit(
-        self, kind: StageKind, network: GapNetwork, scored: ScoredRollouts, chosen: BoolArray
+        self, problem: Problem, state: AdaptiveState, scored: ScoredRollouts, chosen: BoolArray
     ) -> tuple[GapNetwork, float]:
         rollouts = scored.rollouts
-        alpha = 0.0 if kind == "pretrain" else self.alpha
+        alpha = 0.0 if self._kind(state.stage) == "pretrain" else self.alpha
         weight: FloatArray = smoothed_weights(rollouts.log_weight[chosen], alpha=alpha)
         table = pool_outcomes(
             gap_m=rollouts.decision_states().signals["gap"][chosen],
             detected=rollouts.detected[chosen],
             rollout_weight=weight,
         )
-        return fit_gap_network(network, table, epochs=self.epochs, learning_rate=self.learning_rate)
+        return fit_gap_network(
+            state.network,
+            table,
+            epochs=self.epochs,
+            learning_rate=self.learning_rate,
+            pause=problem.pause,
+        )
 
     @staticmethod
     def _result(

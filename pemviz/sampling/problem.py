@@ -18,6 +18,10 @@ def _no_progress(done: int, total: int) -> None:
     """Take no note of what is done."""
 
 
+def _no_pause() -> None:
+    """Go on."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """A failure probability to be estimated.
@@ -30,6 +34,7 @@ class Problem:
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
         progress: Told after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
+        pause: Called now and then during long work between rollouts; may raise likewise.
         unsafe: States ``[N]`` to whether being in one of them is what violates the
             specification, ``[N]``; ``None`` where the verdict takes more than single states.
     """
@@ -40,6 +45,7 @@ class Problem:
     violated: Callable[[Signals], BoolArray]
     batch_rollouts: int = BATCH_ROLLOUTS
     progress: Callable[[int, int], None] = _no_progress
+    pause: Callable[[], None] = _no_pause
     unsafe: Callable[[StateBatch], BoolArray] | None = None
 
 

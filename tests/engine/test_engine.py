@@ -115,6 +115,18 @@ def test_it_stops_between_batches_and_keeps_what_is_done():
     assert isinstance(listener.events[-1], RunDone)
 
 
+def test_it_stops_in_the_middle_of_a_fit():
+    asked = []
+
+    def should_stop():
+        asked.append(True)
+        return len(asked) > 3
+
+    result = run_experiment(replace(SMALL, epochs=100_000), should_stop=should_stop)
+    assert result.status == "stopped"
+    assert result.stages == ()
+
+
 def test_bad_input_is_refused_before_anyone_hears_of_it():
     listener = Listener()
     with pytest.raises(InputError):
