@@ -25,9 +25,10 @@ def shared(name: str) -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Browser tests share one worker: two browsers at once are too much for two cores."""
+    """Browser tests are slow, and share one worker: two cores are too few for two browsers."""
     for item in items:
         if "tests/browser" in item.path.as_posix():
+            item.add_marker(pytest.mark.slow)
             item.add_marker(pytest.mark.xdist_group("browser"))
 
 

@@ -9,6 +9,7 @@ import pytest
 from pemviz.panel.app import App
 from pemviz.panel.controller import Controller
 from pemviz.panel.hub import Hub
+from pemviz.panel.loading import load_run
 from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.start import show_something
 from tests.panel.conftest import SMALL, wait_until
@@ -20,7 +21,7 @@ ARGUMENTS = [
     "--enable-unsafe-swiftshader",
 ]
 VIEWPORT = {"width": 1280, "height": 800}
-WAIT_MS = 45_000
+WAIT_MS = 120_000
 
 
 def absent(reason: str):
@@ -78,6 +79,8 @@ class Panel:
         recordings = RecordingsFolder(root)
         self.app = App(Hub(self.controller, recordings), host="127.0.0.1", port=0)
         show_something(self.controller, recordings)
+        for name in recordings.names()[:1]:  # rather than the shipped sample
+            self.controller.show(load_run(root / name))
         self.address = f"http://127.0.0.1:{self.app.port}"
 
     def close(self) -> None:
