@@ -48,6 +48,27 @@ class PemCard:
     """Counts of training obstacles and misses by distance; see pemviz.pem.support."""
 
 
+class Carded:
+    """What a model's card says of it, as the Pem protocol asks."""
+
+    card: PemCard
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return self.card.name
+
+    @property
+    def data(self) -> str:
+        """What it was trained on, or made from."""
+        return self.card.data
+
+    @property
+    def licence(self) -> str:
+        """Terms of use."""
+        return self.card.licence
+
+
 def card_to_json(card: PemCard) -> str:
     """One line of JSON with sorted keys, the same text for the same card."""
     return json.dumps(asdict(card), sort_keys=True, allow_nan=False)

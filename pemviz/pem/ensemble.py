@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
-from pemviz.pem.card import PemCard
+from pemviz.pem.card import Carded, PemCard
 from pemviz.pem.errors import PemError
 from pemviz.pem.network import NetworkPem
 from pemviz.pem.protocol import as_rows
@@ -20,7 +20,7 @@ SingleModel = NetworkPem | TreesPem
 
 
 @dataclass(frozen=True, eq=False)
-class EnsemblePem:
+class EnsemblePem(Carded):
     """Members of one kind; as a model of its own it answers with their mean probability."""
 
     kind: ClassVar[str] = "ensemble"
@@ -41,21 +41,6 @@ class EnsemblePem:
         same = (member.options() == first.options() for member in self.members)
         if not all(same) or len({member.kind for member in self.members}) > 1:
             raise PemError(f"{self.card.name}: an ensemble's members must be of one kind")
-
-    @property
-    def name(self) -> str:
-        """Short name."""
-        return self.card.name
-
-    @property
-    def data(self) -> str:
-        """What it was trained on."""
-        return self.card.data
-
-    @property
-    def licence(self) -> str:
-        """Terms of use."""
-        return self.card.licence
 
     @property
     def digest(self) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
-from pemviz.pem.card import PemCard
+from pemviz.pem.card import Carded, PemCard
 from pemviz.pem.encoding import PAPER_INPUTS, POSE_COLUMNS, check_rows, paper_inputs
 from pemviz.pem.errors import PemError
 from pemviz.pem.protocol import as_rows
@@ -31,7 +31,7 @@ class Layer:
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkPem:
+class NetworkPem(Carded):
     """A network with rectified hidden layers and one output, the logit of P(detected)."""
 
     kind: ClassVar[str] = "network"
@@ -57,21 +57,6 @@ class NetworkPem:
         if not (self.pose_std > 0.0).all():
             raise PemError(f"{self.card.name}: pose standard deviations must be above 0")
         check_layers(self.layers, where=self.card.name)
-
-    @property
-    def name(self) -> str:
-        """Short name."""
-        return self.card.name
-
-    @property
-    def data(self) -> str:
-        """What it was trained on."""
-        return self.card.data
-
-    @property
-    def licence(self) -> str:
-        """Terms of use."""
-        return self.card.licence
 
     @property
     def digest(self) -> str:

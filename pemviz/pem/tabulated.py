@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
-from pemviz.pem.card import PemCard
+from pemviz.pem.card import Carded, PemCard
 from pemviz.pem.encoding import check_rows
 from pemviz.pem.errors import PemError
 from pemviz.pem.protocol import COLUMN, as_rows
@@ -22,7 +22,7 @@ CSV_COLUMNS = ("distance_m", "p_detected")
 
 
 @dataclass(frozen=True, eq=False)
-class TabulatedPem:
+class TabulatedPem(Carded):
     """P(detected) by distance z; outside the table the nearest point's value holds."""
 
     kind: ClassVar[str] = "table"
@@ -48,21 +48,6 @@ class TabulatedPem:
             raise PemError(f"{self.card.name}: distances must be there and increase")
         if self.between not in ("linear", "step"):
             raise PemError(f"{self.card.name}: between is {self.between!r}, allowed: linear, step")
-
-    @property
-    def name(self) -> str:
-        """Short name."""
-        return self.card.name
-
-    @property
-    def data(self) -> str:
-        """What it was made from."""
-        return self.card.data
-
-    @property
-    def licence(self) -> str:
-        """Terms of use."""
-        return self.card.licence
 
     @property
     def digest(self) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import ROWS
-from pemviz.pem.card import PemCard
+from pemviz.pem.card import Carded, PemCard
 from pemviz.pem.encoding import check_rows
 from pemviz.pem.errors import PemError
 from pemviz.pem.features import FEATURES, FeatureSet, tree_features
@@ -27,7 +27,7 @@ LEAF_UNIT = 2.0**-40
 
 
 @dataclass(frozen=True, eq=False)
-class TreesPem:
+class TreesPem(Carded):
     """A sum of trees, mapped to the logit of P(detected) by a calibration line."""
 
     kind: ClassVar[str] = "trees"
@@ -54,21 +54,6 @@ class TreesPem:
         """
         check_finite(self.tensors(), where=self.card.name)
         check_trees(self)
-
-    @property
-    def name(self) -> str:
-        """Short name."""
-        return self.card.name
-
-    @property
-    def data(self) -> str:
-        """What it was trained on."""
-        return self.card.data
-
-    @property
-    def licence(self) -> str:
-        """Terms of use."""
-        return self.card.licence
 
     @property
     def digest(self) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
@@ -32,11 +33,15 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 
 
 @dataclass(frozen=True)
-class Node:
+class Node(ABC):
     """What formulas and expressions share: parts, and limits on how many."""
 
     _depth: int = field(init=False, repr=False, compare=False)
     _nodes: int = field(init=False, repr=False, compare=False)
+
+    @abstractmethod
+    def __str__(self) -> str:
+        """The text form."""
 
     def children(self) -> tuple[Node, ...]:
         """The direct parts, left to right."""
@@ -74,9 +79,6 @@ class Expression(Node):
     """A number at every step of a rollout. ``str`` gives the text form."""
 
     strength: ClassVar[int] = 4  # how tightly the text form binds: sum 1, product 2, minus 3
-
-    def __str__(self) -> str:
-        raise NotImplementedError
 
     def __add__(self, other: Expression | Number) -> Expression:
         return Sum(self, as_expression(other))

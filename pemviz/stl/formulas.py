@@ -26,9 +26,6 @@ class Formula(Node):
 
     strength: ClassVar[int]  # how tightly the text form binds, see the grammar
 
-    def __str__(self) -> str:
-        raise NotImplementedError
-
     def horizon_steps(self) -> int:
         """How many steps past step t decide the formula at t.
 
