@@ -159,9 +159,10 @@ def _over_windows(values: FloatArray, width: int, *, ties_fail: bool) -> FloatAr
     """Conjunction over every window of ``width`` steps, [s, n] -> [s - width + 1, n]."""
     if len(values) > width:
         return _conclude(sliding(_join, _means(values), width), width, ties_fail=ties_fail)
-    failing = fold(np.add, np.minimum(values, 0.0))
+    least = values.min(axis=0, keepdims=True)
     growth = fold(np.add, np.log1p(_compound(values)))
-    return _conclude((fold(np.minimum, values), failing, growth), width, ties_fail=ties_fail)
+    failing = fold(np.add, np.minimum(values, 0.0, out=values))
+    return _conclude((least, failing, growth), width, ties_fail=ties_fail)
 
 
 def _compound(values: FloatArray) -> FloatArray:

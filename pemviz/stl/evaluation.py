@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -27,11 +24,6 @@ Signals: TypeAlias = Mapping[str, FloatArray]
 
 BLOCK_VALUES = 1 << 16
 """Values of one signal evaluated at once: few enough to stay in the cache."""
-
-THREADED_VALUES = 1 << 19
-"""Fewest values of one signal for which starting threads pays."""
-
-MOST_THREADS = 4
 
 BLOCK_ROLLOUTS = 8
 """Fewest rollouts evaluated at once."""
@@ -156,7 +148,7 @@ def _by_blocks(
     result = np.empty((rollouts, steps))
     size = _block_rollouts(formula, states)
 
-    def fill(start: int) -> None:
+    for start in range(0, rollouts, size):
         rows = slice(start, start + size)
         for name in named:
             check_signal(used[name][rows], name, metric, first_rollout=start)
@@ -167,28 +159,9 @@ def _by_blocks(
         with np.errstate(all="ignore"):  # what is not finite is reported, or meant
             _check_margins(predicates, block, start)
             result[rows] = evaluate(formula, semantics, block, start=0, steps=steps).T
-
-    _for_each(fill, range(0, rollouts, size), threads=_threads(metric, rollouts * states))
     if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
         raise InputError("robustness is beyond the largest number; rescale the signals")
     return result
-
-
-def _threads(metric: Metric, values: int) -> int:
-    """How many threads pay: classical robustness waits for memory, the others compute."""
-    if isinstance(metric, Classical) or values < THREADED_VALUES:
-        return 1
-    return min(os.cpu_count() or 1, MOST_THREADS)
-
-
-def _for_each(act: Callable[[int], None], starts: Iterable[int], *, threads: int) -> None:
-    """Call ``act`` for every start; of several errors the first start's is raised."""
-    if threads == 1:
-        for start in starts:
-            act(start)
-        return
-    with ThreadPoolExecutor(max_workers=threads) as pool:
-        deque(pool.map(act, starts), maxlen=0)
 
 
 def _block_rollouts(formula: Formula, states: int) -> int:

@@ -85,7 +85,7 @@ class SmoothCumulativeSemantics(NumpySemantics):
             return self.always(self.predicate(predicate, margin), width)
         # exp(-beta r) of a predicate's r is a sigmoid: no logarithm is needed per step.
         grown = np.multiply(margin, self.sign * self.metric.beta)
-        np.minimum(grown, LARGEST_EXPONENT, out=grown)
+        np.clip(grown, -LARGEST_EXPONENT, LARGEST_EXPONENT, out=grown)
         np.exp(grown, out=grown)
         grown += 1.0
         total = fold(np.add, np.reciprocal(grown, out=grown) if self.sign > 0.0 else grown)

@@ -262,7 +262,7 @@ def test_values_far_beyond_the_exponential_stay_finite():
 
 
 @pytest.mark.parametrize("metric", [Agm(bounds={"gap": (-25.0, 25.0)}), SmoothCumulative()])
-def test_threads_change_no_bit_and_the_first_error_is_told(metric):
+def test_blocks_change_no_bit_and_the_first_error_is_told(metric):
     gap = np.random.default_rng(0).uniform(-20.0, 20.0, (12_000, 100))
     formula = parse("always[0,99] (gap >= 2.0)")
     whole = robustness(formula, {"gap": gap}, metric)
