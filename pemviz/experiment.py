@@ -88,6 +88,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         batch_rollouts=(
             SLOW_BATCH_ROLLOUTS if config.simulator == "highway-env" else BATCH_ROLLOUTS
         ),
+        batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula),
     )
     if config.reference or config.method == "value-twisted":

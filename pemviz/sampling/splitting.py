@@ -7,6 +7,7 @@ unbiased with ties. It needs no likelihood ratios: an independent check of the o
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from pemviz.sampling.diagnostics import negative_log_likelihood
 from pemviz.sampling.estimates import log_normal_interval
 from pemviz.sampling.levels import VIOLATION_THRESHOLD
 from pemviz.sampling.method import final_stage, stage_seeds
-from pemviz.sampling.problem import Problem, score
+from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.splitting_particles import (
     Particles,
     draw_particles,
@@ -113,7 +114,7 @@ class SplittingSampling:
 
 def split(problem: Problem, *, count: int, generator: np.random.Generator) -> SplittingRun:
     """One run of adaptive multilevel splitting with ``count`` particles."""
-    particles = draw_particles(problem, count=count, generator=generator)
+    particles = in_time(problem, lambda: draw_particles(problem, count=count, generator=generator))
     log_share, simulated, levels = 0.0, count, 0
     problem.progress(0, count)
     for _ in range(MOST_LEVELS):
@@ -128,7 +129,9 @@ def split(problem: Problem, *, count: int, generator: np.random.Generator) -> Sp
         log_share += math.log1p(-float(killed.mean()))
         simulated += int(killed.sum())
         levels += 1
-        particles = _replaced(problem, particles, killed, level, generator)
+        particles = in_time(
+            problem, partial(_replaced, problem, particles, killed, level, generator)
+        )
         problem.progress(int((particles.lowest < VIOLATION_THRESHOLD).sum()), count)
     scored = score(problem, particles.rollouts)
     share = float(scored.violated.mean())
