@@ -1,20 +1,59 @@
-"""Evaluation of row functions in chunks of fixed size.
+"""Evaluation of row functions in chunks of fixed size, each distinct row once.
 
 A matrix product may round a row differently in batches of different sizes. In chunks of
-one size, the last padded, a row's result depends on nothing but the row.
+one size, the last padded, a row's result depends on nothing but the row; so rows that are
+alike, as those of rollouts that have met the same misses, need only be evaluated once.
 """
 
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, IntArray
 
 ROWS = 256
+FEWEST = 4 * ROWS
+"""Fewer rows are not searched for those that are alike."""
+MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # odd; 2^64 over the golden ratio
 
 
 def map_rows(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
     """Apply ``function`` (``[ROWS, D]`` to ``[ROWS]``) to rows ``[N, D]``, giving ``[N]``."""
+    found = distinct_rows(rows) if rows.shape[0] >= FEWEST else None
+    if found is None:
+        return _map_chunks(function, rows)
+    first, place = found
+    return _map_chunks(function, rows[first])[place]
+
+
+def distinct_rows(rows: FloatArray) -> tuple[IntArray, IntArray] | None:
+    """Where each distinct row of ``[N, D]`` comes first ``[M]``, and which each row is ``[N]``.
+
+    ``None`` where more than half are distinct, so that it does not pay to know.
+    """
+    bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
+    _, first, place = np.unique(_hashes(bits), return_index=True, return_inverse=True)
+    if 2 * first.size > rows.shape[0]:
+        return None
+    if not np.array_equal(bits[first[place]], bits):  # two rows share a hash
+        return None
+    return first, place
+
+
+def _hashes(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """One number ``[N]`` for each row of bits ``[N, D]``; alike rows have the same."""
+    result = np.zeros(bits.shape[0], dtype=np.uint64)
+    for column in bits.T:
+        if column.size and (column == column[0]).all():
+            continue
+        result ^= column
+        result *= MULTIPLIER
+        result ^= result >> np.uint64(29)
+    return result
+
+
+def _map_chunks(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
     count = rows.shape[0]
     result = np.empty(count)
     for start in range(0, count, ROWS):

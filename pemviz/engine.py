@@ -26,11 +26,13 @@ from pemviz.events import (
 from pemviz.experiment import Experiment, build_experiment
 from pemviz.explanation import explain
 from pemviz.model_uncertainty import (
+    ENOUGH_FAILURES,
     data_bound,
     extrapolation_warnings,
     member_estimates,
     model_interval,
 )
+from pemviz.pem import PemEnsemble
 from pemviz.pem.reweight import MemberEstimates
 from pemviz.results import PemInfo, RunResult, with_stage
 from pemviz.sampling.repetitions import summarise_repetitions
@@ -181,16 +183,26 @@ class _Runner:
         if stage.kind != "final" or not experiment.has_likelihood_ratios:
             return
         self._explain(stage)
-        simulator = experiment.problem.simulator
-        if experiment.ensemble is not None:
-            self._members.append(
-                member_estimates(stage.scored, simulator=simulator, ensemble=experiment.ensemble)
-            )
-            if any(s.failures for s in self._result.stages if s.kind == "final"):
-                interval = model_interval(self._members)
-                self._result = replace(self._result, pem_interval=interval)
+        if experiment.ensemble is not None and self._failures_before(stage) < ENOUGH_FAILURES:
+            self._ask_members(stage, experiment.ensemble)
         if not self._result.warnings:
             self._judge_data(stage)
+
+    def _failures_before(self, stage: StageResult) -> int:
+        """In earlier parts of the same repetition's final batch."""
+        return sum(
+            s.failures
+            for s in self._result.stages
+            if (s.repetition, s.kind) == (stage.repetition, "final") and s.stage < stage.stage
+        )
+
+    def _ask_members(self, stage: StageResult, ensemble: PemEnsemble) -> None:
+        simulator = self._experiment.problem.simulator
+        found = member_estimates(stage.scored, simulator=simulator, ensemble=ensemble)
+        self._members.append(found)
+        if any(s.failures for s in self._result.stages if s.kind == "final"):
+            interval = model_interval(self._members)
+            self._result = replace(self._result, pem_interval=interval)
 
     def _explain(self, stage: StageResult) -> None:
         """Of a final batch in parts, the part with most failures explains best."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem import (
     Pem,
     PemEnsemble,
@@ -23,9 +23,13 @@ from pemviz.sampling.final_batch import weighed
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollout import replay
 from pemviz.sampling.weights import log_sum
-from pemviz.types import ScoredRollouts, Simulator
+from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
 
 DATA_BOUND_ROLLOUTS = 10_000
+ENOUGH_FAILURES = 2_000
+"""Of which the models' own answers are formed; the models differ by far more than 1/sqrt of it."""
+SHOWN_ROLLOUTS = 5_000
+"""Of which it is asked whether they go where the training data never was."""
 DATA_BOUND_KEY = 2**32 - 2
 
 
@@ -53,8 +57,12 @@ class ModelInterval:
 def member_estimates(
     scored: ScoredRollouts, *, simulator: Simulator, ensemble: PemEnsemble
 ) -> MemberEstimates:
-    """The failure probability under each of the ensemble's models, from the same rollouts."""
-    rollouts, violated = scored.rollouts, scored.violated
+    """The failure probability under each of the ensemble's models, from the same rollouts.
+
+    Of many rollouts the first are enough: as many as hold ENOUGH_FAILURES violations.
+    """
+    count = _enough(scored.violated)
+    rollouts, violated = _first(scored.rollouts, count), scored.violated[:count]
     states = rollouts.decision_states()
     failing = {name: values[violated] for name, values in states.signals.items()}
     return reweight(
@@ -64,6 +72,22 @@ def member_estimates(
         violated=violated[violated],
         members=ensemble.members,
         rollouts=rollouts.count,
+    )
+
+
+def _enough(violated: BoolArray) -> int:
+    """How many rollouts hold ENOUGH_FAILURES violations, if violations come evenly."""
+    share = ENOUGH_FAILURES / max(int(violated.sum()), 1)
+    return violated.size if share >= 1.0 else math.ceil(share * violated.size)
+
+
+def _first(rollouts: RolloutBatch, count: int) -> RolloutBatch:
+    return RolloutBatch(
+        signals={name: values[:count] for name, values in rollouts.signals.items()},
+        memory={name: values[:count] for name, values in rollouts.memory.items()},
+        detected=rollouts.detected[:count],
+        pem_logit=rollouts.pem_logit[:count],
+        proposal_logit=rollouts.proposal_logit[:count],
     )
 
 
@@ -148,7 +172,8 @@ def extrapolation_warnings(
             f"error model {pem.name}: carries no counts of its training data, so where it "
             "extrapolates cannot be told",
         )
-    salient = simulator.salient(scored.rollouts.decision_states().signals)
+    shown = _first(scored.rollouts, min(scored.rollouts.count, SHOWN_ROLLOUTS))
+    salient = simulator.salient(shown.decision_states().signals)
     return support_check(salient, support=support, pem=pem).warnings
 
 

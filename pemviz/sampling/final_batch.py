@@ -9,8 +9,8 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.types import ScoredRollouts
 
-LARGEST_PART = 50_000
-"""Rollouts of 100 states drawn at once: about 0.3 GB with signals, memory and logits."""
+LARGEST_PART = 20_000
+"""Rollouts of 100 states drawn at once: about 0.1 GB with signals, memory and logits."""
 
 
 @dataclass(frozen=True)
