@@ -177,7 +177,10 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
         InputError: There are none, or a file is damaged.
     """
     whole = folder / "rollouts.npz"
-    parts = [whole] if whole.exists() else sorted((folder / PART_FOLDER).glob("*.npz"))
+    # stages' files are there until the run is done, and may be more than were joined so far
+    parts = sorted((folder / PART_FOLDER).glob("repetition-*.npz"))
+    if not parts and whole.exists():
+        parts = [whole]
     if not parts:
         message = f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)"
         raise InputError(message)

@@ -1,5 +1,6 @@
 """The run folder: what a run leaves on disk, readable after a kill at any moment."""
 
+import contextlib
 import shutil
 import time
 from pathlib import Path
@@ -82,12 +83,22 @@ class RunStore:
             case RepetitionDone():
                 self._write_result(event.result)
             case RunDone() | RunFailed():
-                self._join()
-                self._write_result(event.result)
-                if event.result.status == "done":
-                    shutil.rmtree(self.folder / PART_FOLDER, ignore_errors=True)
+                self._end(event.result)
             case _:
                 pass
+
+    def _end(self, result: RunResult) -> None:
+        if result.status != "done":
+            self._write_result(result)
+            with contextlib.suppress(OSError):  # a full disk: the stages' files have it all
+                self._join()
+            return
+        self._join()
+        self._write_result(result)
+        parts = self.folder / PART_FOLDER
+        if parts.exists():
+            removed = parts.rename(self.folder / f".{PART_FOLDER}.removed")
+            shutil.rmtree(removed, ignore_errors=True)
 
     def _write_result(self, result: RunResult) -> None:
         write_json(self.folder / "result.json", result_document(result))

@@ -1,6 +1,7 @@
 """One recording being written: a thin layer over rerun that knows this project's timelines."""
 
 import socket
+import threading
 import uuid
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from pemviz.recording import paths
 
 APPLICATION = "pemviz"
 FLUSH_TIMEOUT_S = 30.0
+BROKEN_TIMEOUT_S = 2.0
 LOOPBACK = "127.0.0.1"
 
 
@@ -60,6 +62,7 @@ class RecordingFile:
         """
         self.path = path
         self.logged: set[str] = set()
+        self._broken = False
         # a random identifier: a viewer merges recordings that have the same one
         self._stream = rr.RecordingStream(
             f"{APPLICATION}_{layout}", recording_id=f"{name}-{uuid.uuid4().hex[:12]}"
@@ -136,9 +139,12 @@ class RecordingFile:
         Raises:
             RunError: It cannot be written.
         """
+        if self._broken:
+            raise RunError(_cannot_write(self.path, OSError("writing failed before")))
         try:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except (OSError, RuntimeError, ValueError) as error:
+            self._broken = True
             raise RunError(_cannot_write(self.path, error)) from error
 
     def close(self) -> None:
@@ -150,7 +156,16 @@ class RecordingFile:
         try:
             self.flush()
         finally:
+            self._disconnect()
+
+    def _disconnect(self) -> None:
+        """End the stream; one whose file cannot be written may never answer again."""
+        if not self._broken:
             self._stream.disconnect()
+            return
+        ending = threading.Thread(target=self._stream.disconnect, daemon=True)
+        ending.start()
+        ending.join(BROKEN_TIMEOUT_S)
 
 
 def _cannot_write(path: Path, error: Exception) -> str:
