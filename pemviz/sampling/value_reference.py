@@ -72,8 +72,11 @@ def exact_log_probability(problem: Problem, *, twin: Simulator) -> float | None:
         pem_logit=problem.pem_logit,
         unsafe=require_unsafe(problem),
         largest_layer=REFERENCE_LAYER,
+        pause=problem.pause,
     )
-    return solve(layers).log_probability if all(layer.exact for layer in layers) else None
+    if not all(layer.exact for layer in layers):
+        return None
+    return solve(layers, pause=problem.pause).log_probability
 
 
 def agreement_warning(estimate: Estimate, known: Reference) -> str | None:

@@ -1,7 +1,6 @@
 """Importance sampling with the proposal that a twin's value function gives."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 from pemviz.errors import InputError
 from pemviz.proposals.twisted import TwistedProposal
@@ -9,7 +8,7 @@ from pemviz.sampling.estimates import importance_sampling_estimate
 from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollout import LogitFunction
-from pemviz.sampling.value_reachable import Unsafe
+from pemviz.sampling.value_reachable import Pause, Unsafe
 from pemviz.sampling.value_tables import (
     DEFENSIVE_STEPS,
     LARGEST_LAYER,
@@ -58,12 +57,8 @@ class ValueTwistedSampling:
         Raises:
             InputError: Single states do not decide the specification.
         """
-        proposal = _proposal(
-            self.twin,
-            problem.pem_logit,
-            require_unsafe(problem),
-            self.largest_layer,
-        )
+        wanted = _Wanted(self.twin, problem.pem_logit, require_unsafe(problem), self.largest_layer)
+        proposal = _last_built.get(wanted, pause=problem.pause)
         proposal = with_defence(
             proposal, defensive_steps=self.defensive_steps, steps=self.twin.states - 1
         )
@@ -124,16 +119,41 @@ def with_latch(problem: Problem) -> Problem:
     return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
 
 
-@lru_cache(maxsize=1)  # large, and the same for all repetitions and for the reference
-def _proposal(
-    twin: Simulator,
-    pem_logit: LogitFunction,
-    unsafe: Unsafe,
-    largest_layer: int,
-) -> TwistedProposal:
-    return build_twisted_proposal(
-        twin=twin,
-        pem_logit=pem_logit,
-        unsafe=unsafe,
-        largest_layer=largest_layer,
-    )
+@dataclass(frozen=True)
+class _Wanted:
+    """What a value function follows from.
+
+    Two that are equal give the same one.
+    """
+
+    twin: Simulator
+    pem_logit: LogitFunction
+    unsafe: Unsafe
+    largest_layer: int
+
+
+class _LastBuilt:
+    """Holds the proposal built last: large, and the same for all repetitions and the reference.
+
+    A build that is stopped leaves what was there before.
+    """
+
+    def __init__(self) -> None:
+        self._held: tuple[_Wanted, TwistedProposal] | None = None
+
+    def get(self, wanted: _Wanted, *, pause: Pause) -> TwistedProposal:
+        held = self._held
+        if held is not None and held[0] == wanted:
+            return held[1]
+        built = build_twisted_proposal(
+            twin=wanted.twin,
+            pem_logit=wanted.pem_logit,
+            unsafe=wanted.unsafe,
+            largest_layer=wanted.largest_layer,
+            pause=pause,
+        )
+        self._held = (wanted, built)
+        return built
+
+
+_last_built = _LastBuilt()
