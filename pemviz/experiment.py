@@ -42,7 +42,8 @@ class Experiment:
         twin: A fast simulator of the same scenario, for the reference and the data's bound.
         method: How.
         features: What the scenario's states offer to look at.
-        planned_rollouts: How many rollouts all repetitions take together.
+        planned_rollouts: How many rollouts all repetitions take together; with splitting, how
+            many particles.
     """
 
     config: ExperimentConfig
@@ -210,9 +211,9 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
 
 
 def rollouts_per_repetition(config: ExperimentConfig) -> int:
-    """How many rollouts one repetition simulates."""
+    """How many rollouts one repetition simulates; with splitting, how many particles."""
     if config.method in ("adaptive", "mixture"):
         return (config.stages + 1) * config.rollouts + config.final_rollouts
-    if config.method == "splitting":  # particles that are cut and continued come on top
+    if config.method == "splitting":
         return config.stages * config.rollouts
     return config.final_rollouts
