@@ -24,6 +24,7 @@ from pemviz.sampling.value_specification import unsafe_states
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.simulators.braking_features import BrakingFeatures
 from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
 
 SLOW_BATCH_ROLLOUTS = 50
@@ -90,6 +91,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
             SLOW_BATCH_ROLLOUTS if config.simulator == "highway-env" else BATCH_ROLLOUTS
         ),
         unsafe=unsafe_states(formula),
+        monitor=FormulaMonitor(formula),
     )
     if config.reference or config.method == "value-twisted":
         require_unsafe(problem)

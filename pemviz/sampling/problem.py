@@ -8,6 +8,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.sampling.rollout import LogitFunction, simulate
+from pemviz.simulators.latched import Monitor
 from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, Simulator, StateBatch
 
 Signals = Mapping[str, FloatArray]
@@ -37,6 +38,7 @@ class Problem:
         pause: Called now and then during long work between rollouts; may raise likewise.
         unsafe: States ``[N]`` to whether being in one of them is what violates the
             specification, ``[N]``; ``None`` where the verdict takes more than single states.
+        monitor: Tells violations from the states so far where ``unsafe`` does not.
     """
 
     simulator: Simulator
@@ -47,6 +49,7 @@ class Problem:
     progress: Callable[[int, int], None] = _no_progress
     pause: Callable[[], None] = _no_pause
     unsafe: Callable[[StateBatch], BoolArray] | None = None
+    monitor: Monitor | None = None
 
 
 def sample(

@@ -15,7 +15,7 @@ from pemviz.sampling.value_tables import (
     build_twisted_proposal,
     with_defence,
 )
-from pemviz.simulators.latched import LatchedSimulator
+from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
 from pemviz.types import Estimate, ScoredRollouts, Simulator, StageResult
 
 
@@ -113,10 +113,12 @@ def require_unsafe(problem: Problem) -> Unsafe:
 
 
 def with_latch(problem: Problem) -> Problem:
-    """The problem on a simulator that remembers violations, where single states decide them."""
-    if problem.unsafe is None:
-        return problem
-    return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
+    """The problem on a simulator that remembers violations, if the problem says what they are."""
+    if problem.unsafe is not None:
+        return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
+    if problem.monitor is not None:
+        return replace(problem, simulator=MonitoredSimulator(problem.simulator, problem.monitor))
+    return problem
 
 
 @dataclass(frozen=True)
