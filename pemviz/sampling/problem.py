@@ -40,7 +40,7 @@ def _no_pause() -> None:
     """Go on."""
 
 
-def _nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
+def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
     """Every stage is carried out."""
     return None
 
@@ -76,7 +76,7 @@ class Problem:
     run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = _no_progress
     pause: Callable[[], None] = _no_pause
-    finished: Callable[[int, int], FinishedStage | None] = _nothing_finished
+    finished: Callable[[int, int], FinishedStage | None] = nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None
     monitor: Monitor | None = None
 

@@ -1,11 +1,11 @@
 """The reference: the answer to compare other estimates with."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.value_reachable import explore, solve
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.types import Estimate, Simulator
@@ -50,7 +50,11 @@ def reference(
         seed=REFERENCE_SEED,
         defensive_steps=REFERENCE_DEFENSIVE_STEPS,
     )
-    state, _ = method.step(problem, method.init(problem, repetition=0))
+    # what an interrupted run left is its own method's, not the reference's
+    problem = replace(problem, finished=nothing_finished)
+    state = method.init(problem, repetition=0)
+    while not method.is_done(state):
+        state, _ = method.step(problem, state)
     found = method.estimate(state)
     return Reference(
         probability=found.probability,
