@@ -64,8 +64,13 @@ class Experiment:
         return self.config.method != "splitting"
 
 
-def build_experiment(config: ExperimentConfig) -> Experiment:
+def build_experiment(config: ExperimentConfig, *, allow_python: bool = False) -> Experiment:
     """Validate ``config`` and build everything it names; nothing is simulated.
+
+    Args:
+        config: What is asked.
+        allow_python: Whether the error model may be ``module:attribute``, whose code then runs.
+            Never taken from a configuration: a file must not decide that code runs.
 
     Raises:
         InputError: A value is out of range, the specification does not parse or fit the
@@ -74,7 +79,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
     config.validate()
     simulator = build_simulator(config)
     formula = build_formula(config, simulator)
-    pem = load_pem(config.pem)
+    pem = load_pem(config.pem, allow_python=allow_python)
     metric = build_metric(config, simulator)
 
     def robustness(signals: Mapping[str, FloatArray]) -> FloatArray:
