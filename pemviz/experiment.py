@@ -25,6 +25,7 @@ from pemviz.sampling.value_specification import unsafe_states
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.simulators.braking_features import BrakingFeatures
 from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
 
 SLOW_BATCH_ROLLOUTS = 50
@@ -43,7 +44,8 @@ class Experiment:
         twin: A fast simulator of the same scenario, for the reference and the data's bound.
         method: How.
         features: What the scenario's states offer to look at.
-        planned_rollouts: How many rollouts all repetitions take together.
+        planned_rollouts: How many rollouts all repetitions take together; with splitting, how
+            many particles.
     """
 
     config: ExperimentConfig
@@ -62,8 +64,13 @@ class Experiment:
         return self.config.method != "splitting"
 
 
-def build_experiment(config: ExperimentConfig) -> Experiment:
+def build_experiment(config: ExperimentConfig, *, allow_python: bool = False) -> Experiment:
     """Validate ``config`` and build everything it names; nothing is simulated.
+
+    Args:
+        config: What is asked.
+        allow_python: Whether the error model may be ``module:attribute``, whose code then runs.
+            Never taken from a configuration: a file must not decide that code runs.
 
     Raises:
         InputError: A value is out of range, the specification does not parse or fit the
@@ -72,7 +79,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
     config.validate()
     simulator = build_simulator(config)
     formula = build_formula(config, simulator)
-    pem = load_pem(config.pem)
+    pem = load_pem(config.pem, allow_python=allow_python)
     metric = build_metric(config, simulator)
 
     def robustness(signals: Mapping[str, FloatArray]) -> FloatArray:
@@ -93,6 +100,7 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         ),
         batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula),
+        monitor=FormulaMonitor(formula),
     )
     if config.reference or config.method == "value-twisted":
         require_unsafe(problem)
@@ -222,9 +230,9 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
 
 
 def rollouts_per_repetition(config: ExperimentConfig) -> int:
-    """How many rollouts one repetition simulates."""
+    """How many rollouts one repetition simulates; with splitting, how many particles."""
     if config.method in ("adaptive", "mixture"):
         return (config.stages + 1) * config.rollouts + config.final_rollouts
-    if config.method == "splitting":  # particles that are cut and continued come on top
+    if config.method == "splitting":
         return config.stages * config.rollouts
     return config.final_rollouts

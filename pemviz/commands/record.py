@@ -74,6 +74,8 @@ class RecordArguments:
     """Leave out run.rrd."""
     no_frames: bool = False
     """Leave highway-env's pictures of the least robust rollout out of run.rrd."""
+    allow_python: bool = False
+    """Allow --pem module:attribute, a model of your own in Python, whose code then runs."""
     live: Port | None = None
     """Also serve the recording, while the run goes on, to live rerun viewers on this port of
     the loopback interface; 1 to 65535."""
@@ -91,7 +93,7 @@ def run(words: Sequence[str]) -> int:
         done = _finished(arguments, arguments.source.resume)
         if done is not None:
             return done
-    experiment = build_experiment(arguments.experiment)
+    experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     reports = ReportWriter(
         summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
     )
