@@ -17,7 +17,7 @@ from pemviz.errors import RunError
 from pemviz.recording import paths
 
 APPLICATION = "pemviz"
-FLUSH_TIMEOUT_S = 30.0
+FLUSH_TIMEOUT_S = 10.0
 BROKEN_TIMEOUT_S = 2.0
 LOOPBACK = "127.0.0.1"
 
@@ -163,6 +163,7 @@ class RecordingFile:
         if not self._broken:
             self._stream.disconnect()
             return
+        rr.unregister_shutdown()  # at the process's end it would wait for the same thread
         ending = threading.Thread(target=self._stream.disconnect, daemon=True)
         ending.start()
         ending.join(BROKEN_TIMEOUT_S)
