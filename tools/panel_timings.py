@@ -1,10 +1,10 @@
 """How long a person waits for the panel, measured in a real browser.
 
-    python tools/panel_timings.py [--pictures FOLDER] [--repeats 3]
+    python tools/panel_timings.py [--repeats 3]
 
 Needs Chromium (``apt-get install chromium``) and playwright. The server is a process of its
 own, ``pemviz serve`` as users start it, with a recordings folder of its own. Prints one line a
-figure, the median over the repeats. ``--pictures`` also keeps a picture of every tab.
+figure, the median over the repeats.
 """
 
 import argparse
@@ -28,7 +28,6 @@ ARGUMENTS = [
     "--enable-unsafe-swiftshader",
 ]
 VIEWPORT = {"width": 1280, "height": 800}
-TABS = ("Experiment", "Learning", "Trajectories", "Compare", "Why", "Recordings")
 WAIT_MS = 120_000
 SETTLE_MS = 1500
 # Playwright's own click waits for two frames, which software rendering makes long: times are taken
@@ -51,11 +50,10 @@ STOPWATCH = """() => {
 
 
 def main() -> int:
-    """Measure, print, and take pictures if asked."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--pictures", type=Path, help="keep a picture of every tab here")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--browser", default="/usr/bin/chromium", help="Chromium's program")
     arguments = parser.parse_args()
@@ -63,8 +61,7 @@ def main() -> int:
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         browser = playwright.chromium.launch(executable_path=arguments.browser, args=ARGUMENTS)
         for repeat in range(arguments.repeats):
-            pictures = arguments.pictures if repeat == 0 else None
-            for name, value_s in measure(browser, Path(folder) / str(repeat), pictures):
+            for name, value_s in measure(browser, Path(folder) / str(repeat)):
                 figures.setdefault(name, []).append(value_s)
         browser.close()
     for name, values in figures.items():
@@ -72,9 +69,7 @@ def main() -> int:
     return 0
 
 
-def measure(
-    browser: Browser, recordings: Path, pictures: Path | None
-) -> Iterator[tuple[str, float]]:
+def measure(browser: Browser, recordings: Path) -> Iterator[tuple[str, float]]:
     """The figures of one server, by name [s]."""
     began = time.perf_counter()
     with server(recordings) as address:
@@ -82,13 +77,9 @@ def measure(
         page = browser.new_context(viewport=VIEWPORT).new_page()
         page.set_default_timeout(WAIT_MS)
         began = time.perf_counter()
-        page.goto(address)
-        page.get_by_role("button", name="Run", exact=True).wait_for()
-        page.locator("g[data-cursor]").wait_for()
+        open_panel(page, address)
         yield "page opened to usable, run shown", time.perf_counter() - began
         yield from run_paper(page, recordings)
-        if pictures is not None:
-            take_pictures(page, pictures)
         yield from rank_again(page)
         yield from stop(page)
         page.context.close()
@@ -101,7 +92,7 @@ def server(recordings: Path) -> Iterator[str]:
     with subprocess.Popen(  # noqa: S603  our own program
         [*words, "--recordings", str(recordings)], stdout=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
+        assert process.stdout is not None  # noqa: S101  for the type checker
         try:
             for line in process.stdout:
                 found = re.search(r"http://\S+", line)
@@ -111,6 +102,13 @@ def server(recordings: Path) -> Iterator[str]:
         finally:
             process.terminate()
             process.wait(timeout=30)
+
+
+def open_panel(page: Page, address: str) -> None:
+    """Go there, and wait until the controls and a run are shown."""
+    page.goto(address)
+    page.get_by_role("button", name="Run", exact=True).wait_for()
+    page.locator("g[data-cursor]").wait_for()
 
 
 def run_paper(page: Page, recordings: Path) -> Iterator[tuple[str, float]]:
@@ -154,16 +152,6 @@ def stop(page: Page) -> Iterator[tuple[str, float]]:
     yield "Stop pressed to ready", until_ready(page, "Stop")
 
 
-def take_pictures(page: Page, folder: Path) -> None:
-    """A picture of every tab, with the page as it is."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in TABS:
-        tab(page, name)
-        page.wait_for_timeout(SETTLE_MS)
-        page.screenshot(path=folder / f"panel-{name.lower()}.png")
-    tab(page, "Experiment")
-
-
 def timed(page: Page, act: Callable[[], object], wait: Callable[[], object]) -> float:
     """Seconds from before ``act`` until ``wait`` returns."""
     page.wait_for_timeout(0)
@@ -183,19 +171,23 @@ def until_ready(page: Page, button: str) -> float:
 
 
 def tab(page: Page, name: str) -> None:
+    """Show a tab."""
     page.get_by_text(name, exact=True).first.click()
 
 
 def press(page: Page, name: str) -> None:
+    """Press a button."""
     page.get_by_role("button", name=name, exact=True).click()
 
 
 def choose(page: Page, label: str, option: str) -> None:
+    """Choose an option of a dropdown."""
     page.get_by_role("combobox", name=label, exact=True).click()
     page.get_by_role("option", name=option, exact=True).click()
 
 
 def enter(page: Page, label: str, value: int) -> None:
+    """Type a number."""
     box = page.get_by_role("textbox", name=label, exact=True)
     box.fill(str(value))
     box.press("Enter")

@@ -72,37 +72,35 @@ def tab_paths(layout: dict[str, Any]) -> Iterator[tuple[str, dict[str, str]]]:
     root = _root(layout)
     for number, tab in enumerate(_contents(layout, root), start=1):
         name = f"{number}-{_slug(_title(layout, tab))}"
-        inner = f"/{tab}"
         if _title(layout, tab) == "Learning" and _kind(layout, tab) == "Tabs":
-            for below in _contents(layout, inner):
-                yield f"{name}-{_slug(_title(layout, below))}", {root: tab, inner: below}
+            for below in _contents(layout, tab):
+                yield f"{name}-{_slug(_title(layout, below))}", {root: tab, tab: below}
         else:
             yield name, {root: tab}
 
 
 def _root(layout: dict[str, Any]) -> str:
     containers = [path for path, parts in layout.items() if "ContainerBlueprint" in parts]
-    inside = {f"/{part}" for path in containers for part in _contents(layout, path)}
+    inside = {part for path in containers for part in _contents(layout, path)}
     tabs = [path for path in containers if path not in inside and _kind(layout, path) == "Tabs"]
     return tabs[0]
 
 
 def _contents(layout: dict[str, Any], path: str) -> list[str]:
-    return layout[path]["ContainerBlueprint"]["contents"]
+    """Paths of what a container holds; the viewer gives a single one as such, not in a list."""
+    contents: str | list[str] = layout[path]["ContainerBlueprint"]["contents"]
+    parts = [contents] if isinstance(contents, str) else contents
+    return [f"/{part.lstrip('/')}" for part in parts]
 
 
 def _kind(layout: dict[str, Any], part: str) -> str:
-    return (
-        layout.get(f"/{part.lstrip('/')}", {})
-        .get("ContainerBlueprint", {})
-        .get("container_kind", "")
-    )
+    return layout.get(part, {}).get("ContainerBlueprint", {}).get("container_kind", "")
 
 
 def _title(layout: dict[str, Any], part: str) -> str:
-    parts = layout[f"/{part}"]
+    parts = layout[part]
     kind = "ContainerBlueprint" if "ContainerBlueprint" in parts else "ViewBlueprint"
-    return parts[kind]["display_name"]
+    return parts[kind].get("display_name", "")
 
 
 def _slug(title: str) -> str:
