@@ -29,8 +29,7 @@ from playwright.sync_api import Page, sync_playwright
 VIEWPORT = {"width": 1200, "height": 760}
 PIXELS_A_POINT = 1.5
 COLORS = 160
-PLAYED_TO_STEP = 48
-AWAY = (900, 60)
+SHOWN_STEP = 50
 
 
 def main() -> int:
@@ -90,9 +89,8 @@ def take_pictures(page: Page, folder: Path, *, shown: str, other: str) -> None:
     scroll_to_end_of(page, "Estimate of P(violation)")
     keep(page, folder / "panel-estimate.png")
     tab(page, "Trajectories")
-    play(page)
-    keep(page, folder / "panel-trajectories.png", settle_ms=0)
-    press(page, "Pause")
+    play_to(page, SHOWN_STEP)
+    keep(page, folder / "panel-trajectories.png")
     tab(page, "Compare")
     choose(page, "Compare with", other)
     page.get_by_text("Settings that differ").wait_for()
@@ -108,20 +106,17 @@ def scroll_to_end_of(page: Page, plot: str) -> None:
     page.get_by_role("img", name=plot).evaluate("e => e.scrollIntoView({block: 'end'})")
 
 
-def play(page: Page) -> None:
-    """Play the rollout shown from its start, slowly, until the cars are close."""
-    press(page, "0.5x")
-    press(page, "Restart")
-    page.mouse.move(*AWAY)  # else the button's hint covers the plots
-    page.wait_for_function(
-        "step => Number(document.querySelector('g[data-cursor]').dataset.cursor) >= step",
-        arg=PLAYED_TO_STEP,
-    )
+def play_to(page: Page, step: int) -> None:
+    """Put the playback where the cars come close."""
+    row = page.locator("div.mantine-Flex-root", has=page.get_by_text("Step", exact=True)).last
+    row.get_by_role("textbox").fill(str(step))
+    row.get_by_role("textbox").press("Enter")
+    page.locator(f"g[data-cursor='{step}']").wait_for()
 
 
-def keep(page: Page, path: Path, *, settle_ms: float = SETTLE_MS) -> None:
+def keep(page: Page, path: Path) -> None:
     """Keep a picture of the page in few colours, which a README loads quickly."""
-    page.wait_for_timeout(settle_ms)
+    page.wait_for_timeout(SETTLE_MS)
     picture = PIL.Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     few = picture.quantize(COLORS, dither=PIL.Image.Dither.NONE)
     few.save(path, optimize=True)

@@ -7,6 +7,7 @@ mesa-vulkan-drivers. Prints each picture's path and any complaint of the views.
 """
 
 import argparse
+import io
 import re
 import sys
 import time
@@ -15,12 +16,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import PIL.Image
 from rerun.experimental import ViewerClient
 
+from pemviz.recording import paths
 from pemviz.recording.open import viewer_process
 from pemviz.recording.web import LOOPBACK, free_port, wait_for_port
 
 ATTEMPTS = 6
+COLORS = 128
 SETTLE_S = 4.0
 
 
@@ -32,39 +36,52 @@ def main() -> int:
     parser.add_argument("recording", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--step", type=int, default=60, help="where in the rollouts to look")
+    parser.add_argument("--size", default="1280x800", help="of the pictures [pixels]")
     parser.add_argument("--settle", type=float, default=SETTLE_S, help="seconds before a picture")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    complaints = take_pictures(
-        arguments.recording, out=arguments.out, step=arguments.step, settle_s=arguments.settle
-    )
+    with headless_viewer(arguments.size) as viewer:
+        complaints = take_pictures(
+            viewer,
+            arguments.recording,
+            out=arguments.out,
+            step=arguments.step,
+            settle_s=arguments.settle,
+        )
     for complaint in complaints:
         print(complaint, file=sys.stderr)
     return 1 if complaints else 0
 
 
-def take_pictures(recording: Path, *, out: Path, step: int, settle_s: float) -> list[str]:
+def take_pictures(
+    viewer: ViewerClient, recording: Path, *, out: Path, step: int, settle_s: float
+) -> list[str]:
     """One picture of each tab, inner tabs of Learning included; returns what views complain of."""
     complaints: list[str] = []
-    with headless_viewer() as viewer:
-        viewer.open(str(recording.resolve()))
+    viewer.open(str(recording.resolve()))
+    time.sleep(settle_s)
+    layout = viewer.get_blueprint("recording").blueprint
+    if layout["/time_panel"]["TimePanelBlueprint"].get("timeline") == paths.STEP:
+        viewer.set_time(paths.STEP, sequence=step, play_state="paused")
+    for name, active in tab_paths(layout):
+        for container, tab in active.items():
+            layout[container]["ContainerBlueprint"]["active_tab"] = tab
+        viewer.set_blueprint(layout, "recording")
         time.sleep(settle_s)
-        viewer.set_time("step", sequence=step, play_state="paused")
-        layout = viewer.get_blueprint("recording").blueprint
-        for name, active in tab_paths(layout):
-            for container, tab in active.items():
-                layout[container]["ContainerBlueprint"]["active_tab"] = tab
-            viewer.set_blueprint(layout, "recording")
-            time.sleep(settle_s)
-            picture = out / f"{name}.png"
-            picture.write_bytes(screenshot(viewer))
-            print(picture)
-            complaints += [
-                f"{name}: {view.name}: {report.severity}: {report.summary}"
-                for view in viewer.get_state().views
-                for report in view.reports
-            ]
+        keep(screenshot(viewer), out / f"{name}.png")
+        complaints += [
+            f"{name}: {view.name}: {report.severity}: {report.summary}"
+            for view in viewer.get_state().views
+            for report in view.reports
+        ]
     return sorted(set(complaints))
+
+
+def keep(picture: bytes, path: Path) -> None:
+    """Keep a picture in few colours, which a README loads quickly."""
+    shown = PIL.Image.open(io.BytesIO(picture)).convert("RGB")
+    shown.quantize(COLORS, dither=PIL.Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 
 
 def tab_paths(layout: dict[str, Any]) -> Iterator[tuple[str, dict[str, str]]]:
@@ -108,10 +125,11 @@ def _slug(title: str) -> str:
 
 
 @contextmanager
-def headless_viewer() -> Iterator[ViewerClient]:
+def headless_viewer(size: str) -> Iterator[ViewerClient]:
     """A viewer without a window, on the loopback interface, ended on leaving."""
     port = free_port()
     arguments = ["--headless", "--bind", LOOPBACK, "--port", str(port), "--hide-welcome-screen"]
+    arguments += ["--window-size", size]
     with viewer_process(arguments) as process:
         wait_for_port(port, process)
         yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
