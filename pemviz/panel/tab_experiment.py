@@ -151,11 +151,12 @@ class ExperimentTab:
         self._check_spec()
 
     def _enable(self) -> None:
-        """Grey out what the method does not use."""
+        """Grey out what the method does not use; a slider's box cannot be, so sliders go."""
         used = USED_FIELDS.get(cast(MethodName, self.method.value), frozenset())
+        for name, slider in (("alpha", self.alpha), ("sigma", self.sigma)):
+            if slider.visible != (name in used):
+                slider.visible = name in used
         for name, control in (
-            ("alpha", self.alpha),
-            ("sigma", self.sigma),
             ("stages", self.stages),
             ("rollouts", self.rollouts),
             ("final_rollouts", self.final_rollouts),

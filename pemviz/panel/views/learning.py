@@ -13,6 +13,7 @@ from pemviz.panel.views.words import block, number, quiet, rows, table
 
 SPLITTING = "splitting"
 FOLLOWS_MODEL = ("monte-carlo", SPLITTING)
+DIRECT = ("monte-carlo", "naive", "value-twisted")
 WORDS = {
     "monte-carlo": (
         "Nothing is learned by this method: all rollouts are drawn from the error model (black), "
@@ -50,10 +51,15 @@ def learning(run: RunData | None) -> str:
 def _learning(run: RunData) -> str:
     stages = _last_repetition(rows(run.document.get("stages")))
     parts = [proposal_plot(run), quiet(WORDS.get(run.config.method, LEARNED))]
-    if len(stages) > 1:
+    if has_stages(run, stages):
         parts += _stage_plots(run, stages)
     parts.append(estimate_plot(run, stages))
     return "".join(parts)
+
+
+def has_stages(run: RunData, stages: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether stages differ; those of a method that learns nothing are parts of one batch."""
+    return len(stages) > 1 and run.config.method not in DIRECT
 
 
 def _stage_plots(run: RunData, stages: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -165,16 +171,16 @@ def estimate_plot(run: RunData, stages: Sequence[Mapping[str, Any]]) -> str:
     estimate = table(run.document.get("estimate"))
     reference = table(run.document.get("reference"))
     each = "run" if run.config.method == SPLITTING else "stage"
+    several = has_stages(run, stages)
     points = [
         (float(s["stage"]), float(s["log10_probability"]))
         for s in stages
-        if len(stages) > 1 and is_number(s.get("log10_probability"))
+        if several and is_number(s.get("log10_probability"))
     ]
     answer = logs(estimate, "probability")
     bound = [] if answer else logs(estimate, "ci_high")
     values = [v for _, v in points] + logs(reference, "probability")
     low, high = _decades([*values, *logs(estimate, "probability", "ci_low", "ci_high")])
-    several = len(stages) > 1
     x = _stage_axis(stages, each) if several else Axis(-1.0, 1.0, "all rollouts", ticks=())
     plot = Plot(
         title="Estimate of P(violation)",
