@@ -92,9 +92,8 @@ def server(recordings: Path) -> Iterator[str]:
     with subprocess.Popen(  # noqa: S603  our own program
         [*words, "--recordings", str(recordings)], stdout=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None  # noqa: S101  for the type checker
         try:
-            for line in process.stdout:
+            for line in process.stdout or ():
                 found = re.search(r"http://\S+", line)
                 if found:
                     yield found.group()
