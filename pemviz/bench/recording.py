@@ -17,7 +17,7 @@ BYTES_A_MB = 1e6
 
 
 def recording_figures(
-    *, config: ExperimentConfig | None = None, repeats: int = 5
+    *, config: ExperimentConfig | None = None, repeats: int = 3
 ) -> Sequence[Figure]:
     """Run a ``paper`` repetition with and without a recorder, by turns.
 

@@ -88,6 +88,13 @@ def rests(page, cursor):
     return int(cursor.get_attribute("data-cursor")) == step < 99
 
 
+def is_still(page):
+    """Whether the page looks the same for three seconds."""
+    before = page.screenshot()
+    page.wait_for_timeout(3000)
+    return page.screenshot() == before
+
+
 def until(page, condition, *, timeout_ms=WAIT_MS):
     for _ in range(timeout_ms // 50):
         if condition():
@@ -276,9 +283,8 @@ def test_open_in_rerun_shows_the_recording_in_a_new_tab(chromium, tmp_path, shot
         shown = opened.value
         until(shown, lambda: any(url.path == "/run.rrd" for url in fetched))
         shown.locator("canvas").wait_for()
-        # drawn, not blank: an empty canvas makes a tiny picture
-        until(shown, lambda: len(shown.screenshot()) > 40_000)
-        shown.wait_for_timeout(3000)  # what is drawn first is the start of the recording
+        # drawn, not blank, and nothing is added any more
+        until(shown, lambda: len(shown.screenshot()) > 40_000 and is_still(shown))
         shown.screenshot(path=shots / "rerun-in-a-new-tab.png")
         outside = [url for url in fetched if url.scheme != "data" and url.hostname != "127.0.0.1"]
         assert [url for url in outside if url.scheme != "blob"] == []
