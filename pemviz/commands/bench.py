@@ -12,7 +12,7 @@ from pemviz.bench.figures import Figure
 from pemviz.commands.parsing import parse_arguments
 from pemviz.exit_codes import EXIT_DONE
 
-Part = Literal["paper", "simulators", "stl"]
+Part = Literal["paper", "simulators", "stl", "recording"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +23,9 @@ class BenchArguments:
     answers; it has options of its own.
     """
 
-    part: tuple[Part, ...] = ("paper", "simulators", "stl")
-    """What to measure: the paper's experiment, both back ends, the robustness metrics."""
+    part: tuple[Part, ...] = ("paper", "simulators", "stl", "recording")
+    """What to measure: the paper's experiment, both back ends, the robustness metrics, size and
+    cost of a recording."""
     json: bool = False
     """Print the figures as one JSON object and nothing else."""
 
@@ -73,6 +74,10 @@ def _measure(part: Part) -> Callable[[], Sequence[Figure]]:
         from pemviz.bench.simulators import simulator_figures  # noqa: PLC0415
 
         return simulator_figures
+    if part == "recording":
+        from pemviz.bench.recording import recording_figures  # noqa: PLC0415  rerun is slow
+
+        return recording_figures
     from pemviz.bench.stl import stl_figures  # noqa: PLC0415
 
     return stl_figures

@@ -123,4 +123,5 @@ def viewer(path: Path) -> AbstractContextManager[str]:
 
 def _warm_up() -> None:
     """Import what the first run needs, while nobody waits for it."""
-    import_module("torch")
+    for name in ("torch", "pemviz.recording.recorder"):
+        import_module(name)

@@ -10,10 +10,9 @@ from pemviz.panel.memory import give_back
 from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
 from pemviz.panel.server import guarded_server
 from pemviz.panel.session import Session
+from pemviz.panel.widgets import TABS_WIDTH_PX
 
 LOG = logging.getLogger(__name__)
-
-TABS_WIDTH_PX = 500
 
 
 class App:

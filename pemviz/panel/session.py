@@ -153,9 +153,10 @@ class Session:
             return
         self._seen_version = state.version
         run = self.loaded or state.run
-        with self.client.atomic():
+        with self.client.atomic():  # first what a person waits for after Run and Stop
             self.head.refresh(state, run)
             self.experiment.refresh(state)
+        with self.client.atomic():
             self.learning.refresh(run)
             self.why.refresh(run)
             self.trajectories.refresh(run)

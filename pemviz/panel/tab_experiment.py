@@ -12,7 +12,7 @@ from pemviz.config_files import load_preset, preset_names
 from pemviz.errors import InputError
 from pemviz.experiment import build_formula, build_simulator
 from pemviz.panel.controller import PanelState
-from pemviz.panel.fields import hint, limits
+from pemviz.panel.fields import USED_FIELDS, hint, limits
 from pemviz.panel.views.experiment import scenario_text, spec_verdict
 from pemviz.panel.widgets import set_html
 from pemviz.pem import shipped_pems
@@ -29,7 +29,6 @@ RUN_HINT = "Run what is set up below. One experiment runs at a time; all browser
 STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
-FIXED_METHODS = ("monte-carlo", "naive", "value-twisted")
 
 
 class ExperimentTab:
@@ -63,6 +62,7 @@ class ExperimentTab:
             seed=self.seed.value,
             pem=self.pem.value,
             simulator=cast(SimulatorName, self.simulator.value),
+            reference=self.reference.value,
             spec=self.spec.value,
         )
 
@@ -112,6 +112,7 @@ class ExperimentTab:
         self.simulator = gui.add_dropdown(
             "Simulator", get_args(SimulatorName), hint=hint("simulator")
         )
+        self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
         self._verdict = gui.add_html("")
         self._facts = gui.add_html("")
@@ -144,17 +145,24 @@ class ExperimentTab:
         if config.pem not in self.pem.options:
             self.pem.options = (*self.pem.options, config.pem)
         self.pem.value, self.simulator.value = config.pem, config.simulator
-        self.spec.value = config.spec
+        self.reference.value, self.spec.value = config.reference, config.spec
         set_html(self._facts, scenario_text(config.scenario))
         self._enable()
         self._check_spec()
 
     def _enable(self) -> None:
-        """Grey out what the method does not use."""
-        fixed = self.method.value in FIXED_METHODS
-        for control in (self.alpha, self.sigma, self.stages, self.rollouts):
-            if control.disabled != fixed:
-                control.disabled = fixed
+        """Grey out what the method does not use; a slider's box cannot be, so sliders go."""
+        used = USED_FIELDS.get(cast(MethodName, self.method.value), frozenset())
+        for name, slider in (("alpha", self.alpha), ("sigma", self.sigma)):
+            if slider.visible != (name in used):
+                slider.visible = name in used
+        for name, control in (
+            ("stages", self.stages),
+            ("rollouts", self.rollouts),
+            ("final_rollouts", self.final_rollouts),
+        ):
+            if control.disabled == (name in used):
+                control.disabled = name not in used
 
     def _check_spec(self) -> None:
         try:

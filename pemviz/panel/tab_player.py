@@ -13,7 +13,7 @@ from pemviz.panel.ranking import RankedRow
 from pemviz.panel.rundata import RunData
 from pemviz.panel.scene import LIMIT_M, Scene
 from pemviz.panel.views.rollout import Track, track, track_plots, with_cursor
-from pemviz.panel.widgets import set_html
+from pemviz.panel.widgets import TABS_WIDTH_PX, set_html
 
 if TYPE_CHECKING:
     from pemviz.panel.session import Session
@@ -27,6 +27,11 @@ MARGIN_PX = 8
 PANEL_HEIGHT_PX = 274
 NARROWEST_PX = 420
 PLOT_PAUSE_S = 0.12
+# viser tells the scene's width in the screen's own pixels, of which there may be more than CSS's
+NOT_WIDER = (
+    "<style>[data-floating-window]{max-width:max("
+    f"{NARROWEST_PX}px,calc(100vw - {TABS_WIDTH_PX + 2 * MARGIN_PX}px))}}</style>"
+)
 
 
 class Player:
@@ -83,6 +88,7 @@ class Player:
 
     def _add_controls(self) -> None:
         gui, session = self._session.client.gui, self._session
+        gui.add_html(NOT_WIDER)
         self._plots = gui.add_html("")
         self.slider = gui.add_slider("Step", 0, 99, 1, 0, hint=STEP_HINT)
         buttons = ("Play", "Pause", "Restart", *SPEEDS)

@@ -2,6 +2,8 @@
 
 import viser
 
+TABS_WIDTH_PX = 500
+
 
 def set_html(handle: viser.GuiHtmlHandle, content: str) -> None:
     """Replace what an HTML element shows, if it differs."""

@@ -14,6 +14,7 @@ from pemviz.errors import InputError
 from pemviz.recording import paths
 
 TABLE_COLUMNS = ("rollout", "robustness", "violated", "log_weight", "log_p")
+SCALARS, TENSOR = "Scalars:scalars", "Tensor:data"
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,9 @@ class RecordedStage:
 
 
 def read_stages(path: Path) -> dict[int, RecordedStage]:
-    """Every stage's recorded rollouts, by stage; also from a recording that was cut short.
+    """Every stage's recorded rollouts, by stage.
+
+    A recording may have been cut short, or rewritten by ``rerun rrd optimize``.
 
     Raises:
         InputError: The file cannot be read as a recording.
@@ -53,14 +56,21 @@ def read_stages(path: Path) -> dict[int, RecordedStage]:
             continue
         stage = int(pieces[1].removeprefix("stage_"))
         found = parts.setdefault(stage, {})
-        if pieces[2] == paths.TABLE:
-            found[paths.TABLE] = {n: np.array(_first(batch, n)) for n in TABLE_COLUMNS}
-        elif pieces[2] == paths.DETECTED:
-            found[paths.DETECTED] = _raster(_first(batch, "Tensor:data")[0])
-        elif pieces[2] != paths.MISSED_SHARE:
-            rows = zip(batch[paths.STEP].tolist(), batch["Scalars:scalars"], strict=True)
-            found.setdefault("series", {}).setdefault(pieces[2], {}).update(rows)
+        _add(found, pieces[2], batch)
     return {stage: _stage(found) for stage, found in sorted(parts.items()) if _whole(found)}
+
+
+def _add(found: dict[str, Any], part: str, batch: dict[str, Any]) -> None:
+    """Take what a chunk holds of a stage; an optimized recording spreads columns over chunks."""
+    if part == paths.TABLE:
+        columns = {n: np.array(_first(batch, n)) for n in TABLE_COLUMNS if n in batch}
+        found.setdefault(paths.TABLE, {}).update(columns)
+    elif part == paths.DETECTED:
+        if TENSOR in batch:
+            found[paths.DETECTED] = _raster(_first(batch, TENSOR)[0])
+    elif part != paths.MISSED_SHARE and SCALARS in batch:
+        rows = zip(batch[paths.STEP].tolist(), batch[SCALARS], strict=True)
+        found.setdefault("series", {}).setdefault(part, {}).update(rows)
 
 
 def batches(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -94,7 +104,7 @@ def chunks(path: Path) -> Iterator[Any]:
 def _columns(batch: Any) -> dict[str, Any]:
     columns: dict[str, Any] = {}
     for field, column in zip(batch.schema, batch.columns, strict=True):
-        if field.name == "Scalars:scalars":
+        if field.name == SCALARS:
             columns[field.name] = _rows(column)
         elif field.name == paths.STEP:
             columns[field.name] = column.to_numpy(zero_copy_only=False)
@@ -121,7 +131,8 @@ def _raster(tensor: dict[str, Any]) -> AnyArray:
 
 
 def _whole(found: dict[str, Any]) -> bool:
-    return paths.TABLE in found and paths.DETECTED in found and bool(found.get("series"))
+    table_whole = set(found.get(paths.TABLE, ())) == set(TABLE_COLUMNS)
+    return table_whole and paths.DETECTED in found and bool(found.get("series"))
 
 
 def _stage(found: dict[str, Any]) -> RecordedStage:

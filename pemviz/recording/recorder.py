@@ -1,6 +1,9 @@
 """The observer that writes a run's recording while the run goes on."""
 
+import threading
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from pemviz.arrays import FloatArray
@@ -125,6 +128,8 @@ class Recorder:
             rollout_limit=self._rollout_limit,
             frames=self._frames,
         )
+        if self._frames:
+            threading.Thread(target=_import_filming, name="pemviz-filming").start()
         config = event.config
         file = self._file = RecordingFile(
             self.path,
@@ -263,6 +268,12 @@ def _prepare(
         has_scene={GAP, EGO_SPEED} <= names,
         pem_logit=load_pem(config.pem).logit if pem_logit is None else pem_logit,
     )
+
+
+def _import_filming() -> None:
+    """Import what films the least robust rollout while the run goes on; it takes a second."""
+    with suppress(ImportError):  # told when it is needed
+        import_module("pemviz.simulators.highway_env_scenario")
 
 
 def robustness_unit(metric: str) -> str:

@@ -73,11 +73,12 @@ def first_run(tmp_path_factory) -> Path:
 class Panel:
     """The panel under test."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, *, open_recording=None) -> None:
         self.root = root
         self.controller = Controller(root)
         recordings = RecordingsFolder(root)
-        self.app = App(Hub(self.controller, recordings), host="127.0.0.1", port=0)
+        hub = Hub(self.controller, recordings, open_recording=open_recording)
+        self.app = App(hub, host="127.0.0.1", port=0)
         show_something(self.controller, recordings)
         for name in recordings.names()[:1]:  # rather than the shipped sample
             self.controller.show(load_run(root / name))

@@ -2,10 +2,17 @@
 
 import json
 import re
+from urllib.parse import urlsplit
 
 import pytest
 
+from pemviz.commands.serve import recorders, viewer
+from pemviz.config import ExperimentConfig
+from pemviz.panel.controller import Controller
+from pemviz.panel.fields import USED_FIELDS
+from pemviz.panel.viewers import Viewers
 from tests.browser.conftest import WAIT_MS, Panel
+from tests.panel.conftest import wait_until
 
 pytest.importorskip("viser")
 
@@ -44,6 +51,13 @@ def small(page, *, stages=2):
     enter(page, "Final rollouts", 40)
 
 
+def is_enabled(page, label):
+    """Whether a number's box takes input; a slider that is not used is not there."""
+    if label in ("alpha", "sigma"):
+        return page.get_by_text(label, exact=True).count() == 1
+    return page.get_by_role("textbox", name=label, exact=True).is_enabled()
+
+
 def run(page):
     page.get_by_role("button", name="Run", exact=True).click()
 
@@ -72,6 +86,13 @@ def rests(page, cursor):
     step = int(cursor.get_attribute("data-cursor"))
     page.wait_for_timeout(1000)
     return int(cursor.get_attribute("data-cursor")) == step < 99
+
+
+def is_still(page):
+    """Whether the page looks the same for three seconds."""
+    before = page.screenshot()
+    page.wait_for_timeout(3000)
+    return page.screenshot() == before
 
 
 def until(page, condition, *, timeout_ms=WAIT_MS):
@@ -207,6 +228,70 @@ def test_pick_the_worst_rollout_and_play_it(open_page, shots):
             break
     until(page, lambda: cursor.get_attribute("data-cursor") == "80")
     assert " at 4.00 s" in cursor.text_content()
+
+
+def test_splitting_is_set_up_run_and_explained(open_page, shots, panel):
+    page = open_page()
+    labels = {
+        "alpha": "alpha", "sigma": "sigma", "stages": "Stages", "rollouts": "Rollouts",
+        "final_rollouts": "Final rollouts",
+    }  # fmt: skip
+    for method, used in USED_FIELDS.items():
+        choose(page, "Method", method)
+        until(
+            page, lambda u=used: {n for n, label in labels.items() if is_enabled(page, label)} == u
+        )
+    choose(page, "Method", "splitting")
+    enter(page, "Stages", 2)
+    enter(page, "Rollouts", 40)
+    page.screenshot(path=shots / "splitting-set-up.png")
+    run(page)
+    until(page, lambda: panel.controller.state.finished_runs > 0)
+    expect_done(page)
+    page.get_by_text(panel.controller.state.run.name).first.wait_for()
+    tab(page, "Learning")
+    page.get_by_text("cut and continued").wait_for()
+    assert page.get_by_role("img", name="Effective sample size of the violations").count() == 0
+    page.screenshot(path=shots / "splitting-learning.png")
+    tab(page, "Why")
+    page.get_by_text("Splitting's rollouts carry no weights").wait_for()
+    page.screenshot(path=shots / "splitting-why.png")
+
+
+def test_open_in_rerun_shows_the_recording_in_a_new_tab(chromium, tmp_path, shots):
+    root = tmp_path / "recordings"
+    recording = Controller(root, observers=recorders)
+    recording.start(ExperimentConfig(method="naive", final_rollouts=20))
+    name = wait_until(recording).run.name
+    recording.close()
+    viewers = Viewers(viewer)
+    made = Panel(root, open_recording=viewers.open)
+    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    context.set_default_timeout(WAIT_MS)
+    fetched = []
+    context.on("requestfinished", lambda request: fetched.append(urlsplit(request.url)))
+    try:
+        page = context.new_page()
+        page.goto(made.address)
+        page.locator("g[data-cursor]").wait_for()
+        tab(page, "Recordings")
+        choose(page, "Run", name)
+        page.get_by_role("button", name="Open in rerun", exact=True).click()
+        with context.expect_page() as opened:
+            page.get_by_role("link", name=f"Open {name} in rerun's viewer").click()
+        page.close()
+        shown = opened.value
+        until(shown, lambda: any(url.path == "/run.rrd" for url in fetched))
+        shown.locator("canvas").wait_for()
+        # drawn, not blank, and nothing is added any more
+        until(shown, lambda: len(shown.screenshot()) > 40_000 and is_still(shown))
+        shown.screenshot(path=shots / "rerun-in-a-new-tab.png")
+        outside = [url for url in fetched if url.scheme != "data" and url.hostname != "127.0.0.1"]
+        assert [url for url in outside if url.scheme != "blob"] == []
+    finally:
+        context.close()
+        made.close()
+        viewers.close()
 
 
 def test_two_browsers_and_a_reload_in_mid_run(open_page, shots, panel):

@@ -86,5 +86,24 @@ def test_weights_of_failures_sum_to_one_and_follow_the_likelihoods(naive_run):
     assert int(np.argmax(failures.weight)) == likeliest
 
 
+def test_splitting_weighs_failures_by_their_runs_estimates(naive_run):
+    stages = [
+        {"repetition": 0, "stage": 0, "kind": "final", "failures": 3, "log10_probability": -9.0},
+        {"repetition": 0, "stage": 1, "kind": "final", "failures": 1, "log10_probability": -10.0},
+    ]
+    violated = np.flatnonzero(naive_run.rollouts["violated"])[:4]
+    part = {name: values[violated] for name, values in naive_run.rollouts.items()}
+    part |= {"stage": np.array([0, 0, 0, 1]), "log_q": part["log_p"]}
+    run = replace(
+        naive_run,
+        config=replace(naive_run.config, method="splitting"),
+        read_document=lambda: {"stages": stages},
+        parts=(part,),
+    )
+    failures = failures_of(run)
+    assert failures is not None
+    assert failures.weight == pytest.approx(np.array([10 / 33, 10 / 33, 10 / 33, 1 / 11]))
+
+
 def test_default_config_has_every_metric():
     assert ExperimentConfig().metric in METRICS

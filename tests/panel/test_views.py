@@ -1,15 +1,17 @@
 """Views: the right figures, units, and nothing of a stranger's text taken for markup."""
 
 import math
+import typing
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from pemviz.config import ExperimentConfig
+from pemviz.config import ExperimentConfig, MethodName
+from pemviz.experiment import build_method
 from pemviz.panel.controller import PanelState
-from pemviz.panel.fields import field_docs, hint, limits
+from pemviz.panel.fields import USED_FIELDS, field_docs, hint, limits
 from pemviz.panel.ranking import rank, row
 from pemviz.panel.rundata import RunData
 from pemviz.panel.scene import braking, gap_color
@@ -123,7 +125,7 @@ def test_every_control_has_a_hint_with_what_the_field_says():
     docs = field_docs(ExperimentConfig)
     for name in (
         "method", "metric", "alpha", "sigma", "stages", "rollouts", "final_rollouts", "seed",
-        "pem", "simulator", "spec",
+        "pem", "simulator", "reference", "spec",
     ):  # fmt: skip
         assert len(hint(name)) > 20
         assert hint(name) == docs[name]
@@ -133,6 +135,77 @@ def test_every_control_has_a_hint_with_what_the_field_says():
     assert high == pytest.approx(0.995)
     with pytest.raises(ValueError, match="declares no bounds"):
         limits("spec", step=1)
+
+
+def test_controls_are_enabled_for_exactly_the_methods_that_use_them():
+    changes = {"alpha": 0.7, "sigma": 0.97, "stages": 7, "rollouts": 77, "final_rollouts": 777}
+    assert set(USED_FIELDS) == set(typing.get_args(MethodName))
+    for method, used in USED_FIELDS.items():
+        config = ExperimentConfig(method=method)
+        plain = build_method(config)
+        assert plain == build_method(config)
+        changed = {
+            n for n, v in changes.items() if build_method(replace(config, **{n: v})) != plain
+        }
+        assert used == changed
+
+
+def test_causes_are_told_in_words_with_units(naive_run):
+    document = {
+        **naive_run.document,
+        "causes": {
+            "repetition": 0,
+            "misses_by_distance": [
+                {"low": 4.0, "high": 6.0, "misses": 1.6999, "share": 0.16145},
+                {"low": 6.0, "high": 8.0, "misses": 8.83, "share": 0.83855},
+                {"low": 8.0, "high": 10.0, "misses": 0.0, "share": 0.0},
+            ],
+            "chains": [{"missed_steps": [39, 41, 42], "share": 0.2688, "rollouts": 1, "nll": 45.7}],
+        },
+        "sensitivity": [
+            {"low": None, "high": None, "elasticity": 9.93, "target_factor": 0.25},
+            {"low": 6.0, "high": 8.0, "elasticity": -0.123, "target_factor": None},
+        ],
+        "warnings": ["thin data", "the estimate is half the reference 1e-15"],
+    }
+    run = with_document(naive_run, document)
+    run = replace(run, config=replace(run.config, target=1e-18))
+    page = why.why(run)
+    words = ["".join(cell.itertext()) for cell in well_formed(page).iter("td")]
+    assert words[:5] == ["4 to 6", "1.70", "16 %", "–", "not enough alone"]
+    assert words[5:10] == ["6 to 8", "8.83", "84 %", "−0.12", "not enough alone"]
+    assert words[10:15] == ["all", "10.53", "100 %", "9.93", "25 %"]
+    assert "8 to 10" not in words
+    assert words[15:17] == ["27 %", "3"]
+    assert "missed at 1.95, 2.05, 2.10 s" in page
+    for raw in ("misses_by_distance", "elasticity", "repetition", "nll", "target_factor"):
+        assert raw not in page
+    trust, data = page.index("How far to trust"), page.index("The error model and its data")
+    assert trust < page.index("half the reference") < data < page.index("thin data")
+
+
+def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
+    def page(method):
+        run = replace(naive_run, config=replace(naive_run.config, method=method))
+        text = learning.learning(run)
+        well_formed(text)
+        return text
+
+    assert "older stages fade" in page("adaptive")
+    for method in ("splitting", "monte-carlo", "naive", "value-twisted"):
+        assert "proposal after stage" not in page(method)
+        assert "a stage alone" not in page(method)
+    assert "cut and continued" in page("splitting")
+    assert "Threshold" not in page("splitting")
+    assert "optimal proposal" in page("value-twisted")
+
+
+def test_without_a_violation_the_upper_bound_is_drawn(naive_run):
+    document = {**naive_run.document, "reference": None}
+    document["estimate"] = {
+        **document["estimate"], "failures": 0, "probability": 0.0, "ci_low": 0.0, "ci_high": 0.03,
+    }  # fmt: skip
+    assert "95 % upper bound" in learning.learning(with_document(naive_run, document))
 
 
 def test_track_holds_the_rollout_and_its_probabilities(naive_run):

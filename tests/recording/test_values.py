@@ -69,6 +69,19 @@ def test_rollouts_equal_those_of_the_run_folder(learned):
             np.testing.assert_array_equal(getattr(found, key), arrays[key][rows])
 
 
+def test_an_optimized_recording_reads_back_the_same(learned, tmp_path):
+    path = tmp_path / "optimized.rrd"
+    words = [RERUN, "rrd", "optimize", learned.path, "-o", path]
+    subprocess.run(words, capture_output=True, check=True)
+    found = read_stages(path)
+    for stage, original in read_stages(learned.path).items():
+        for name in ("rollout", "robustness", "violated", "log_weight", "log_p", "detected"):
+            np.testing.assert_array_equal(getattr(found[stage], name), getattr(original, name))
+        assert set(found[stage].series) == set(original.series)
+        for name, values in original.series.items():
+            np.testing.assert_array_equal(found[stage].series[name], values)
+
+
 def test_timelines_are_those_documented_and_agree(learned):
     entity = paths.rollouts(1, "gap_m")
     rows = [c for c in chunks(learned.path) if c.entity_path == entity and not c.is_static]

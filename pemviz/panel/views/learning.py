@@ -11,8 +11,34 @@ from pemviz.panel.rundata import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.words import block, number, quiet, rows, table
 
-DIRECT = ("monte-carlo", "naive")
-TWISTED = "value-twisted"
+SPLITTING = "splitting"
+FOLLOWS_MODEL = ("monte-carlo", SPLITTING)
+DIRECT = ("monte-carlo", "naive", "value-twisted")
+WORDS = {
+    "monte-carlo": (
+        "Nothing is learned by this method: all rollouts are drawn from the error model (black), "
+        "under which violations are rare."
+    ),
+    "naive": (
+        "Nothing is learned by this method: all rollouts are drawn with one constant probability "
+        "of detection (red). Black: how likely the detector is to see the car ahead."
+    ),
+    "value-twisted": (
+        "Black: how likely the detector is to see the car ahead. Red: the optimal proposal, "
+        "computed from the probability of a violation from each state, along the typical path."
+    ),
+    SPLITTING: (
+        "Nothing is learned by this method: rollouts follow the error model (black). Those that "
+        "come closest to a violation are cut and continued, level by level, in independent runs."
+    ),
+}
+LEARNED = (
+    "Black: how likely the detector is to see the car ahead. Red: what rollouts are drawn from. "
+    "It learns to miss where misses cause a violation; older stages fade."
+)
+FAR_BELOW = -60.0
+MOST_DECADES = 10.0
+DRAWN_FROM = {"naive": "what rollouts are drawn from", "value-twisted": "optimal proposal"}
 
 
 def learning(run: RunData | None) -> str:
@@ -24,25 +50,23 @@ def learning(run: RunData | None) -> str:
 
 def _learning(run: RunData) -> str:
     stages = _last_repetition(rows(run.document.get("stages")))
-    parts = [proposal_plot(run), quiet(_what_to_see(run))]
-    if len(stages) > 1:
-        parts += [threshold_plot(stages, unit=_unit(run)), failure_plot(stages), ess_plot(stages)]
+    parts = [proposal_plot(run), quiet(WORDS.get(run.config.method, LEARNED))]
+    if has_stages(run, stages):
+        parts += _stage_plots(run, stages)
     parts.append(estimate_plot(run, stages))
     return "".join(parts)
 
 
-def _what_to_see(run: RunData) -> str:
-    if run.config.method in DIRECT:
-        return "Nothing is learned by this method: all rollouts come from one fixed distribution."
-    if run.config.method == TWISTED:
-        return (
-            "Black: how likely the detector is to see the car ahead. Red: the optimal proposal, "
-            "computed from the probability of a violation from each state, along the typical path."
-        )
-    return (
-        "Black: how likely the detector is to see the car ahead. Red: what rollouts are drawn "
-        "from. It learns to miss where misses cause a violation; older stages fade."
-    )
+def has_stages(run: RunData, stages: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether stages differ; those of a method that learns nothing are parts of one batch."""
+    return len(stages) > 1 and run.config.method not in DIRECT
+
+
+def _stage_plots(run: RunData, stages: Sequence[Mapping[str, Any]]) -> list[str]:
+    if run.config.method == SPLITTING:
+        return [failure_plot(stages, title="Particles that violate at a run's end", each="run")]
+    threshold = threshold_plot(stages, unit=_unit(run))
+    return [threshold, failure_plot(stages), ess_plot(stages)]
 
 
 def proposal_plot(run: RunData) -> str:
@@ -55,7 +79,8 @@ def proposal_plot(run: RunData) -> str:
         height=216,
         bottom=48,
     )
-    curves = run.final_curves[-40:]
+    method = run.config.method
+    curves = () if method in FOLLOWS_MODEL else run.final_curves[-40:]
     for age, curve in enumerate(reversed(curves)):
         plot.line(
             curve.gap_m,
@@ -63,15 +88,14 @@ def proposal_plot(run: RunData) -> str:
             color=PROPOSAL,
             width=2.4 if age == 0 else 1.3,
             opacity=max(0.14, 0.75 ** (age + (1 if age else 0))) if age else 1.0,
-            tip=f"proposal after stage {curve.stage}",
+            tip=DRAWN_FROM.get(method, f"proposal after stage {curve.stage}"),
         )
     plot.line(run.gap_m, run.pem_detection, color=PEM, width=2.0, tip="error model")
-    entries = [(f"error model ({_shown_pem(run)})", PEM, "")]
+    y = plot.height - 6
+    plot.legend([(f"error model ({_shown_pem(run)})", PEM, "")], x=plot.left + 6, y=y)
     if curves:
-        entries.append((f"proposal after stage {curves[-1].stage}", PROPOSAL, ""))
-    for place, (label, color, _) in enumerate(entries):
-        x = plot.left + 6 + 178 * place
-        plot.legend([(label, color, "")], x=x, y=plot.height - 6)
+        label = DRAWN_FROM.get(method, f"proposal after stage {curves[-1].stage}")
+        plot.legend([(label, PROPOSAL, "")], x=plot.left + 184, y=y)
     return plot.text()
 
 
@@ -98,19 +122,24 @@ def threshold_plot(stages: Sequence[Mapping[str, Any]], *, unit: str) -> str:
     return plot.text()
 
 
-def failure_plot(stages: Sequence[Mapping[str, Any]]) -> str:
+def failure_plot(
+    stages: Sequence[Mapping[str, Any]],
+    *,
+    title: str = "Rollouts that violate",
+    each: str = "stage",
+) -> str:
     """Share of violating rollouts a stage."""
     kept = [s for s in stages if is_number(s.get("failures")) and s.get("rollouts")]
     xs = np.array([float(s["stage"]) for s in kept])
     ys = np.array([100.0 * float(s["failures"]) / float(s["rollouts"]) for s in kept])
     plot = Plot(
-        title="Rollouts that violate",
-        x=_stage_axis(stages),
+        title=title,
+        x=_stage_axis(stages, each),
         y=Axis(0.0, 100.0, "share [%]", ticks=(0.0, 50.0, 100.0)),
         height=118,
     )
     for x, y, stage in zip(xs, ys, kept, strict=True):
-        tip = f"stage {stage['stage']}: {stage['failures']} of {stage['rollouts']}"
+        tip = f"{each} {stage['stage']}: {stage['failures']} of {stage['rollouts']}"
         edges = np.array([x - 0.35, x + 0.35])
         plot.bars(edges, np.array([y]), color=ORANGE, tips=[tip])
     return plot.text()
@@ -141,46 +170,65 @@ def estimate_plot(run: RunData, stages: Sequence[Mapping[str, Any]]) -> str:
     """Estimates a stage, the answer with its interval, and the reference, on a log axis."""
     estimate = table(run.document.get("estimate"))
     reference = table(run.document.get("reference"))
+    each = "run" if run.config.method == SPLITTING else "stage"
+    several = has_stages(run, stages)
     points = [
         (float(s["stage"]), float(s["log10_probability"]))
         for s in stages
-        if is_number(s.get("log10_probability"))
+        if several and is_number(s.get("log10_probability"))
     ]
-    values = [v for _, v in points]
-    values += logs(estimate, "probability", "ci_low", "ci_high") + logs(reference, "probability")
-    shown = [v for v in values if v > -60.0]
-    low, high = (
-        (math.floor(min(shown)) - 1.0, math.ceil(max(shown)) + 1.0) if shown else (-20.0, 0.0)
-    )
+    answer = logs(estimate, "probability")
+    bound = [] if answer else logs(estimate, "ci_high")
+    values = [v for _, v in points] + logs(reference, "probability")
+    low, high = _decades([*values, *logs(estimate, "probability", "ci_low", "ci_high")])
+    x = _stage_axis(stages, each) if several else Axis(-1.0, 1.0, "all rollouts", ticks=())
     plot = Plot(
         title="Estimate of P(violation)",
-        x=_stage_axis(stages),
-        y=Axis(low, min(high, 0.0), "probability", log10=True),
+        x=x,
+        y=Axis(low, high, "probability", log10=True),
         height=176,
         left=52,
         bottom=48,
     )
     for value in logs(reference, "probability"):
         plot.hline(value, color=GREEN, dash="", label="reference")
+    for value in bound:
+        plot.hline(value, color=VERMILLION, label="no violation seen: 95 % upper bound")
     kept = [(s, v) for s, v in points if v >= low]
-    tips = [f"stage {s:g} alone: {number(10.0**v)}" for s, v in kept]
+    tips = [f"{each} {s:g} alone: {number(10.0**v)}" for s, v in kept]
     plot.points([s for s, _ in kept], [v for _, v in kept], color=GREY, tips=tips)
-    answer = logs(estimate, "probability")
-    if answer:
-        last = max([float(s["stage"]) for s in stages if is_number(s.get("stage"))], default=0.0)
-        interval = logs(estimate, "ci_low", "ci_high")
-        if len(interval) == 2:
-            plot.whisker(last + 0.25, interval[0], interval[1], color=VERMILLION)
-        tip = f"answer {number(estimate.get('probability'))}"
-        plot.points([last + 0.25], answer, color=VERMILLION, radius=4.0, tips=[tip])
-    elif not kept:
-        plot.note("no violation yet", (plot.left + plot.right) / 2, plot.top + 50, anchor="middle")
-    y = plot.height - 6
-    plot.legend([("a stage alone", GREY, "")], x=plot.left, y=y)
-    plot.legend([("the answer, 95 % interval", VERMILLION, "")], x=plot.left + 105, y=y)
-    if reference:
-        plot.legend([("reference", GREEN, "")], x=plot.left + 275, y=y)
+    _draw_answer(plot, estimate, x=x.high - 0.35 if several else 0.0)
+    if not (answer or kept or bound):
+        words = "no violation yet" if run.running else "no violation seen"
+        plot.note(words, (plot.left + plot.right) / 2, plot.top + 50, anchor="middle")
+    entries = [(f"a {each} alone", GREY)] * several + [("the answer, 95 % interval", VERMILLION)]
+    entries += [("reference", GREEN)] * bool(reference)
+    for place, (label, color) in zip(_legend_places(entries), entries, strict=True):
+        plot.legend([(label, color, "")], x=plot.left + place, y=plot.height - 6)
     return plot.text()
+
+
+def _draw_answer(plot: Plot, estimate: Mapping[str, Any], *, x: float) -> None:
+    interval = logs(estimate, "ci_low", "ci_high")
+    for value in logs(estimate, "probability"):
+        if len(interval) == 2:
+            plot.whisker(x, interval[0], interval[1], color=VERMILLION)
+        tip = f"answer {number(estimate.get('probability'))}"
+        plot.points([x], [value], color=VERMILLION, radius=4.0, tips=[tip])
+
+
+def _decades(values: Sequence[float]) -> tuple[float, float]:
+    """Whole powers of ten around decimal logarithms; what is lower by far does not count."""
+    shown = [value for value in values if value > FAR_BELOW]
+    if not shown:
+        return -20.0, 0.0
+    least = max(min(shown), float(np.median(shown)) - MOST_DECADES)
+    return math.floor(least) - 1.0, min(math.ceil(max(shown)) + 1.0, 0.0)
+
+
+def _legend_places(entries: Sequence[tuple[str, str]]) -> list[int]:
+    lengths = [27 + round(5.3 * len(label)) for label, _ in entries]
+    return [sum(lengths[:place]) for place in range(len(entries))]
 
 
 def _last_repetition(stages: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -189,10 +237,10 @@ def _last_repetition(stages: Sequence[Mapping[str, Any]]) -> list[Mapping[str, A
     return [s for s in kept if s.get("repetition", 0) == last]
 
 
-def _stage_axis(stages: Sequence[Mapping[str, Any]]) -> Axis:
+def _stage_axis(stages: Sequence[Mapping[str, Any]], each: str = "stage") -> Axis:
     last = max([int(s["stage"]) for s in stages if is_number(s.get("stage"))], default=0)
     step = max(1, (last + 6) // 12)
-    return Axis(-0.6, last + 0.6, "stage", ticks=tuple(float(t) for t in range(0, last + 1, step)))
+    return Axis(-0.6, last + 0.6, each, ticks=tuple(float(t) for t in range(0, last + 1, step)))
 
 
 def _unit(run: RunData) -> str:

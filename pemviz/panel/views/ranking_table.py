@@ -3,7 +3,7 @@
 from html import escape
 
 from pemviz.panel.palette import MISSED
-from pemviz.panel.ranking import Ranking, row
+from pemviz.panel.ranking import RankedRow, Ranking, row
 from pemviz.panel.rundata import RunData
 from pemviz.panel.views.words import MINUS, block, cells, number, quiet
 
@@ -42,7 +42,7 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
             f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>" if entry.violated else "no"
         )
         values = (
-            str(entry.rank), robustness_text(entry.robustness), verdict, number(entry.log_weight),
+            str(entry.rank), robustness_text(entry.robustness), verdict, weight_text(run, entry),
             str(entry.misses), str(entry.stage),
         )  # fmt: skip
         mark = "background:#dbeafe;font-weight:600;" if place == selected else ""
@@ -68,6 +68,11 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
         f"font-size:11.5px;font-variant-numeric:tabular-nums'><thead><tr>{head}</tr></thead>"
         f"<tbody>{''.join(lines)}</tbody></table>{quiet(shown)}"
     )
+
+
+def weight_text(run: RunData, entry: RankedRow) -> str:
+    """The log weight; a dash for splitting, whose rollouts carry none."""
+    return number(None if run.config.method == "splitting" else entry.log_weight)
 
 
 def robustness_text(value: float) -> str:

@@ -1,5 +1,6 @@
 """The Why tab: which misses cause violations, and how far to trust the number."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
@@ -11,11 +12,26 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.panel.palette import BLACK, VERMILLION
 from pemviz.panel.rundata import RunData
 from pemviz.panel.svg import Axis, Plot
-from pemviz.panel.views.learning import is_number
-from pemviz.panel.views.words import block, good, grid, heading, number, quiet, rows, table, warning
+from pemviz.panel.views.causes import causes_part
+from pemviz.panel.views.learning import SPLITTING, is_number
+from pemviz.panel.views.words import (
+    block,
+    good,
+    grid,
+    heading,
+    number,
+    percent,
+    quiet,
+    rows,
+    table,
+    warning,
+)
 
 BAND_M = 1.0
-SHOWN_ROWS = 14
+UNWEIGHTED = (
+    "Splitting's rollouts carry no weights, so there is nothing to diagnose and no sensitivity: "
+    "its standard error comes from how far its independent runs differ."
+)
 
 
 def why(run: RunData | None) -> str:
@@ -28,13 +44,7 @@ def why(run: RunData | None) -> str:
 
 
 def _why(run: RunData) -> str:
-    return (
-        _misses(run)
-        + _engine_part(run, "causes", "Causes")
-        + _engine_part(run, "sensitivity", "Sensitivity to the error model, by distance")
-        + _trust(run)
-        + _assumptions(run)
-    )
+    return _misses(run) + causes_part(run) + _trust(run) + _data(run) + _assumptions(run)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +80,7 @@ def failures_of(run: RunData) -> Failures | None:
     chosen = violated & in_final if np.any(violated & in_final) else violated
     if not np.any(chosen):
         return None
-    log_weight = run.log_weight[chosen]
+    log_weight = run.log_weight[chosen] + _log_stage_weight(run)[chosen]
     weight = np.exp(log_weight - np.max(log_weight))
     detected = np.asarray(rollouts["detected"][chosen], dtype=np.bool_)
     log_p = np.asarray(rollouts["log_p"][chosen], dtype=np.float64)
@@ -80,6 +90,27 @@ def failures_of(run: RunData) -> Failures | None:
         pem_miss=np.where(detected, -np.expm1(log_p), np.exp(log_p)),
         weight=weight / np.sum(weight),
     )
+
+
+def _log_stage_weight(run: RunData) -> FloatArray:
+    """Log weight ``[N]`` that a rollout has through its stage.
+
+    Splitting's rollouts carry no weights of their own, but its runs differ by many powers of
+    ten: a run's estimate is shared by its violations.
+    """
+    rollouts = run.rollouts
+    log_weight = np.zeros(rollouts["violated"].shape[0])
+    if run.config.method != SPLITTING:
+        return log_weight
+    for stage in rows(run.document.get("stages")):
+        log10_p, failures = stage.get("log10_probability"), stage.get("failures")
+        inside = (rollouts["repetition"] == stage.get("repetition")) & (
+            rollouts["stage"] == stage.get("stage")
+        )
+        if is_number(log10_p) and is_number(failures) and failures:
+            share = math.log(10.0) * float(cast(float, log10_p)) - math.log(float(failures))
+            log_weight[inside] = share
+    return log_weight
 
 
 def _misses(run: RunData) -> str:
@@ -180,67 +211,47 @@ def time_plot(failures: Failures, *, dt_s: float) -> str:
     return plot.text()
 
 
-def _engine_part(run: RunData, key: str, title: str) -> str:
-    """What the engine offers under a key of the result, as a table."""
-    value = run.document.get(key)
-    if not value:
-        return ""
-    if isinstance(value, Mapping):
-        found = cast(Mapping[str, Any], value)
-        nested = [k for k, v in found.items() if rows(v)]
-        # long series are plotted above or kept to result.json
-        plain = {k: v for k, v in found.items() if not isinstance(v, list | tuple | Mapping)}
-        return (
-            heading(title)
-            + (_pairs(plain, name=title) if plain else "")
-            + "".join(quiet(_label(k)) + _rows_table(found[k], name=k) for k in nested)
-        )
-    return heading(title) + _rows_table(value, name=title)
-
-
-def _rows_table(value: object, *, name: str) -> str:
-    found = rows(value)
-    if not found:
-        return quiet(str(value)[:400])
-    keys = [key for key in found[0] if any(line.get(key) is not None for line in found)]
-    body = [[_shown(line.get(key)) for key in keys] for line in found[:SHOWN_ROWS]]
-    more = f"and {len(found) - SHOWN_ROWS} more in result.json" if len(found) > SHOWN_ROWS else ""
-    return grid([escape(_label(key)) for key in keys], body, name=name) + quiet(more)
-
-
-def _pairs(found: Mapping[str, Any], *, name: str) -> str:
-    return grid(["", ""], [[escape(_label(k)), _shown(v)] for k, v in found.items()], name=name)
-
-
-def _label(key: str) -> str:
-    return key.replace("_", " ")
-
-
-def _shown(value: object) -> str:
-    if is_number(value):
-        return number(value)
-    if isinstance(value, list | tuple):
-        return ", ".join(_shown(item) for item in cast(list[object], value)[:16])
-    return escape("\N{EN DASH}" if value is None else str(value)[:120])
-
-
 def _trust(run: RunData) -> str:
     estimate = table(run.document.get("estimate"))
-    parts = [heading("How far to trust the number")]
-    warnings = estimate.get("warnings")
-    words = [str(w) for w in warnings] if isinstance(warnings, list | tuple) else []
-    parts += [warning(w) for w in words]
-    if estimate and not words:
+    words = _words(estimate.get("warnings")) + _warnings(run, about_reference=True)
+    parts = [heading("How far to trust the number"), *(warning(w) for w in words)]
+    if run.config.method == SPLITTING:
+        parts.append(quiet(UNWEIGHTED))
+    elif estimate and not words:
         parts.append(good("The diagnostics give no warning."))
-    lines = [
-        ["effective sample size", number(estimate.get("ess")), "want 10 or more"],
-        ["Pareto k-hat", number(estimate.get("pareto_k")), "reliable up to 0.7"],
-        ["largest weight's share", number(estimate.get("max_weight_share")), "want a few per cent"],
-    ]
-    if estimate:
-        parts.append(grid(["diagnostic", "value", ""], lines, name="Diagnostics"))
+    if is_number(estimate.get("ess")):
+        parts.append(diagnostics_table(estimate))
     parts += [_reference(run), _interval(run)]
     return "".join(parts)
+
+
+def diagnostics_table(estimate: Mapping[str, Any]) -> str:
+    """The weights' diagnostics beside what they should be."""
+    size, tail = number(estimate.get("ess")), number(estimate.get("pareto_k"), 2)
+    lines = [
+        ["effective sample size of the violations", size, "10 or more"],
+        ["Pareto k-hat, the weights' tail", tail, "0.7 or less"],
+        ["largest weight's share", percent(estimate.get("max_weight_share")), "a few per cent"],
+    ]
+    return grid(["diagnostic", "found", "wanted"], lines, name="Diagnostics")
+
+
+def _words(found: object) -> list[str]:
+    return [str(w) for w in cast(list[object], found)] if isinstance(found, list | tuple) else []
+
+
+def _warnings(run: RunData, *, about_reference: bool) -> list[str]:
+    """The engine's warnings that compare with the reference, or all others."""
+    words = _words(run.document.get("warnings"))
+    return [w for w in words if ("the reference" in w) == about_reference]
+
+
+def _data(run: RunData) -> str:
+    """What the model's training data do not show."""
+    words = _warnings(run, about_reference=False)
+    if not words:
+        return ""
+    return heading("The error model and its data") + "".join(warning(w) for w in words)
 
 
 def _reference(run: RunData) -> str:
@@ -260,16 +271,14 @@ def _interval(run: RunData) -> str:
     interval = table(run.document.get("pem_interval"))
     if not interval:
         return ""
-    share: Any = interval.get("confidence")
-    words = f"{100 * share:.3g} % of" if is_number(share) else "Of"
-    notes = interval.get("warnings")
-    warnings = cast(list[object], notes) if isinstance(notes, list | tuple) else []
+    confidence: Any = interval.get("confidence")
+    words = f"{100 * confidence:.3g} %" if is_number(confidence) else "most"
     return quiet(
-        f"Uncertainty of the error model itself: {words} {number(interval.get('members'), 6)} "
-        f"models that the same data could have produced put P(violation) between "
+        f"Other error models: of {number(interval.get('members'), 6)} models that the same data "
+        f"could have produced, {words} put P(violation) between "
         f"{number(interval.get('low'), 2)} and {number(interval.get('high'), 2)} "
         f"(median {number(interval.get('median'), 2)})."
-    ) + "".join(warning(str(w)) for w in warnings)
+    ) + "".join(warning(w) for w in _words(interval.get("warnings")))
 
 
 def _assumptions(run: RunData) -> str:

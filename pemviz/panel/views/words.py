@@ -30,6 +30,14 @@ def number(value: object, digits: int = 3) -> str:
     return f"{value:.{digits}g}".replace("-", MINUS)
 
 
+def percent(value: object) -> str:
+    """A share from 0 to 1 in per cent, a dash if there is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return "\N{EN DASH}"
+    found = 100.0 * value
+    return f"{found:.0f} %" if found >= 9.95 or found == 0.0 else f"{number(found, 2)} %"
+
+
 def table(value: object) -> Mapping[str, Any]:
     """``value`` if it is a table, else an empty one: documents may come from anywhere."""
     return cast(Mapping[str, Any], value) if isinstance(value, Mapping) else {}
@@ -82,7 +90,7 @@ def grid(header: Sequence[str], body: Sequence[Sequence[str]], *, name: str) -> 
     )
     return (
         f"<table aria-label='{escape(name, quote=True)}' style='border-collapse:collapse;"
-        f"width:100%;font-size:11.5px;font-variant-numeric:tabular-nums'>"
+        f"width:100%;margin-bottom:4px;font-size:11.5px;font-variant-numeric:tabular-nums'>"
         f"<thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>"
     )
 

@@ -1,0 +1,127 @@
+"""Pictures of every tab of the panel, for the README.
+
+    python tools/panel_pictures.py --out FOLDER [--recordings recordings]
+
+Needs Chromium (``apt-get install chromium``), playwright and Pillow. The pictures show the newest
+run of the paper's method in the recordings folder, beside the newest one of ``mixture``; a run
+that is not there is made first.
+"""
+
+import argparse
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import PIL.Image
+from panel_timings import (
+    ARGUMENTS,
+    SETTLE_MS,
+    WAIT_MS,
+    choose,
+    open_panel,
+    press,
+    server,
+    tab,
+)
+from playwright.sync_api import Page, sync_playwright
+
+VIEWPORT = {"width": 1200, "height": 760}
+PIXELS_A_POINT = 1.5
+COLORS = 160
+SHOWN_STEP = 50
+
+
+def main() -> int:
+    """Make the runs that are not there yet, and take the pictures."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--recordings", type=Path, default=Path("recordings"))
+    parser.add_argument("--browser", default="/usr/bin/chromium", help="Chromium's program")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    shown = newest(arguments.recordings, "adaptive", "--reference")
+    other = newest(arguments.recordings, "mixture")
+    with sync_playwright() as playwright, server(arguments.recordings) as address:
+        browser = playwright.chromium.launch(executable_path=arguments.browser, args=ARGUMENTS)
+        context = browser.new_context(viewport=VIEWPORT, device_scale_factor=PIXELS_A_POINT)
+        page = context.new_page()
+        page.set_default_timeout(WAIT_MS)
+        open_panel(page, address)
+        close_notices(page)
+        take_pictures(page, arguments.out, shown=shown, other=other)
+        browser.close()
+    return 0
+
+
+def newest(recordings: Path, method: str, *options: str) -> str:
+    """The name of the newest run by a method, made if there is none."""
+    if not any(recordings.glob(f"*-{method}")):
+        words = [sys.executable, "-m", "pemviz", "record", "--method", method, *options]
+        subprocess.run(  # noqa: S603  our own program
+            [*words, "--json", "--out", str(recordings)], check=True, capture_output=True
+        )
+    return max(recordings.glob(f"*-{method}")).name
+
+
+def close_notices(page: Page) -> None:
+    """Close what viser says about the browser, which would cover the scene."""
+    notices = page.locator(".mantine-Notification-closeButton")
+    page.wait_for_timeout(SETTLE_MS)
+    while notices.count():
+        notices.first.click()
+        page.wait_for_timeout(SETTLE_MS)
+
+
+def take_pictures(page: Page, folder: Path, *, shown: str, other: str) -> None:
+    """Show a run, and picture every tab."""
+    tab(page, "Recordings")
+    choose(page, "Run", shown)
+    press(page, "Load")
+    page.get_by_role("button", name="Back to the latest run").wait_for()
+    keep(page, folder / "panel-recordings.png")
+    tab(page, "Experiment")
+    keep(page, folder / "panel-experiment.png")
+    tab(page, "Learning")
+    keep(page, folder / "panel-learning.png")
+    scroll_to_end_of(page, "Estimate of P(violation)")
+    keep(page, folder / "panel-estimate.png")
+    tab(page, "Trajectories")
+    play_to(page, SHOWN_STEP)
+    keep(page, folder / "panel-trajectories.png")
+    tab(page, "Compare")
+    choose(page, "Compare with", other)
+    page.get_by_text("Settings that differ").wait_for()
+    keep(page, folder / "panel-compare.png")
+    tab(page, "Why")
+    keep(page, folder / "panel-why.png")
+    page.get_by_text("Likeliest chains of misses").evaluate("e => e.scrollIntoView()")
+    keep(page, folder / "panel-chains.png")
+
+
+def scroll_to_end_of(page: Page, plot: str) -> None:
+    """Scroll the tab until a plot is the last that shows."""
+    page.get_by_role("img", name=plot).evaluate("e => e.scrollIntoView({block: 'end'})")
+
+
+def play_to(page: Page, step: int) -> None:
+    """Put the playback where the cars come close."""
+    row = page.locator("div.mantine-Flex-root", has=page.get_by_text("Step", exact=True)).last
+    row.get_by_role("textbox").fill(str(step))
+    row.get_by_role("textbox").press("Enter")
+    page.locator(f"g[data-cursor='{step}']").wait_for()
+
+
+def keep(page: Page, path: Path) -> None:
+    """Keep a picture of the page in few colours, which a README loads quickly."""
+    page.wait_for_timeout(SETTLE_MS)
+    picture = PIL.Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    few = picture.quantize(COLORS, dither=PIL.Image.Dither.NONE)
+    few.save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
