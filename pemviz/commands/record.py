@@ -20,7 +20,7 @@ from pemviz.engine import run as run_engine
 from pemviz.errors import ConfigError
 from pemviz.events import Observer
 from pemviz.exit_codes import EXIT_DONE, EXIT_FAILED
-from pemviz.experiment import build_experiment
+from pemviz.experiment import build_experiment, device_notes
 from pemviz.ranges import Range, check_value
 from pemviz.reports.writer import ReportWriter
 from pemviz.results import result_document
@@ -84,6 +84,8 @@ def run(words: Sequence[str]) -> int:
     """
     arguments = parse(words)
     experiment = build_experiment(arguments.experiment)
+    for note in device_notes(experiment):
+        print(f"pemviz: {note}", file=sys.stderr)
     reports = ReportWriter(
         summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
     )
