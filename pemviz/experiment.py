@@ -18,10 +18,11 @@ from pemviz.sampling.devices import (
     NUMPY,
     batch_runner,
     check_device,
-    gpu_batch_rollouts,
     has_tensors,
+    is_gpu,
 )
 from pemviz.sampling.direct import DirectSampling
+from pemviz.sampling.final_batch import largest_part
 from pemviz.sampling.method import Method
 from pemviz.sampling.mixture import MixtureSampling
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
@@ -117,9 +118,8 @@ def batch_rollouts(config: ExperimentConfig) -> int:
     """How many rollouts are simulated at a time; the result does not depend on it."""
     if config.simulator == "highway-env":
         return SLOW_BATCH_ROLLOUTS
-    if config.device.startswith("cuda"):
-        return gpu_batch_rollouts(states=config.scenario.states, least=BATCH_ROLLOUTS)
-    return BATCH_ROLLOUTS
+    largest = largest_part(states=config.scenario.states)
+    return largest if is_gpu(config.device) else min(BATCH_ROLLOUTS, largest)
 
 
 def device_notes(experiment: Experiment) -> tuple[str, ...]:
@@ -206,6 +206,7 @@ def check_bounds_hold(simulator: Simulator) -> None:
 
 def build_method(config: ExperimentConfig) -> Method[Any]:
     """The method that ``config`` names."""
+    most = largest_part(states=config.scenario.states)
     if config.method == "adaptive":
         return AdaptiveSampling(
             learning_stages=config.stages,
@@ -216,12 +217,14 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             epochs=config.epochs,
             learning_rate=config.learning_rate,
             seed=config.seed,
+            largest_part=most,
         )
     if config.method == "value-twisted":
         return ValueTwistedSampling(
             twin=VectorizedSimulator(config.scenario),
             rollouts=config.final_rollouts,
             seed=config.seed,
+            largest_part=most,
         )
     if config.method == "mixture":
         return MixtureSampling(
@@ -230,6 +233,7 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             final_rollouts=config.final_rollouts,
             seed=config.seed,
             features=BrakingFeatures(config.scenario),
+            largest_part=most,
         )
     if config.method == "splitting":
         return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
@@ -239,7 +243,11 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
         else ConstantProposal(detection_probability=config.naive_detection_probability)
     )
     return DirectSampling(
-        name=config.method, proposal=proposal, rollouts=config.final_rollouts, seed=config.seed
+        name=config.method,
+        proposal=proposal,
+        rollouts=config.final_rollouts,
+        seed=config.seed,
+        largest_part=most,
     )
 
 

@@ -12,8 +12,6 @@ from pemviz.types import Proposal, RolloutBatch, Simulator
 
 NUMPY = "cpu"
 TORCH_CPU = "torch-cpu"
-GPU_BATCH_STEPS = 5_000_000
-"""Rollouts times steps of a batch on a GPU: enough to keep it busy, a few hundred megabytes."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +39,9 @@ def batch_runner(device: str) -> BatchRunner:
     return run_here if device == NUMPY else DeviceRunner(device)
 
 
-def gpu_batch_rollouts(*, states: int, least: int) -> int:
-    """How many rollouts of ``states`` states a GPU simulates at a time; at least ``least``."""
-    return max(least, GPU_BATCH_STEPS // states)
+def is_gpu(device: str) -> bool:
+    """Whether a device wants larger batches than numpy, so that it is not kept waiting."""
+    return device.startswith("cuda")
 
 
 def simulate_on_device(

@@ -13,14 +13,13 @@ from hypothesis import strategies as st
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.engine import run_experiment
 from pemviz.errors import ConfigError
-from pemviz.experiment import build_experiment, device_notes
+from pemviz.experiment import batch_rollouts, build_experiment, device_notes
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.devices import (
     DeviceRunner,
     check_device,
-    gpu_batch_rollouts,
     missing_cuda,
     simulate_on_device,
 )
@@ -271,8 +270,13 @@ def test_what_stays_on_the_cpu_is_told():
 
 
 def test_gpu_batches_are_large_but_bounded():
-    assert gpu_batch_rollouts(states=100, least=4096) == 50_000
-    assert gpu_batch_rollouts(states=100_000, least=4096) == 4096
+    def batch(**changes):
+        config = ExperimentConfig(**changes)
+        return batch_rollouts(config), batch_rollouts(replace(config, device="cuda:1"))
+
+    assert batch() == (4096, 50_000)
+    assert batch(scenario=replace(PAPER.scenario, states=50_000)) == (100, 100)
+    assert batch(simulator="highway-env") == (50, 50)
 
 
 def test_numpy_runs_without_torch():
