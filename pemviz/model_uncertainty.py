@@ -149,7 +149,8 @@ def extrapolation_warnings(
             "extrapolates cannot be told",
         )
     salient = simulator.salient(scored.rollouts.decision_states().signals)
-    return support_check(salient, support=support, pem=pem).warnings
+    known = scored.rollouts.pem_logit
+    return support_check(salient, support=support, pem=pem, pem_logit=known).warnings
 
 
 def _log_mean(log_values: FloatArray) -> float:
