@@ -1,21 +1,21 @@
-"""Evaluation of row functions in chunks of fixed size.
+"""Evaluation of row functions in chunks of fixed size, each distinct row once.
 
 A matrix product may round a row differently in batches of different sizes. In chunks of
-one size, the last padded, a row's result depends on nothing but the row. Rows that are equal
-are therefore evaluated once: of a scenario's states at one step, most often are.
+one size, the last padded, a row's result depends on nothing but the row; so rows that are
+alike, as those of rollouts that have met the same misses, need only be evaluated once.
 """
 
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pemviz.arrays import FloatArray, IntArray
 
 ROWS = 256
-WORTH_FINDING = 0.75
-"""Of a few rows, so many at most may be distinct for a search of all rows for equal ones."""
-WORTH_USING = 0.5
-"""Of all rows, so many at most may be distinct for each to be evaluated once."""
+FEWEST = 4 * ROWS
+"""Fewer rows are not searched for those that are alike."""
+MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # odd; 2^64 over the golden ratio
 
 
 def map_rows(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
@@ -24,41 +24,38 @@ def map_rows(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> 
 
 
 def map_distinct(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
-    """Apply ``function`` (``[M, D]`` to ``[M]``, row by row) to rows ``[N, D]``, giving ``[N]``.
-
-    Equal rows are evaluated once, where there are many and they are quickly found.
-    """
-    found = _distinct(rows)
+    """Apply ``function`` (``[M, D]`` to ``[M]``, row by row) to rows ``[N, D]``, giving ``[N]``."""
+    found = distinct_rows(rows) if rows.shape[0] >= FEWEST else None
     if found is None:
         return function(rows)
-    distinct, index = found
-    return function(distinct)[index]
+    first, place = found
+    return function(rows[first])[place]
 
 
-def _distinct(rows: FloatArray) -> tuple[FloatArray, IntArray] | None:
-    """Distinct rows ``[M, D]`` and which of them each row is ``[N]``.
+def distinct_rows(rows: FloatArray) -> tuple[IntArray, IntArray] | None:
+    """Where each distinct row of ``[N, D]`` comes first ``[M]``, and which each row is ``[N]``.
 
-    ``None`` where there is little to gain, or where more than one column varies.
+    ``None`` where more than half are distinct, so that it does not pay to know.
     """
-    count = rows.shape[0]
-    if count <= ROWS:
+    bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
+    _, first, place = np.unique(_hashes(bits), return_index=True, return_inverse=True)
+    if 2 * first.size > rows.shape[0]:
         return None
-    some = rows[:: count // ROWS]
-    if np.count_nonzero((some != some[0]).any(axis=0)) > 1:
+    if not np.array_equal(bits[first[place]], bits):  # two rows share a hash
         return None
-    varying = np.flatnonzero((rows != rows[0]).any(axis=0))
-    if varying.size == 0:
-        return rows[:1], np.zeros(count, dtype=np.int64)
-    column = rows[:, varying[0]]
-    if varying.size > 1 or np.unique(some[:, varying[0]]).size > WORTH_FINDING * some.shape[0]:
-        return None
-    ordered = np.sort(column)
-    values = ordered[np.append(True, ordered[1:] != ordered[:-1])]
-    if values.size > WORTH_USING * count:
-        return None
-    distinct = np.repeat(rows[:1], values.size, axis=0)
-    distinct[:, varying] = values[:, None]
-    return distinct, np.searchsorted(values, column)
+    return first, place
+
+
+def _hashes(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """One number ``[N]`` for each row of bits ``[N, D]``; alike rows have the same."""
+    result = np.zeros(bits.shape[0], dtype=np.uint64)
+    for column in bits.T:
+        if column.size and (column == column[0]).all():
+            continue
+        result ^= column
+        result *= MULTIPLIER
+        result ^= result >> np.uint64(29)
+    return result
 
 
 def _map_chunks(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:

@@ -68,28 +68,20 @@ class SupportReport:
     """Where the model extrapolates or contradicts the data, near to far; empty if nowhere."""
 
 
-def support_check(
-    salient: FloatArray,
-    *,
-    support: SupportSummary,
-    pem: Pem,
-    pem_logit: FloatArray | None = None,
-) -> SupportReport:
+def support_check(salient: FloatArray, *, support: SupportSummary, pem: Pem) -> SupportReport:
     """Compare what a scenario visits with what the model was trained on.
 
     Args:
         salient: salient variables of the steps that a scenario visits, shape [..., 11].
         support: counts of the training data.
         pem: the model, for its own P(missed).
-        pem_logit: the model's logits of those steps, shape [...], where they are known already.
     """
     rows, _ = as_rows(salient)
-    logit = pem.logit(rows) if pem_logit is None else np.ravel(pem_logit)
     kinds, band = _kinds_and_bands(rows)
     obstacles = support.obstacles[tuple(kinds.T)].sum(axis=0)
     missed = support.missed[tuple(kinds.T)].sum(axis=0)
     visits = np.bincount(band, minlength=SHAPE[-1])
-    model_misses = np.bincount(band, weights=_miss(logit), minlength=SHAPE[-1])
+    model_misses = np.bincount(band, weights=_miss(pem, rows), minlength=SHAPE[-1])
     bands = tuple(
         _band(
             index,
@@ -150,8 +142,8 @@ def _kinds_and_bands(rows: FloatArray) -> tuple[IntArray, IntArray]:
     return np.stack(np.unravel_index(np.flatnonzero(visited), SHAPE[:-1]), axis=1), band
 
 
-def _miss(logit: FloatArray) -> FloatArray:
-    return np.exp(-np.logaddexp(0.0, logit))
+def _miss(pem: Pem, rows: FloatArray) -> FloatArray:
+    return np.exp(-np.logaddexp(0.0, pem.logit(rows)))
 
 
 def _band(
