@@ -5,7 +5,7 @@ the arithmetic of their originals in the same order, in double precision; what h
 asked through numpy. Imports torch: import this module where a device is asked for, not before.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from typing import Any, Protocol
@@ -275,7 +275,7 @@ def _(part: OffsetLogisticProposal, device: str) -> ProposalTwin | None:
         standard = ((values - mean[:, None]) / spread[:, None]).clamp(
             -STANDARD_RANGE, STANDARD_RANGE
         )
-        monomials = torch.stack([standard[list(chosen)].prod(dim=0) for chosen in basis.exponents])
+        monomials = torch.stack([_product(standard, chosen) for chosen in basis.exponents])
         shift = (coefficients @ monomials).clamp(-LARGEST_SHIFT, LARGEST_SHIFT)
         acts = gap_m < config.emergency_gap_m
         if part.violated in states.memory:
@@ -283,6 +283,15 @@ def _(part: OffsetLogisticProposal, device: str) -> ProposalTwin | None:
         return torch.where(acts, _defended(pem_logit - shift, pem_logit, share), pem_logit)
 
     return logit
+
+
+def _product(rows: Tensor, chosen: Sequence[int]) -> Tensor:
+    """The product ``[N]`` of the chosen rows of ``[D, N]``; 1 of none."""
+    # row by row: an index list would be copied to the device at every step
+    result = torch.ones_like(rows[0])
+    for row in chosen:
+        result = result * rows[row]
+    return result
 
 
 def _defended(logit: Tensor, pem_logit: Tensor, share: float) -> Tensor:
