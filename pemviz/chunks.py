@@ -20,11 +20,16 @@ MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # odd; 2^64 over the golden ratio
 
 def map_rows(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
     """Apply ``function`` (``[ROWS, D]`` to ``[ROWS]``) to rows ``[N, D]``, giving ``[N]``."""
+    return map_distinct(lambda distinct: _map_chunks(function, distinct), rows)
+
+
+def map_distinct(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
+    """Apply ``function`` (``[M, D]`` to ``[M]``, row by row) to rows ``[N, D]``, giving ``[N]``."""
     found = distinct_rows(rows) if rows.shape[0] >= FEWEST else None
     if found is None:
-        return _map_chunks(function, rows)
+        return function(rows)
     first, place = found
-    return _map_chunks(function, rows[first])[place]
+    return function(rows[first])[place]
 
 
 def distinct_rows(rows: FloatArray) -> tuple[IntArray, IntArray] | None:

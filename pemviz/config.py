@@ -1,5 +1,6 @@
 """What is asked of a run: every number that shapes a result, with unit and range."""
 
+import re
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -10,6 +11,7 @@ MethodName = Literal["adaptive", "mixture", "value-twisted", "splitting", "monte
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
 SimulatorName = Literal["vectorized", "highway-env"]
 
+DEVICES = re.compile(r"cpu|torch-cpu|cuda(:[0-9]{1,3})?")
 Positive = Range(low=0.0, low_open=True)
 NotNegative = Range(low=0.0)
 
@@ -73,6 +75,10 @@ class ExperimentConfig:
     """Perception error model: a shipped name or a file."""
     simulator: SimulatorName = "vectorized"
     """Back end that steps the scenario."""
+    device: str = "cpu"
+    """Where rollouts are computed: cpu (numpy), cuda or cuda:N (a GPU, in double precision; the
+    same estimate to 1e-6), or torch-cpu (the GPU's code on the CPU). Splitting, highway-env and
+    everything that is fitted stay on the CPU."""
     alpha: Annotated[float, Range(low=0.0, high=1.0)] = 0.1
     """Exponent that smooths the training weights; 0 to 1. It never enters an estimate."""
     sigma: Annotated[float, Range(low=0.95, high=1.0, high_open=True)] = 0.95
@@ -117,4 +123,7 @@ class ExperimentConfig:
         check_fields(self)
         if not self.pem.strip():
             message = "pem = '': must be the name of a shipped model or a file"
+            raise ConfigError(message)
+        if DEVICES.fullmatch(self.device) is None:
+            message = f"device = {self.device!r}: must be cpu, torch-cpu, cuda or cuda:N"
             raise ConfigError(message)

@@ -14,6 +14,13 @@ from pemviz.pem import Pem, PemEnsemble, ensemble_of, load_pem
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
+from pemviz.sampling.devices import (
+    NUMPY,
+    batch_runner,
+    check_device,
+    has_tensors,
+    is_gpu,
+)
 from pemviz.sampling.direct import DirectSampling
 from pemviz.sampling.final_batch import largest_part
 from pemviz.sampling.method import Method
@@ -73,10 +80,11 @@ def build_experiment(config: ExperimentConfig, *, allow_python: bool = False) ->
             Never taken from a configuration: a file must not decide that code runs.
 
     Raises:
-        InputError: A value is out of range, the specification does not parse or fit the
-            scenario, or the perception error model cannot be loaded.
+        InputError: A value is out of range, the device is not there, the specification does not
+            parse or fit the scenario, or the perception error model cannot be loaded.
     """
     config.validate()
+    check_device(config.device)
     simulator = build_simulator(config)
     formula = build_formula(config, simulator)
     pem = load_pem(config.pem, allow_python=allow_python)
@@ -93,11 +101,8 @@ def build_experiment(config: ExperimentConfig, *, allow_python: bool = False) ->
         pem_logit=pem.logit,
         robustness=robustness,
         violated=violated,
-        batch_rollouts=(
-            SLOW_BATCH_ROLLOUTS
-            if config.simulator == "highway-env"
-            else min(BATCH_ROLLOUTS, largest_part(states=config.scenario.states))
-        ),
+        batch_rollouts=batch_rollouts(config),
+        run_batches=batch_runner(config.device),
         batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula),
         monitor=FormulaMonitor(formula),
@@ -115,6 +120,31 @@ def build_experiment(config: ExperimentConfig, *, allow_python: bool = False) ->
         features=BrakingFeatures(config.scenario),
         planned_rollouts=config.repetitions * rollouts_per_repetition(config),
     )
+
+
+def batch_rollouts(config: ExperimentConfig) -> int:
+    """How many rollouts are simulated at a time; the result does not depend on it."""
+    if config.simulator == "highway-env":
+        return SLOW_BATCH_ROLLOUTS
+    largest = largest_part(states=config.scenario.states)
+    return largest if is_gpu(config.device) else min(BATCH_ROLLOUTS, largest)
+
+
+def device_notes(experiment: Experiment) -> tuple[str, ...]:
+    """What an experiment that asks for a device computes on the CPU all the same, a line each."""
+    config, problem = experiment.config, experiment.problem
+    if config.device == NUMPY:
+        return ()
+    stays = "computes on the CPU all the same"
+    if config.method == "splitting" or not has_tensors(problem.simulator):
+        by = "splitting" if config.method == "splitting" else f"simulator {problem.simulator.name}"
+        return (f"device {config.device}: {by} {stays}",)
+    notes: list[str] = []
+    if not has_tensors(experiment.pem):
+        notes.append(f"device {config.device}: error model {experiment.pem.name} {stays}")
+    if config.method == "value-twisted":
+        notes.append(f"device {config.device}: value-twisted's proposal {stays}")
+    return tuple(notes)
 
 
 def build_simulator(config: ExperimentConfig) -> Simulator:

@@ -19,8 +19,8 @@ from pemviz.pem import (
 from pemviz.pem.reweight import MemberEstimates
 from pemviz.proposals.simple import PemProposal
 from pemviz.sampling.estimates import CONFIDENCE, monte_carlo_estimate
-from pemviz.sampling.final_batch import weighed
-from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.final_batch import pooled, weighed
+from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollout import replay
 from pemviz.sampling.weights import log_sum
 from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
@@ -144,13 +144,14 @@ def data_bound(problem: Problem, *, pem: Pem, seed: int) -> DataBound | None:
     outcomes[1] = True
     visited = simulator.salient(replay(simulator=simulator, detected=outcomes))
     bound = data_bound_pem(visited, support=support, confidence=CONFIDENCE)
-    scored = sample(
+    batches = sample_batches(
         replace(problem, pem_logit=bound.logit),
         proposal=PemProposal(),
         count=DATA_BOUND_ROLLOUTS,
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
     )
-    found = monte_carlo_estimate(weighed(scored), method="monte-carlo")
+    drawn = pooled([weighed(batch) for batch in batches])
+    found = monte_carlo_estimate(drawn, method="monte-carlo")
     return DataBound(
         probability=1.0 if found.ci_high is None else found.ci_high,
         rollouts=DATA_BOUND_ROLLOUTS,

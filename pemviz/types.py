@@ -140,7 +140,7 @@ class RolloutBatch:
     @cached_property
     def log_weight(self) -> FloatArray:
         """Log importance weight ``[N]``: sum over steps of log p - log q [nats]."""
-        return read_only(row_sums(self.log_p - self.log_q))
+        return read_only(row_sums(np.subtract(self.log_p, self.log_q, order="C")))
 
     def decision_states(self) -> StateBatch:
         """The states at which perception acted, arrays ``[N, T-1]``."""
@@ -154,7 +154,9 @@ class RolloutBatch:
 
 def outcome_log_likelihood(logit: FloatArray, detected: BoolArray) -> FloatArray:
     """Log likelihood of outcomes ``[...]`` under a logit ``[...]`` of 'detected' [nats]."""
-    return -np.logaddexp(0.0, np.where(detected, -logit, logit))
+    against = np.where(detected, -logit, logit)
+    np.logaddexp(0.0, against, out=against)
+    return np.negative(against, out=against)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from pemviz.config_files import load_config, load_preset
 from pemviz.errors import ConfigError
 from pemviz.events import Observer
 from pemviz.exit_codes import EXIT_DONE, EXIT_FAILED
-from pemviz.experiment import Experiment, build_experiment
+from pemviz.experiment import Experiment, build_experiment, device_notes
 from pemviz.ranges import Range, check_value
 from pemviz.reports.writer import ReportWriter
 from pemviz.results import estimate_from_document, result_document
@@ -94,6 +94,8 @@ def run(words: Sequence[str]) -> int:
         if done is not None:
             return done
     experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
+    for note in device_notes(experiment):
+        print(f"pemviz: {note}", file=sys.stderr)
     reports = ReportWriter(
         summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
     )

@@ -137,8 +137,9 @@ def data_bound_pem(
 
 def _kinds_and_bands(rows: FloatArray) -> tuple[IntArray, IntArray]:
     """The kinds of obstacle among rows [n, 11], shape [kinds, 4], and each row's band, [n]."""
-    cells = cell_of(rows)
-    return np.unique(np.stack(cells[:-1], axis=1), axis=0), cells[-1]
+    *kind, band = cell_of(rows)
+    visited = np.bincount(np.ravel_multi_index(kind, SHAPE[:-1]))
+    return np.stack(np.unravel_index(np.flatnonzero(visited), SHAPE[:-1]), axis=1), band
 
 
 def _miss(pem: Pem, rows: FloatArray) -> FloatArray:

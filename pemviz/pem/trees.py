@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.chunks import ROWS
+from pemviz.chunks import ROWS, map_distinct
 from pemviz.pem.card import Carded, PemCard
 from pemviz.pem.encoding import check_rows
 from pemviz.pem.errors import PemError
@@ -78,11 +78,16 @@ class TreesPem(Carded):
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""
         rows, shape = as_rows(salient)
         check_rows(rows)
+        sums = map_distinct(self._sums, rows)
+        return (self.calibration[0] * sums + self.calibration[1]).reshape(shape)
+
+    def _sums(self, rows: FloatArray) -> FloatArray:
+        """Sum over trees of the leaf values, shape [n], of salient variables [n, 11]."""
         result = np.empty(len(rows))
         for start in range(0, len(rows), BLOCK_ROWS):
             block = rows[start : start + BLOCK_ROWS]
             result[start : start + len(block)] = self._leaf_sums(self._features(block))
-        return (self.calibration[0] * result + self.calibration[1]).reshape(shape)
+        return result
 
     def _features(self, rows: FloatArray) -> FloatArray:
         """Features [features, n], computed in chunks of fixed size."""

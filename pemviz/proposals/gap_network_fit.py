@@ -91,7 +91,7 @@ def fit_gap_network(
         np.stack([table.missed_weight, table.detected_weight], axis=1), dtype=single
     )
     optimiser = torch.optim.Adam(layers.parameters(), lr=learning_rate, fused=True)
-    with _one_thread():
+    with one_thread():
         for epoch in range(epochs):
             if pause is not None and epoch % EPOCHS_BETWEEN_PAUSES == 0:
                 pause()
@@ -125,8 +125,8 @@ def _frozen(layers: Any) -> GapNetwork:
     )
 
 
-class _one_thread:  # noqa: N801  reads as a statement
-    """The layers are so small that a second thread costs more than it brings."""
+class one_thread:  # noqa: N801  reads as a statement
+    """Small layers on the CPU: a second thread of torch's costs more than it brings."""
 
     def __enter__(self) -> None:
         import torch  # noqa: PLC0415

@@ -89,6 +89,17 @@ def sample(
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
     """
+    return concatenated(list(sample_batches(problem, proposal=proposal, count=count, seeds=seeds)))
+
+
+def sample_batches(
+    problem: Problem, *, proposal: Proposal, count: int, seeds: np.random.SeedSequence
+) -> Iterator[ScoredRollouts]:
+    """What :func:`sample` draws, batch by batch, for use where not all must be kept.
+
+    Raises:
+        SimulationError: A batch has something that is no finite number, or takes too long.
+    """
     sizes = [
         min(problem.batch_rollouts, count - start)
         for start in range(0, count, problem.batch_rollouts)
@@ -97,7 +108,6 @@ def sample(
     steps = problem.simulator.states - 1
     tasks = (BatchTask(proposal, generator.random((size, steps))) for size in sizes)
     simulated = problem.run_batches(problem.simulator, problem.pem_logit, tasks)
-    batches: list[ScoredRollouts] = []
     done = 0
     for size in sizes:
         began = time.perf_counter()
@@ -106,10 +116,9 @@ def sample(
         scored = score(problem, rollouts)
         robustness_s = time.perf_counter() - began - simulation_s
         timings_s = {"simulation": simulation_s, "robustness": robustness_s}
-        batches.append(replace(scored, timings_s=timings_s))
         done += size
         problem.progress(done, count)
-    return concatenated(batches)
+        yield replace(scored, timings_s=timings_s)
 
 
 def _next_batch(

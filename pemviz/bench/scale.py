@@ -1,0 +1,164 @@
+"""``pemviz bench scale``: how time and memory grow with rollouts and with their length."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from pemviz.config import DEVICES
+from pemviz.errors import ConfigError, RunError
+from pemviz.sampling.devices import missing_cuda
+
+GRID = ("1000x100", "10000x100", "100000x100", "1000000x100", "10000x500", "10000x2000")
+DISK_BYTES_PER_STEP = 120
+"""Of a run folder at its largest, when the parts of the final batch are joined."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScaleStudy:
+    """Measure how time and memory grow: Monte Carlo runs, kept in a temporary folder.
+
+    Each case runs in a process of its own. The largest of the default ones needs 12 GB of
+    temporary disk space; cases without it are left out and say so.
+    """
+
+    cases: tuple[str, ...] = GRID
+    """Rollouts and states of a rollout, as 1000x100."""
+    devices: tuple[str, ...] = ("cpu", "cuda")
+    """Where to compute: cpu, torch-cpu, cuda or cuda:N."""
+    json: bool = False
+    """Print the figures as one JSON object and nothing else."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScaleRow:
+    """One case.
+
+    Attributes:
+        rollouts: Of the run.
+        states: Of each rollout.
+        device: Where they were computed.
+        run_s: The whole run, from the first rollout to the finished run folder [s].
+        run_ns_per_step: The same, divided by rollouts and steps [ns].
+        simulation_ns_per_step: Of that, simulation [ns].
+        peak_mb: Peak memory of the process [MB].
+        disk_mb: Size of the run folder [MB].
+        skipped: Why there are no figures; empty where there are.
+    """
+
+    rollouts: int
+    states: int
+    device: str
+    run_s: float | None = None
+    run_ns_per_step: float | None = None
+    simulation_ns_per_step: float | None = None
+    peak_mb: float | None = None
+    disk_mb: float | None = None
+    skipped: str = ""
+
+
+def run_scale(study: ScaleStudy) -> Iterator[ScaleRow]:
+    """Measure case by case.
+
+    Raises:
+        InputError: A case or device is not written as it should be.
+        RunError: A run failed.
+    """
+    cases = [_sizes(case) for case in study.cases]
+    for device in study.devices:
+        if DEVICES.fullmatch(device) is None:
+            message = f"devices = {device!r}: must be cpu, torch-cpu, cuda or cuda:N"
+            raise ConfigError(message)
+    return (
+        _row(rollouts=rollouts, states=states, device=device)
+        for device in study.devices
+        for rollouts, states in cases
+    )
+
+
+def _sizes(case: str) -> tuple[int, int]:
+    found = re.fullmatch(r"([0-9]{1,8})x([0-9]{1,6})", case)
+    if found is None or int(found[1]) < 2 or not 2 <= int(found[2]) <= 100_000:
+        message = f"cases = {case!r}: must be rollouts and states, such as 1000x100; both from 2"
+        raise ConfigError(message)
+    return int(found[1]), int(found[2])
+
+
+def _row(*, rollouts: int, states: int, device: str) -> ScaleRow:
+    steps = rollouts * (states - 1)
+    reason = _why_not(device=device, steps=steps)
+    if reason:
+        return ScaleRow(rollouts=rollouts, states=states, device=device, skipped=reason)
+    with tempfile.TemporaryDirectory(prefix="pemviz-scale-") as folder:
+        measured = _in_a_process(
+            {"rollouts": rollouts, "states": states, "device": device, "folder": folder}
+        )
+    return ScaleRow(
+        rollouts=rollouts,
+        states=states,
+        device=device,
+        run_s=measured["run_s"],
+        run_ns_per_step=1e9 * measured["run_s"] / steps,
+        simulation_ns_per_step=1e9 * measured["simulation_s"] / steps,
+        peak_mb=measured["peak_bytes"] / 1e6,
+        disk_mb=measured["disk_bytes"] / 1e6,
+    )
+
+
+def _why_not(*, device: str, steps: int) -> str:
+    """Why a case cannot run here; empty if it can."""
+    index = re.fullmatch(r"cuda(?::([0-9]+))?", device)
+    missing = missing_cuda(int(index[1] or 0)) if index else ""
+    needed, free = DISK_BYTES_PER_STEP * steps, shutil.disk_usage(tempfile.gettempdir()).free
+    if not missing and needed > free:
+        missing = f"needs {needed / 1e9:.1f} GB in {tempfile.gettempdir()}, free {free / 1e9:.1f}"
+    return missing
+
+
+def _in_a_process(case: dict[str, str | int]) -> dict[str, float]:
+    command = [sys.executable, "-m", "pemviz.bench.scale_case", json.dumps(case)]
+    done = subprocess.run(  # noqa: S603  our own program, no shell
+        command, capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        raise RunError(f"case of {case['rollouts']} rollouts on {case['device']}: {last}")
+    return json.loads(done.stdout)
+
+
+HEADER = (
+    "device",
+    "rollouts",
+    "states",
+    "run [s]",
+    "ns a step",
+    "of it simulation",
+    "peak [MB]",
+    "disk [MB]",
+)
+"""Of the table; a step is one of one rollout."""
+
+
+def cells(row: ScaleRow) -> Sequence[str]:
+    """A row's entries under `HEADER`."""
+    figures = (row.run_ns_per_step, row.simulation_ns_per_step, row.peak_mb, row.disk_mb)
+    return (
+        row.device,
+        f"{row.rollouts:,}",
+        f"{row.states:,}",
+        "-" if row.run_s is None else f"{row.run_s:.1f}",
+        *("-" if figure is None else f"{figure:,.0f}" for figure in figures),
+    )
+
+
+def reasons(rows: Sequence[ScaleRow]) -> Sequence[str]:
+    """What was skipped and why, a line each."""
+    return [
+        f"{row.device}, {row.rollouts:,} rollouts of {row.states:,}: skipped, {row.skipped}"
+        for row in rows
+        if row.skipped
+    ]

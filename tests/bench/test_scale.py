@@ -1,0 +1,80 @@
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from pemviz.bench import scale
+from pemviz.bench.scale import ScaleRow, ScaleStudy, cells, reasons, run_scale
+from pemviz.bench.scale_case import peak_memory_bytes
+from pemviz.cli import main
+from pemviz.sampling.devices import missing_cuda
+
+
+def test_a_case_is_measured_in_a_process_of_its_own(capsys):
+    ballast = np.ones(50_000_000)  # 400 MB that must not count as the case's
+    assert main(["bench", "scale", "--cases", "50x20", "--devices", "cpu", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["scale"]
+    del ballast
+    steps = 50 * 19
+    assert (row["rollouts"], row["states"], row["device"], row["skipped"]) == (50, 20, "cpu", "")
+    assert row["run_ns_per_step"] * steps == pytest.approx(1e9 * row["run_s"])
+    assert 0.0 < row["simulation_ns_per_step"] < row["run_ns_per_step"]
+    assert 50.0 < row["peak_mb"] < 380.0
+    assert row["disk_mb"] > 50 * (3 * 20 + 2 * 19) * 8 / 1e6
+
+
+def test_peak_memory_sees_what_was_held():
+    before = peak_memory_bytes()
+    held = np.ones(before // 8 + 25_000_000)
+    assert peak_memory_bytes() >= before + 150_000_000
+    del held
+    assert peak_memory_bytes() >= before + 150_000_000
+
+
+def test_what_cannot_run_says_why(monkeypatch):
+    missing = "cuda:999" if not missing_cuda() else "cuda"
+    (row,) = run_scale(ScaleStudy(cases=("50x20",), devices=(missing,)))
+    assert row.run_s is None
+    assert row.skipped.startswith("torch ")
+    assert cells(row) == (missing, "50", "20", "-", "-", "-", "-", "-")
+    assert reasons([row]) == [f"{missing}, 50 rollouts of 20: skipped, {row.skipped}"]
+    monkeypatch.setattr(scale, "DISK_BYTES_PER_STEP", 10**18)
+    (row,) = run_scale(ScaleStudy(cases=("50x20",), devices=("cpu",)))
+    assert row.skipped.startswith("needs ")
+
+
+def test_the_part_shows_the_same_table(monkeypatch, capsys):
+    row = ScaleRow(
+        rollouts=1000, states=100, device="cpu", run_s=2.0, run_ns_per_step=20_202.0,
+        simulation_ns_per_step=300.4, peak_mb=220.0, disk_mb=4.0,
+    )  # fmt: skip
+    monkeypatch.setattr("pemviz.commands.bench.run_scale", lambda study: iter([row]))
+    assert main(["bench", "--part", "scale"]) == 0
+    assert "20,202" in capsys.readouterr().out
+    assert main(["bench", "--part", "scale", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["scale"][0]["peak_mb"] == 220.0
+
+
+@pytest.mark.parametrize(
+    ("words", "fragment"),
+    [
+        (["--cases", "1000"], "cases = '1000'"),
+        (["--cases", "1x100"], "both from 2"),
+        (["--cases", "100x1"], "both from 2"),
+        (["--devices", "gpu"], "devices = 'gpu'"),
+    ],
+)
+def test_bad_input_is_one_line(capsys, words, fragment):
+    assert main(["bench", "scale", *words]) == 2
+    shown = capsys.readouterr()
+    assert fragment in shown.err
+    assert shown.err.count("\n") == 1
+
+
+def test_a_case_that_fails_is_one_line(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    assert main(["bench", "scale", "--cases", "50x20", "--devices", "cpu"]) == 3
+    shown = capsys.readouterr()
+    assert "case of 50 rollouts on cpu: exit code 1" in shown.err
+    assert shown.err.count("\n") == 1
