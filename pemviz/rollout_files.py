@@ -8,6 +8,7 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.lib import format as npy
 
+from pemviz.array_files import read_arrays
 from pemviz.arrays import AnyArray
 from pemviz.errors import InputError
 from pemviz.files import write_atomically
@@ -98,14 +99,14 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
     if not parts:
         message = f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)"
         raise InputError(message)
-    tables = [_load_part(part) for part in parts]
+    tables = [read_arrays(part) for part in parts]
+    for part, table in zip(parts[1:], tables[1:], strict=True):
+        if _layout(table) != _layout(tables[0]):
+            message = f"rollouts {part}: must hold the same arrays as {parts[0].name}"
+            raise InputError(message)
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-def _load_part(path: Path) -> dict[str, AnyArray]:
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            return {name: cast(AnyArray, arrays[name]) for name in arrays.files}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
-        message = f"rollouts {path}: cannot be read ({error})"
-        raise InputError(message) from error
+def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[int, ...]]]:
+    """Type and shape, but for the number of rollouts, of each array."""
+    return {name: (array.dtype.str, array.ndim, array.shape[1:]) for name, array in table.items()}

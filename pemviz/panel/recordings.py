@@ -1,6 +1,5 @@
 """The folder of kept runs: what is there, and safe access to it by name."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +7,8 @@ from typing import Any, Literal, cast
 
 from pemviz.assets import asset_root
 from pemviz.errors import InputError
+from pemviz.json_text import parse_json
+from pemviz.panel.documents import check_document
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 RESULT = "result.json"
@@ -123,17 +124,19 @@ def read_document(path: Path) -> dict[str, Any]:
     """The contents of a ``result.json``.
 
     Raises:
-        InputError: It cannot be read or is not a JSON object.
+        InputError: It cannot be read, is not a JSON object, or holds what no result holds.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        document = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         message = f"result {path}: cannot be read ({error})"
         raise InputError(message) from error
     if not isinstance(document, dict):
         message = f"result {path}: must be a JSON object"
         raise InputError(message)
-    return cast(dict[str, Any], document)
+    found = cast(dict[str, Any], document)
+    check_document(found, where=str(path))
+    return found
 
 
 def sample_folder() -> Path | None:

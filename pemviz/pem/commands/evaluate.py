@@ -11,6 +11,7 @@ from pemviz.pem.commands.progress import progress_bar
 from pemviz.pem.errors import PemError
 from pemviz.pem.fit import MODEL_KINDS, ModelKind
 from pemviz.pem.table import load_table
+from pemviz.pem.text_files import writing
 
 QUICK_MODELS = ("guess-mu", "lr")
 """Fitted sooner than a process starts."""
@@ -49,6 +50,8 @@ def run(arguments: EvaluateArguments) -> int:
         raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
     if not 1 <= arguments.workers <= 64:
         raise PemError(f"workers is {arguments.workers}, allowed: 1 to 64")
+    with writing(arguments.out):
+        arguments.out.mkdir(parents=True, exist_ok=True)
     table = load_table(arguments.table)
     # scikit-learn and torch take seconds to import: not before the arguments are known good.
     from pemviz.pem.evaluate import cross_validate, split_folds  # noqa: PLC0415
@@ -68,7 +71,8 @@ def run(arguments: EvaluateArguments) -> int:
                     on_progress=tell,
                 )
             )
-    written = write_report(evaluations, table=table, folder=arguments.out)
+    with writing(arguments.out):
+        written = write_report(evaluations, table=table, folder=arguments.out)
     if arguments.json:
         print(json.dumps(as_json(evaluations, table=table), allow_nan=False))
         return 0
