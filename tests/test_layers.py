@@ -13,11 +13,12 @@ PACKAGE = ROOT / "pemviz"
 # Each layer may import from those before it, and within itself.
 LAYERS = (
     {"__init__", "errors", "exit_codes", "arrays", "files", "ranges", "assets", "config",
-     "config_files", "types", "chunks", "json_text", "array_files"},
+     "config_files", "types", "chunks", "json_text", "array_files",
+     "documents"},
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
     {"experiment", "model_uncertainty", "explanation", "results", "events", "engine",
-     "rollout_files", "store", "curves", "reports"},
+     "rollout_files", "archive", "store", "runs", "curves", "reports"},
     {"recording", "panel"},
     {"bench", "reproduce", "samples"},
     {"commands", "cli", "__main__"},

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from pemviz.assets import asset_root
+from pemviz.config_files import load_config
+from pemviz.documents import check_document
 from pemviz.errors import InputError
 from pemviz.json_text import parse_json
-from pemviz.panel.documents import check_document
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 RESULT = "result.json"
@@ -48,16 +49,18 @@ class RecordingsFolder:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self._entries: dict[str, tuple[float, RunEntry]] = {}
+        self._entries: dict[str, tuple[float, RunEntry | str]] = {}
 
     def entries(self) -> list[RunEntry]:
         """All readable runs, newest first (the names start with the time)."""
-        found: list[RunEntry] = []
-        for name in self.names():
-            entry = self._entry(name)
-            if entry is not None:
-                found.append(entry)
-        return found
+        return [found for found in self._found() if isinstance(found, RunEntry)]
+
+    def damaged(self) -> list[str]:
+        """What is wrong with the runs that cannot be read, one line each."""
+        return [found for found in self._found() if isinstance(found, str)]
+
+    def _found(self) -> list[RunEntry | str]:
+        return [self._entry(name) for name in self.names()]
 
     def names(self) -> list[str]:
         """Names of run folders, newest first; links are left out, they lead elsewhere."""
@@ -106,16 +109,21 @@ class RecordingsFolder:
             raise InputError(message)
         return path.read_bytes()
 
-    def _entry(self, name: str) -> RunEntry | None:
+    def _entry(self, name: str) -> RunEntry | str:
+        """The run's line, or what is wrong with it."""
         path = self.root / name / RESULT
         try:
             changed_s = path.stat().st_mtime
+        except OSError as error:
+            return f"run {name}: cannot be read ({error.strerror or error})"
+        try:
             known = self._entries.get(name)
             if known is not None and known[0] == changed_s:
                 return known[1]
             entry = _entry_of(name, read_document(path), folder=self.root / name)
-        except (InputError, OSError):
-            return None
+            load_config(self.root / name / "config.toml")
+        except InputError as error:
+            entry = str(error)
         self._entries[name] = (changed_s, entry)
         return entry
 

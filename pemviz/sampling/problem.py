@@ -17,7 +17,14 @@ from pemviz.sampling.batches import (
 )
 from pemviz.sampling.rollout import LogitFunction
 from pemviz.sampling.time_limit import call_within
-from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, Simulator, StateBatch
+from pemviz.types import (
+    FinishedStage,
+    Proposal,
+    RolloutBatch,
+    ScoredRollouts,
+    Simulator,
+    StateBatch,
+)
 
 Signals = Mapping[str, FloatArray]
 Result = TypeVar("Result")
@@ -30,6 +37,11 @@ def _no_progress(done: int, total: int) -> None:
 
 def _no_pause() -> None:
     """Go on."""
+
+
+def _nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
+    """Every stage is carried out."""
+    return None
 
 
 @dataclass(frozen=True)
@@ -47,6 +59,8 @@ class Problem:
         progress: Told after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
         pause: Called now and then during long work between rollouts; may raise likewise.
+        finished: Repetition and stage to what an interrupted run left of it; ``None``: it is
+            to be carried out.
         unsafe: States ``[N]`` to whether being in one of them is what violates the
             specification, ``[N]``; ``None`` where the verdict takes more than single states.
     """
@@ -60,6 +74,7 @@ class Problem:
     run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = _no_progress
     pause: Callable[[], None] = _no_pause
+    finished: Callable[[int, int], FinishedStage | None] = _nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None
 
 

@@ -26,7 +26,7 @@ from pemviz.sampling.splitting_particles import (
     taken,
 )
 from pemviz.sampling.weights import log_sum
-from pemviz.types import Estimate, ScoredRollouts, StageResult
+from pemviz.types import Estimate, FinishedStage, ScoredRollouts, StageResult
 
 KILLED_SHARE = 0.5
 MOST_LEVELS = 10_000
@@ -79,8 +79,12 @@ class SplittingSampling:
     def step(self, problem: Problem, state: SplittingState) -> tuple[SplittingState, StageResult]:
         """Carry out one run."""
         stage = len(state.runs)
-        seeds = stage_seeds(seed=self.seed, repetition=state.repetition, stage=stage)
-        run = split(problem, count=self.rollouts, generator=np.random.default_rng(seeds))
+        finished = problem.finished(state.repetition, stage)
+        if finished is None:
+            seeds = stage_seeds(seed=self.seed, repetition=state.repetition, stage=stage)
+            run = split(problem, count=self.rollouts, generator=np.random.default_rng(seeds))
+        else:
+            run = _restored(finished)
         result = replace(
             final_stage(
                 repetition=state.repetition,
@@ -93,6 +97,11 @@ class SplittingSampling:
                 run.log_probability / math.log(10.0) if run.log_probability > -math.inf else None
             ),
             ess=None,
+            kept={
+                "log_probability": np.array(run.log_probability),
+                "simulated": np.array(run.simulated),
+                "levels": np.array(run.levels),
+            },
         )
         return replace(state, runs=(*state.runs, run)), result
 
@@ -110,6 +119,16 @@ class SplittingSampling:
             message = "no run of multilevel splitting is done yet"
             raise ValueError(message)
         return _estimate(state, name=self.name)
+
+
+def _restored(finished: FinishedStage) -> SplittingRun:
+    """A run as an interrupted process left it."""
+    return SplittingRun(
+        log_probability=float(finished.kept["log_probability"]),
+        simulated=int(finished.kept["simulated"]),
+        levels=int(finished.kept["levels"]),
+        scored=finished.scored,
+    )
 
 
 def split(problem: Problem, *, count: int, generator: np.random.Generator) -> SplittingRun:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load
 
+from pemviz.commands.gate import gate_exit_code
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config
 from pemviz.panel.loading import load_run
@@ -24,9 +25,12 @@ from pemviz.panel.views.rollout import track, track_plots
 from pemviz.panel.views.why import why
 from pemviz.recording.open import find_recording
 from pemviz.recording.read import read_stages
-from pemviz.rollout_files import load_rollouts
+from pemviz.results import estimate_from_document
+from pemviz.rollout_files import PART_FOLDER, finished_stage, load_rollouts
+from pemviz.runs import read_result
+from pemviz.simulators.scenario import scenario_signals
 from tests.fuzz.containers import archive, damage_npz, damage_safetensors
-from tests.fuzz.harness import Case, Target
+from tests.fuzz.harness import Case, Target, documented
 from tests.fuzz.mutate import as_json, damage_bytes, damage_tree
 from tests.fuzz.text_targets import toml_bytes
 
@@ -68,6 +72,14 @@ def pages(run: RunData) -> None:
         ranking_csv(run, ranking)
 
 
+def _listed(recordings: RecordingsFolder) -> None:
+    """A run is in the list, or what is wrong with it is."""
+    entries, damaged = recordings.entries(), recordings.damaged()
+    assert len(entries) + len(damaged) == len(recordings.names())
+    assert all(documented(words) for words in damaged)
+    recordings_table(entries, folder=str(recordings.root), damaged=damaged)
+
+
 def read_run(case: Case) -> None:
     """A run folder with one file damaged: it is listed or told of, and shown or refused."""
     rng = case.rng
@@ -88,7 +100,7 @@ def read_run(case: Case) -> None:
     else:
         path.write_bytes(_safetensors_bytes(rng, path))
     recordings = RecordingsFolder(root)
-    recordings_table(recordings.entries(), folder=str(root))
+    _listed(recordings)
     pages(load_run(run))
 
 
@@ -97,13 +109,14 @@ def _shown(folder: Path) -> RunData:
     return load_run(folder)
 
 
-def read_result(case: Case) -> None:
+def show_result(case: Case) -> None:
     """A damaged result.json beside sound rollouts, on every page."""
     path = case.folder / "recordings" / "run" / "result.json"
     path.parent.mkdir(parents=True)
+    shutil.copy(case.valid.run / "config.toml", path.parent)
     path.write_bytes(_json_bytes(case.rng, case.valid.run / "result.json"))
     recordings = RecordingsFolder(case.folder / "recordings")
-    recordings_table(recordings.entries(), folder="recordings")
+    _listed(recordings)
     document = read_document(path)
     pages(replace(_shown(case.valid.run), read_document=lambda: document))
 
@@ -113,6 +126,25 @@ def read_rollouts(case: Case) -> None:
     path = case.folder / "rollouts.npz"
     path.write_bytes(_npz_bytes(case.rng, case.valid.run / "rollouts.npz"))
     check_table(load_rollouts(case.folder), _config(case.valid.run), where=str(path))
+
+
+def read_stage(case: Case) -> None:
+    """A damaged file of one stage, from which a run would go on."""
+    source = next((case.valid.begun / PART_FOLDER).glob("*.npz"))
+    path = case.folder / source.name
+    path.write_bytes(_npz_bytes(case.rng, source))
+    signals = scenario_signals(_config(case.valid.run).scenario)
+    scored = finished_stage(path, signals).scored
+    assert scored.violated.dtype == np.bool_
+    assert np.isfinite(scored.rollouts.log_weight).all()
+
+
+def read_begun(case: Case) -> None:
+    """A damaged ``result.json`` of a run that is to go on."""
+    (case.folder / "result.json").write_bytes(_json_bytes(case.rng, case.valid.run / "result.json"))
+    document = read_result(case.folder)
+    if document is not None and isinstance(document.get("estimate"), dict):
+        gate_exit_code(estimate_from_document(document["estimate"]), fail_above=1e-9)
 
 
 @cache
@@ -132,8 +164,10 @@ def read_recording(case: Case, *, whole: bool) -> None:
 
 TARGETS = (
     Target("run", read_run, 6),
-    Target("result", read_result, 6),
+    Target("result", show_result, 6),
     Target("rollouts", read_rollouts, 8),
+    Target("stage", read_stage, 4),
+    Target("begun", read_begun, 3),
     Target("open", partial(read_recording, whole=False), 4),
     Target("recording", partial(read_recording, whole=True), 1, limits_memory=False),
 )

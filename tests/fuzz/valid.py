@@ -140,8 +140,23 @@ class ValidFiles:
         return folder
 
     @cached_property
-    def stages(self) -> Path:
+    def begun(self) -> Path:
         """A run folder as a killed run leaves it: a file a stage."""
+        config = replace(CONFIGS[0], method="naive", final_rollouts=10, repetitions=2)
+        folder = self.folder / "begun"
+        folder.mkdir()
+        stopping = iter((False, True))
+        run(
+            build_experiment(config),
+            run_id="begun",
+            observers=[RunStore(folder)],
+            should_stop=lambda: next(stopping, True),
+        )
+        return folder
+
+    @cached_property
+    def stages(self) -> Path:
+        """A run folder as an older version left it: likelihoods in the stages' files."""
         folder = self.folder / "stages-run"
         shutil.copytree(self.run, folder)
         (folder / "rollouts.npz").unlink()

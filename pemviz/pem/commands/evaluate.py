@@ -50,14 +50,14 @@ def run(arguments: EvaluateArguments) -> int:
         raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
     if not 1 <= arguments.workers <= 64:
         raise PemError(f"workers is {arguments.workers}, allowed: 1 to 64")
-    with writing(arguments.out):
-        arguments.out.mkdir(parents=True, exist_ok=True)
     table = load_table(arguments.table)
     # scikit-learn and torch take seconds to import: not before the arguments are known good.
     from pemviz.pem.evaluate import cross_validate, split_folds  # noqa: PLC0415
     from pemviz.pem.report import COLUMNS, as_json, summary_row, write_report  # noqa: PLC0415
 
     split_folds(table, folds=arguments.folds)
+    with writing(arguments.out):  # now, not after minutes of fitting
+        arguments.out.mkdir(parents=True, exist_ok=True)
     evaluations = []
     for model in arguments.models:
         with progress_bar(f"{model}: folds") as tell:

@@ -1,4 +1,4 @@
-"""What a ``result.json`` must look like for the panel to show it."""
+"""What a ``result.json`` must look like for us to read it."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, cast
@@ -50,7 +50,7 @@ REQUIRED = {"stages": ("repetition", "stage", "rollouts", "failures")}
 
 
 def check_document(document: Mapping[str, Any], *, where: str) -> None:
-    """Check what the panel's pages calculate with; null is allowed wherever a run may write it.
+    """Check what is calculated with; null is allowed wherever a run may write it.
 
     Raises:
         InputError: Naming the first entry that no run writes.
