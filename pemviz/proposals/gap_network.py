@@ -83,6 +83,8 @@ def check_network(weights: Sequence[FloatArray], biases: Sequence[FloatArray]) -
             raise ValueError(message)
         with np.errstate(over="ignore", invalid="ignore"):
             reach = np.abs(weight) @ reach + np.abs(bias)
-    if reach.shape != (2,) or not np.isfinite(reach.sum()):
+    with np.errstate(over="ignore", invalid="ignore"):
+        largest = reach.sum()  # the answer is the difference of the two
+    if reach.shape != (2,) or not np.isfinite(largest):
         message = "the network must answer with two finite numbers"
         raise ValueError(message)
