@@ -22,6 +22,8 @@ from pemviz.types import (
 )
 
 PART_FOLDER = "stages"
+LARGEST = 1e100
+"""No state and no logit is larger; sums over a rollout stay finite."""
 MEMORY, KEPT = "memory.", "kept."
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are asked for."""
@@ -103,7 +105,7 @@ def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
     numbers = *rollouts.signals.values(), rollouts.pem_logit, rollouts.proposal_logit
     if (
         any(array.dtype != np.bool_ for array in outcomes)
-        or any(array.dtype.kind != "f" or not np.isfinite(array).all() for array in numbers)
+        or any(a.dtype.kind != "f" or not np.all(np.abs(a) <= LARGEST) for a in numbers)
         or np.isnan(scored.robustness).any()
     ):
         message = f"stage {path}: an array is of the wrong type, or holds what is no number"

@@ -14,6 +14,8 @@ from pemviz.documents import check_document
 from pemviz.errors import LONGEST_MESSAGE, ConfigError, InputError
 from pemviz.files import is_file, is_folder
 from pemviz.json_text import parse_json
+from pemviz.rollout_files import finished_stage
+from pemviz.types import Signal
 
 
 def entry(text: str, data: bytes) -> bytes:
@@ -191,6 +193,34 @@ def test_tensors_that_are_no_numbers_are_refused(tmp_path):
 def test_a_result_that_no_run_writes_is_refused(document, words):
     with pytest.raises(InputError, match=words):
         check_document(document, where="result.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("pem_logit", np.full((2, 3), -1e308)),
+        ("proposal_logit", np.full((2, 3), np.inf)),
+        ("gap_m", np.full((2, 4), np.nan)),
+        ("gap_m", np.zeros((2, 4), dtype=np.int64)),
+        ("detected", np.zeros((2, 3))),
+        ("robustness", np.full(2, np.nan)),
+    ],
+)
+def test_a_stage_that_holds_no_rollouts_is_refused(tmp_path, name, values):
+    arrays = {
+        "gap_m": np.zeros((2, 4)),
+        "detected": np.zeros((2, 3), dtype=np.bool_),
+        "pem_logit": np.zeros((2, 3)),
+        "proposal_logit": np.zeros((2, 3)),
+        "robustness": np.zeros(2),
+        "violated": np.zeros(2, dtype=np.bool_),
+    }
+    signals = (Signal(name="gap", key="gap_m", unit="m", low=0.0, high=1.0),)
+    np.savez(tmp_path / "whole.npz", **arrays)
+    assert finished_stage(tmp_path / "whole.npz", signals).scored.rollouts.count == 2
+    np.savez(tmp_path / "damaged.npz", **{**arrays, name: values})
+    with pytest.raises(InputError, match="holds what is no number"):
+        finished_stage(tmp_path / "damaged.npz", signals)
 
 
 def test_names_that_no_file_can_have_are_no_files(tmp_path):
