@@ -45,12 +45,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[0] == "--version":
         print(f"pemviz {__version__}")
         return EXIT_DONE
+    return _carry_out(words[0], words[1:])
+
+
+def _carry_out(name: str, words: Sequence[str]) -> int:
+    """A command's exit code; what it cannot do is told in one line."""
     try:
-        return _command(words[0])(words[1:])
+        return _command(name)(words)
     except InputError as error:
         return _complain(str(error), code=EXIT_BAD_INPUT)
     except PemvizError as error:
         return _complain(str(error), code=EXIT_FAILED)
+    except OSError as error:  # a full disk, a folder that went away
+        where = "" if error.filename is None else f" ({error.filename})"
+        return _complain(f"{error.strerror or error}{where}", code=EXIT_FAILED)
     except KeyboardInterrupt:
         return _complain("interrupted", code=EXIT_FAILED)
 

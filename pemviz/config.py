@@ -12,8 +12,8 @@ MetricName = Literal["classical", "agm", "smooth-cumulative"]
 SimulatorName = Literal["vectorized", "highway-env"]
 
 DEVICES = re.compile(r"cpu|torch-cpu|cuda(:[0-9]{1,3})?")
-Positive = Range(low=0.0, low_open=True)
-NotNegative = Range(low=0.0)
+Positive = Range(low=0.0, low_open=True, high=1e6)
+NotNegative = Range(low=0.0, high=1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,15 +27,15 @@ class ScenarioConfig:
     lead_deceleration_mps2: Annotated[float, Range(low=0.0, high=20.0)] = 2.943
     """The lead car's braking until it stands [m/s^2]; 0 to 20."""
     lead_brake_time_s: Annotated[float, NotNegative] = 0.0
-    """When the lead car starts to brake [s]; 0 or later."""
+    """When the lead car starts to brake [s]; 0 to 1e6."""
     emergency_gap_m: Annotated[float, Positive] = 10.0
-    """A detection below this gap triggers emergency braking [m]; above 0."""
+    """A detection below this gap triggers emergency braking [m]; above 0, at most 1e6."""
     emergency_deceleration_mps2: Annotated[float, Range(low=0.0, low_open=True, high=20.0)] = 8.0
     """The ego's emergency braking [m/s^2]; above 0, at most 20."""
     speed_gain_per_s: Annotated[float, NotNegative] = 1.0
-    """Proportional gain of the speed controller [1/s]; 0 or more."""
+    """Proportional gain of the speed controller [1/s]; 0 to 1e6."""
     speed_integral_gain_per_s2: Annotated[float, NotNegative] = 0.05
-    """Integral gain of the speed controller [1/s^2]; 0 or more."""
+    """Integral gain of the speed controller [1/s^2]; 0 to 1e6."""
     maximum_acceleration_mps2: Annotated[float, Range(low=0.0, high=20.0)] = 1.0
     """Upper limit of the speed controller [m/s^2]; 0 to 20."""
     maximum_deceleration_mps2: Annotated[float, Range(low=0.0, high=20.0)] = 3.0
@@ -44,14 +44,14 @@ class ScenarioConfig:
     """Time step [s]; 0.001 to 1."""
     states: Annotated[int, Range(low=2, high=100_000)] = 100
     """States in a rollout (T); perception acts at all but the last; 2 to 100000."""
-    camera_height_m: Annotated[float, Positive] = 1.65
-    """Camera above the road, the y that the perception error model sees [m]; above 0."""
+    camera_height_m: Annotated[float, Range(low=0.0, low_open=True, high=100.0)] = 1.65
+    """Camera above the road, the y that the perception error model sees [m]; above 0 to 100."""
     lead_length_m: Annotated[float, Range(low=0.0, low_open=True, high=30.0)] = 5.0
     """Length of the lead car; its centre lies half of it beyond the gap [m]; above 0 to 30."""
     gap_bound_m: Annotated[float, Positive] = 25.0
-    """The agm metric normalises gaps from minus to plus this value [m]; above 0."""
+    """The agm metric normalises gaps from minus to plus this value [m]; above 0 to 1e6."""
     speed_bound_mps: Annotated[float, Positive] = 40.0
-    """The agm metric normalises speeds from 0 to this value [m/s]; above 0."""
+    """The agm metric normalises speeds from 0 to this value [m/s]; above 0 to 1e6."""
 
     @property
     def initial_speed_mps(self) -> float:
@@ -103,9 +103,9 @@ class ExperimentConfig:
     """Root of all randomness; the same seed and config give the same result; 0 or more."""
     repetitions: Annotated[int, Range(low=1, high=100_000)] = 1
     """Independent repetitions, summarised by their mean; 1 to 100000."""
-    batch_time_limit_s: Annotated[float, Range(low=0.0, low_open=True)] = 600.0
+    batch_time_limit_s: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] = 600.0
     """A batch of rollouts (4096; 50 with a slow simulator) that takes longer fails the run [s];
-    above 0."""
+    above 0, at most 1e6."""
     reference: bool = False
     """Also compute the answer by the value-twisted reference, to compare with."""
     target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None

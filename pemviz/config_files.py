@@ -15,6 +15,11 @@ from pemviz.ranges import allows_none, check_value, optional_value
 
 Config = TypeVar("Config")
 
+LARGEST_BYTES = 1_000_000
+"""A configuration has a kilobyte; no more than this is read of what is given as one."""
+DEEPEST_KEY = 200
+"""Dots in a key; tomllib's time grows with the square of their number."""
+
 
 def preset_names() -> tuple[str, ...]:
     """Names of the shipped presets."""
@@ -41,24 +46,41 @@ def load_config(path: Path) -> ExperimentConfig:
             value that is out of range.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-        table = tomllib.loads(text)
-    except OSError as error:
-        message = f"config {path}: cannot be read ({error.strerror or error})"
-        raise ConfigError(message) from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        message = f"config {path}: not valid TOML ({error})"
-        raise ConfigError(message) from error
-    except RecursionError as error:
-        message = f"config {path}: nested too deeply"
-        raise ConfigError(message) from error
-    try:
-        config = config_from_table(table)
+        config = config_from_table(_read_table(path))
         config.validate()
     except ConfigError as error:
         message = f"config {path}: {error}"
         raise ConfigError(message) from error
     return config
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    """The file's values.
+
+    Raises:
+        ConfigError: It cannot be read, or is not TOML; the message does not name it.
+    """
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(LARGEST_BYTES + 1)
+        if len(content) > LARGEST_BYTES:
+            message = f"must be a configuration of at most {LARGEST_BYTES} bytes"
+            raise ConfigError(message)
+        text = content.decode("utf-8").replace("\r\n", "\n")
+        if any(line.partition("=")[0].count(".") > DEEPEST_KEY for line in text.split("\n")):
+            raise ConfigError(_TOO_DEEP)
+        return tomllib.loads(text)
+    except OSError as error:
+        message = f"cannot be read ({error.strerror or error})"
+        raise ConfigError(message) from error
+    except ValueError as error:  # also of numbers with more digits than Python reads
+        message = f"not valid TOML ({error})"
+        raise ConfigError(message) from error
+    except RecursionError as error:
+        raise ConfigError(_TOO_DEEP) from error
+
+
+_TOO_DEEP = "nested too deeply"
 
 
 def config_from_table(table: dict[str, Any]) -> ExperimentConfig:

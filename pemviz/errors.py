@@ -1,8 +1,19 @@
 """The errors a user can act on; each message is one line: what, where, allowed."""
 
+LONGEST_MESSAGE = 1000
+"""Characters; a message that quotes more than that from a file loses its middle."""
+KEPT_END = 300
+
 
 class PemvizError(Exception):
-    """Base of every error that pemviz raises on purpose."""
+    """Base of every error that pemviz raises on purpose.
+
+    Messages quote names and values from files that may come from anywhere: whatever they hold,
+    the message stays one short line that does nothing to a terminal.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(one_line(message))
 
 
 class InputError(PemvizError):
@@ -15,3 +26,19 @@ class ConfigError(InputError):
 
 class RunError(PemvizError):
     """A run could not be carried to its end; the command line exits with code 3."""
+
+
+def one_line(text: str) -> str:
+    """``text`` with blanks for line breaks, escapes for what cannot be printed, cut if long."""
+    if len(text) > LONGEST_MESSAGE:
+        start = LONGEST_MESSAGE - KEPT_END
+        text = f"{text[:start]} ... {text[-KEPT_END:]}"
+    if text.isprintable():
+        return text
+    return "".join(_shown(character) for character in text)
+
+
+def _shown(character: str) -> str:
+    if character.isprintable():
+        return character
+    return " " if character.isspace() else character.encode("unicode_escape").decode("ascii")

@@ -7,6 +7,16 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 
+def is_file(path: Path) -> bool:
+    """Whether ``path`` is a file; a name that no file can have is none."""
+    return os.path.isfile(path)
+
+
+def is_folder(path: Path) -> bool:
+    """Whether ``path`` is a folder; a name that no folder can have is none."""
+    return os.path.isdir(path)
+
+
 def write_atomically(path: Path, write: Callable[[BinaryIO], None]) -> None:
     """Let ``write`` fill a neighbouring file, then rename it to ``path``.
 

@@ -20,7 +20,7 @@ class Range:
 
     def contains(self, value: float) -> bool:
         """Whether the finite number ``value`` lies in the interval."""
-        if not math.isfinite(value):
+        if not is_finite(value):
             return False
         if self.low is not None and (value < self.low or (self.low_open and value == self.low)):
             return False
@@ -36,6 +36,14 @@ class Range:
         if self.high is not None:
             parts.append(f"{'below' if self.high_open else 'at most'} {self.high:g}")
         return " and ".join(parts) or "any finite number"
+
+
+def is_finite(value: float) -> bool:
+    """Whether ``value`` is a finite float64; a whole number may be too large for one."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def allowed_text(annotation: object) -> str:
@@ -123,6 +131,9 @@ def _number(value: Any) -> float:
 
 
 def _shown(value: object) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (RecursionError, ValueError):  # nested deeply, or a number of thousands of digits
+        text = f"({type(value).__name__})"
     limit = 60
     return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -8,6 +8,7 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.lib import format as npy
 
+from pemviz.array_files import read_arrays
 from pemviz.arrays import AnyArray
 from pemviz.errors import InputError
 from pemviz.files import write_atomically
@@ -21,6 +22,8 @@ from pemviz.types import (
 )
 
 PART_FOLDER = "stages"
+LARGEST = 1e100
+"""No state and no logit is larger; sums over a rollout stay finite."""
 MEMORY, KEPT = "memory.", "kept."
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are asked for."""
@@ -62,7 +65,7 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage:
     Raises:
         InputError: It is damaged.
     """
-    arrays = _load_part(path)
+    arrays = read_arrays(path)
     try:
         rollouts = RolloutBatch(
             signals={signal.name: arrays[signal.key] for signal in signals},
@@ -98,6 +101,15 @@ def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
         if any(array.shape != shape for array in arrays):
             message = f"stage {path}: an array has not the shape {shape}"
             raise InputError(message)
+    outcomes = rollouts.detected, scored.violated
+    numbers = *rollouts.signals.values(), rollouts.pem_logit, rollouts.proposal_logit
+    if (
+        any(array.dtype != np.bool_ for array in outcomes)
+        or any(a.dtype.kind != "f" or not np.all(np.abs(a) <= LARGEST) for a in numbers)
+        or np.isnan(scored.robustness).any()
+    ):
+        message = f"stage {path}: an array is of the wrong type, or holds what is no number"
+        raise InputError(message)
 
 
 def part_path(folder: Path, *, repetition: int, stage: int) -> Path:
@@ -184,21 +196,21 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
     if not parts:
         message = f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)"
         raise InputError(message)
-    tables = [_load_part(part) for part in parts]
+    tables = [read_arrays(part) for part in parts]
+    for part, table in zip(parts[1:], tables[1:], strict=True):
+        if _layout(table) != _layout(tables[0]):
+            message = f"rollouts {part}: must hold the same arrays as {parts[0].name}"
+            raise InputError(message)
     try:
         return {
             name: np.concatenate([_array(table, name) for table in tables])
             for name in _documented(list(tables[0]))
         }
-    except (KeyError, ValueError) as error:
-        message = f"rollouts {folder}: the stages' files do not fit together ({error})"
+    except (KeyError, ValueError, TypeError) as error:
+        message = f"rollouts {parts[0]}: do not hold a stage's arrays ({error})"
         raise InputError(message) from error
 
 
-def _load_part(path: Path) -> dict[str, AnyArray]:
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            return {name: cast(AnyArray, arrays[name]) for name in arrays.files}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
-        message = f"rollouts {path}: cannot be read ({error})"
-        raise InputError(message) from error
+def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[int, ...]]]:
+    """Type and shape, but for the number of rollouts, of each array."""
+    return {name: (array.dtype.str, array.ndim, array.shape[1:]) for name, array in table.items()}

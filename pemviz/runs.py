@@ -1,6 +1,5 @@
 """A run that is kept in a folder, and that goes on from what an earlier process left there."""
 
-import json
 import logging
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
@@ -11,10 +10,12 @@ from typing import Any, cast
 from filelock import FileLock, Timeout
 
 from pemviz.archive import Archive
+from pemviz.documents import check_document
 from pemviz.engine import run, versions
 from pemviz.errors import InputError
 from pemviz.events import Observer
 from pemviz.experiment import Experiment
+from pemviz.json_text import parse_json
 from pemviz.results import RunResult
 from pemviz.store import RunStore
 
@@ -88,16 +89,18 @@ def read_result(folder: Path) -> dict[str, Any] | None:
     """
     path = folder / "result.json"
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, RecursionError) as error:
-        message = f"result {path}: cannot be read ({' '.join(str(error).split())})"
+    except (OSError, ValueError) as error:
+        message = f"result {path}: cannot be read ({error})"
         raise InputError(message) from error
     if not isinstance(document, dict):
         message = f"result {path}: must hold a JSON object"
         raise InputError(message)
-    return cast(dict[str, Any], document)
+    found = cast(dict[str, Any], document)
+    check_document(found, where=str(path))
+    return found
 
 
 def check_same_model(experiment: Experiment, folder: Path) -> None:

@@ -13,7 +13,8 @@ PACKAGE = ROOT / "pemviz"
 # Each layer may import from those before it, and within itself.
 LAYERS = (
     {"__init__", "errors", "exit_codes", "arrays", "files", "ranges", "assets", "config",
-     "config_files", "types", "chunks"},
+     "config_files", "types", "chunks", "json_text", "array_files",
+     "documents"},
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
     {"experiment", "model_uncertainty", "model_comparison", "explanation", "results", "events",

@@ -1,14 +1,14 @@
 """A run folder as the panel's data."""
 
+import re
 import threading
 from collections.abc import Mapping
 from pathlib import Path
 from weakref import WeakValueDictionary
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load_file
 
+from pemviz.array_files import load_tensors
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config
@@ -31,6 +31,7 @@ from pemviz.types import StageKind
 
 LARGEST_ROLLOUTS_BYTES = 4 * 1024**3
 BIN_M = 0.25
+_INDEX = re.compile("[0-9]{1,9}")
 
 
 class LoadedRuns:
@@ -110,15 +111,11 @@ def _learned_curves(
     path = folder / "proposals.safetensors"
     if not path.is_file():
         return ()
-    try:
-        tensors = load_file(str(path))
-    except (SafetensorError, OSError, ValueError) as error:
-        message = f"proposals {path}: cannot be read ({error})"
-        raise InputError(message) from error
+    tensors = load_tensors(path)
     groups: dict[tuple[int, int], dict[str, AnyArray]] = {}
     for name, values in tensors.items():
         parts = name.split(".", 4)
-        if len(parts) == 5 and parts[1].isdecimal() and parts[3].isdecimal():
+        if len(parts) == 5 and _INDEX.fullmatch(parts[1]) and _INDEX.fullmatch(parts[3]):
             key = (int(parts[1]), int(parts[3]))
             groups.setdefault(key, {})[parts[4]] = values
     simulator = VectorizedSimulator(config.scenario)

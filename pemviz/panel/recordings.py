@@ -1,13 +1,15 @@
 """The folder of kept runs: what is there, and safe access to it by name."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
 from pemviz.assets import asset_root
+from pemviz.config_files import load_config
+from pemviz.documents import check_document
 from pemviz.errors import InputError
+from pemviz.json_text import parse_json
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 RESULT = "result.json"
@@ -47,16 +49,18 @@ class RecordingsFolder:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self._entries: dict[str, tuple[float, RunEntry]] = {}
+        self._entries: dict[str, tuple[float, RunEntry | str]] = {}
 
     def entries(self) -> list[RunEntry]:
         """All readable runs, newest first (the names start with the time)."""
-        found: list[RunEntry] = []
-        for name in self.names():
-            entry = self._entry(name)
-            if entry is not None:
-                found.append(entry)
-        return found
+        return [found for found in self._found() if isinstance(found, RunEntry)]
+
+    def damaged(self) -> list[str]:
+        """What is wrong with the runs that cannot be read, one line each."""
+        return [found for found in self._found() if isinstance(found, str)]
+
+    def _found(self) -> list[RunEntry | str]:
+        return [self._entry(name) for name in self.names()]
 
     def names(self) -> list[str]:
         """Names of run folders, newest first; links are left out, they lead elsewhere."""
@@ -105,16 +109,21 @@ class RecordingsFolder:
             raise InputError(message)
         return path.read_bytes()
 
-    def _entry(self, name: str) -> RunEntry | None:
+    def _entry(self, name: str) -> RunEntry | str:
+        """The run's line, or what is wrong with it."""
         path = self.root / name / RESULT
         try:
             changed_s = path.stat().st_mtime
+        except OSError as error:
+            return f"run {name}: cannot be read ({error.strerror or error})"
+        try:
             known = self._entries.get(name)
             if known is not None and known[0] == changed_s:
                 return known[1]
             entry = _entry_of(name, read_document(path), folder=self.root / name)
-        except (InputError, OSError):
-            return None
+            load_config(self.root / name / "config.toml")
+        except InputError as error:
+            entry = str(error)
         self._entries[name] = (changed_s, entry)
         return entry
 
@@ -123,17 +132,19 @@ def read_document(path: Path) -> dict[str, Any]:
     """The contents of a ``result.json``.
 
     Raises:
-        InputError: It cannot be read or is not a JSON object.
+        InputError: It cannot be read, is not a JSON object, or holds what no result holds.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        document = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         message = f"result {path}: cannot be read ({error})"
         raise InputError(message) from error
     if not isinstance(document, dict):
         message = f"result {path}: must be a JSON object"
         raise InputError(message)
-    return cast(dict[str, Any], document)
+    found = cast(dict[str, Any], document)
+    check_document(found, where=str(path))
+    return found
 
 
 def sample_folder() -> Path | None:

@@ -18,6 +18,8 @@ from pemviz.types import StageKind
 Value = TypeVar("Value")
 
 KEPT_ROLLOUTS = 20_000
+FARTHEST = 1e9
+"""Beyond any gap [m], speed [m/s] or log likelihood of a step [nats]."""
 PER_ROLLOUT = ("repetition", "stage", "robustness", "violated")
 
 
@@ -165,16 +167,40 @@ def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, wher
     """Check a table read from disk against what its configuration promises.
 
     Raises:
-        InputError: An array is absent or has the wrong shape.
+        InputError: An array is absent, or its shape, type or numbers cannot be a run's.
     """
     states = config.scenario.states
     keys = [signal.key for signal in scenario_signals(config.scenario)]
     widths = dict.fromkeys(keys, states)
     widths |= dict.fromkeys(("detected", "log_p", "log_q"), states - 1)
-    count = table["violated"].shape[0] if "violated" in table else 0
+    count = table["violated"].size if "violated" in table else 0
     for name in (*PER_ROLLOUT, *widths):
         shape = (count, widths[name]) if name in widths else (count,)
         if name not in table or table[name].shape != shape:
             found = "is absent" if name not in table else f"has shape {table[name].shape}"
             message = f"rollouts {where}: {name} {found}, must have shape {shape}"
             raise InputError(message)
+        fault = _fault(name, table[name])
+        if fault is not None:
+            message = f"rollouts {where}: {name} {fault}"
+            raise InputError(message)
+
+
+def _fault(name: str, values: AnyArray) -> str | None:
+    """What is wrong with an array's type or numbers, in words; ``None`` if nothing is."""
+    kind = _KINDS.get(name, "f")
+    if values.dtype.kind != kind:
+        return f"holds {values.dtype}, must hold {_KIND_WORDS[kind]}"
+    if kind == "i" and not np.all((values >= 0) & (values < 2**31)):
+        return "must lie between 0 and 2147483647"
+    if name in ("log_p", "log_q") and not np.all((values <= 0.0) & (values >= -FARTHEST)):
+        return f"must hold logarithms of probabilities, {-FARTHEST:g} to 0"
+    if name == "robustness" and np.any(np.isnan(values)):
+        return "must hold numbers, not NaN"
+    if name not in PER_ROLLOUT and kind == "f" and not np.all(np.abs(values) <= FARTHEST):
+        return f"must hold numbers between {-FARTHEST:g} and {FARTHEST:g}"
+    return None
+
+
+_KINDS = {"detected": "b", "violated": "b", "repetition": "i", "stage": "i"}
+_KIND_WORDS = {"b": "truth values", "i": "whole numbers", "f": "floating-point numbers"}

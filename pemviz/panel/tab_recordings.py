@@ -60,7 +60,9 @@ class RecordingsTab:
         names = tuple(entry.name for entry in entries) or (NONE,)
         if tuple(self.name.options) != names:
             self.name.options = names
-        set_html(self._table, recordings_table(entries, folder=str(folder.root)))
+        damaged = folder.damaged()
+        table = recordings_table(entries, folder=str(folder.root), damaged=damaged)
+        set_html(self._table, table)
 
     def _load(self) -> None:
         hub = self._session.hub

@@ -14,7 +14,7 @@ from pemviz.pem.encoding import POSE_INDEX
 from pemviz.pem.errors import PemError
 from pemviz.pem.network import Layer, NetworkPem
 from pemviz.pem.protocol import SALIENT_COLUMNS
-from pemviz.pem.tensors import check_finite
+from pemviz.pem.tensors import as_double, check_finite
 
 BATCH_NORM_EPSILON = 1e-5
 """torch's default, which the checkpoint does not carry."""
@@ -47,8 +47,12 @@ def fold_batch_norm(
         variance: running variance, shape [outputs].
         epsilon: what is added to the variance.
     """
-    factor = scale / np.sqrt(variance + epsilon)
-    return Layer(weight=layer.weight * factor[:, None], bias=(layer.bias - mean) * factor + shift)
+    # what overflows is not finite, and the model refuses that
+    with np.errstate(over="ignore", invalid="ignore"):
+        factor = scale / np.sqrt(variance + epsilon)
+        weight = layer.weight * factor[:, None]
+        bias = (layer.bias - mean) * factor + shift
+    return Layer(weight=weight, bias=bias)
 
 
 def authors_pem(
@@ -65,7 +69,7 @@ def authors_pem(
     Raises:
         PemError: a tensor is missing, has the wrong shape or is not finite.
     """
-    doubles = {key: np.asarray(value, dtype=np.float64) for key, value in tensors.items()}
+    doubles = {key: as_double(value) for key, value in tensors.items()}
     check_finite(doubles, where=where)
     layers: list[Layer] = []
     for linear, norm in _LINEAR_AND_NORM:

@@ -95,6 +95,13 @@ def card_from_mapping(values: Mapping[str, Any], *, where: str) -> PemCard:
     for name in ("scores", "support"):
         if not isinstance(values.get(name, {}), dict):
             raise PemError(f"{where}: metadata field {name!r} must be a table")
+    seed = values.get("seed", 0)
+    if isinstance(seed, bool) or not isinstance(seed, int):
+        raise PemError(f"{where}: metadata field 'seed' must be a whole number")
+    scores: Mapping[str, object] = values.get("scores", {})
+    for name, score in scores.items():
+        if isinstance(score, bool) or not isinstance(score, int | float):
+            raise PemError(f"{where}: metadata field 'scores' must hold numbers, not {name!r}")
     return PemCard(**values)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
+from pemviz.files import is_folder
 from pemviz.pem.detections import Detection, DetectionFormat, FrameDetections, open_detections
 from pemviz.pem.errors import PemError
 from pemviz.pem.kitti import MISC, TYPES, UNKNOWN_OCCLUSION, Obstacle, read_labels
@@ -81,7 +82,7 @@ def collect(
     Raises:
         PemError: naming file, line and column of what is malformed, or what is missing.
     """
-    files = sorted(labels.glob("*.txt")) if labels.is_dir() else []
+    files = sorted(labels.glob("*.txt")) if is_folder(labels) else []
     if not files:
         raise PemError(f"{labels}: no folder with KITTI label files (*.txt)")
     counts = CollectCounts()

@@ -2,13 +2,17 @@
 
 import csv
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from pemviz.files import is_file, is_folder
+from pemviz.json_text import parse_json
 from pemviz.pem.errors import PemError
 from pemviz.pem.kitti import (
+    FARTHEST_PX,
     LABEL_COLUMNS,
     NOT_AN_OBSTACLE,
     Box,
@@ -17,8 +21,10 @@ from pemviz.pem.kitti import (
     cells_of_lines,
     numbers,
 )
+from pemviz.pem.text_files import open_text
 
 DetectionFormat = Literal["kitti", "yolo", "coco"]
+_WHOLE_NUMBER = re.compile("[0-9]{1,9}")
 YOLO_COLUMNS = ("class", "centre_x", "centre_y", "width", "height", "score")
 
 
@@ -65,13 +71,13 @@ def open_detections(
         return _open_coco(
             path, class_names=class_names, missing_is_empty=missing_is_empty, on_bad=on_bad_line
         )
-    if not path.is_dir():
+    if not is_folder(path):
         raise PemError(f"{path}: no folder of detections")
     sizes = _read_sizes(image_sizes) if detection_format == "yolo" else {}
 
     def of_frame(frame: str) -> list[Detection]:
         file = path / f"{frame}.txt"
-        if not file.is_file():
+        if not is_file(file):
             if missing_is_empty:
                 return []
             raise PemError(f"{file}: no detections of this frame (allow that if none were made)")
@@ -154,31 +160,45 @@ def _read_sizes(path: Path | None) -> dict[str, tuple[float, float]]:
     """Image sizes [px] by frame."""
     if path is None:
         raise PemError("YOLO detections are shares of the image: give the image sizes as CSV")
-    if not path.is_file():
+    if not is_file(path):
         raise PemError(f"{path}: no such file")
     sizes: dict[str, tuple[float, float]] = {}
-    with path.open(encoding="utf-8", errors="replace", newline="") as stream:
+    with open_text(path) as stream:
         reader = csv.DictReader(stream)
-        if not {"frame", "width_px", "height_px"} <= set(reader.fieldnames or ()):
-            raise PemError(f"{path}:1: the header must hold frame, width_px, height_px")
-        for row in reader:
-            try:
-                sizes[row["frame"]] = (float(row["width_px"]), float(row["height_px"]))
-            except (TypeError, ValueError):
-                raise PemError(f"{path}:{reader.line_num}: a size is not a number") from None
+        try:
+            if not {"frame", "width_px", "height_px"} <= set(reader.fieldnames or ()):
+                raise PemError(f"{path}:1: the header must hold frame, width_px, height_px")
+            for row in reader:
+                sizes[row["frame"]] = _size(row, where=f"{path}:{reader.line_num}")
+        except csv.Error as error:
+            raise PemError(f"{path}:{reader.line_num}: not CSV ({error})") from None
     return sizes
+
+
+def _size(row: Mapping[str, Any], *, where: str) -> tuple[float, float]:
+    """Width and height [px] of a row."""
+    try:
+        size = (float(row["width_px"]), float(row["height_px"]))
+    except (TypeError, ValueError):
+        raise PemError(f"{where}: a size is not a number") from None
+    if not all(0.0 < side <= FARTHEST_PX for side in size):
+        raise PemError(f"{where}: a size must be above 0 and at most {FARTHEST_PX:g} px")
+    return size
 
 
 def _open_coco(
     path: Path, *, class_names: Sequence[str], missing_is_empty: bool, on_bad: OnBadLine
 ) -> FrameDetections:
     """A COCO results list, or a COCO object with images, annotations and categories."""
-    if not path.is_file():
+    if not is_file(path):
         raise PemError(f"{path}: no such file")
     try:
-        content: Any = json.loads(path.read_text(encoding="utf-8", errors="replace"))
+        with open_text(path) as stream:
+            content: Any = parse_json(stream.read(), strict=False)
     except json.JSONDecodeError as error:
         raise PemError(f"{path}:{error.lineno}: column {error.colno}: {error.msg}") from None
+    except ValueError as error:
+        raise PemError(f"{path}: {error}") from None
     entries: Any = content.get("annotations") if isinstance(content, dict) else content
     if not isinstance(entries, list):
         raise PemError(f"{path}: need a list of results, or an object with 'annotations'")
@@ -230,7 +250,7 @@ def _coco_entry(entry: Any, *, where: str) -> tuple[str, str, Detection]:
     names = ("bbox x", "bbox y", "bbox width", "bbox height", "score")
     texts = [str(value) for value in (*sides, entry.get("score", 1.0))]
     x, y, width, height, score = numbers(texts, names, first=0, where=where)
-    if not str(entry["category_id"]).isdigit():
-        raise PemError(f"{where}: field 'category_id' must be a whole number")
+    if not _WHOLE_NUMBER.fullmatch(str(entry["category_id"])):
+        raise PemError(f"{where}: field 'category_id' must be a whole number of at most 9 digits")
     sides_px = box(x, y, x + width, y + height, column=3, where=where)
     return str(entry["image_id"]), str(entry["category_id"]), Detection("", sides_px, score)

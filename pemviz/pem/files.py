@@ -5,6 +5,7 @@ arbitrary and the same model must give the same bytes.
 """
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,7 +16,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pemviz.arrays import AnyArray
-from pemviz.files import write_bytes
+from pemviz.files import is_file, write_bytes
+from pemviz.json_text import parse_json
 from pemviz.pem.authors import authors_pem, is_authors_checkpoint
 from pemviz.pem.card import PemCard, card_from_mapping
 from pemviz.pem.encoding import PAPER_INPUTS
@@ -24,9 +26,11 @@ from pemviz.pem.errors import PemError
 from pemviz.pem.features import FEATURES, FeatureSet
 from pemviz.pem.network import Layer, NetworkPem
 from pemviz.pem.tabulated import TabulatedPem
+from pemviz.pem.tensors import as_double
 from pemviz.pem.trees import TreesPem
 
 METADATA_KEY = "pemviz-pem"
+_MEMBER = re.compile("[0-9]{1,6}")
 FORMAT_VERSION = 1
 
 StoredPem = NetworkPem | TreesPem | TabulatedPem | EnsemblePem
@@ -69,7 +73,10 @@ def load_file(path: Path) -> StoredPem:
         return _ensemble(tensors, header, where=where)
     if header.kind == "table":
         _exactly(tensors, {"table.distance_m", "table.logit"}, where=where)
-        distance_m, logit = _double(tensors["table.distance_m"]), _double(tensors["table.logit"])
+        distance_m, logit = (
+            as_double(tensors["table.distance_m"]),
+            as_double(tensors["table.logit"]),
+        )
         return TabulatedPem(header.card, distance_m, logit, header.options.get("between", ""))
     return _single(tensors, header, where=where)
 
@@ -80,7 +87,7 @@ def read_tensors(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
     Raises:
         PemError: the file is missing, no safetensors file, or cut short.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise PemError(f"{path}: no such file")
     try:
         with safe_open(path, framework="numpy") as stream:
@@ -91,6 +98,11 @@ def read_tensors(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
         raise PemError(
             f"{path}: not a readable safetensors file ({reason}); torch files are refused"
         ) from None
+    for name, array in tensors.items():
+        if array.dtype.kind not in "iuf":
+            raise PemError(
+                f"{path}: tensor {name!r} is of type {array.dtype}, must be real numbers"
+            )
     return tensors, metadata
 
 
@@ -99,8 +111,8 @@ def _single(tensors: Mapping[str, AnyArray], header: _Header, *, where: str) -> 
         _check_inputs(header, PAPER_INPUTS, where=where)
         return _network(tensors, card=header.card, where=where)
     if header.kind == "trees":
-        feature_set = header.options.get("feature_set")
-        if feature_set not in FEATURES:
+        feature_set: object = header.options.get("feature_set")
+        if feature_set not in tuple(FEATURES):  # a tuple, because a list has no hash
             raise PemError(f"{where}: metadata option 'feature_set' is {feature_set!r}")
         _check_inputs(header, FEATURES[feature_set], where=where)
         return _trees(tensors, card=header.card, feature_set=feature_set, where=where)
@@ -117,7 +129,7 @@ def _network(tensors: Mapping[str, AnyArray], *, card: PemCard, where: str) -> N
     count = sum(name.endswith(".weight") for name in tensors)
     names = {f"layers.{index}.{part}" for index in range(count) for part in ("weight", "bias")}
     _exactly(tensors, names | {"pose.mean", "pose.std"}, where=where)
-    doubles = {name: _double(array) for name, array in tensors.items()}
+    doubles = {name: as_double(array) for name, array in tensors.items()}
     layers = tuple(
         Layer(weight=doubles[f"layers.{index}.weight"], bias=doubles[f"layers.{index}.bias"])
         for index in range(count)
@@ -134,10 +146,10 @@ def _trees(
         card,
         feature_set,
         feature=tensors["trees.feature"],
-        number=_double(tensors["trees.number"]),
+        number=as_double(tensors["trees.number"]),
         left=tensors["trees.left"],
         root=tensors["trees.root"],
-        calibration=_double(tensors["calibration"]),
+        calibration=as_double(tensors["calibration"]),
     )
 
 
@@ -146,7 +158,7 @@ def _ensemble(tensors: Mapping[str, AnyArray], header: _Header, *, where: str) -
     for name, array in tensors.items():
         prefix, _, rest = name.partition(".")
         index, _, inner = rest.partition(".")
-        if prefix != "members" or not index.isdigit() or not inner:
+        if prefix != "members" or not _MEMBER.fullmatch(index) or not inner:
             raise PemError(f"{where}: unknown tensor {name!r}")
         grouped.setdefault(index, {})[inner] = array
     member_kind = str(header.options.get("member_kind"))
@@ -166,16 +178,12 @@ def _exactly(tensors: Mapping[str, AnyArray], wanted: set[str], *, where: str) -
         )
 
 
-def _double(array: AnyArray) -> AnyArray:
-    return np.asarray(array, dtype=np.float64)
-
-
 def _header(metadata: Mapping[str, str], *, where: str) -> _Header:
     if METADATA_KEY not in metadata:
         raise PemError(f"{where}: no {METADATA_KEY!r} metadata and no authors' tensor names")
     try:
-        header: Any = json.loads(metadata[METADATA_KEY])
-    except json.JSONDecodeError as error:
+        header: Any = parse_json(metadata[METADATA_KEY])
+    except ValueError as error:
         raise PemError(f"{where}: metadata is not JSON ({error})") from None
     if not isinstance(header, dict) or header.get("version") != FORMAT_VERSION:
         raise PemError(f"{where}: metadata does not say 'version' {FORMAT_VERSION}")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pemviz.pem.errors import PemError
+from pemviz.pem.text_files import open_text
 
 LABEL_COLUMNS = (
     "type",
@@ -40,6 +41,9 @@ UNKNOWN_OCCLUSION = 3
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom [px]."""
+
+FARTHEST_PX = 1e6
+"""No side of a box lies farther from the image's corner than this [px]."""
 
 OnBadLine = Callable[[PemError], None]
 """What to do about a malformed line: raise, or count."""
@@ -86,7 +90,7 @@ def read_labels(path: Path, *, on_bad_line: OnBadLine) -> list[Obstacle]:
 
 def cells_of_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Line number and white-space separated cells of each line that is not blank."""
-    with path.open(encoding="utf-8", errors="replace") as stream:
+    with open_text(path) as stream:
         for number, line in enumerate(stream, start=1):
             cells = line.split()
             if cells:
@@ -123,8 +127,13 @@ def box(left: float, top: float, right: float, bottom: float, *, column: int, wh
     """A box whose sides are in order.
 
     Raises:
-        PemError: right is left of left, or bottom above top.
+        PemError: right is left of left, or bottom above top, or a side is far from any image.
     """
+    if not all(abs(side) <= FARTHEST_PX for side in (left, top, right, bottom)):
+        raise PemError(
+            f"{where}: column {column} begins a box beyond any image, "
+            f"allowed: sides from {-FARTHEST_PX:g} to {FARTHEST_PX:g} px"
+        )
     if right < left or bottom < top:
         raise PemError(f"{where}: column {column} begins a box with a negative side")
     return left, top, right, bottom

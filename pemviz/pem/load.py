@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from pemviz.assets import asset_path
+from pemviz.files import is_file
 from pemviz.pem.errors import PemError
 from pemviz.pem.files import load_file
 from pemviz.pem.protocol import Pem, PemEnsemble
@@ -40,7 +41,7 @@ def load_pem(name_or_path: str, *, allow_python: bool = False) -> Pem:
         return load_csv(path)
     if is_object_name(name_or_path):
         return load_object(name_or_path, allowed=allow_python)
-    if path.is_file():
+    if is_file(path):
         raise PemError(f"{path}: not a {SUFFIX} or .csv file; torch and pickle files are refused")
     raise PemError(
         f"no perception error model {name_or_path!r}; give one of {', '.join(shipped_pems())}, "
@@ -73,11 +74,11 @@ def ensemble_of(name_or_path: str) -> PemEnsemble | None:
         partner = f"{name_or_path.removesuffix(ENSEMBLE_ENDING)}{ENSEMBLE_ENDING}"
         return load_ensemble(partner) if partner in shipped_pems() else None
     path = Path(name_or_path)
-    if path.suffix != SUFFIX or not path.is_file():
+    if path.suffix != SUFFIX or not is_file(path):
         return None
     partner_path = path.with_name(f"{path.stem.removesuffix(ENSEMBLE_ENDING)}{ENSEMBLE_ENDING}")
     partner_path = partner_path.with_suffix(SUFFIX)
-    if partner_path.is_file():
+    if is_file(partner_path):
         return load_ensemble(str(partner_path))
     pem = load_pem(name_or_path)
     return pem if isinstance(pem, PemEnsemble) else None

@@ -19,6 +19,9 @@ from pemviz.pem.errors import PemError
 from pemviz.pem.protocol import as_rows
 from pemviz.pem.tensors import check_finite, tensors_digest
 
+FARTHEST = 1e6
+"""Far beyond any x, y, z [m] or angle [rad] that a scenario holds."""
+
 
 @dataclass(frozen=True)
 class Layer:
@@ -57,6 +60,8 @@ class NetworkPem(Carded):
         if not (self.pose_std > 0.0).all():
             raise PemError(f"{self.card.name}: pose standard deviations must be above 0")
         check_layers(self.layers, where=self.card.name)
+        if not np.isfinite(largest_output(self)):
+            raise PemError(f"{self.card.name}: its numbers are so large that answers overflow")
 
     @property
     def digest(self) -> str:
@@ -98,6 +103,16 @@ def forward(layers: Sequence[Layer], inputs: FloatArray) -> FloatArray:
         hidden += layer.bias[:, None]
         np.maximum(hidden, 0.0, out=hidden)
     return np.einsum("hk,kn->hn", layers[-1].weight, hidden)[0] + layers[-1].bias[0]
+
+
+def largest_output(pem: "NetworkPem") -> float:
+    """A bound on |logit| for obstacles within FARTHEST of 0 in each pose variable."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        pose = (FARTHEST + np.abs(pem.pose_mean)) / pem.pose_std
+        reach = np.concatenate([np.ones(len(PAPER_INPUTS) - len(POSE_COLUMNS)), pose])
+        for layer in pem.layers:
+            reach = np.abs(layer.weight) @ reach + np.abs(layer.bias)
+    return float(reach[0])
 
 
 def check_layers(layers: Sequence[Layer], *, where: str) -> None:

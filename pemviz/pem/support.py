@@ -24,6 +24,8 @@ LATERAL_EDGES_M = (1.5, 4.5, 10.0)
 """Between the bands of |x|."""
 
 HEADING_TOLERANCE_RAD = 0.3
+MOST_OBSTACLES = 10**12
+"""Training obstacles in a cell; sums of them stay whole numbers."""
 HEADING_NAMES = ("heading away", "oncoming", "across")
 LATERAL_NAMES = ("straight ahead", "beside", "off the road", "far aside")
 
@@ -80,14 +82,19 @@ def support_from_json(values: Mapping[str, Any], *, where: str) -> SupportSummar
     if edges != (list(DISTANCE_EDGES_M), list(LATERAL_EDGES_M)):
         raise PemError(f"{where}: its support counts use other bands than this version of pemviz")
     try:
-        cells = np.asarray(values["cells"], dtype=np.int64).reshape(-1, len(SHAPE) + 2)
+        cells = np.asarray(values["cells"])
+        if cells.size and cells.dtype != np.int64:
+            raise PemError(f"{where}: its support counts must be whole numbers")
+        cells = cells.astype(np.int64).reshape(-1, len(SHAPE) + 2)
         index = tuple(cells[:, : len(SHAPE)].T)
         summary = SupportSummary(np.zeros(SHAPE, dtype=np.int64), np.zeros(SHAPE, dtype=np.int64))
         summary.obstacles[index] = cells[:, -2]
         summary.missed[index] = cells[:, -1]
     except (KeyError, ValueError, IndexError, TypeError, OverflowError) as error:
         raise PemError(f"{where}: its support counts are malformed ({error})") from None
-    if (cells < 0).any() or (summary.missed > summary.obstacles).any():
+    if (cells < 0).any() or (cells > MOST_OBSTACLES).any():
+        raise PemError(f"{where}: its support counts must lie between 0 and {MOST_OBSTACLES}")
+    if (summary.missed > summary.obstacles).any():
         raise PemError(f"{where}: its support counts are contradictory")
     return summary
 

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.files import is_file, is_folder
 from pemviz.pem.encoding import check_rows
 from pemviz.pem.errors import PemError
 from pemviz.pem.protocol import SALIENT_COLUMNS
+from pemviz.pem.text_files import open_text
 
 OUTCOME_COLUMN = "detected"
 INPUTS_FILE = "salient_inputs.txt"
@@ -51,9 +53,9 @@ def load_table(path: Path | str) -> SalientTable:
         PemError: the file is missing or malformed; the message names file, line and column.
     """
     path = Path(path)
-    if path.is_dir():
+    if is_folder(path):
         salient, detected = _read_folder(path)
-    elif path.suffix == ".csv" and path.is_file():
+    elif path.suffix == ".csv" and is_file(path):
         salient, detected = _read_csv(path)
     else:
         raise PemError(
@@ -81,7 +83,7 @@ def save_table(table: SalientTable, path: Path) -> None:
 
 def _read_folder(folder: Path) -> tuple[FloatArray, FloatArray]:
     for name in (INPUTS_FILE, LABELS_FILE):
-        if not (folder / name).is_file():
+        if not is_file(folder / name):
             raise PemError(f"{folder / name}: no such file")
     salient = read_numbers(folder / INPUTS_FILE, separator=None, columns=SALIENT_COLUMNS)
     labels = (OUTCOME_COLUMN, *(f"column {index}" for index in range(2, 10)))
@@ -92,7 +94,7 @@ def _read_folder(folder: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def _read_csv(path: Path) -> tuple[FloatArray, FloatArray]:
-    with path.open(encoding="utf-8", errors="replace") as stream:
+    with open_text(path) as stream:
         header = tuple(name.strip() for name in stream.readline().split(","))
     wanted = (*SALIENT_COLUMNS, OUTCOME_COLUMN)
     missing = [name for name in wanted if name not in header]
@@ -125,7 +127,7 @@ def read_numbers(
     """
     picked = tuple(range(len(columns))) if picked is None else picked
     values: list[list[float]] = []
-    with path.open(encoding="utf-8", errors="replace") as stream:
+    with open_text(path) as stream:
         for number, line in enumerate(stream, start=1):
             if number <= skip_lines or not line.strip() or line.lstrip().startswith("#"):
                 continue

@@ -9,12 +9,14 @@ from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
+from pemviz.files import is_file
 from pemviz.pem.card import Carded, PemCard
 from pemviz.pem.encoding import check_rows
 from pemviz.pem.errors import PemError
 from pemviz.pem.protocol import COLUMN, as_rows
 from pemviz.pem.table import read_numbers
 from pemviz.pem.tensors import check_finite, tensors_digest
+from pemviz.pem.text_files import open_text
 
 Between = Literal["linear", "step"]
 
@@ -44,8 +46,15 @@ class TabulatedPem(Carded):
         check_finite(self.tensors(), where=self.card.name)
         if self.distance_m.ndim != 1 or self.distance_m.shape != self.table_logit.shape:
             raise PemError(f"{self.card.name}: distances and probabilities differ in shape")
-        if len(self.distance_m) == 0 or (np.diff(self.distance_m) <= 0.0).any():
+        if len(self.distance_m) == 0 or (self.distance_m[1:] <= self.distance_m[:-1]).any():
             raise PemError(f"{self.card.name}: distances must be there and increase")
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            slope = np.diff(self.table_logit) / np.diff(self.distance_m)
+            extent_m = np.ptp(self.distance_m)
+        if not (np.isfinite(slope).all() and np.isfinite(extent_m)):
+            raise PemError(
+                f"{self.card.name}: points so far apart that lines between them overflow"
+            )
         if self.between not in ("linear", "step"):
             raise PemError(f"{self.card.name}: between is {self.between!r}, allowed: linear, step")
 
@@ -82,9 +91,9 @@ def load_csv(path: Path) -> TabulatedPem:
     Raises:
         PemError: naming file, line and what is wrong there.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise PemError(f"{path}: no such file")
-    with path.open(encoding="utf-8", errors="replace") as stream:
+    with open_text(path) as stream:
         header = tuple(name.strip() for name in stream.readline().split(","))
     if header != CSV_COLUMNS:
         raise PemError(f"{path}:1: the header must be {','.join(CSV_COLUMNS)}")

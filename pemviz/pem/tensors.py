@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pemviz.arrays import AnyArray
+from pemviz.arrays import AnyArray, FloatArray
 from pemviz.pem.errors import PemError
 
 
@@ -18,6 +18,12 @@ def check_finite(tensors: Mapping[str, AnyArray], *, where: str) -> None:
     for name in sorted(tensors):
         if not np.isfinite(tensors[name]).all():
             raise PemError(f"{where}: tensor {name!r} holds values that are not finite")
+
+
+def as_double(array: AnyArray) -> FloatArray:
+    """The numbers in double precision; what is no number stays none, without a warning."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(array, dtype=np.float64)
 
 
 def tensors_digest(kind: str, tensors: Mapping[str, AnyArray]) -> str:

@@ -25,6 +25,16 @@ LEAF = 255
 LEAF_UNIT = 2.0**-40
 """Leaf values are multiples of this, so that their sums are exact in whatever order."""
 
+LARGEST_SUM = 4096
+"""Of absolute leaf values over all trees: with LEAF_UNIT, within the 53 bits of a float64."""
+
+LARGEST_CALIBRATION = 1e100
+
+
+MOST_TREES = 10_000
+DEEPEST = 200
+"""Levels of a tree; boosted trees have about ten."""
+
 
 @dataclass(frozen=True, eq=False)
 class TreesPem(Carded):
@@ -172,10 +182,38 @@ def check_trees(pem: TreesPem) -> None:
     inner = pem.feature != LEAF
     if (pem.feature[inner] >= len(FEATURES[pem.feature_set])).any():
         raise PemError(f"{where}: a tree splits on an unknown feature")
-    children = pem.left[inner]
-    if (children <= np.arange(nodes)[inner]).any() or (children + 1 >= nodes).any():
+    children = pem.left[inner].astype(np.int64)  # a narrower type would wrap around below
+    if (children <= np.arange(nodes)[inner]).any() or (children >= nodes - 1).any():
         raise PemError(f"{where}: a tree's child lies outside its tree")
     if len(pem.root) == 0 or (pem.root < 0).any() or (pem.root >= nodes).any():
         raise PemError(f"{where}: a tree's root lies outside the nodes")
     if not pem.calibration[0] > 0.0:
         raise PemError(f"{where}: the calibration's slope must be above 0")
+    _check_size(pem, inner=inner, where=where)
+
+
+def _check_size(pem: TreesPem, *, inner: BoolArray, where: str) -> None:
+    """Refuse sound trees that take too much memory or time, or whose sums are not exact.
+
+    Raises:
+        PemError: what is wrong, in one line.
+    """
+    if len(pem.root) > MOST_TREES:
+        raise PemError(f"{where}: has {len(pem.root)} trees, allowed: at most {MOST_TREES}")
+    level = pem.root.astype(np.int64)
+    for _ in range(DEEPEST):
+        level = level[inner[level]]
+        if not len(level):
+            break
+        below = pem.left[level].astype(np.int64)
+        level = np.unique(np.concatenate([below, below + 1]))
+    else:
+        raise PemError(f"{where}: a tree is deeper than {DEEPEST} levels")
+    leaves = pem.number[~inner]
+    largest = float(np.max(np.abs(leaves), initial=0.0))
+    if largest * len(pem.root) > LARGEST_SUM or (leaves / LEAF_UNIT % 1.0 != 0.0).any():
+        raise PemError(
+            f"{where}: leaf values must be multiples of 2^-40 whose sums stay within {LARGEST_SUM}"
+        )
+    if not np.abs(pem.calibration).max() <= LARGEST_CALIBRATION:
+        raise PemError(f"{where}: calibration numbers must be at most {LARGEST_CALIBRATION:g}")

@@ -1,6 +1,6 @@
 """The paper's proposal: a small network that sees nothing but the gap."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from pemviz.types import StateBatch
 
 GAP_SCALE_M = 12.0
 HIDDEN_UNITS = 32
+FARTHEST_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,31 @@ def gap_network_from_arrays(arrays: Mapping[str, AnyArray]) -> GapNetwork:
 
     Raises:
         KeyError: A parameter is missing.
+        ValueError: The parameters do not form such a network, or its answers overflow.
     """
     weights = [np.asarray(arrays[f"{layer}.weight"], dtype=np.float64) for layer in (0, 2, 4)]
     biases = [np.asarray(arrays[f"{layer}.bias"], dtype=np.float64) for layer in (0, 2, 4)]
+    check_network(weights, biases)
     return GapNetwork(
         weights=(weights[0], weights[1], weights[2]), biases=(biases[0], biases[1], biases[2])
     )
+
+
+def check_network(weights: Sequence[FloatArray], biases: Sequence[FloatArray]) -> None:
+    """Check that layers fit together and answer with finite numbers at any gap up to 1e6 m.
+
+    Raises:
+        ValueError: They do not.
+    """
+    reach = np.full(1, FARTHEST_M / GAP_SCALE_M)
+    for weight, bias in zip(weights, biases, strict=True):
+        if weight.shape != (bias.size, reach.size) or bias.ndim != 1:
+            message = f"a layer has weights {weight.shape} and biases {bias.shape}"
+            raise ValueError(message)
+        with np.errstate(over="ignore", invalid="ignore"):
+            reach = np.abs(weight) @ reach + np.abs(bias)
+    with np.errstate(over="ignore", invalid="ignore"):
+        largest = reach.sum()  # the answer is the difference of the two
+    if reach.shape != (2,) or not np.isfinite(largest):
+        message = "the network must answer with two finite numbers"
+        raise ValueError(message)

@@ -17,6 +17,7 @@ import rerun_cli
 import tyro
 
 from pemviz.errors import InputError, RunError
+from pemviz.files import is_folder
 from pemviz.ranges import Range
 from pemviz.recording.web import web_viewer
 
@@ -66,7 +67,7 @@ def find_recording(target: Path) -> Path:
     Raises:
         InputError: There is none, or it is not a recording.
     """
-    path = target / RECORDING_NAME if target.is_dir() else target
+    path = target / RECORDING_NAME if is_folder(target) else target
     try:
         with path.open("rb") as file:
             start = file.read(len(MAGIC))

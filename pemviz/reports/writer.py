@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pemviz.errors import ConfigError, RunError
 from pemviz.events import Event, RunDone, RunFailed
-from pemviz.files import write_text
+from pemviz.files import is_folder, write_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
@@ -67,9 +67,9 @@ class ReportWriter:
 
 def _check_place(name: str, path: Path) -> None:
     folder = path.parent
-    if path.is_dir():
+    if is_folder(path):
         raise ConfigError(f"{name} = {path}: must be a file, is a folder")
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise ConfigError(f"{name} = {path}: must lie in a folder that exists")
     if not os.access(path if path.exists() else folder, os.W_OK):
         raise ConfigError(f"{name} = {path}: cannot be written there")

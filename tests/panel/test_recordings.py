@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file, save_file
 
 from pemviz.errors import InputError
 from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.recordings import RecordingsFolder, sample_folder
+from pemviz.panel.views.recordings import recordings_table
 
 CRAFTED = (
     "..", ".", "", "/", "../outside", "run/../../outside", "/etc", "run/", "./run", "run\x00",
@@ -116,6 +118,76 @@ def test_damage_is_one_line(folder, damage):
     with pytest.raises(InputError) as caught:
         load_run(run)
     assert "\n" not in str(caught.value)
+
+
+def edit(run: Path, **changes):
+    with np.load(run / "rollouts.npz") as arrays:
+        table = {k: arrays[k] for k in arrays.files}
+    for name, change in changes.items():
+        table[name] = change(table[name])
+    np.savez(run / "rollouts.npz", **table)
+
+
+def first_is(value):
+    def change(array):
+        array = array.copy()
+        array.flat[0] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("gap_m", first_is(np.nan), "between -1e\\+09 and 1e\\+09"),
+        ("gap_m", first_is(1e300), "between -1e\\+09 and 1e\\+09"),
+        ("log_p", first_is(0.1), "logarithms of probabilities"),
+        ("log_q", first_is(-np.inf), "logarithms of probabilities"),
+        ("robustness", first_is(np.nan), "not NaN"),
+        ("stage", first_is(-1), "between 0 and"),
+        ("repetition", first_is(2**62), "between 0 and"),
+        ("detected", lambda array: array.astype(np.float64), "must hold truth values"),
+        ("violated", lambda array: array[:-1], "must have shape"),
+    ],
+)
+def test_rollouts_with_impossible_numbers_are_refused(folder, name, change, words):
+    run = folder.root / "run"
+    edit(run, **{name: change})
+    with pytest.raises(InputError, match=words):
+        load_run(run)
+
+
+def test_stages_that_hold_different_arrays_are_refused(folder):
+    run = folder.root / "run"
+    (run / "stages").mkdir()
+    shutil.move(run / "rollouts.npz", run / "stages" / "a.npz")
+    np.savez(run / "stages" / "b.npz", gap_m=np.zeros(3))
+    with pytest.raises(InputError, match=r"b\.npz: must hold the same arrays as a\.npz"):
+        load_run(run)
+
+
+def test_proposals_that_overflow_are_not_drawn(folder):
+    run = folder.root / "run"
+    path = run / "proposals.safetensors"
+    save_file({name: np.full_like(a, 1e200) for name, a in load_file(path).items()}, path)
+    # the rollouts tell what was sampled from
+    assert all(np.nanmax(curve.detection) <= 1.0 for curve in load_run(run).curves)
+
+
+def test_the_list_says_what_is_damaged(folder, kept):
+    for name, damage in (("bad", damage_json), ("worse", no_config)):
+        shutil.copytree(kept[0], folder.root / name)
+        damage(folder.root / name)
+    assert [entry.name for entry in folder.entries()] == ["run"]
+    page = recordings_table(folder.entries(), folder="here", damaged=folder.damaged())
+    assert "result" in page
+    assert f"{Path('bad') / 'result.json'}: cannot be read" in page
+    assert f"{Path('worse') / 'config.toml'}: cannot be read" in page
+    assert len(folder.damaged()) == 2
+    many = recordings_table([], folder="here", damaged=["run x: is damaged"] * 30)
+    assert many.count("is damaged") == 10
+    assert "and 20 more damaged runs" in many
 
 
 def test_a_run_without_rollouts_or_proposals_still_shows(folder):

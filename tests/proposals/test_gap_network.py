@@ -136,3 +136,24 @@ def test_initialisation_leaves_torchs_own_generator_alone():
     torch.manual_seed(0)
     initial_gap_network(seed=9)
     assert torch.equal(torch.rand(3), expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("4.bias", lambda array: np.full_like(array, 1.7e308)),
+        ("2.weight", lambda array: np.full_like(array, 1e308)),
+        ("0.weight", lambda array: array.T),
+        ("4.weight", lambda array: array[:1]),
+        ("2.bias", lambda array: np.array([np.nan])),
+        ("0.bias", lambda array: np.full_like(array, np.nan)),
+    ],
+)
+def test_parameters_that_form_no_network_or_overflow_are_refused(name, change):
+    rng = np.random.default_rng(1)
+    shapes = {"0.weight": (32, 1), "0.bias": 32, "2.weight": (32, 32), "2.bias": 32,
+              "4.weight": (2, 32), "4.bias": 2}  # fmt: skip
+    arrays = {key: rng.normal(size=shape) for key, shape in shapes.items()}
+    gap_network_from_arrays(arrays)
+    with pytest.raises(ValueError, match=r"layer|finite"):
+        gap_network_from_arrays({**arrays, name: change(arrays[name])})

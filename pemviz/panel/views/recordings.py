@@ -4,13 +4,21 @@ from collections.abc import Sequence
 from html import escape
 
 from pemviz.panel.recordings import RunEntry
-from pemviz.panel.views.words import block, grid, number, quiet
+from pemviz.panel.views.words import block, grid, number, quiet, warning
+
+MOST_COMPLAINTS = 10
 
 
-def recordings_table(entries: Sequence[RunEntry], *, folder: str) -> str:
-    """One line a run."""
+def recordings_table(
+    entries: Sequence[RunEntry], *, folder: str, damaged: Sequence[str] = ()
+) -> str:
+    """One line a run, then what is wrong with those that cannot be read."""
+    complaints = "".join(warning(words) for words in damaged[:MOST_COMPLAINTS])
+    if len(damaged) > MOST_COMPLAINTS:
+        complaints += warning(f"and {len(damaged) - MOST_COMPLAINTS} more damaged runs")
     if not entries:
-        return block(quiet(f"There are no runs in {folder} yet. Press Run in the Experiment tab."))
+        words = f"There are no runs in {folder} yet. Press Run in the Experiment tab."
+        return block(complaints + quiet(words))
     lines = [
         [
             escape(entry.name),
@@ -23,7 +31,8 @@ def recordings_table(entries: Sequence[RunEntry], *, folder: str) -> str:
         for entry in entries
     ]
     header = ("run", "method, metric", "P(violation)", "seed", "status", ".rrd")
-    return block(grid(header, lines, name="Recordings") + quiet(f"Folder: {folder}"))
+    table = grid(header, lines, name="Recordings")
+    return block(table + complaints + quiet(f"Folder: {folder}"))
 
 
 def viewer_link(address: str, *, name: str) -> str:

@@ -32,6 +32,7 @@ UNWEIGHTED = (
     "Splitting's rollouts carry no weights, so there is nothing to diagnose and no sensitivity: "
     "its standard error comes from how far its independent runs differ."
 )
+MOST_BANDS = 250
 
 
 def why(run: RunData | None) -> str:
@@ -162,10 +163,11 @@ def longest_runs(missed: BoolArray) -> FloatArray:
 def by_distance(failures: Failures) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Edges ``[B+1]`` of gap bands, weighted share missed and the error model's ``[B]``."""
     high = max(BAND_M, float(np.ceil(np.max(failures.gap_m))))
-    edges = np.arange(0.0, high + BAND_M / 2, BAND_M)
+    band_m = BAND_M * max(1.0, float(np.ceil(high / (MOST_BANDS * BAND_M))))
+    edges = np.arange(0.0, high + band_m / 2, band_m)
     weight = np.broadcast_to(failures.weight[:, None], failures.gap_m.shape)
     inside = failures.gap_m >= 0.0
-    index = np.minimum((failures.gap_m[inside] / BAND_M).astype(np.int64), edges.size - 2)
+    index = np.minimum((failures.gap_m[inside] / band_m).astype(np.int64), edges.size - 2)
 
     def share(values: FloatArray) -> FloatArray:
         size = edges.size - 1

@@ -11,6 +11,7 @@ from pemviz.pem.commands.progress import progress_bar
 from pemviz.pem.errors import PemError
 from pemviz.pem.fit import MODEL_KINDS, ModelKind
 from pemviz.pem.table import load_table
+from pemviz.pem.text_files import writing
 
 QUICK_MODELS = ("guess-mu", "lr")
 """Fitted sooner than a process starts."""
@@ -55,6 +56,8 @@ def run(arguments: EvaluateArguments) -> int:
     from pemviz.pem.report import COLUMNS, as_json, summary_row, write_report  # noqa: PLC0415
 
     split_folds(table, folds=arguments.folds)
+    with writing(arguments.out):  # now, not after minutes of fitting
+        arguments.out.mkdir(parents=True, exist_ok=True)
     evaluations = []
     for model in arguments.models:
         with progress_bar(f"{model}: folds") as tell:
@@ -68,7 +71,8 @@ def run(arguments: EvaluateArguments) -> int:
                     on_progress=tell,
                 )
             )
-    written = write_report(evaluations, table=table, folder=arguments.out)
+    with writing(arguments.out):
+        written = write_report(evaluations, table=table, folder=arguments.out)
     if arguments.json:
         print(json.dumps(as_json(evaluations, table=table), allow_nan=False))
         return 0

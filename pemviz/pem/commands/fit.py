@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import AnyArray
+from pemviz.files import is_folder
 from pemviz.pem.card import UNKNOWN_LICENCE, card_markdown
 from pemviz.pem.commands.progress import progress_bar
 from pemviz.pem.errors import PemError
@@ -15,6 +16,7 @@ from pemviz.pem.files import StoredPem, save_pem
 from pemviz.pem.fit import ModelKind, Provenance, fit_ensemble, fit_pem
 from pemviz.pem.load import ENSEMBLE_ENDING, SUFFIX
 from pemviz.pem.table import SalientTable, load_table
+from pemviz.pem.text_files import writing
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def run(arguments: FitArguments) -> int:
 def _validate(arguments: FitArguments) -> None:
     if arguments.out.suffix != SUFFIX:
         raise PemError(f"out is {str(arguments.out)!r}, must end in {SUFFIX}")
-    if not arguments.out.parent.is_dir():
+    if not is_folder(arguments.out.parent):
         raise PemError(f"out: no folder {str(arguments.out.parent)!r}")
     if arguments.seed < 0:
         raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
@@ -112,13 +114,14 @@ def _scores(table: SalientTable, *, arguments: FitArguments) -> dict[str, float]
 
 
 def _write(pem: StoredPem, path: Path) -> None:
-    save_pem(pem, path)
-    path.with_suffix(".md").write_text(card_markdown(pem.card, digest=pem.digest), encoding="utf-8")
     card = {key: value for key, value in asdict(pem.card).items() if key != "support"}
     metadata = {**card, "digest": pem.digest, **pem.options(), **_normalisation(pem.tensors())}
-    path.with_suffix(".json").write_text(
-        json.dumps(metadata, indent=1, allow_nan=False), encoding="utf-8"
-    )
+    text = json.dumps(metadata, indent=1, allow_nan=False)
+    page = card_markdown(pem.card, digest=pem.digest)
+    with writing(path):
+        save_pem(pem, path)
+        path.with_suffix(".md").write_text(page, encoding="utf-8")
+        path.with_suffix(".json").write_text(text, encoding="utf-8")
     scores = ", ".join(f"{name} {value:.4f}" for name, value in pem.card.scores.items())
     print(f"{path}: {pem.card.model}, SHA-256 {pem.digest[:16]}{', ' if scores else ''}{scores}")
 

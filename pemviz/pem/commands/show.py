@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from rich.console import Console
 
+from pemviz.files import is_folder
 from pemviz.pem.curve import ObstacleView, distance_curve
 from pemviz.pem.curve_picture import terminal_table, write_picture
 from pemviz.pem.errors import PemError
@@ -14,6 +15,7 @@ from pemviz.pem.load import ensemble_of, load_ensemble, load_pem
 from pemviz.pem.protocol import CLASS_NAMES, OCCLUSION_NAMES
 from pemviz.pem.support import support_of
 from pemviz.pem.support_check import support_check
+from pemviz.pem.text_files import writing
 
 ClassName = Literal["Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram"]
 OcclusionName = Literal["none", "partly", "largely"]
@@ -73,7 +75,8 @@ def run(arguments: ShowArguments) -> int:
             console.print(f"warning: {warning}", soft_wrap=True)
     console.print(f"trained on: {pem.data}; licence: {pem.licence}", soft_wrap=True)
     if arguments.out is not None:
-        write_picture(curve, arguments.out, title=title)
+        with writing(arguments.out):
+            write_picture(curve, arguments.out, title=title)
         console.print(f"written: {arguments.out}", soft_wrap=True)
     return 0
 
@@ -91,5 +94,5 @@ def _validate(arguments: ShowArguments) -> None:
     if arguments.out is not None:
         if arguments.out.suffix != ".png":
             raise PemError(f"out is {str(arguments.out)!r}, must end in .png")
-        if not arguments.out.parent.is_dir():
+        if not is_folder(arguments.out.parent):
             raise PemError(f"out: no folder {str(arguments.out.parent)!r}")

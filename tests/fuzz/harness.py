@@ -1,0 +1,182 @@
+"""One damaged input at a time, under limits on time and memory; what comes out is judged."""
+
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from pemviz.errors import InputError
+from tests.fuzz.valid import ValidFiles
+
+CASE_S = 10.0
+"""Processor time a case may take: a busy machine raises no false alarm."""
+EXTRA_BYTES = 400 * 1024 * 1024
+"""Memory a case may take beyond what the process has; the inputs have some kilobytes."""
+LONGEST_LINE = 2000
+
+
+class TooSlowError(BaseException):
+    """The case's time is over; no handler of the code under test catches it."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a target gets.
+
+    Attributes:
+        rng: Draws the damage.
+        folder: Empty, for the damaged files.
+        valid: Files to damage.
+    """
+
+    rng: random.Random
+    folder: Path
+    valid: ValidFiles
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something that reads what users bring.
+
+    Attributes:
+        name: For the command line.
+        carry_out: Damages an input and reads it; an AssertionError means that what was
+            accepted is not sound.
+        weight: Its share of a run's cases.
+        limits_memory: Off where a library ends the process when memory is refused.
+    """
+
+    name: str
+    carry_out: Callable[[Case], None]
+    weight: float
+    limits_memory: bool = True
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something undocumented came out."""
+
+    target: str
+    seed: int
+    what: str
+
+
+@dataclass
+class Counts:
+    """What became of a target's cases."""
+
+    target: str
+    cases: int = 0
+    rejected: int = 0
+    accepted: int = 0
+    wall_s: float = 0.0
+
+
+@contextmanager
+def valid_files() -> Generator[ValidFiles, None, None]:
+    """Valid files in a folder that goes with the context; in memory where there is such a disk."""
+    memory = Path("/dev/shm")  # noqa: S108
+    parent = memory if memory.is_dir() else None
+    with tempfile.TemporaryDirectory(prefix="pemviz-fuzz-", dir=parent) as folder:
+        yield ValidFiles(Path(folder))
+
+
+def carry_out(
+    target: Target, seeds: Sequence[int], *, valid: ValidFiles, counts: Counts
+) -> Iterator[Finding]:
+    """Carry out a target's cases; yields what should not have come out."""
+    warm_up(target, valid=valid)
+    for seed in seeds:
+        started_s = time.perf_counter()
+        finding = judge(target, seed, valid=valid, counts=counts)
+        counts.wall_s += time.perf_counter() - started_s
+        if finding is not None:
+            yield finding
+
+
+def warm_up(target: Target, *, valid: ValidFiles) -> None:
+    """Import and build what the first case would be charged for."""
+    quiet = Counts(target.name)
+    for seed in range(-3, 0):
+        judge(target, seed, valid=valid, counts=quiet, limited=False)
+
+
+def judge(
+    target: Target, seed: int, *, valid: ValidFiles, counts: Counts, limited: bool = True
+) -> Finding | None:
+    """One case."""
+    folder = Path(tempfile.mkdtemp(dir=valid.folder))
+    case = Case(random.Random(f"{target.name}/{seed}"), folder, valid)  # noqa: S311
+    counts.cases += 1
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with _time_limit(limited), _memory_limit(limited and target.limits_memory):
+                target.carry_out(case)
+        counts.accepted += 1
+    except InputError as error:
+        counts.rejected += 1
+        if not documented(str(error)):
+            return Finding(target.name, seed, f"not one short line: {str(error)[:300]!r}")
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        return Finding(target.name, seed, _story(error))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return None
+
+
+def documented(message: str) -> bool:
+    """Whether a message is one line that a terminal shows as it is."""
+    return 0 < len(message) <= LONGEST_LINE and message.isprintable()
+
+
+def _story(error: BaseException) -> str:
+    lines = traceback.format_exception(error)
+    return "".join(lines)[-2500:]
+
+
+@contextmanager
+def _time_limit(limited: bool) -> Generator[None, None, None]:
+    if not limited:
+        yield
+        return
+
+    def over(number: int, frame: FrameType | None) -> None:
+        message = f"more than {CASE_S:g} s of processor time"
+        raise TooSlowError(message)
+
+    before = signal.signal(signal.SIGPROF, over)
+    signal.setitimer(signal.ITIMER_PROF, CASE_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+@contextmanager
+def _memory_limit(limited: bool) -> Generator[None, None, None]:
+    """Refuse more memory than some kilobytes of input should need; Linux only."""
+    if not limited or not sys.platform.startswith("linux"):
+        yield
+        return
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    now = pages * resource.getpagesize() + EXTRA_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (now, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
