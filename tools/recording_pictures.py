@@ -49,7 +49,8 @@ def take_pictures(recording: Path, *, out: Path, step: int, settle_s: float) -> 
     with headless_viewer() as viewer:
         viewer.open(str(recording.resolve()))
         time.sleep(settle_s)
-        viewer.set_time("step", sequence=step, play_state="paused")
+        with suppress(ConnectionError):  # a sweep's overview has no timeline "step"
+            viewer.set_time("step", sequence=step, play_state="paused")
         layout = viewer.get_blueprint("recording").blueprint
         for name, active in tab_paths(layout):
             for container, tab in active.items():
@@ -88,7 +89,9 @@ def _root(layout: dict[str, Any]) -> str:
 
 
 def _contents(layout: dict[str, Any], path: str) -> list[str]:
-    return layout[path]["ContainerBlueprint"]["contents"]
+    contents = layout[path]["ContainerBlueprint"]["contents"]
+    parts = [contents] if isinstance(contents, str) else contents  # one part stands alone
+    return [part.lstrip("/") for part in parts]
 
 
 def _kind(layout: dict[str, Any], part: str) -> str:
