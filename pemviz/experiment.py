@@ -15,6 +15,7 @@ from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
+from pemviz.sampling.final_batch import largest_part
 from pemviz.sampling.method import Method
 from pemviz.sampling.mixture import MixtureSampling
 from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
@@ -86,8 +87,11 @@ def build_experiment(config: ExperimentConfig) -> Experiment:
         robustness=robustness,
         violated=violated,
         batch_rollouts=(
-            SLOW_BATCH_ROLLOUTS if config.simulator == "highway-env" else BATCH_ROLLOUTS
+            SLOW_BATCH_ROLLOUTS
+            if config.simulator == "highway-env"
+            else min(BATCH_ROLLOUTS, largest_part(states=config.scenario.states))
         ),
+        batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula),
     )
     if config.reference or config.method == "value-twisted":
@@ -172,6 +176,7 @@ def check_bounds_hold(simulator: Simulator) -> None:
 
 def build_method(config: ExperimentConfig) -> Method[Any]:
     """The method that ``config`` names."""
+    most = largest_part(states=config.scenario.states)
     if config.method == "adaptive":
         return AdaptiveSampling(
             learning_stages=config.stages,
@@ -182,12 +187,14 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             epochs=config.epochs,
             learning_rate=config.learning_rate,
             seed=config.seed,
+            largest_part=most,
         )
     if config.method == "value-twisted":
         return ValueTwistedSampling(
             twin=VectorizedSimulator(config.scenario),
             rollouts=config.final_rollouts,
             seed=config.seed,
+            largest_part=most,
         )
     if config.method == "mixture":
         return MixtureSampling(
@@ -196,6 +203,7 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             final_rollouts=config.final_rollouts,
             seed=config.seed,
             features=BrakingFeatures(config.scenario),
+            largest_part=most,
         )
     if config.method == "splitting":
         return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
@@ -205,7 +213,11 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
         else ConstantProposal(detection_probability=config.naive_detection_probability)
     )
     return DirectSampling(
-        name=config.method, proposal=proposal, rollouts=config.final_rollouts, seed=config.seed
+        name=config.method,
+        proposal=proposal,
+        rollouts=config.final_rollouts,
+        seed=config.seed,
+        largest_part=most,
     )
 
 

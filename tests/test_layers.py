@@ -17,7 +17,7 @@ LAYERS = (
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
     {"experiment", "model_uncertainty", "explanation", "results", "events", "engine",
-     "rollout_files", "store", "curves", "reports"},
+     "rollout_files", "archive", "store", "runs", "curves", "reports"},
     {"recording", "panel"},
     {"bench", "reproduce", "samples", "sweep"},
     {"commands", "cli", "__main__"},
