@@ -6,8 +6,10 @@ import os
 import shutil
 import signal
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 INTERRUPT = (signal.SIGINT,)
@@ -72,3 +74,27 @@ def end_with_parent(scratch: Path | None = None) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+@contextlib.contextmanager
+def process_pool(count: int) -> Generator[Callable[..., Future[Any]], None, None]:
+    """Yield what takes a function and its arguments to one of ``count`` processes.
+
+    They are started when they are first needed, ended when the context is left, and end by
+    themselves if this process dies.
+    """
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(
+        count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
+    )
+
+    def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        with one_thread_each(), signals_held_back(ALL_STOPS):
+            return pool.submit(function, *arguments)
+
+    try:
+        yield submit
+    finally:
+        for child in set(multiprocessing.active_children()) - before:
+            child.kill()
+        pool.shutdown(wait=True, cancel_futures=True)

@@ -12,6 +12,7 @@ import tyro
 from pemviz.commands.interrupt import stop_on_signals
 from pemviz.commands.parsing import parse_arguments
 from pemviz.commands.sweep_progress import sweep_progress, tell_done_before
+from pemviz.commands.workers import Processes, check_one_kind
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config, load_preset
 from pemviz.errors import ConfigError, RunError
@@ -34,7 +35,6 @@ from pemviz.sweep.workers import Workers
 SCHEMA = 1
 DEFAULT_OUT = Path("sweeps")
 Seeds = Annotated[int, Range(low=1, high=100_000)]
-Processes = Annotated[int, Range(low=1, high=1024)]
 
 DESCRIPTION = (
     "Run an experiment with every combination of settings and every seed. Writes one run folder "
@@ -109,12 +109,7 @@ def parse(words: Sequence[str]) -> SweepArguments:
     check_value(name="seeds", value=arguments.seeds, annotation=Seeds)
     if arguments.workers is not None:
         check_value(name="workers", value=arguments.workers, annotation=Processes)
-    if arguments.workers is not None and arguments.scheduler is not None:
-        message = (
-            f"workers = {arguments.workers} and scheduler = {arguments.scheduler}: "
-            "give only one of them"
-        )
-        raise ConfigError(message)
+    check_one_kind(workers=arguments.workers, scheduler=arguments.scheduler)
     return arguments
 
 

@@ -3,7 +3,8 @@
 import contextlib
 import logging
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Executor, Future
 from importlib.util import find_spec
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -80,9 +81,18 @@ class ClusterWorkers:
     @property
     def capacity(self) -> int:
         """A few runs for every worker that is there now."""
+        return QUEUED_PER_WORKER * self.count
+
+    @property
+    def count(self) -> int:
+        """How many workers there are now; 1 if that cannot be told."""
         with contextlib.suppress(OSError, TimeoutError):
-            return QUEUED_PER_WORKER * max(1, len(self._client.nthreads()))
+            return max(1, len(self._client.nthreads()))
         return 1
+
+    def executor(self) -> Executor:
+        """The connected cluster as an executor of any functions."""
+        return self._client.get_executor(pure=False)
 
     def submit(self, task: RunTask) -> None:
         """Give the run to the scheduler.
@@ -135,6 +145,18 @@ class ClusterWorkers:
             logger = logging.getLogger(name)
             self._levels[name] = logger.level
             logger.setLevel(logging.CRITICAL)
+
+
+@contextlib.contextmanager
+def cluster_pool(address: str) -> Generator[tuple[Callable[..., Future[Any]], int], None, None]:
+    """Yield what takes a function and its arguments to a cluster's worker, and their number.
+
+    Raises:
+        ConfigError: Dask is not installed, there is no scheduler at the address, or no worker
+            that can be used.
+    """
+    with ClusterWorkers(address) as workers:
+        yield workers.executor().submit, workers.count
 
 
 def carry_out_on_cluster(task: RunTask) -> RunOutcome:

@@ -15,7 +15,7 @@ final_rollouts = 20
 epochs = 20
 seed = 3
 """
-VARIED = ["--vary", "alpha=0.1,0.5", "--vary", "metric=classical,agm", "--seeds", "2"]
+VARIED = ["--vary", "alpha=0.1,0.5", "--vary", "metric=agm", "--seeds", "2"]
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def tiny(tmp_path) -> Path:
 
 @pytest.fixture(scope="session")
 def serial(tmp_path_factory) -> Path:
-    """The folder of a sweep of eight runs, one after the other in one process."""
+    """The folder of a sweep of four runs, one after the other in one process."""
     folder = tmp_path_factory.mktemp("serial")
     config = folder / "tiny.toml"
     config.write_text(TINY)
