@@ -26,6 +26,7 @@ class Command:
 
 COMMANDS = {
     "record": Command("pemviz.commands.record", "run an experiment and keep it in a run folder"),
+    "sweep": Command("pemviz.commands.sweep", "run many experiments: settings times seeds"),
     "pem": Command("pemviz.commands.pem", "collect, fit, evaluate, show perception error models"),
     "serve": Command("pemviz.commands.serve", "show the panel in the browser"),
     "open": Command("pemviz.commands.open", "show a run's recording in rerun's viewer"),

@@ -13,14 +13,13 @@ PACKAGE = ROOT / "pemviz"
 # Each layer may import from those before it, and within itself.
 LAYERS = (
     {"__init__", "errors", "exit_codes", "arrays", "files", "ranges", "assets", "config",
-     "config_files", "types", "chunks", "json_text", "array_files",
-     "documents"},
+     "config_files", "types", "chunks", "json_text", "array_files", "documents", "processes"},
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
     {"experiment", "model_uncertainty", "model_comparison", "explanation", "results", "events",
      "engine", "rollout_files", "archive", "store", "runs", "curves", "reports"},
     {"recording", "panel"},
-    {"bench", "reproduce", "samples"},
+    {"bench", "reproduce", "samples", "sweep"},
     {"commands", "cli", "__main__"},
 )  # fmt: skip
 APART = ({"stl", "pem", "proposals", "simulators"}, {"recording", "panel"})
@@ -30,6 +29,9 @@ ONLY_IN = {
     "viser": "panel",
     "highway_env": "simulators",
     "pygame": "simulators",
+    "dask": "sweep",
+    "distributed": "sweep",
+    "pyarrow": "sweep",
 }
 
 
@@ -122,7 +124,8 @@ def test_engine_runs_with_optional_libraries_blocked():
 
 
 def test_import_alone_loads_nothing_heavy():
-    heavy = "{'torch', 'rerun', 'viser', 'pygame', 'highway_env', 'sklearn', 'matplotlib'}"
+    heavy = "{'torch', 'rerun', 'viser', 'pygame', 'highway_env', 'sklearn', 'matplotlib',"
+    heavy += " 'distributed', 'dask', 'pyarrow'}"
     code = f"import sys, pemviz; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT

@@ -15,6 +15,7 @@ from pemviz.commands.interrupt import stop_on_signals
 from pemviz.commands.parsing import parse_arguments
 from pemviz.commands.progress import progress_observer
 from pemviz.commands.summary import print_summary
+from pemviz.commands.workers import Processes, check_workers, with_workers
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config, load_preset
 from pemviz.errors import ConfigError
@@ -76,6 +77,11 @@ class RecordArguments:
     """Leave highway-env's pictures of the least robust rollout out of run.rrd."""
     allow_python: bool = False
     """Allow --pem module:attribute, a model of your own in Python, whose code then runs."""
+    workers: Processes | None = None
+    """Processes that simulate the rollouts of a slow back end, such as highway-env; 1 to 1024.
+    The results do not depend on it."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler whose workers do that instead."""
     live: Port | None = None
     """Also serve the recording, while the run goes on, to live rerun viewers on this port of
     the loopback interface; 1 to 65535."""
@@ -96,6 +102,7 @@ def run(words: Sequence[str]) -> int:
     experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     for note in device_notes(experiment):
         print(f"pemviz: {note}", file=sys.stderr)
+    check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
     reports = ReportWriter(
         summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
     )
@@ -106,9 +113,12 @@ def run(words: Sequence[str]) -> int:
         stop_on_signals() as should_stop,
         progress_observer(quiet=arguments.json) as progress,
         _recorder(arguments, experiment, folder) as recorders,
+        with_workers(
+            experiment, workers=arguments.workers, scheduler=arguments.scheduler
+        ) as worked,
     ):
         result = carry_out(
-            experiment, folder, observers=[*recorders, progress, reports], should_stop=should_stop
+            worked, folder, observers=[*recorders, progress, reports], should_stop=should_stop
         )
     if arguments.json:
         print(json.dumps(result_document(result), allow_nan=False))
@@ -177,6 +187,7 @@ def parse(words: Sequence[str]) -> RecordArguments:
     for name, value, annotation in (
         ("fail-above", arguments.fail_above, FailAbove),
         ("live", arguments.live, Port),
+        ("workers", arguments.workers, Processes),
     ):
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)

@@ -96,3 +96,14 @@ def worst_series(part: str) -> str:
 def page(name: str, part: str) -> str:
     """A part (``text``, ``picture``, ``series``) of a page; see :mod:`pemviz.recording.pages`."""
     return f"/pages/{name}/{part}"
+
+
+SWEEP_SUMMARY = "/sweep/summary"
+SWEEP_RUNS = "/sweep/runs"
+SWEEP_SETTINGS = "/sweep/settings"
+SWEEP_ESTIMATES = "/sweep/estimates"
+
+
+def sweep_estimates(part: str) -> str:
+    """A part of the plot of all estimates: ``grid``, ``settings``, ``intervals``, ``points``."""
+    return f"{SWEEP_ESTIMATES}/{part}"

@@ -1,19 +1,16 @@
 """Jobs on a few processes: in any order, with progress, ending at once when asked to stop."""
 
 import multiprocessing
-import os
-import signal
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from pemviz.errors import RunError
+from pemviz.processes import one_thread_each, signals_held_back
 
 POLL_S = 0.2
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 @dataclass(frozen=True)
@@ -54,10 +51,10 @@ def run_jobs(
     if workers == 1 or len(jobs) <= 1:
         return _in_turn(jobs, on_progress=on_progress, should_stop=should_stop)
     before = set(multiprocessing.active_children())
-    with _one_thread_each():
+    with one_thread_each():
         pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
         try:
-            with _interrupts_held_back():
+            with signals_held_back():
                 futures = {pool.submit(j.function, *j.arguments): key for key, j in jobs.items()}
             results = _collect(jobs, futures, on_progress=on_progress, should_stop=should_stop)
         except BaseException:
@@ -107,35 +104,3 @@ def _raise_if(stop: bool) -> None:
     if stop:
         message = "interrupted; nothing was written"
         raise RunError(message)
-
-
-@contextmanager
-def _interrupts_held_back() -> Generator[None, None, None]:
-    """Ctrl-C reaches all processes of a terminal, but the parent alone shall act on it.
-
-    Processes that are started meanwhile hold it back for good, from their first instruction;
-    the parent gets it afterwards.
-    """
-    if not hasattr(signal, "pthread_sigmask"):  # as on Windows
-        yield
-        return
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-
-
-@contextmanager
-def _one_thread_each() -> Generator[None, None, None]:
-    """Let child processes start with one thread for linear algebra, as each has one core."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

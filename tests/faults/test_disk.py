@@ -33,7 +33,7 @@ def record(*words, full=False):
         capture_output=True,
         text=True,
         timeout=300,
-        preexec_fn=fill_the_disk if full else None,  # noqa: PLW1509  no threads here
+        preexec_fn=fill_the_disk if full else None,
     )
 
 

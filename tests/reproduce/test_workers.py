@@ -4,7 +4,8 @@ import os
 import pytest
 
 from pemviz.errors import ConfigError, RunError
-from pemviz.reproduce.workers import ONE_THREAD, Job, no_progress, run_jobs
+from pemviz.processes import ONE_THREAD
+from pemviz.reproduce.workers import Job, no_progress, run_jobs
 
 
 def square(value):

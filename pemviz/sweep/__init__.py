@@ -1,0 +1,1 @@
+"""Many experiments at once: every combination of settings with every seed, on many processes."""

@@ -1,0 +1,108 @@
+"""A sweep's overview recording, from what its runs found."""
+
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from pemviz.config import ExperimentConfig
+from pemviz.config_files import config_text
+from pemviz.recording.sweep_overview import (
+    SweepEstimate,
+    SweepSetting,
+    SweepTexts,
+    write_sweep_overview,
+)
+from pemviz.reports.escape import markdown_block, markdown_table, markdown_text
+from pemviz.sweep.carry_out import RunState
+from pemviz.sweep.plan import Plan, setting_label, value_text
+from pemviz.sweep.summary import by_setting, summary_markdown
+
+MOST_ROWS = 2000
+
+
+def write_overview(
+    path: Path, plan: Plan, states: Sequence[RunState], *, base: ExperimentConfig
+) -> None:
+    """Write the recording; whole or not at all.
+
+    Raises:
+        OSError: It cannot be put in its place.
+        RunError: It cannot be written.
+    """
+    settings = [
+        SweepSetting(
+            title=setting_label(one.setting) or "all seeds",
+            estimates=tuple(_estimate(state) for state in one.states),
+        )
+        for one in by_setting(states)
+    ]
+    texts = SweepTexts(
+        summary=summary_markdown(plan, states),
+        runs=_runs_page(plan, states),
+        settings=_settings_page(plan, base),
+    )
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        write_sweep_overview(partial, settings, texts, name=f"sweep {path.parent.name}")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _estimate(state: RunState) -> SweepEstimate:
+    figures = state.figures
+    seed = state.planned.config.seed
+    if figures is None:
+        return SweepEstimate(seed, None, note=state.message or state.status)
+    if figures.log10_probability is None:
+        return SweepEstimate(seed, None, note="no violation seen")
+    return SweepEstimate(
+        seed,
+        figures.log10_probability,
+        log10_ci_low=_log10(figures.ci_low),
+        log10_ci_high=_log10(figures.ci_high),
+    )
+
+
+def _log10(value: float | None) -> float | None:
+    return None if value is None or value <= 0.0 else math.log10(value)
+
+
+def _runs_page(plan: Plan, states: Sequence[RunState]) -> str:
+    header = (*plan.fields, "seed", "probability", "95 % interval", "violations", "ESS", "status")
+    shown = [_run_row(state) for state in states[:MOST_ROWS]]
+    left_out = len(states) - len(shown)
+    more = f"\n\n{left_out} more are in sweep.csv." if left_out else ""
+    return f"# Runs\n\n{markdown_table(header, shown)}{more}"
+
+
+def _run_row(state: RunState) -> tuple[str, ...]:
+    planned, figures = state.planned, state.figures
+    head = (*(value_text(value) for _, value in planned.setting), str(planned.config.seed))
+    status = state.status if state.message is None else f"{state.status}: {state.message}"
+    if figures is None:
+        return (*map(markdown_text, head), "", "", "", "", markdown_text(status))
+    bounds = [_short(figures.ci_low), _short(figures.ci_high)]
+    return (
+        *map(markdown_text, head),
+        _short(figures.probability),
+        " to ".join(bounds),
+        str(figures.failures),
+        _short(figures.ess),
+        status,
+    )
+
+
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _settings_page(plan: Plan, base: ExperimentConfig) -> str:
+    varied = [
+        f"- {markdown_text(one.field)}: {markdown_text(', '.join(map(value_text, one.values)))}"
+        for one in plan.variations
+    ]
+    listed = "\n".join(varied) or "- nothing but the seed"
+    shared = markdown_block(config_text(base), language="toml")
+    return f"# Settings\n\nVaried:\n\n{listed}\n\nAll else, and the first seed:\n\n{shared}"

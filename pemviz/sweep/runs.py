@@ -1,0 +1,144 @@
+"""One run, carried out wherever a worker is: settings and files in, a run folder's files out."""
+
+import tempfile
+import threading
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from threadpoolctl import threadpool_limits
+
+from pemviz import __version__
+from pemviz.config_files import config_from_table, config_text
+from pemviz.engine import run
+from pemviz.errors import RunError
+from pemviz.events import Observer
+from pemviz.experiment import Experiment, build_experiment
+from pemviz.store import RunStore
+from pemviz.sweep.model_files import ModelFiles
+from pemviz.sweep.plan import PlannedRun
+
+Keep = Literal["results", "all"]
+File = tuple[str, bytes]
+
+RESULT_FILES = ("config.toml", "result.json")
+SCRATCH_PREFIX = "pemviz-run-"
+ONE_RUN_AT_A_TIME = threading.Lock()
+
+
+@dataclass(frozen=True)
+class RunTask:
+    """Everything that a worker on another machine needs to carry a run out.
+
+    Attributes:
+        name: The run's.
+        config_toml: Its configuration.
+        model: The error model's files, where it is no shipped one.
+        keep: Which files come back: configuration and result, or all.
+        version: Of pemviz; another one might give other results.
+    """
+
+    name: str
+    config_toml: str
+    model: ModelFiles
+    keep: Keep
+    version: str = __version__
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """What became of a run.
+
+    Attributes:
+        name: The run's.
+        message: Why it failed; ``None`` if it is done.
+        files: Of its folder, as far as it came.
+    """
+
+    name: str
+    message: str | None = None
+    files: tuple[File, ...] = ()
+
+
+def task_of(planned: PlannedRun, *, model: ModelFiles, keep: Keep) -> RunTask:
+    """The run as it is handed to a worker."""
+    return RunTask(
+        name=planned.name, config_toml=config_text(planned.config), model=model, keep=keep
+    )
+
+
+def carry_out(task: RunTask, *, scratch: Path | None = None) -> RunOutcome:
+    """Carry a run out in a temporary folder; whatever goes wrong is told in the outcome.
+
+    Args:
+        task: The run.
+        scratch: Where the temporary folder is made; without it, where the system has them.
+    """
+    try:
+        # networks draw their first weights from a generator that a process has once
+        with (
+            ONE_RUN_AT_A_TIME,
+            tempfile.TemporaryDirectory(prefix=SCRATCH_PREFIX, dir=scratch) as temporary,
+        ):
+            return _carry_out(task, Path(temporary))
+    except Exception as error:
+        return RunOutcome(task.name, message=one_line(error))
+
+
+def one_line(error: BaseException) -> str:
+    """An error in one line; ours speak for themselves, others are named."""
+    text = " ".join(str(error).split())
+    kind = type(error).__name__
+    if type(error).__module__.startswith("pemviz."):
+        return text or kind
+    return f"{kind}: {text}" if text else kind
+
+
+def _carry_out(task: RunTask, temporary: Path) -> RunOutcome:
+    if task.version != __version__:
+        message = f"the worker has pemviz {__version__}, but {task.version} is asking"
+        raise RunError(message)
+    folder = temporary / task.name
+    folder.mkdir()
+    experiment = _experiment(task, temporary)
+    _use_one_thread()
+    message = None
+    try:
+        run(experiment, run_id=task.name, observers=_observers(task, experiment, folder))
+    except RunError as error:
+        message = one_line(error)
+    return RunOutcome(task.name, message=message, files=tuple(_files(folder, task.keep)))
+
+
+def _experiment(task: RunTask, temporary: Path) -> Experiment:
+    """The experiment as configured, with the error model read from where its files lie here."""
+    config = config_from_table(tomllib.loads(task.config_toml))
+    here = task.model.put_into(temporary)
+    if here is None:
+        return build_experiment(config)
+    return replace(build_experiment(replace(config, pem=str(here))), config=config)
+
+
+def _observers(task: RunTask, experiment: Experiment, folder: Path) -> list[Observer]:
+    observers: list[Observer] = [RunStore(folder)]
+    if task.keep == "all":
+        from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
+
+        observers.append(Recorder(folder / "run.rrd", pem_logit=experiment.pem.logit))
+    return observers
+
+
+def _use_one_thread() -> None:
+    """For this process, for good: the last digit depends on the number of threads."""
+    import torch  # noqa: PLC0415  torch takes a second to import
+
+    torch.set_num_threads(1)
+    threadpool_limits(limits=1)
+
+
+def _files(folder: Path, keep: Keep) -> Sequence[File]:
+    paths = sorted(path for path in folder.iterdir() if path.is_file())
+    wanted = [path for path in paths if keep == "all" or path.name in RESULT_FILES]
+    return [(path.name, path.read_bytes()) for path in wanted if not path.name.startswith(".")]

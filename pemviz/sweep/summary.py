@@ -1,0 +1,95 @@
+"""A sweep in one page of markdown: what every setting found, over its seeds."""
+
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from pemviz.reports.escape import markdown_table, markdown_text
+from pemviz.sweep.carry_out import RunState
+from pemviz.sweep.fields import Setting
+from pemviz.sweep.folders import RunFigures
+from pemviz.sweep.plan import Plan, value_text
+
+NOTHING = "-"
+
+
+@dataclass(frozen=True)
+class SettingSummary:
+    """One setting over its seeds.
+
+    Attributes:
+        setting: The varied fields with their values.
+        states: Its runs.
+    """
+
+    setting: Setting
+    states: tuple[RunState, ...]
+
+    @property
+    def figures(self) -> tuple[RunFigures, ...]:
+        """Of its runs that are done."""
+        return tuple(state.figures for state in self.states if state.figures is not None)
+
+
+def by_setting(states: Sequence[RunState]) -> list[SettingSummary]:
+    """The runs grouped by setting, in their order."""
+    grouped: dict[Setting, list[RunState]] = {}
+    for state in states:
+        grouped.setdefault(state.planned.setting, []).append(state)
+    return [SettingSummary(setting, tuple(of_it)) for setting, of_it in grouped.items()]
+
+
+def summary_markdown(plan: Plan, states: Sequence[RunState]) -> str:
+    """The page: counts, a table of settings, what failed."""
+    count = {name: sum(s.status == name for s in states) for name in ("done", "failed", "not run")}
+    parts = [
+        "# Sweep",
+        f"{len(states)} runs: {count['done']} done, {count['failed']} failed, "
+        f"{count['not run']} not run.",
+        settings_table(plan, states),
+        "Probability: median over the seeds, and the least and greatest estimate. A seed whose "
+        "rollouts held no violation counts as 0. Effective sample size: median; below 10, do "
+        "not quote an estimate.",
+    ]
+    failed = [s for s in states if s.status == "failed"]
+    if failed:
+        lines = [
+            f"- {markdown_text(s.planned.label)}: {markdown_text(s.message or '')}" for s in failed
+        ]
+        parts.append("## Failed\n\n" + "\n".join(lines))
+    return "\n\n".join(parts) + "\n"
+
+
+def settings_table(plan: Plan, states: Sequence[RunState]) -> str:
+    """One row a setting."""
+    header = (
+        *map(markdown_text, plan.fields),
+        "runs done",
+        "median probability",
+        "least",
+        "greatest",
+        "seeds without violation",
+        "effective sample size",
+        "largest Pareto k-hat",
+    )
+    return markdown_table(header, [_row(one) for one in by_setting(states)])
+
+
+def _row(one: SettingSummary) -> tuple[str, ...]:
+    figures = one.figures
+    probabilities = [f.probability for f in figures]
+    return (
+        *(markdown_text(value_text(value)) for _, value in one.setting),
+        f"{len(figures)} of {len(one.states)}",
+        _over(statistics.median, probabilities),
+        _over(min, probabilities),
+        _over(max, probabilities),
+        str(sum(f.failures == 0 for f in figures)),
+        _over(statistics.median, [f.ess for f in figures]),
+        _over(max, [f.pareto_k for f in figures]),
+    )
+
+
+def _over(combine: Callable[[list[float]], float], values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return f"{combine(known):.3g}" if known else NOTHING
