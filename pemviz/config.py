@@ -8,7 +8,7 @@ from pemviz.ranges import Range, check_fields
 
 MethodName = Literal["adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
-SimulatorName = Literal["vectorized", "highway-env"]
+SHIPPED_SIMULATORS = ("vectorized", "highway-env")
 
 Positive = Range(low=0.0, low_open=True)
 NotNegative = Range(low=0.0)
@@ -71,8 +71,9 @@ class ExperimentConfig:
     intervals count steps."""
     pem: str = "ml-nn"
     """Perception error model: a shipped name or a file."""
-    simulator: SimulatorName = "vectorized"
-    """Back end that steps the scenario."""
+    simulator: str = "vectorized"
+    """Back end that steps the scenario: vectorized, highway-env, or a name that an installed
+    package registers as an entry point of the group pemviz.simulators."""
     alpha: Annotated[float, Range(low=0.0, high=1.0)] = 0.1
     """Exponent that smooths the training weights; 0 to 1. It never enters an estimate."""
     sigma: Annotated[float, Range(low=0.95, high=1.0, high_open=True)] = 0.95
@@ -114,4 +115,7 @@ class ExperimentConfig:
         check_fields(self)
         if not self.pem.strip():
             message = "pem = '': must be the name of a shipped model or a file"
+            raise ConfigError(message)
+        if not self.simulator.strip():
+            message = f"simulator = '': must be {' or '.join(SHIPPED_SIMULATORS)} or registered"
             raise ConfigError(message)
