@@ -7,6 +7,7 @@ import numpy as np
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
+from pemviz.sampling.final_batch import largest_part
 from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.simulators.braking_features import BrakingFeatures
 from pemviz.simulators.check import check_simulator
@@ -59,7 +60,11 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         simulator=simulator,
         features=BrakingFeatures(config.scenario),
         twin=VectorizedSimulator(config.scenario),
-        batch_rollouts=SLOW_BATCH_ROLLOUTS if slow else BATCH_ROLLOUTS,
+        batch_rollouts=(
+            SLOW_BATCH_ROLLOUTS
+            if slow
+            else min(BATCH_ROLLOUTS, largest_part(states=simulator.states))
+        ),
     )
 
 
@@ -79,7 +84,7 @@ def own_back_end(simulator: Simulator, *, twin: Simulator | None = None) -> Back
         simulator=simulator,
         features=SignalFeatures(simulator.signals),
         twin=twin,
-        batch_rollouts=OWN_BATCH_ROLLOUTS,
+        batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=simulator.states)),
         is_own=True,
     )
 

@@ -98,6 +98,9 @@ class ExperimentConfig:
     """Root of all randomness; the same seed and config give the same result; 0 or more."""
     repetitions: Annotated[int, Range(low=1, high=100_000)] = 1
     """Independent repetitions, summarised by their mean; 1 to 100000."""
+    batch_time_limit_s: Annotated[float, Range(low=0.0, low_open=True)] = 600.0
+    """A batch of rollouts (4096; 50 with a slow simulator) that takes longer fails the run [s];
+    above 0."""
     reference: bool = False
     """Also compute the answer by the value-twisted reference, to compare with."""
     target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None

@@ -121,6 +121,7 @@ class _Runner:
         self._began = time.perf_counter()
         self._result = _empty_result(experiment, run_id)
         self._members: list[MemberEstimates] = []
+        self._explained: tuple[int, int] | None = None
         self.complete = False
 
     def carry_out(self) -> None:
@@ -185,6 +186,24 @@ class _Runner:
         experiment = self._experiment
         if stage.kind != "final" or not experiment.has_likelihood_ratios:
             return
+        self._explain(stage)
+        simulator = experiment.problem.simulator
+        if experiment.ensemble is not None:
+            self._members.append(
+                member_estimates(stage.scored, simulator=simulator, ensemble=experiment.ensemble)
+            )
+            if any(s.failures for s in self._result.stages if s.kind == "final"):
+                interval = model_interval(self._members)
+                self._result = replace(self._result, pem_interval=interval)
+        if not self._result.warnings:
+            self._judge_data(stage)
+
+    def _explain(self, stage: StageResult) -> None:
+        """Of a final batch in parts, the part with most failures explains best."""
+        known = self._explained
+        if known and known[0] == stage.repetition and known[1] >= stage.failures:
+            return
+        experiment = self._experiment
         explanation = explain(
             stage,
             features=experiment.features,
@@ -192,16 +211,8 @@ class _Runner:
             target=experiment.config.target,
         )
         if explanation is not None:
+            self._explained = stage.repetition, stage.failures
             self._result = replace(self._result, explanation=explanation)
-        simulator = experiment.problem.simulator
-        if experiment.ensemble is not None and stage.failures:
-            self._members.append(
-                member_estimates(stage.scored, simulator=simulator, ensemble=experiment.ensemble)
-            )
-            interval = model_interval(self._members)
-            self._result = replace(self._result, pem_interval=interval)
-        if not self._result.warnings:
-            self._judge_data(stage)
 
     def _judge_data(self, stage: StageResult) -> None:
         """Once a run: where the model extrapolates, and what its data alone allow."""
@@ -273,19 +284,20 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         status="stopped",
         config=experiment.config,
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
-        versions=_versions(),
+        versions=versions(),
         assumptions=OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS,
     )
 
 
-def _versions() -> dict[str, str]:
-    versions = {"pemviz": __version__}
+def versions() -> dict[str, str]:
+    """Versions of pemviz and of what its results may depend on, by package."""
+    found = {"pemviz": __version__}
     for name in VERSIONED:
         try:
-            versions[name] = metadata.version(name)
+            found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return versions
+    return found
 
 
 def _read_only_rollouts(rollouts: RolloutBatch) -> RolloutBatch:

@@ -16,6 +16,7 @@ from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
 from pemviz.sampling.direct import DirectSampling
+from pemviz.sampling.final_batch import largest_part
 from pemviz.sampling.method import Method
 from pemviz.sampling.mixture import MixtureSampling
 from pemviz.sampling.problem import Problem
@@ -153,6 +154,7 @@ def _problem(
         robustness=robustness,
         violated=violated,
         batch_rollouts=back_end.batch_rollouts,
+        batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula),
     )
 
@@ -250,6 +252,7 @@ def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -
         ConfigError: The back end does not offer what the method needs.
     """
     back_end = build_back_end(config) if back_end is None else back_end
+    most = largest_part(states=back_end.simulator.states)
     if config.method == "adaptive":
         return AdaptiveSampling(
             learning_stages=config.stages,
@@ -260,6 +263,7 @@ def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -
             epochs=config.epochs,
             learning_rate=config.learning_rate,
             seed=config.seed,
+            largest_part=most,
         )
     if config.method == "value-twisted":
         check_method_fits(config, back_end)
@@ -268,6 +272,7 @@ def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -
             twin=back_end.twin,
             rollouts=config.final_rollouts,
             seed=config.seed,
+            largest_part=most,
         )
     if config.method == "mixture":
         return MixtureSampling(
@@ -276,6 +281,7 @@ def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -
             final_rollouts=config.final_rollouts,
             seed=config.seed,
             features=back_end.features,
+            largest_part=most,
         )
     if config.method == "splitting":
         return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
@@ -285,7 +291,11 @@ def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -
         else ConstantProposal(detection_probability=config.naive_detection_probability)
     )
     return DirectSampling(
-        name=config.method, proposal=proposal, rollouts=config.final_rollouts, seed=config.seed
+        name=config.method,
+        proposal=proposal,
+        rollouts=config.final_rollouts,
+        seed=config.seed,
+        largest_part=most,
     )
 
 

@@ -19,6 +19,7 @@ from pemviz.pem import (
 from pemviz.pem.reweight import MemberEstimates
 from pemviz.proposals.simple import PemProposal
 from pemviz.sampling.estimates import CONFIDENCE, monte_carlo_estimate
+from pemviz.sampling.final_batch import weighed
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollout import replay
 from pemviz.sampling.weights import log_sum
@@ -125,7 +126,7 @@ def data_bound(problem: Problem, *, pem: Pem, seed: int) -> DataBound | None:
         count=DATA_BOUND_ROLLOUTS,
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
     )
-    found = monte_carlo_estimate(scored, method="monte-carlo")
+    found = monte_carlo_estimate(weighed(scored), method="monte-carlo")
     return DataBound(
         probability=1.0 if found.ci_high is None else found.ci_high,
         rollouts=DATA_BOUND_ROLLOUTS,

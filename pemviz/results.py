@@ -10,6 +10,7 @@ import numpy as np
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import config_table
+from pemviz.errors import InputError
 from pemviz.explanation import Explanation
 from pemviz.model_uncertainty import DataBound, ModelInterval
 from pemviz.sampling.value_reference import Reference
@@ -199,6 +200,24 @@ def estimate_document(estimate: Estimate) -> dict[str, Any]:
     table["unbiased"] = {"probability": probability, "std_error": std_error}
     table["warnings"] = list(estimate.warnings)
     return table
+
+
+def estimate_from_document(document: Mapping[str, Any]) -> Estimate:
+    """The inverse of :func:`estimate_document`.
+
+    Raises:
+        InputError: A value is missing.
+    """
+    table: dict[str, Any] = dict(document)
+    try:
+        unbiased = table.pop("unbiased")
+        table["unbiased_probability"] = unbiased["probability"]
+        table["unbiased_std_error"] = unbiased["std_error"]
+        table["warnings"] = tuple(table["warnings"])
+        return Estimate(**table)
+    except (KeyError, TypeError) as error:
+        message = f"estimate: not as pemviz writes it ({error})"
+        raise InputError(message) from error
 
 
 def _explanation_document(explanation: Explanation | None) -> dict[str, Any]:

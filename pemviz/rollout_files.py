@@ -11,9 +11,19 @@ from numpy.lib import format as npy
 from pemviz.arrays import AnyArray
 from pemviz.errors import InputError
 from pemviz.files import write_atomically
-from pemviz.types import Signal, StageResult
+from pemviz.types import (
+    FinishedStage,
+    RolloutBatch,
+    ScoredRollouts,
+    Signal,
+    StageResult,
+    outcome_log_likelihood,
+)
 
 PART_FOLDER = "stages"
+MEMORY, KEPT = "memory.", "kept."
+LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
+"""Likelihoods of a stage's file are computed from these when they are asked for."""
 
 
 def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:
@@ -33,6 +43,65 @@ def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, Any
     }
 
 
+def part_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:
+    """All that a stage's file holds: enough to go on from it in another process."""
+    rollouts = stage.scored.rollouts
+    arrays = stage_arrays(stage, signals)
+    for name in LOGITS:
+        del arrays[name]
+    arrays["pem_logit"] = rollouts.pem_logit
+    arrays["proposal_logit"] = rollouts.proposal_logit
+    for name, values in rollouts.memory.items():
+        if values.dtype != np.object_:  # copies of an environment: no stage is continued inside
+            arrays[f"{MEMORY}{name}"] = values
+    arrays.update({f"{KEPT}{name}": values for name, values in stage.kept.items()})
+    return arrays
+
+
+def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage:
+    """A stage's file as the stage.
+
+    Raises:
+        InputError: It is damaged.
+    """
+    arrays = _load_part(path)
+    try:
+        rollouts = RolloutBatch(
+            signals={signal.name: arrays[signal.key] for signal in signals},
+            memory=_without_prefix(arrays, MEMORY),
+            detected=arrays["detected"],
+            pem_logit=arrays["pem_logit"],
+            proposal_logit=arrays["proposal_logit"],
+        )
+        scored = ScoredRollouts(rollouts, arrays["robustness"], arrays["violated"])
+    except KeyError as error:
+        message = f"stage {path}: {error} is missing"
+        raise InputError(message) from error
+    _check_shapes(path, scored)
+    return FinishedStage(scored=scored, kept=_without_prefix(arrays, KEPT))
+
+
+def _without_prefix(arrays: Mapping[str, AnyArray], prefix: str) -> dict[str, AnyArray]:
+    return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
+
+
+def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
+    rollouts = scored.rollouts
+    if rollouts.detected.ndim != 2:
+        message = f"stage {path}: detected has shape {rollouts.detected.shape}"
+        raise InputError(message)
+    count, steps = rollouts.detected.shape
+    expected = {
+        (count, steps + 1): (*rollouts.signals.values(), *rollouts.memory.values()),
+        (count, steps): (rollouts.pem_logit, rollouts.proposal_logit),
+        (count,): (scored.robustness, scored.violated),
+    }
+    for shape, arrays in expected.items():
+        if any(array.shape != shape for array in arrays):
+            message = f"stage {path}: an array has not the shape {shape}"
+            raise InputError(message)
+
+
 def part_path(folder: Path, *, repetition: int, stage: int) -> Path:
     """Where one stage's rollouts lie while the run goes on."""
     return folder / PART_FOLDER / f"repetition-{repetition:05d}-stage-{stage:05d}.npz"
@@ -45,46 +114,62 @@ def write_part(path: Path, arrays: Mapping[str, AnyArray]) -> None:
         OSError: They cannot be written.
     """
     path.parent.mkdir(exist_ok=True)
-    contents = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    contents = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     write_atomically(path, lambda stream: np.savez(stream, **cast(Any, contents)))
 
 
 def join_parts(parts: Sequence[Path], target: Path) -> None:
     """Join the stages' files into one, holding one array of one stage in memory at a time.
 
+    The same stages give the same bytes.
+
     Raises:
         OSError: A file cannot be read or written.
     """
 
     def write(stream: IO[bytes]) -> None:
-        with (
-            zipfile.ZipFile(stream, mode="w", compression=zipfile.ZIP_STORED) as archive,
-        ):
+        with zipfile.ZipFile(stream, mode="w", compression=zipfile.ZIP_STORED) as archive:
             with np.load(parts[0], allow_pickle=False) as first:
-                names = list(first.files)
+                names = _documented(first.files)
             for name in names:
-                with archive.open(f"{name}.npy", mode="w", force_zip64=True) as entry:
+                info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whenever it is written
+                with archive.open(info, mode="w", force_zip64=True) as entry:
                     _join_array(entry, name, parts)
 
     write_atomically(target, write)
 
 
+def _documented(names: Sequence[str]) -> list[str]:
+    """Of a stage's file, what stands in ``rollouts.npz``, in its order."""
+    kept = [n for n in names if not n.startswith((MEMORY, KEPT)) and n not in LOGITS.values()]
+    if "log_p" in kept:
+        return kept
+    after = kept.index("detected") + 1
+    return [*kept[:after], *LOGITS, *kept[after:]]
+
+
+def _array(arrays: Any, name: str) -> AnyArray:
+    """One array of a stage's file; likelihoods are computed."""
+    if name in LOGITS and name not in arrays:
+        return outcome_log_likelihood(arrays[LOGITS[name]], arrays["detected"])
+    return arrays[name]
+
+
 def _join_array(entry: IO[bytes], name: str, parts: Sequence[Path]) -> None:
-    shapes: list[tuple[int, ...]] = []
+    header: dict[str, Any] | None = None
+    rows = 0
     for part in parts:
         with np.load(part, allow_pickle=False) as arrays:
-            array = cast(AnyArray, arrays[name])
-            shapes.append(array.shape)
-            dtype = array.dtype
-    header = {
-        "descr": npy.dtype_to_descr(dtype),  # pyright: ignore[reportPossiblyUnboundVariable]
-        "fortran_order": False,
-        "shape": (sum(shape[0] for shape in shapes), *shapes[0][1:]),
-    }
-    npy.write_array_header_2_0(entry, cast(Any, header))
+            rows += arrays["repetition"].shape[0]
     for part in parts:
         with np.load(part, allow_pickle=False) as arrays:
-            entry.write(np.ascontiguousarray(arrays[name]).tobytes())
+            array = np.ascontiguousarray(_array(arrays, name))
+        if header is None:
+            shape = (rows, *array.shape[1:])
+            descr = npy.dtype_to_descr(array.dtype)
+            header = {"descr": descr, "fortran_order": False, "shape": shape}
+            npy.write_array_header_2_0(entry, cast(Any, header))
+        entry.write(cast(Any, array).data.cast("B"))
 
 
 def load_rollouts(folder: Path) -> dict[str, AnyArray]:
@@ -99,7 +184,14 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
         message = f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)"
         raise InputError(message)
     tables = [_load_part(part) for part in parts]
-    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    try:
+        return {
+            name: np.concatenate([_array(table, name) for table in tables])
+            for name in _documented(list(tables[0]))
+        }
+    except (KeyError, ValueError) as error:
+        message = f"rollouts {folder}: the stages' files do not fit together ({error})"
+        raise InputError(message) from error
 
 
 def _load_part(path: Path) -> dict[str, AnyArray]:

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import save as save_tensors
 
+from pemviz.archive import Archive
 from pemviz.arrays import AnyArray
 from pemviz.config_files import config_text
 from pemviz.errors import InputError
 from pemviz.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
 from pemviz.files import write_bytes, write_json, write_text
 from pemviz.results import RunResult, result_document
-from pemviz.rollout_files import PART_FOLDER, join_parts, part_path, stage_arrays, write_part
+from pemviz.rollout_files import PART_FOLDER, join_parts, part_arrays, part_path, write_part
 from pemviz.types import Signal, StageResult
 
 
@@ -44,14 +45,22 @@ class RunStore:
     """Observer that keeps a run folder up to date.
 
     After every stage ``result.json`` is rewritten and the stage's rollouts are in a file of
-    their own; the end of the run joins these into ``rollouts.npz``.
+    their own; the end of the run joins these into ``rollouts.npz``. The stages' files of a run
+    that was stopped or failed stay, so that it can be resumed.
 
     Attributes:
         folder: The run folder; it exists already.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, archive: Archive | None = None) -> None:
+        """Prepare; nothing is written before the run starts.
+
+        Args:
+            folder: The run folder; it exists already.
+            archive: What an earlier process left in it, which is not written again.
+        """
         self.folder = folder
+        self._archive = archive
         self._signals: tuple[Signal, ...] = ()
         self._parts: list[Path] = []
         self._proposals: dict[str, AnyArray] = {}
@@ -66,35 +75,43 @@ class RunStore:
             case RunStarted():
                 self._signals = event.signals
                 write_text(self.folder / "config.toml", config_text(event.config))
-                self._write_result(event.result)
+                if not (self.folder / "result.json").exists():
+                    self._write_result(event.result)
             case StageDone():
-                self._write_stage(event.stage)
-                self._write_result(event.result)
+                self._keep_stage(event.stage, event.result)
             case RepetitionDone():
                 self._write_result(event.result)
             case RunDone() | RunFailed():
                 self._join()
                 self._write_result(event.result)
+                if event.result.status == "done":
+                    shutil.rmtree(self.folder / PART_FOLDER, ignore_errors=True)
             case _:
                 pass
 
     def _write_result(self, result: RunResult) -> None:
         write_json(self.folder / "result.json", result_document(result))
 
-    def _write_stage(self, stage: StageResult) -> None:
+    def _keep_stage(self, stage: StageResult, result: RunResult) -> None:
         part = part_path(self.folder, repetition=stage.repetition, stage=stage.stage)
-        write_part(part, stage_arrays(stage, self._signals))
         self._parts.append(part)
-        if stage.learned is None:
+        if stage.learned is not None:
+            prefix = f"repetition.{stage.repetition}.stage.{stage.stage}"
+            for name, array in stage.learned.arrays().items():
+                self._proposals[f"{prefix}.{name}"] = np.ascontiguousarray(array)
+        if self._archive is not None and (stage.repetition, stage.stage) in self._archive.restored:
             return
-        prefix = f"repetition.{stage.repetition}.stage.{stage.stage}"
-        for name, array in stage.learned.arrays().items():
-            self._proposals[f"{prefix}.{name}"] = np.ascontiguousarray(array)
-        write_bytes(self.folder / "proposals.safetensors", save_tensors(self._proposals))
+        write_part(part, part_arrays(stage, self._signals))
+        if stage.learned is not None:
+            self._write_proposals()
+        self._write_result(result)
+
+    def _write_proposals(self) -> None:
+        if self._proposals:
+            write_bytes(self.folder / "proposals.safetensors", save_tensors(self._proposals))
 
     def _join(self) -> None:
-        if not self._parts:
-            return
-        join_parts(self._parts, self.folder / "rollouts.npz")
-        shutil.rmtree(self.folder / PART_FOLDER)
-        self._parts = []
+        self._write_proposals()
+        if self._parts:
+            join_parts(self._parts, self.folder / "rollouts.npz")
+            self._parts = []

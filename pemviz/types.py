@@ -175,6 +175,19 @@ class ScoredRollouts:
 
 
 @dataclass(frozen=True)
+class FinishedStage:
+    """What an interrupted run left of one stage.
+
+    Attributes:
+        scored: Its rollouts.
+        kept: See :class:`StageResult`.
+    """
+
+    scored: ScoredRollouts
+    kept: Mapping[str, AnyArray]
+
+
+@dataclass(frozen=True)
 class Estimate:
     """A failure probability with what is needed to judge it.
 
@@ -208,7 +221,8 @@ class StageResult:
 
     Attributes:
         repetition: Zero-based.
-        stage: 0 is pre-training, 1 to K learn, K + 1 is final; 0 where nothing is learned.
+        stage: 0 is pre-training, 1 to K learn, K + 1 is final, or the first part of a large
+            final batch; where nothing is learned, the parts count from 0.
         kind: What the stage is for.
         scored: Its rollouts.
         sampled_from: The proposal that they were drawn from.
@@ -221,6 +235,8 @@ class StageResult:
         ess: Effective sample size of the failing weights; ``None`` if nothing failed.
         loss: Training loss at the end of the fit [nats a step]; ``None`` without a fit.
         timings_s: Wall time by part of the work [s].
+        kept: What the method needs beside the rollouts to go on from here in another process,
+            by name; what it computes again at no cost is left out.
     """
 
     repetition: int
@@ -237,3 +253,4 @@ class StageResult:
     ess: float | None
     loss: float | None
     timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
+    kept: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])

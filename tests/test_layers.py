@@ -17,7 +17,7 @@ LAYERS = (
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
     {"back_ends", "experiment", "least_robust", "model_uncertainty", "explanation", "results",
-     "events", "engine", "rollout_files", "store", "curves", "reports"},
+     "events", "engine", "rollout_files", "archive", "store", "runs", "curves", "reports"},
     {"recording", "panel"},
     {"bench", "reproduce", "samples"},
     {"commands", "cli", "__main__"},

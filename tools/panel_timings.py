@@ -84,9 +84,8 @@ def server(recordings: Path) -> Iterator[str]:
     with subprocess.Popen(  # noqa: S603  our own program
         [*words, "--recordings", str(recordings)], stdout=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         try:
-            for line in process.stdout:
+            for line in process.stdout or ():
                 found = re.search(r"http://\S+", line)
                 if found:
                     yield found.group()
@@ -164,19 +163,23 @@ def ready(page: Page) -> None:
 
 
 def tab(page: Page, name: str) -> None:
+    """Go to a tab."""
     page.get_by_text(name, exact=True).first.click()
 
 
 def press(page: Page, name: str) -> None:
+    """Press a button."""
     page.get_by_role("button", name=name, exact=True).click()
 
 
 def choose(page: Page, label: str, option: str) -> None:
+    """Choose from a dropdown."""
     page.get_by_role("combobox", name=label, exact=True).click()
     page.get_by_role("option", name=option, exact=True).click()
 
 
 def enter(page: Page, label: str, value: int) -> None:
+    """Type a number."""
     box = page.get_by_role("textbox", name=label, exact=True)
     box.fill(str(value))
     box.press("Enter")

@@ -2,7 +2,8 @@
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -16,15 +17,15 @@ from pemviz.commands.progress import progress_observer
 from pemviz.commands.summary import print_summary
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config, load_preset
-from pemviz.engine import run as run_engine
 from pemviz.errors import ConfigError
 from pemviz.events import Observer
 from pemviz.exit_codes import EXIT_DONE, EXIT_FAILED
-from pemviz.experiment import build_experiment
+from pemviz.experiment import Experiment, build_experiment
 from pemviz.ranges import Range, check_value
 from pemviz.reports.writer import ReportWriter
-from pemviz.results import result_document
-from pemviz.store import RunStore, create_run_folder
+from pemviz.results import estimate_from_document, result_document
+from pemviz.runs import carry_out, read_result
+from pemviz.store import create_run_folder
 
 FailAbove = Annotated[float, Range(low=0.0, low_open=True, high=1.0)]
 Port = Annotated[int, Range(low=1, high=65535)]
@@ -45,6 +46,9 @@ class Source:
     """Shipped configuration: paper or town01. Without --config, paper."""
     config: Path | None = None
     """Configuration file (TOML), for instance the config.toml of an earlier run."""
+    resume: Path | None = None
+    """Run folder of a run that was killed, stopped or failed: goes on after its last finished
+    stage, with its own configuration, and ends as if nothing had happened."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,25 +87,24 @@ def run(words: Sequence[str]) -> int:
         RunError: The run failed.
     """
     arguments = parse(words)
+    if arguments.source.resume is not None:
+        done = _finished(arguments, arguments.source.resume)
+        if done is not None:
+            return done
     experiment = build_experiment(arguments.experiment)
     reports = ReportWriter(
         summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
     )
-    folder = create_run_folder(arguments.out, label=arguments.experiment.method)
-    with stop_on_signals() as should_stop, progress_observer(quiet=arguments.json) as progress:
-        observers: list[Observer] = [RunStore(folder), progress, reports]
-        if not arguments.no_recording:
-            from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
-
-            recorder = Recorder(
-                folder / "run.rrd",
-                pem_logit=experiment.pem.logit,
-                frames=not arguments.no_frames,
-                live_port=arguments.live,
-            )
-            observers.insert(1, recorder)
-        result = run_engine(
-            experiment, run_id=folder.name, observers=observers, should_stop=should_stop
+    folder = arguments.source.resume or create_run_folder(
+        arguments.out, label=arguments.experiment.method
+    )
+    with (
+        stop_on_signals() as should_stop,
+        progress_observer(quiet=arguments.json) as progress,
+        _recorder(arguments, experiment, folder) as recorders,
+    ):
+        result = carry_out(
+            experiment, folder, observers=[*recorders, progress, reports], should_stop=should_stop
         )
     if arguments.json:
         print(json.dumps(result_document(result), allow_nan=False))
@@ -113,6 +116,47 @@ def run(words: Sequence[str]) -> int:
     if arguments.fail_above is None or result.estimate is None:
         return EXIT_DONE
     return gate_exit_code(result.estimate, fail_above=arguments.fail_above)
+
+
+@contextmanager
+def _recorder(
+    arguments: RecordArguments, experiment: Experiment, folder: Path
+) -> Generator[Sequence[Observer], None, None]:
+    """The observer that writes ``run.rrd``, if one is asked for.
+
+    A resumed run's recording replaces the old one only when it is whole.
+    """
+    if arguments.no_recording:
+        yield ()
+        return
+    from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
+
+    path = folder / "run.rrd"
+    written = path.with_name(".run.rrd.partial") if path.exists() else path
+    yield (
+        Recorder(
+            written,
+            pem_logit=experiment.pem.logit,
+            frames=not arguments.no_frames and not experiment.is_own_system,
+            live_port=arguments.live,
+        ),
+    )
+    if written != path:
+        written.replace(path)
+
+
+def _finished(arguments: RecordArguments, folder: Path) -> int | None:
+    """Report a run that is done already and return its exit code; ``None`` if it is not."""
+    document = read_result(folder)
+    if document is None or document.get("status") != "done":
+        return None
+    print(f"pemviz: {folder} is done already; nothing was computed", file=sys.stderr)
+    if arguments.json:
+        print(json.dumps(document, allow_nan=False))
+    if arguments.fail_above is None:
+        return EXIT_DONE
+    estimate = estimate_from_document(document["estimate"])
+    return gate_exit_code(estimate, fail_above=arguments.fail_above)
 
 
 def parse(words: Sequence[str]) -> RecordArguments:
@@ -132,6 +176,12 @@ def parse(words: Sequence[str]) -> RecordArguments:
     ):
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
+    if source.resume is not None and arguments.experiment != start.experiment:
+        message = (
+            f"resume = {source.resume}: the run goes on with its own configuration; leave out "
+            "the options that differ from it"
+        )
+        raise ConfigError(message)
     return arguments
 
 
@@ -140,15 +190,26 @@ def _source(words: Sequence[str]) -> Source:
         part
         for index, word in enumerate(words)
         for part in words[index : index + (1 if "=" in word else 2)]
-        if word.split("=", 1)[0] in ("--preset", "--config")
+        if word.split("=", 1)[0] in ("--preset", "--config", "--resume")
     ]
     return parse_arguments(Source, known, command="record", default=Source())
 
 
 def _start(source: Source) -> ExperimentConfig:
-    if source.preset is not None and source.config is not None:
-        message = f"preset = {source.preset!r} and config = {source.config}: give only one of them"
+    given = {
+        name: value
+        for name in ("preset", "config", "resume")
+        if (value := getattr(source, name)) is not None
+    }
+    if len(given) > 1:
+        named = " and ".join(f"{name} = {str(value)!r}" for name, value in given.items())
+        message = f"{named}: give only one of them"
         raise ConfigError(message)
+    if source.resume is not None:
+        if not (source.resume / "config.toml").is_file():
+            message = f"resume = {source.resume}: must be a run folder, has no config.toml"
+            raise ConfigError(message)
+        return load_config(source.resume / "config.toml")
     if source.config is not None:
         return load_config(source.config)
     return load_preset("paper" if source.preset is None else source.preset)

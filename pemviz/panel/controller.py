@@ -12,9 +12,10 @@ from pemviz.engine import run as run_engine
 from pemviz.errors import InputError, PemvizError
 from pemviz.events import Observer
 from pemviz.experiment import build_experiment
-from pemviz.panel.rundata import RunData
+from pemviz.panel.rundata import RunData, check_shown
 from pemviz.panel.watcher import Progress, Watcher
-from pemviz.store import RunStore, create_run_folder
+from pemviz.runs import carry_out
+from pemviz.store import create_run_folder
 
 LOG = logging.getLogger(__name__)
 
@@ -156,6 +157,7 @@ class Controller:
 
     def _run(self, request: _Request) -> None:
         experiment = build_experiment(request.config)
+        check_shown(experiment.problem.simulator, experiment.config)
         folder = None
         observers: list[Observer] = []
         if request.keep:
@@ -164,13 +166,21 @@ class Controller:
             except InputError as error:
                 message = str(error).replace("out =", "recordings =", 1)
                 raise InputError(message) from error
-            observers += [RunStore(folder), *self._observers(folder)]
+            observers += self._observers(folder)
         watcher = Watcher(
             pem_logit=experiment.problem.pem_logit, folder=folder, publish=self._publish
         )
-        run_engine(
-            experiment,
-            run_id="quick look" if folder is None else folder.name,
-            observers=[*observers, watcher],
-            should_stop=self._stop.is_set,
-        )
+        if folder is None:
+            run_engine(
+                experiment,
+                run_id="quick look",
+                observers=[watcher],
+                should_stop=self._stop.is_set,
+            )
+        else:
+            carry_out(
+                experiment,
+                folder,
+                observers=[*observers, watcher],
+                should_stop=self._stop.is_set,
+            )

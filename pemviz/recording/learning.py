@@ -12,6 +12,7 @@ from pemviz.curves import DetectionCurves
 from pemviz.recording import colors, paths
 from pemviz.recording.stream import RecordingFile
 from pemviz.sampling.estimates import log_normal_interval, monte_carlo_estimate
+from pemviz.sampling.final_batch import weighed
 from pemviz.sampling.weights import log_mean_failing_weight, log_std_error
 from pemviz.types import StageResult
 
@@ -58,7 +59,7 @@ def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
 def _stage_interval(stage: StageResult, *, method: str) -> tuple[float | None, float | None]:
     """95 % interval of the estimate from the stage's own rollouts."""
     if method == "monte-carlo":
-        estimate = monte_carlo_estimate(stage.scored, method=method)
+        estimate = monte_carlo_estimate(weighed(stage.scored), method=method)
         return estimate.ci_low, estimate.ci_high
     if stage.failures == 0:
         return None, None

@@ -6,15 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.proposals.gap_network import GapNetwork
+from pemviz.proposals.gap_network import GapNetwork, gap_network_from_arrays
 from pemviz.proposals.gap_network_fit import fit_gap_network, initial_gap_network, pool_outcomes
 from pemviz.proposals.simple import PemProposal
 from pemviz.sampling.estimates import importance_sampling_estimate
+from pemviz.sampling.final_batch import LARGEST_PART, FinalBatch, part_sizes
 from pemviz.sampling.levels import elite_threshold, elites
-from pemviz.sampling.method import importance_stage_figures, network_seed, stage_seeds
-from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.method import importance_stage_figures, network_seed, sample_stage
+from pemviz.sampling.problem import Problem
 from pemviz.sampling.weights import smoothed_weights
 from pemviz.types import Estimate, Proposal, ScoredRollouts, StageKind, StageResult
+
+LOSS = "loss"
 
 
 @dataclass(frozen=True)
@@ -26,19 +29,21 @@ class AdaptiveState:
         stage: The stage that ``step`` carries out next.
         network: The proposal learned so far.
         rollouts_simulated: In all stages so far.
-        final: The final rollouts, once drawn.
+        batch: How far the final rollouts are drawn.
     """
 
     repetition: int
     stage: int
     network: GapNetwork
+    batch: FinalBatch
     rollouts_simulated: int = 0
-    final: ScoredRollouts | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptiveSampling:
     """Stage 0 pre-trains on the error model, stages 1 to K learn, stage K + 1 estimates.
+
+    A large final batch takes further stages, a part each.
 
     Attributes:
         learning_stages: K.
@@ -49,6 +54,7 @@ class AdaptiveSampling:
         epochs: Training steps in each fit.
         learning_rate: Adam's step size.
         seed: Root of all randomness.
+        largest_part: How many final rollouts are drawn at once.
     """
 
     learning_stages: int
@@ -59,27 +65,35 @@ class AdaptiveSampling:
     epochs: int
     learning_rate: float
     seed: int
+    largest_part: int = LARGEST_PART
     name: str = "adaptive"
 
     @property
     def stages(self) -> int:
-        """Pre-training, K learning stages and the final one."""
-        return self.learning_stages + 2
+        """Pre-training, K learning stages and the final one, or its parts."""
+        return self.learning_stages + 1 + len(self._final_sizes())
 
     def init(self, problem: Problem, *, repetition: int) -> AdaptiveState:  # noqa: ARG002
         """An untrained network, before pre-training."""
         seed = network_seed(seed=self.seed, repetition=repetition)
-        return AdaptiveState(repetition=repetition, stage=0, network=initial_gap_network(seed=seed))
+        return AdaptiveState(
+            repetition=repetition,
+            stage=0,
+            network=initial_gap_network(seed=seed),
+            batch=FinalBatch(self._final_sizes()),
+        )
 
     def step(self, problem: Problem, state: AdaptiveState) -> tuple[AdaptiveState, StageResult]:
         """Sample from the proposal; learn from the elites unless the stage is the last."""
         kind = self._kind(state.stage)
         proposal: Proposal = PemProposal() if kind == "pretrain" else state.network
-        scored = sample(
+        scored = sample_stage(
             problem,
             proposal=proposal,
-            count=self.final_rollouts if kind == "final" else self.rollouts,
-            seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
+            count=state.batch.next_size if kind == "final" else self.rollouts,
+            seed=self.seed,
+            repetition=state.repetition,
+            stage=state.stage,
         )
         advanced = replace(
             state,
@@ -88,10 +102,10 @@ class AdaptiveSampling:
         )
         if kind == "final":
             result = self._result(state, scored, kind, proposal)
-            return replace(advanced, final=scored), result
+            return replace(advanced, batch=state.batch.extended(scored)), result
         threshold, chosen = self._chosen(kind, scored)
         began = time.perf_counter()
-        network, loss = self._fit(problem, state, scored, chosen)
+        network, loss = self._learn(problem, state, scored, chosen)
         fit_s = time.perf_counter() - began
         result = replace(
             self._result(state, scored, kind, proposal),
@@ -99,13 +113,14 @@ class AdaptiveSampling:
             threshold=threshold,
             elites=int(chosen.sum()),
             loss=loss,
+            kept={**network.arrays(), LOSS: np.array(loss)},
             timings_s={**scored.timings_s, "fit": fit_s},
         )
         return replace(advanced, network=network), result
 
     def is_done(self, state: AdaptiveState) -> bool:
         """Whether the final rollouts are drawn."""
-        return state.final is not None
+        return state.batch.is_done
 
     def estimate(self, state: AdaptiveState) -> Estimate:
         """The estimate from the final rollouts.
@@ -113,12 +128,12 @@ class AdaptiveSampling:
         Raises:
             ValueError: They are not drawn yet.
         """
-        if state.final is None:
-            message = "the final rollouts have not been drawn yet"
-            raise ValueError(message)
         return importance_sampling_estimate(
-            state.final, method=self.name, rollouts_simulated=state.rollouts_simulated
+            state.batch.weighed(), method=self.name, rollouts_simulated=state.rollouts_simulated
         )
+
+    def _final_sizes(self) -> tuple[int, ...]:
+        return part_sizes(self.final_rollouts, largest=self.largest_part)
 
     def _kind(self, stage: int) -> StageKind:
         if stage == 0:
@@ -131,6 +146,15 @@ class AdaptiveSampling:
             return None, np.ones(scored.rollouts.count, dtype=np.bool_)
         threshold = elite_threshold(scored.robustness, sigma=self.sigma)
         return threshold, elites(scored.robustness, threshold=threshold)
+
+    def _learn(
+        self, problem: Problem, state: AdaptiveState, scored: ScoredRollouts, chosen: BoolArray
+    ) -> tuple[GapNetwork, float]:
+        """The fitted network and its loss, as an interrupted run left them if it did."""
+        finished = problem.finished(state.repetition, state.stage)
+        if finished is not None:
+            return gap_network_from_arrays(finished.kept), float(finished.kept[LOSS])
+        return self._fit(problem, state, scored, chosen)
 
     def _fit(
         self, problem: Problem, state: AdaptiveState, scored: ScoredRollouts, chosen: BoolArray

@@ -1,71 +1,80 @@
 """Methods without learning: plain Monte Carlo and sampling from a constant."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.estimates import importance_sampling_estimate, monte_carlo_estimate
-from pemviz.sampling.method import final_stage, stage_seeds
-from pemviz.sampling.problem import Problem, sample
-from pemviz.types import Estimate, ScoredRollouts, StageResult
+from pemviz.sampling.final_batch import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.method import final_stage, sample_stage
+from pemviz.sampling.problem import Problem
+from pemviz.types import Estimate, StageResult
 
 
 @dataclass(frozen=True)
 class DirectState:
-    """The repetition, and its rollouts once they are drawn."""
+    """The repetition, and how far its rollouts are drawn."""
 
     repetition: int
-    scored: ScoredRollouts | None = None
+    batch: FinalBatch
 
 
 @dataclass(frozen=True, kw_only=True)
 class DirectSampling:
-    """One batch of rollouts from a fixed proposal.
+    """Rollouts from a fixed proposal; stage k draws part k of them.
 
     Attributes:
         name: ``monte-carlo`` or ``naive``.
         proposal: What is sampled from.
         rollouts: How many.
         seed: Root of all randomness.
+        largest_part: How many are drawn at once.
     """
 
     name: str
     proposal: PemProposal | ConstantProposal
     rollouts: int
     seed: int
-    stages: int = 1
+    largest_part: int = LARGEST_PART
+
+    @property
+    def stages(self) -> int:
+        """How many parts there are."""
+        return len(part_sizes(self.rollouts, largest=self.largest_part))
 
     def init(self, problem: Problem, *, repetition: int) -> DirectState:  # noqa: ARG002
         """Nothing is drawn yet."""
-        return DirectState(repetition=repetition)
+        sizes = part_sizes(self.rollouts, largest=self.largest_part)
+        return DirectState(repetition=repetition, batch=FinalBatch(sizes))
 
     def step(self, problem: Problem, state: DirectState) -> tuple[DirectState, StageResult]:
-        """Draw and score all rollouts."""
-        scored = sample(
+        """Draw and score the next part."""
+        stage = len(state.batch.drawn)
+        scored = sample_stage(
             problem,
             proposal=self.proposal,
-            count=self.rollouts,
-            seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=0),
+            count=state.batch.next_size,
+            seed=self.seed,
+            repetition=state.repetition,
+            stage=stage,
         )
         result = final_stage(
-            repetition=state.repetition, stage=0, scored=scored, sampled_from=self.proposal
+            repetition=state.repetition, stage=stage, scored=scored, sampled_from=self.proposal
         )
-        return DirectState(repetition=state.repetition, scored=scored), result
+        return replace(state, batch=state.batch.extended(scored)), result
 
     def is_done(self, state: DirectState) -> bool:
-        """Whether the batch is drawn."""
-        return state.scored is not None
+        """Whether all is drawn."""
+        return state.batch.is_done
 
     def estimate(self, state: DirectState) -> Estimate:
-        """The batch's estimate.
+        """The estimate from all rollouts.
 
         Raises:
-            ValueError: The batch is not drawn yet.
+            ValueError: They are not drawn yet.
         """
-        if state.scored is None:
-            message = "no rollouts have been drawn yet"
-            raise ValueError(message)
+        rollouts = state.batch.weighed()
         if isinstance(self.proposal, PemProposal):
-            return monte_carlo_estimate(state.scored, method=self.name)
+            return monte_carlo_estimate(rollouts, method=self.name)
         return importance_sampling_estimate(
-            state.scored, method=self.name, rollouts_simulated=self.rollouts
+            rollouts, method=self.name, rollouts_simulated=self.rollouts
         )

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.sampling.diagnostics import diagnose, negative_log_likelihood, weight_warnings
+from pemviz.sampling.final_batch import WeighedRollouts
 from pemviz.sampling.weights import log_mean_failing_weight, log_std_error
-from pemviz.types import Estimate, ScoredRollouts
+from pemviz.types import Estimate
 
 CONFIDENCE = 0.95
 ROUNDING = 1e-9
@@ -23,9 +24,9 @@ contribute alike. ``pemviz bench accuracy`` measures whether the intervals hold.
 SMALLEST_LOG = math.log(sys.float_info.min)
 
 
-def monte_carlo_estimate(scored: ScoredRollouts, *, method: str) -> Estimate:
+def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
     """The share of violations, with the exact binomial interval (Clopper and Pearson 1934)."""
-    count, failures = scored.rollouts.count, int(scored.violated.sum())
+    count, failures = rollouts.count, int(rollouts.violated.sum())
     probability = failures / count
     interval = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")
     warnings: list[str] = []
@@ -37,7 +38,7 @@ def monte_carlo_estimate(scored: ScoredRollouts, *, method: str) -> Estimate:
     elif failures < 10:
         warnings.append(f"only {failures} failures were seen: the interval is wide")
     return _estimate(
-        scored,
+        rollouts,
         method=method,
         probability=probability,
         log10_probability=math.log10(probability) if failures else None,
@@ -48,18 +49,18 @@ def monte_carlo_estimate(scored: ScoredRollouts, *, method: str) -> Estimate:
 
 
 def importance_sampling_estimate(
-    scored: ScoredRollouts, *, method: str, rollouts_simulated: int
+    rollouts: WeighedRollouts, *, method: str, rollouts_simulated: int
 ) -> Estimate:
     """The average weight of violations, with a log-normal interval."""
-    log_weight = scored.rollouts.log_weight
-    failures = int(scored.violated.sum())
+    log_weight, violated = rollouts.log_weight, rollouts.violated
+    failures = int(violated.sum())
     if failures == 0:
         message = (
-            f"no failure in {scored.rollouts.count} rollouts: importance sampling then says "
+            f"no failure in {rollouts.count} rollouts: importance sampling then says "
             "nothing about the probability, not even an upper bound"
         )
         return _estimate(
-            scored,
+            rollouts,
             method=method,
             probability=0.0,
             log10_probability=None,
@@ -68,10 +69,10 @@ def importance_sampling_estimate(
             warnings=[message],
             rollouts_simulated=rollouts_simulated,
         )
-    log_probability = log_mean_failing_weight(log_weight, scored.violated)
-    log_error = log_std_error(log_weight, scored.violated)
+    log_probability = log_mean_failing_weight(log_weight, violated)
+    log_error = log_std_error(log_weight, violated)
     return _estimate(
-        scored,
+        rollouts,
         method=method,
         probability=math.exp(log_probability),
         log10_probability=log_probability / math.log(10.0),
@@ -80,7 +81,7 @@ def importance_sampling_estimate(
             log_probability, relative_error=math.exp(log_error - log_probability)
         ),
         warnings=[
-            *weight_warnings(diagnose(log_weight[scored.violated]), failures=failures),
+            *weight_warnings(diagnose(log_weight[violated]), failures=failures),
             *magnitude_warnings(log_probability),
         ],
         rollouts_simulated=rollouts_simulated,
@@ -203,7 +204,7 @@ def magnitude_warnings(log_probability: float) -> Sequence[str]:
 
 
 def _estimate(
-    scored: ScoredRollouts,
+    rollouts: WeighedRollouts,
     *,
     method: str,
     probability: float,
@@ -213,9 +214,9 @@ def _estimate(
     warnings: Sequence[str],
     rollouts_simulated: int | None = None,
 ) -> Estimate:
-    rollouts, violated = scored.rollouts, scored.violated
+    violated = rollouts.violated
     diagnostics = diagnose(rollouts.log_weight[violated])
-    nll_mean, nll_log_mean = negative_log_likelihood(row_sums(rollouts.log_p[violated]))
+    nll_mean, nll_log_mean = negative_log_likelihood(rollouts.log_p[violated])
     return Estimate(
         method=method,
         probability=probability,

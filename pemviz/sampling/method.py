@@ -1,10 +1,11 @@
 """The shape that all methods share: immutable state, advanced one stage at a time."""
 
+from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 import numpy as np
 
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.weights import effective_sample_size, log_mean_failing_weight
 from pemviz.types import Estimate, Proposal, ScoredRollouts, StageResult
 
@@ -48,6 +49,39 @@ class Method(Protocol[State]):
 def stage_seeds(*, seed: int, repetition: int, stage: int) -> np.random.SeedSequence:
     """The seed sequence of one stage; depends on nothing but these three numbers."""
     return np.random.SeedSequence(seed, spawn_key=(repetition, stage))
+
+
+def sample_stage(
+    problem: Problem, *, proposal: Proposal, count: int, seed: int, repetition: int, stage: int
+) -> ScoredRollouts:
+    """A stage's rollouts: those that an interrupted run left, or else drawn and scored.
+
+    Raises:
+        SimulationError: A batch has something that is no finite number, or takes too long.
+    """
+    return finished_or(
+        problem,
+        lambda: sample(
+            problem,
+            proposal=proposal,
+            count=count,
+            seeds=stage_seeds(seed=seed, repetition=repetition, stage=stage),
+        ),
+        repetition=repetition,
+        stage=stage,
+    )
+
+
+def finished_or(
+    problem: Problem, draw: Callable[[], ScoredRollouts], *, repetition: int, stage: int
+) -> ScoredRollouts:
+    """A stage's rollouts as an interrupted run left them, or else what ``draw`` returns."""
+    finished = problem.finished(repetition, stage)
+    if finished is None:
+        return draw()
+    count = finished.scored.rollouts.count
+    problem.progress(count, count)
+    return finished.scored
 
 
 def network_seed(*, seed: int, repetition: int) -> int:

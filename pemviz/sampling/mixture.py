@@ -20,7 +20,8 @@ from pemviz.proposals.offset_logistic import (
     acting,
 )
 from pemviz.sampling.estimates import mixture_estimate
-from pemviz.sampling.method import final_stage, stage_seeds
+from pemviz.sampling.final_batch import LARGEST_PART, part_sizes
+from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture_fit import Fit, FitSettings, fit_next
 from pemviz.sampling.mixture_pool import Pool, balance_weights, extended
 from pemviz.sampling.problem import Problem, concatenated, sample
@@ -48,7 +49,7 @@ class MixtureState:
         basis: Monomials of it; ``None`` before the first stage.
         pool: Everything drawn so far.
         next_fit: What the next stage draws from; ``None`` before the first.
-        frozen: Rollouts of the final batch.
+        frozen: How many rollouts each part of the final batch has, as far as it is drawn.
     """
 
     repetition: int
@@ -57,12 +58,14 @@ class MixtureState:
     basis: PolynomialBasis | None = None
     pool: Pool | None = None
     next_fit: Fit | None = None
-    frozen: int = 0
+    frozen: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class MixtureSampling:
     """Stage 0 explores, stages 1 to K learn, stage K + 1 draws from a frozen mixture.
+
+    A large final batch takes further stages, a part each.
 
     Attributes:
         learning_stages: K.
@@ -71,6 +74,7 @@ class MixtureSampling:
         seed: Root of all randomness.
         features: What proposals look at; ``None``: all signals and time.
         settings: How proposals are fitted.
+        largest_part: How many final rollouts are drawn at once.
     """
 
     learning_stages: int
@@ -79,12 +83,13 @@ class MixtureSampling:
     seed: int
     features: StateFeatures | None = None
     settings: FitSettings = field(default_factory=FitSettings)
+    largest_part: int = LARGEST_PART
     name: str = "mixture"
 
     @property
     def stages(self) -> int:
-        """Exploration, K learning stages and the final one."""
-        return self.learning_stages + 2
+        """Exploration, K learning stages and the final one, or its parts."""
+        return self.learning_stages + 1 + len(self._final_sizes())
 
     def init(self, problem: Problem, *, repetition: int) -> MixtureState:
         """Nothing is drawn yet."""
@@ -94,20 +99,26 @@ class MixtureSampling:
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
         """Draw from the newest proposals; fit the next one unless the stage is the last."""
         steps = problem.simulator.states - 1
-        last = state.stage == self.learning_stages + 1
-        plan = _plan(state, self.final_rollouts if last else self.rollouts, last=last)
-        scored = _draw(
-            with_latch(problem),
-            [(_proposal(state, chosen, steps=steps), count) for chosen, count in plan],
-            seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
+        last = state.stage > self.learning_stages
+        size = self._final_sizes()[len(state.frozen)] if last else self.rollouts
+        plan = _plan(state, size, last=last)
+        scored = finished_or(
+            problem,
+            lambda: _draw(
+                with_latch(problem),
+                [(_proposal(state, chosen, steps=steps), count) for chosen, count in plan],
+                seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
+            ),
+            repetition=state.repetition,
+            stage=state.stage,
         )
         basis = state.basis or _basis(scored, state.features)
         advanced = replace(
             state,
             stage=state.stage + 1,
             basis=basis,
-            pool=_pooled(state, basis, scored, plan),
-            frozen=scored.rollouts.count if last else 0,
+            pool=_pooled(state, basis, scored, plan, last=last),
+            frozen=(*state.frozen, size) if last else (),
         )
         newest = _proposal(state, plan[0][0], steps=steps)
         result = final_stage(
@@ -119,7 +130,7 @@ class MixtureSampling:
 
     def is_done(self, state: MixtureState) -> bool:
         """Whether the final rollouts are drawn."""
-        return state.frozen > 0
+        return len(state.frozen) == len(self._final_sizes())
 
     def estimate(self, state: MixtureState) -> Estimate:
         """The estimate from all rollouts, and the unbiased one from the final batch.
@@ -128,10 +139,10 @@ class MixtureSampling:
             ValueError: The final rollouts are not drawn yet.
         """
         pool = state.pool
-        if pool is None or not state.frozen:
+        if pool is None or not self.is_done(state):
             message = "the final rollouts have not been drawn yet"
             raise ValueError(message)
-        final = slice(pool.count - state.frozen, None)
+        final = slice(pool.count - sum(state.frozen), None)
         component = pool.component[final]
         return mixture_estimate(
             method=self.name,
@@ -142,6 +153,9 @@ class MixtureSampling:
             frozen_log_weight=balance_weights(pool.log_ratio[final], component),
             frozen=final,
         )
+
+    def _final_sizes(self) -> tuple[int, ...]:
+        return part_sizes(self.final_rollouts, largest=self.largest_part)
 
     def _learn(
         self, state: MixtureState, result: StageResult, *, kind_of_first: bool
@@ -178,7 +192,7 @@ def _plan(state: MixtureState, count: int, *, last: bool) -> Plan:
     defensive = int(DEFENSIVE_SHARE * count) if last else 0
     return [
         (state.next_fit.coefficients, count - defensive),
-        (state.pool.coefficients[-1], defensive),
+        (state.pool.coefficients[-2 if state.frozen else -1], defensive),
     ]
 
 
@@ -244,7 +258,12 @@ def _basis(scored: ScoredRollouts, features: StateFeatures) -> PolynomialBasis:
 
 
 def _pooled(
-    state: MixtureState, basis: PolynomialBasis, scored: ScoredRollouts, plan: Plan
+    state: MixtureState,
+    basis: PolynomialBasis,
+    scored: ScoredRollouts,
+    plan: Plan,
+    *,
+    last: bool,
 ) -> Pool:
     counts = [count for _, count in plan]
     if state.pool is None:
@@ -252,9 +271,10 @@ def _pooled(
         new = [np.pad(raised, (0, width - 1)) for raised, _ in plan]
         index = np.repeat(np.arange(len(plan)), counts)
     else:
-        known = len(state.pool.coefficients)
-        new = [plan[0][0]]
-        index = np.repeat([known, known - 1], counts)
+        # the parts of the final batch after the first bring no proposal that is new
+        new = [] if state.frozen else [plan[0][0]]
+        newest = len(state.pool.coefficients) + len(new) - 1
+        index = np.repeat([newest, newest - 1], counts)
     return extended(
         state.pool,
         scored,
@@ -264,6 +284,7 @@ def _pooled(
         defensive=_defence(scored.rollouts.detected.shape[1]),
         features=state.features,
         basis=basis,
+        last=last,
     )
 
 

@@ -40,7 +40,7 @@ class Pool:
     """Everything drawn so far.
 
     Attributes:
-        decisions: Of all rollouts.
+        decisions: Of all rollouts but the final ones.
         component: Which proposal each rollout was drawn from, ``[N]``.
         coefficients: Of each proposal, K arrays ``[B]``.
         log_ratio: Log q_k / p of each rollout under each proposal, ``[N, K]``.
@@ -123,6 +123,7 @@ def extended(
     defensive: float,
     features: StateFeatures,
     basis: PolynomialBasis,
+    last: bool = False,
 ) -> Pool:
     """The pool with more rollouts.
 
@@ -136,6 +137,7 @@ def extended(
         defensive: Share of the error model in every outcome's probability.
         features: What proposals look at.
         basis: Its monomials.
+        last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
     """
     fresh = decisions_of(scored.rollouts, features=features, basis=basis)
     count = scored.rollouts.count
@@ -151,13 +153,15 @@ def extended(
             log_p=log_p,
         )
     coefficients = (*pool.coefficients, *new)
-    added = log_ratios(pool.decisions, new, count=pool.count, defensive=defensive)
-    if optimism is not None:
-        added = added - optimism[:, None]
-    before = np.hstack([pool.log_ratio, added])
+    before = pool.log_ratio
+    if new:
+        added = log_ratios(pool.decisions, new, count=pool.count, defensive=defensive)
+        if optimism is not None:
+            added = added - optimism[:, None]
+        before = np.hstack([before, added])
     after = log_ratios(fresh, coefficients, count=count, defensive=defensive)
     return Pool(
-        decisions=_joined(pool.decisions, fresh, first=pool.count),
+        decisions=pool.decisions if last else _joined(pool.decisions, fresh, first=pool.count),
         component=np.concatenate([pool.component, drawn_from]),
         coefficients=coefficients,
         log_ratio=np.vstack([before, after]),

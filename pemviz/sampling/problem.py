@@ -1,16 +1,33 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.sampling.rollout import LogitFunction, simulate
-from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, Simulator, StateBatch
+from pemviz.sampling.batches import (
+    BatchRunner,
+    BatchTask,
+    SimulationError,
+    check_numbers,
+    run_here,
+)
+from pemviz.sampling.rollout import LogitFunction
+from pemviz.sampling.time_limit import call_within
+from pemviz.types import (
+    FinishedStage,
+    Proposal,
+    RolloutBatch,
+    ScoredRollouts,
+    Simulator,
+    StateBatch,
+)
 
 Signals = Mapping[str, FloatArray]
+Result = TypeVar("Result")
 BATCH_ROLLOUTS = 4096
 
 
@@ -20,6 +37,11 @@ def _no_progress(done: int, total: int) -> None:
 
 def _no_pause() -> None:
     """Go on."""
+
+
+def _nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
+    """Every stage is carried out."""
+    return None
 
 
 @dataclass(frozen=True)
@@ -32,9 +54,13 @@ class Problem:
         robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
         violated: Signals ``[N, T]`` to the classical verdict ``[N]``.
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
+        batch_time_limit_s: A batch that takes longer fails [s]; ``None``: no limit.
+        run_batches: Who simulates the batches.
         progress: Told after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
         pause: Called now and then during long work between rollouts; may raise likewise.
+        finished: Repetition and stage to what an interrupted run left of it; ``None``: it is
+            to be carried out.
         unsafe: States ``[N]`` to whether being in one of them is what violates the
             specification, ``[N]``; ``None`` where the verdict takes more than single states.
     """
@@ -44,37 +70,67 @@ class Problem:
     robustness: Callable[[Signals], FloatArray]
     violated: Callable[[Signals], BoolArray]
     batch_rollouts: int = BATCH_ROLLOUTS
+    batch_time_limit_s: float | None = None
+    run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = _no_progress
     pause: Callable[[], None] = _no_pause
+    finished: Callable[[int, int], FinishedStage | None] = _nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None
 
 
 def sample(
     problem: Problem, *, proposal: Proposal, count: int, seeds: np.random.SeedSequence
 ) -> ScoredRollouts:
-    """Draw and score ``count`` rollouts, in batches that do not change the result."""
+    """Draw and score ``count`` rollouts, in batches that do not change the result.
+
+    Raises:
+        SimulationError: A batch has something that is no finite number, or takes too long.
+    """
+    sizes = [
+        min(problem.batch_rollouts, count - start)
+        for start in range(0, count, problem.batch_rollouts)
+    ]
     generator = np.random.default_rng(seeds)
     steps = problem.simulator.states - 1
+    tasks = (BatchTask(proposal, generator.random((size, steps))) for size in sizes)
+    simulated = problem.run_batches(problem.simulator, problem.pem_logit, tasks)
     batches: list[ScoredRollouts] = []
-    for start in range(0, count, problem.batch_rollouts):
-        size = min(problem.batch_rollouts, count - start)
-        uniforms = generator.random((size, steps))
+    done = 0
+    for size in sizes:
         began = time.perf_counter()
-        rollouts = simulate(
-            simulator=problem.simulator,
-            pem_logit=problem.pem_logit,
-            proposal=proposal,
-            uniforms=uniforms,
-        )
-        simulated = time.perf_counter()
+        rollouts = _next_batch(problem, simulated, first_rollout=done)
+        simulation_s = time.perf_counter() - began
         scored = score(problem, rollouts)
-        timings_s = {
-            "simulation": simulated - began,
-            "robustness": time.perf_counter() - simulated,
-        }
+        robustness_s = time.perf_counter() - began - simulation_s
+        timings_s = {"simulation": simulation_s, "robustness": robustness_s}
         batches.append(replace(scored, timings_s=timings_s))
-        problem.progress(start + size, count)
+        done += size
+        problem.progress(done, count)
     return concatenated(batches)
+
+
+def _next_batch(
+    problem: Problem, simulated: Iterator[RolloutBatch], *, first_rollout: int
+) -> RolloutBatch:
+    rollouts = in_time(problem, lambda: next(simulated))
+    check_numbers(rollouts, first_rollout=first_rollout, simulator=problem.simulator.name)
+    return rollouts
+
+
+def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
+    """What ``simulate`` returns, within the problem's time limit for a batch.
+
+    Raises:
+        SimulationError: It takes longer.
+    """
+    try:
+        return call_within(problem.batch_time_limit_s, simulate)
+    except TimeoutError as error:
+        message = (
+            f"simulator {problem.simulator.name}: a batch of rollouts took longer than "
+            f"batch_time_limit_s = {problem.batch_time_limit_s:g}"
+        )
+        raise SimulationError(message) from error
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:

@@ -7,6 +7,7 @@ unbiased with ties. It needs no likelihood ratios: an independent check of the o
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from pemviz.sampling.diagnostics import negative_log_likelihood
 from pemviz.sampling.estimates import log_normal_interval
 from pemviz.sampling.levels import VIOLATION_THRESHOLD
 from pemviz.sampling.method import final_stage, stage_seeds
-from pemviz.sampling.problem import Problem, score
+from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.splitting_particles import (
     Particles,
     draw_particles,
@@ -25,7 +26,7 @@ from pemviz.sampling.splitting_particles import (
     taken,
 )
 from pemviz.sampling.weights import log_sum
-from pemviz.types import Estimate, ScoredRollouts, StageResult
+from pemviz.types import Estimate, FinishedStage, ScoredRollouts, StageResult
 
 KILLED_SHARE = 0.5
 MOST_LEVELS = 10_000
@@ -78,8 +79,12 @@ class SplittingSampling:
     def step(self, problem: Problem, state: SplittingState) -> tuple[SplittingState, StageResult]:
         """Carry out one run."""
         stage = len(state.runs)
-        seeds = stage_seeds(seed=self.seed, repetition=state.repetition, stage=stage)
-        run = split(problem, count=self.rollouts, generator=np.random.default_rng(seeds))
+        finished = problem.finished(state.repetition, stage)
+        if finished is None:
+            seeds = stage_seeds(seed=self.seed, repetition=state.repetition, stage=stage)
+            run = split(problem, count=self.rollouts, generator=np.random.default_rng(seeds))
+        else:
+            run = _restored(finished)
         result = replace(
             final_stage(
                 repetition=state.repetition,
@@ -92,6 +97,11 @@ class SplittingSampling:
                 run.log_probability / math.log(10.0) if run.log_probability > -math.inf else None
             ),
             ess=None,
+            kept={
+                "log_probability": np.array(run.log_probability),
+                "simulated": np.array(run.simulated),
+                "levels": np.array(run.levels),
+            },
         )
         return replace(state, runs=(*state.runs, run)), result
 
@@ -111,9 +121,19 @@ class SplittingSampling:
         return _estimate(state, name=self.name)
 
 
+def _restored(finished: FinishedStage) -> SplittingRun:
+    """A run as an interrupted process left it."""
+    return SplittingRun(
+        log_probability=float(finished.kept["log_probability"]),
+        simulated=int(finished.kept["simulated"]),
+        levels=int(finished.kept["levels"]),
+        scored=finished.scored,
+    )
+
+
 def split(problem: Problem, *, count: int, generator: np.random.Generator) -> SplittingRun:
     """One run of adaptive multilevel splitting with ``count`` particles."""
-    particles = draw_particles(problem, count=count, generator=generator)
+    particles = in_time(problem, lambda: draw_particles(problem, count=count, generator=generator))
     log_share, simulated, levels = 0.0, count, 0
     problem.progress(0, count)
     for _ in range(MOST_LEVELS):
@@ -128,7 +148,9 @@ def split(problem: Problem, *, count: int, generator: np.random.Generator) -> Sp
         log_share += math.log1p(-float(killed.mean()))
         simulated += int(killed.sum())
         levels += 1
-        particles = _replaced(problem, particles, killed, level, generator)
+        particles = in_time(
+            problem, partial(_replaced, problem, particles, killed, level, generator)
+        )
         problem.progress(int((particles.lowest < VIOLATION_THRESHOLD).sum()), count)
     scored = score(problem, particles.rollouts)
     share = float(scored.violated.mean())

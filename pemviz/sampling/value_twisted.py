@@ -6,8 +6,9 @@ from functools import lru_cache
 from pemviz.errors import InputError
 from pemviz.proposals.twisted import TwistedProposal
 from pemviz.sampling.estimates import importance_sampling_estimate
-from pemviz.sampling.method import final_stage, stage_seeds
-from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.final_batch import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.method import final_stage, sample_stage
+from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollout import LogitFunction
 from pemviz.sampling.value_reachable import Unsafe
 from pemviz.sampling.value_tables import (
@@ -17,21 +18,21 @@ from pemviz.sampling.value_tables import (
     with_defence,
 )
 from pemviz.simulators.latched import LatchedSimulator
-from pemviz.types import Estimate, ScoredRollouts, Simulator, StageResult
+from pemviz.types import Estimate, Simulator, StageResult
 
 
 @dataclass(frozen=True)
 class ValueTwistedState:
-    """The repetition, its proposal, and its rollouts once they are drawn."""
+    """The repetition, its proposal, and how far its rollouts are drawn."""
 
     repetition: int
     proposal: TwistedProposal
-    scored: ScoredRollouts | None = None
+    batch: FinalBatch
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValueTwistedSampling:
-    """One batch of rollouts that are steered towards violation by the twin's values.
+    """Rollouts that are steered towards violation by the twin's values; stage k draws part k.
 
     Unbiased on any simulator; the closer the twin, the less the weights vary.
 
@@ -42,6 +43,7 @@ class ValueTwistedSampling:
         largest_layer: Above so many states a step, the value function is approximate.
         defensive_steps: How many of a rollout's steps are drawn from the error model itself, on
             average.
+        largest_part: How many rollouts are drawn at once.
     """
 
     twin: Simulator
@@ -49,8 +51,13 @@ class ValueTwistedSampling:
     seed: int
     largest_layer: int = LARGEST_LAYER
     defensive_steps: float = DEFENSIVE_STEPS
+    largest_part: int = LARGEST_PART
     name: str = "value-twisted"
-    stages: int = 1
+
+    @property
+    def stages(self) -> int:
+        """How many parts there are."""
+        return len(part_sizes(self.rollouts, largest=self.largest_part))
 
     def init(self, problem: Problem, *, repetition: int) -> ValueTwistedState:
         """Compute the value function; repetitions share it.
@@ -67,38 +74,39 @@ class ValueTwistedSampling:
         proposal = with_defence(
             proposal, defensive_steps=self.defensive_steps, steps=self.twin.states - 1
         )
-        return ValueTwistedState(repetition=repetition, proposal=proposal)
+        batch = FinalBatch(part_sizes(self.rollouts, largest=self.largest_part))
+        return ValueTwistedState(repetition=repetition, proposal=proposal, batch=batch)
 
     def step(
         self, problem: Problem, state: ValueTwistedState
     ) -> tuple[ValueTwistedState, StageResult]:
-        """Draw and score all rollouts."""
-        scored = sample(
+        """Draw and score the next part."""
+        stage = len(state.batch.drawn)
+        scored = sample_stage(
             with_latch(problem),
             proposal=state.proposal,
-            count=self.rollouts,
-            seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=0),
+            count=state.batch.next_size,
+            seed=self.seed,
+            repetition=state.repetition,
+            stage=stage,
         )
         result = final_stage(
-            repetition=state.repetition, stage=0, scored=scored, sampled_from=state.proposal
+            repetition=state.repetition, stage=stage, scored=scored, sampled_from=state.proposal
         )
-        return replace(state, scored=scored), result
+        return replace(state, batch=state.batch.extended(scored)), result
 
     def is_done(self, state: ValueTwistedState) -> bool:
-        """Whether the batch is drawn."""
-        return state.scored is not None
+        """Whether all is drawn."""
+        return state.batch.is_done
 
     def estimate(self, state: ValueTwistedState) -> Estimate:
-        """The batch's estimate.
+        """The estimate from all rollouts.
 
         Raises:
-            ValueError: The batch is not drawn yet.
+            ValueError: They are not drawn yet.
         """
-        if state.scored is None:
-            message = "no rollouts have been drawn yet"
-            raise ValueError(message)
         return importance_sampling_estimate(
-            state.scored, method=self.name, rollouts_simulated=self.rollouts
+            state.batch.weighed(), method=self.name, rollouts_simulated=self.rollouts
         )
 
 

@@ -14,6 +14,7 @@ from pemviz.engine import run
 from pemviz.recording import paths
 from pemviz.recording.read import read_stages
 from pemviz.sampling.estimates import importance_sampling_estimate
+from pemviz.sampling.final_batch import weighed
 from tests.recording.conftest import (
     LEARNING,
     bars,
@@ -99,7 +100,7 @@ def test_each_stages_interval_is_that_of_an_estimate_from_its_rollouts(learned):
     high = scalars(learned.path, paths.figure("log10_ci_high"), paths.STAGE)
     for stage in learned.stages:
         estimate = importance_sampling_estimate(
-            stage.scored, method="adaptive", rollouts_simulated=stage.scored.rollouts.count
+            weighed(stage.scored), method="adaptive", rollouts_simulated=stage.scored.rollouts.count
         )
         assert low[stage.stage] == pytest.approx([np.log10(estimate.ci_low)])
         assert high[stage.stage] == pytest.approx([np.log10(estimate.ci_high)])

@@ -24,7 +24,9 @@ def estimate(problem, *, proposal, name, rollouts, seed=0, repetition=0):
     method = DirectSampling(name=name, proposal=proposal, rollouts=rollouts, seed=seed)
     state = method.init(problem, repetition=repetition)
     assert not method.is_done(state)
-    state, _ = method.step(problem, state)
+    for _ in range(method.stages):
+        assert not method.is_done(state)
+        state, _ = method.step(problem, state)
     assert method.is_done(state)
     return method.estimate(state)
 

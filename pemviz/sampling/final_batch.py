@@ -1,0 +1,101 @@
+"""The final batch: drawn in parts if it is large, of which only the weights are kept."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray, row_sums
+from pemviz.types import ScoredRollouts
+
+LARGEST_PART = 50_000
+"""Rollouts of 100 states drawn at once: about 0.3 GB with signals, memory and logits."""
+
+
+@dataclass(frozen=True)
+class WeighedRollouts:
+    """What an estimate needs of N rollouts.
+
+    Attributes:
+        log_weight: ``[N]`` [nats].
+        log_p: Log likelihood under the error model, ``[N]`` [nats].
+        violated: ``[N]``.
+    """
+
+    log_weight: FloatArray
+    log_p: FloatArray
+    violated: BoolArray
+
+    @property
+    def count(self) -> int:
+        """Number of rollouts N."""
+        return int(self.violated.size)
+
+
+def weighed(scored: ScoredRollouts) -> WeighedRollouts:
+    """The weights of scored rollouts."""
+    return WeighedRollouts(
+        log_weight=scored.rollouts.log_weight,
+        log_p=row_sums(scored.rollouts.log_p),
+        violated=scored.violated,
+    )
+
+
+def pooled(parts: Sequence[WeighedRollouts]) -> WeighedRollouts:
+    """At least one part, in order."""
+    return WeighedRollouts(
+        log_weight=np.concatenate([part.log_weight for part in parts]),
+        log_p=np.concatenate([part.log_p for part in parts]),
+        violated=np.concatenate([part.violated for part in parts]),
+    )
+
+
+def part_sizes(count: int, *, largest: int) -> tuple[int, ...]:
+    """``count`` in as few parts as ``largest`` allows, their sizes at most one apart."""
+    parts = -(-count // largest)
+    size, rest = divmod(count, parts)
+    return tuple(size + (part < rest) for part in range(parts))
+
+
+def largest_part(*, states: int) -> int:
+    """How many rollouts of ``states`` states are drawn at once."""
+    return max(1, LARGEST_PART * 100 // states)
+
+
+@dataclass(frozen=True)
+class FinalBatch:
+    """How far the final batch is drawn; each part is a stage of its own.
+
+    Attributes:
+        sizes: Of the parts.
+        drawn: Their weights, as far as they are drawn.
+    """
+
+    sizes: tuple[int, ...]
+    drawn: tuple[WeighedRollouts, ...] = ()
+
+    @property
+    def next_size(self) -> int:
+        """Rollouts of the next part."""
+        return self.sizes[len(self.drawn)]
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all parts are drawn."""
+        return len(self.drawn) == len(self.sizes)
+
+    def extended(self, scored: ScoredRollouts) -> Self:
+        """With one more part."""
+        return replace(self, drawn=(*self.drawn, weighed(scored)))
+
+    def weighed(self) -> WeighedRollouts:
+        """All of it.
+
+        Raises:
+            ValueError: It is not drawn yet.
+        """
+        if not self.is_done:
+            message = "the final rollouts have not been drawn yet"
+            raise ValueError(message)
+        return pooled(self.drawn)

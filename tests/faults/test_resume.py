@@ -1,0 +1,205 @@
+"""A run that is interrupted anywhere ends, once resumed, as if nothing had happened."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.commands import record
+from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.config_files import config_text
+from pemviz.errors import InputError, RunError
+from pemviz.events import StageDone
+from pemviz.exit_codes import EXIT_DONE, EXIT_GATE_TRIPPED
+from pemviz.experiment import build_experiment
+from pemviz.rollout_files import load_rollouts
+from pemviz.runs import carry_out, run_lock
+from pemviz.sampling.batches import run_here
+
+SMALL = ExperimentConfig(
+    stages=3, rollouts=40, final_rollouts=60, epochs=5, repetitions=2, seed=11,
+    scenario=ScenarioConfig(states=100),
+)  # fmt: skip
+METHODS = ("adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive")
+FILES = ("config.toml", "rollouts.npz", "proposals.safetensors")
+
+
+def contents(folder):
+    """Everything that must be the same, bytes where they are."""
+    result = json.loads((folder / "result.json").read_text())
+    del result["timings_s"]
+    files = {n: (folder / n).read_bytes() for n in FILES if (folder / n).exists()}
+    return {**files, "result": result}
+
+
+def folder_of(root, name):
+    folder = root / name / "run"  # one name: it stands in the result
+    folder.mkdir(parents=True)
+    return folder
+
+
+class StopAfter:
+    """Asks to stop once so many stages are done; the count goes on over several runs."""
+
+    def __init__(self, stages):
+        self.left = stages
+
+    def notify(self, event):
+        self.left -= isinstance(event, StageDone)
+
+    def __call__(self):
+        return self.left <= 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
+    experiment = build_experiment(replace(SMALL, method=method))
+    whole = folder_of(tmp_path, "whole")
+    carry_out(experiment, whole)
+    parts = folder_of(tmp_path, "parts")
+    stages = [s["stage"] for s in contents(whole)["result"]["stages"]]
+    for stop_after in range(1, len(stages), 2):
+        stop = StopAfter(stop_after)
+        result = carry_out(experiment, parts, observers=[stop], should_stop=stop)
+        assert result.status == "stopped"
+        assert len(load_rollouts(parts)["stage"]) > 0
+    carry_out(experiment, parts)
+    assert contents(parts) == contents(whole)
+    assert not (parts / "stages").exists()
+
+
+def test_finished_stages_are_not_simulated_again(tmp_path):
+    drawn = []
+
+    def counting(simulator, pem_logit, tasks):
+        for batch in run_here(simulator, pem_logit, tasks):
+            drawn.append(batch.count)
+            yield batch
+
+    experiment = build_experiment(replace(SMALL, repetitions=1))
+    problem = replace(experiment.problem, run_batches=counting)
+    experiment = replace(experiment, problem=problem)
+    stop = StopAfter(3)
+    carry_out(experiment, tmp_path, observers=[stop], should_stop=stop)
+    drawn.clear()
+    carry_out(experiment, tmp_path)
+    assert drawn[:2] == [40, 60]  # then the data's bound
+
+
+def test_a_run_that_failed_goes_on_once_the_fault_is_gone(tmp_path):
+    experiment = build_experiment(replace(SMALL, repetitions=1, method="mixture"))
+    whole = folder_of(tmp_path, "whole")
+    carry_out(experiment, whole)
+    calls = []
+
+    def failing(simulator, pem_logit, tasks):
+        calls.append(0)
+        if len(calls) > 6:
+            raise ConnectionError("the cable was pulled")
+        return run_here(simulator, pem_logit, tasks)
+
+    parts = folder_of(tmp_path, "parts")
+    broken = replace(experiment, problem=replace(experiment.problem, run_batches=failing))
+    with pytest.raises(RunError, match="the cable was pulled"):
+        carry_out(broken, parts)
+    assert json.loads((parts / "result.json").read_text())["status"] == "failed"
+    carry_out(experiment, parts)
+    assert contents(parts) == contents(whole)
+
+
+@pytest.mark.parametrize("damage", ["cut", "noise", "other shape", "gone"])
+def test_a_damaged_stage_is_computed_again(damage, tmp_path, caplog):
+    experiment = build_experiment(replace(SMALL, repetitions=1))
+    whole = folder_of(tmp_path, "whole")
+    carry_out(experiment, whole)
+    parts = folder_of(tmp_path, "parts")
+    stop = StopAfter(3)
+    carry_out(experiment, parts, observers=[stop], should_stop=stop)
+    path = sorted((parts / "stages").glob("*.npz"))[1]
+    data = path.read_bytes()
+    match damage:
+        case "cut":
+            path.write_bytes(data[: len(data) // 2])
+        case "noise":
+            middle = len(data) // 2
+            path.write_bytes(data[:middle] + bytes(64) + data[middle + 64 :])
+        case "other shape":
+            with np.load(path) as arrays:
+                changed = dict(arrays) | {"robustness": np.zeros(3)}
+            np.savez(path, **changed)
+        case "gone":
+            path.unlink()
+    carry_out(experiment, parts)
+    assert ("it is computed again" in caplog.text) == (damage != "gone")
+    assert contents(parts) == contents(whole)
+
+
+def test_two_processes_never_share_a_folder(tmp_path):
+    experiment = build_experiment(SMALL)
+    with run_lock(tmp_path), pytest.raises(InputError, match="another process is at work"):
+        carry_out(experiment, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock"]
+
+
+def test_another_error_model_under_the_same_name_is_refused(tmp_path):
+    experiment = build_experiment(replace(SMALL, method="naive"))
+    carry_out(experiment, tmp_path)
+    document = json.loads((tmp_path / "result.json").read_text())
+    document["pem"]["digest"] = "0" * 64
+    (tmp_path / "result.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match="begun with another error model"):
+        carry_out(experiment, tmp_path)
+
+
+def stopped_run(root):
+    experiment = build_experiment(replace(SMALL, repetitions=1))
+    folder = folder_of(root, "stopped")
+    stop = StopAfter(2)
+    carry_out(experiment, folder, observers=[stop], should_stop=stop)
+    return folder
+
+
+def test_the_command_resumes_and_keeps_the_old_recording_until_the_new_is_whole(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setenv("CI", "1")
+    whole = folder_of(tmp_path, "whole")
+    carry_out(build_experiment(replace(SMALL, repetitions=1)), whole)
+    folder = stopped_run(tmp_path)
+    (folder / "run.rrd").write_bytes(b"the old recording")
+    assert record.run(["--resume", str(folder), "--no-frames"]) == EXIT_DONE
+    assert contents(folder) == contents(whole)
+    assert (folder / "run.rrd").stat().st_size > 100_000
+    assert not (folder / ".run.rrd.partial").exists()
+    capsys.readouterr()
+    assert record.run(["--resume", str(folder), "--json", "--fail-above", "1e-30"]) in (
+        EXIT_GATE_TRIPPED, 4,
+    )  # fmt: skip
+    out = capsys.readouterr()
+    assert "is done already" in out.err
+    assert json.loads(out.out)["status"] == "done"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--resume", "nowhere"], "resume = nowhere: must be a run folder, has no config.toml"),
+        (["--resume", "{run}", "--seed", "12"], "goes on with its own configuration"),
+        (["--resume", "{run}", "--preset", "paper"], "give only one of them"),
+    ],
+)
+def test_what_cannot_be_resumed_is_told_in_one_line(words, message, tmp_path):
+    folder = stopped_run(tmp_path)
+    before = contents(folder)
+    with pytest.raises(InputError) as caught:
+        record.run([word.format(run=folder) for word in words])
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert contents(folder) == before
+
+
+def test_a_folder_killed_before_its_first_stage_starts_anew(tmp_path):
+    config = replace(SMALL, method="naive")
+    (tmp_path / "config.toml").write_text(config_text(config))
+    assert record.run(["--resume", str(tmp_path), "--no-recording"]) == EXIT_DONE
