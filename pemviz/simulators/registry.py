@@ -89,5 +89,5 @@ def _described(built: object) -> str:
 def _unknown(name: str) -> str:
     names = simulator_names()
     near = difflib.get_close_matches(name, names, n=1)
-    guess = f"; did you mean {near[0]}?" if near else ";"
-    return f"simulator = {name!r}: no such simulator{guess} There are: {', '.join(names)}"
+    guess = f"did you mean {near[0]}? There" if near else "there"
+    return f"simulator = {name!r}: no such simulator; {guess} are: {', '.join(names)}"
