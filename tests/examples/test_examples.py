@@ -79,3 +79,10 @@ def test_rare_setting_three_ways(drone):
     splitting = answer(drone, method="splitting", logit_at_wall=-0.5, rollouts=300, seed=5)
     agree(splitting, truth, errors=3.5)
     assert splitting.ci_low < truth.probability < splitting.ci_high
+
+
+def test_the_readme_shows_the_example_as_it_is():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    mark = "<!-- tested: excerpt of examples/own_system.py -->\n```python\n"
+    excerpt = readme.split(mark)[1].split("```")[0]
+    assert excerpt in (ROOT / "examples" / "own_system.py").read_text(encoding="utf-8")
