@@ -33,6 +33,7 @@ from pemviz.model_uncertainty import (
 )
 from pemviz.pem.reweight import MemberEstimates
 from pemviz.results import PemInfo, RunResult, with_stage
+from pemviz.sampling.problem import Problem
 from pemviz.sampling.repetitions import summarise_repetitions
 from pemviz.sampling.value_reference import agreement_warning, reference
 from pemviz.types import RolloutBatch, StageResult
@@ -159,13 +160,11 @@ class _Runner:
 
     def _repeat(self, repetition: int) -> None:
         method = self._experiment.method
-        problem = self._experiment.problem
+        problem = self._stoppable(self._experiment.problem)
         state = method.init(problem, repetition=repetition)
         stage = 0
         while not method.is_done(state):
-            watched = replace(
-                problem, progress=self._progress(repetition, stage), pause=self._pause
-            )
+            watched = replace(problem, progress=self._progress(repetition, stage))
             state, result = method.step(watched, state)
             self._tell_stage(result)
             self._judge(result)
@@ -222,7 +221,7 @@ class _Runner:
         )
         bound = None
         if experiment.twin is not None:
-            twin = replace(experiment.problem, simulator=experiment.twin)
+            twin = replace(self._stoppable(experiment.problem), simulator=experiment.twin)
             bound = data_bound(twin, pem=experiment.pem, seed=experiment.config.seed)
         if bound is not None:
             warnings = (
@@ -238,7 +237,7 @@ class _Runner:
         twin = experiment.twin
         if not experiment.config.reference or estimate is None or twin is None:
             return
-        known = reference(experiment.problem, twin=twin)
+        known = reference(self._stoppable(experiment.problem), twin=twin)
         disagreement = agreement_warning(estimate, known)
         warnings = self._result.warnings + ((disagreement,) if disagreement else ())
         self._result = replace(self._result, reference=known, warnings=warnings)
@@ -252,6 +251,14 @@ class _Runner:
             self._pause()
 
         return progress
+
+    def _stoppable(self, problem: Problem) -> Problem:
+        """The problem with a stop between batches and during long work."""
+
+        def progress(done: int, total: int) -> None:  # noqa: ARG001
+            self._pause()
+
+        return replace(problem, progress=progress, pause=self._pause)
 
     def _pause(self) -> None:
         if self._should_stop():

@@ -18,7 +18,8 @@ class RunStarted:
         signals: The scenario's signals.
         simulator: The back end, for views that need its time step or salient variables.
         stages: How many stages a repetition has.
-        planned_rollouts: How many rollouts the run will simulate.
+        planned_rollouts: How many rollouts the run will simulate; with splitting, how many
+            particles, each of which is cut and continued as often as it takes.
         result: The result so far: provenance, and nothing estimated yet.
     """
 
@@ -37,7 +38,9 @@ class RolloutsDone:
     Attributes:
         repetition: Zero-based.
         stage: The stage they belong to.
-        done: Rollouts of the stage that are done.
+        done: Rollouts of the stage that are done. Splitting cuts and continues its particles as
+            often as it takes: there it is the total times the share of the way from the first
+            level to a violation.
         total: Rollouts of the stage.
     """
 

@@ -25,6 +25,7 @@ from pemviz.sampling.splitting import SplittingSampling
 from pemviz.sampling.value_specification import unsafe_states
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.simulators.registry import build_named_simulator
+from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
 
 
@@ -40,7 +41,8 @@ class Experiment:
         problem: What is to be estimated.
         back_end: The simulator with its twin, if it has one, and what proposals may look at.
         method: How.
-        planned_rollouts: How many rollouts all repetitions take together.
+        planned_rollouts: How many rollouts all repetitions take together; with splitting, how
+            many particles.
     """
 
     config: ExperimentConfig
@@ -79,6 +81,7 @@ def build_experiment(
     simulator: Simulator | None = None,
     pem: DetectorModel | None = None,
     twin: Simulator | None = None,
+    allow_python: bool = False,
 ) -> Experiment:
     """Validate ``config`` and build everything it names; nothing is estimated yet.
 
@@ -90,13 +93,15 @@ def build_experiment(
             one that ``config`` names.
         twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
             thousands of states costs it little) for method value-twisted and the reference.
+        allow_python: Whether the error model may be ``module:attribute``, whose code then runs.
+            Never taken from a configuration: a file must not decide that code runs.
 
     Raises:
         InputError: A value is out of range, the specification does not parse or fit the
             scenario, the perception error model cannot be loaded, or your own simulator or
             detector does not keep to its protocol.
     """
-    config, model, back_end = _named_parts(config, simulator, pem, twin)
+    config, model, back_end = _named_parts(config, simulator, pem, twin, allow_python=allow_python)
     check_method_fits(config, back_end)
     formula = build_formula(config, back_end.simulator)
     if back_end.is_own:
@@ -121,6 +126,8 @@ def _named_parts(
     simulator: Simulator | None,
     pem: DetectorModel | None,
     twin: Simulator | None,
+    *,
+    allow_python: bool,
 ) -> tuple[ExperimentConfig, Pem, BackEnd]:
     """The user's own parts, or those that ``config`` names; it then names what is used."""
     own_pem = None if pem is None else as_pem(pem)
@@ -133,7 +140,7 @@ def _named_parts(
     if own_pem is not None:
         config = replace(config, pem=own_pem.name)
     config.validate()
-    model = load_pem(config.pem) if own_pem is None else own_pem
+    model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
     return config, model, own or build_back_end(config)
 
 
@@ -156,6 +163,7 @@ def _problem(
         batch_rollouts=back_end.batch_rollouts,
         batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula),
+        monitor=FormulaMonitor(formula),
     )
 
 
@@ -300,9 +308,9 @@ def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -
 
 
 def rollouts_per_repetition(config: ExperimentConfig) -> int:
-    """How many rollouts one repetition simulates."""
+    """How many rollouts one repetition simulates; with splitting, how many particles."""
     if config.method in ("adaptive", "mixture"):
         return (config.stages + 1) * config.rollouts + config.final_rollouts
-    if config.method == "splitting":  # particles that are cut and continued come on top
+    if config.method == "splitting":
         return config.stages * config.rollouts
     return config.final_rollouts

@@ -9,6 +9,7 @@ from pemviz.errors import InputError
 from pemviz.exit_codes import EXIT_BAD_INPUT, EXIT_DONE
 
 ACTIONS = {
+    "compare": ("CompareArguments", "failure probability under several models, and their ratios"),
     "collect": ("CollectArguments", "match detections with KITTI labels into one table"),
     "fit": ("FitArguments", "train a model on such a table"),
     "evaluate": ("EvaluateArguments", "cross-validate models: scores, calibration, tables"),
@@ -28,7 +29,9 @@ def run(words: Sequence[str]) -> int:
     if words[0] not in ACTIONS:
         message = f"pem {words[0]!r}: must be one of {', '.join(ACTIONS)}"
         raise InputError(message)
-    module = import_module(f"pemviz.pem.commands.{words[0]}")
+    # what runs experiments stands above the package of models
+    package = "pemviz.commands.pem_" if words[0] == "compare" else "pemviz.pem.commands."
+    module = import_module(f"{package}{words[0]}")
     kind: type[Any] = getattr(module, ACTIONS[words[0]][0])
     carry_out: Callable[[Any], int] = module.run
     return carry_out(parse_arguments(kind, words[1:], command=f"pem {words[0]}"))

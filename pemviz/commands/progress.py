@@ -6,7 +6,6 @@ from collections.abc import Generator
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     TaskID,
     TextColumn,
@@ -25,21 +24,39 @@ class ProgressBar:
         self._task: TaskID | None = None
         self._done_before = 0
         self._repetitions = 1
+        self._planned = 0
+        self._by_level = False
 
     def notify(self, event: Event) -> None:
         """Move the bar."""
         match event:
             case RunStarted():
                 self._repetitions = event.config.repetitions
-                self._task = self._progress.add_task("starting", total=event.planned_rollouts)
-            case RolloutsDone() if self._task is not None:
-                self._progress.update(self._task, completed=self._done_before + event.done)
-            case StageDone() if self._task is not None:
+                self._planned = event.planned_rollouts
+                self._by_level = event.config.method == "splitting"
+                self._task = self._progress.add_task("starting", total=self._planned, counted="")
+            case RolloutsDone():
+                self._move(self._done_before + event.done)
+            case StageDone():
                 self._done_before += event.stage.scored.rollouts.count
                 text = stage_line(summarise_stage(event.stage), repetitions=self._repetitions)
-                self._progress.update(self._task, completed=self._done_before, description=text)
+                self._move(self._done_before, description=text)
             case _:
                 pass
+
+    def _move(self, done: int, *, description: str | None = None) -> None:
+        if self._task is not None:
+            counted = counted_in_words(done, self._planned, by_level=self._by_level)
+            self._progress.update(
+                self._task, completed=done, counted=counted, description=description
+            )
+
+
+def counted_in_words(done: int, planned: int, *, by_level: bool) -> str:
+    """How far a run is; ``by_level``: by the levels passed, not by rollouts."""
+    if by_level:
+        return f"{done / max(planned, 1):.0%} of the way to violations"
+    return f"{done:,} of {planned:,} rollouts"
 
 
 class ProgressLines:
@@ -98,8 +115,7 @@ def progress_observer(*, quiet: bool = False) -> Generator[Observer, None, None]
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("rollouts,"),
+            TextColumn("{task.fields[counted]},"),
             TimeRemainingColumn(),
             TextColumn("left"),
         )

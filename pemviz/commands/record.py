@@ -60,6 +60,8 @@ class RecordArguments:
     """Leave out run.rrd."""
     no_frames: bool = False
     """Leave highway-env's pictures of the least robust rollout out of run.rrd."""
+    allow_python: bool = False
+    """Allow --pem module:attribute, a model of your own in Python, whose code then runs."""
     live: Port | None = None
     """Also serve the recording, while the run goes on, to live rerun viewers on this port of
     the loopback interface; 1 to 65535."""

@@ -31,7 +31,7 @@ def record(arguments: RecordArguments) -> int:
         done = _finished(arguments, arguments.source.resume)
         if done is not None:
             return done
-    experiment = build_experiment(arguments.experiment)
+    experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     reports = ReportWriter(
         summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
     )

@@ -30,6 +30,8 @@ class Progress:
         done: Rollouts simulated.
         planned: Rollouts that the run will simulate.
         elapsed_s: Time since the start.
+        by_level: Whether ``done`` and ``planned`` tell how far splitting's levels have come, and
+            count no rollouts.
     """
 
     repetition: int
@@ -39,6 +41,7 @@ class Progress:
     done: int
     planned: int
     elapsed_s: float
+    by_level: bool = False
 
     @property
     def share(self) -> float:
@@ -110,6 +113,7 @@ class Watcher:
             repetitions=event.config.repetitions,
             stages=event.stages,
             planned=event.planned_rollouts,
+            by_level=event.config.method == "splitting",
         )
         self.run = RunData(
             name=event.result.run_id,

@@ -26,7 +26,10 @@ def load_object(text: str, *, allowed: bool) -> Pem:
         PemError: not allowed, not importable, or no perception error model.
     """
     if not allowed:
-        raise PemError(f"{text!r} would run Python code; allow that explicitly or give a file")
+        raise PemError(
+            f"{text!r} would run Python code: allow that on the command line (--allow-python), "
+            "or give a file"
+        )
     module_name, attribute = text.split(":")
     try:
         found: object = import_module(module_name)

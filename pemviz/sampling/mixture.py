@@ -36,6 +36,11 @@ DEFENSIVE_SHARE = 0.1
 DEFENSIVE_STEPS = 2.0
 """Of each rollout, drawn from the error model on average."""
 DEGREE = 3
+NO_LATCH = (
+    "nothing tells during a rollout whether it has violated, so proposals are wasted on what comes "
+    "after: on an exactly solved example such estimates were too low by 59 % on average at 20 "
+    "rollouts a stage, by 30 % at 50, by 10 % at 100 and by 0.6 % at 218; give it a monitor"
+)
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,7 @@ class MixtureState:
         pool: Everything drawn so far.
         next_fit: What the next stage draws from; ``None`` before the first.
         frozen: How many rollouts each part of the final batch has, as far as it is drawn.
+        latched: Whether rollouts know when they have violated.
     """
 
     repetition: int
@@ -59,6 +65,7 @@ class MixtureState:
     pool: Pool | None = None
     next_fit: Fit | None = None
     frozen: tuple[int, ...] = ()
+    latched: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +101,8 @@ class MixtureSampling:
     def init(self, problem: Problem, *, repetition: int) -> MixtureState:
         """Nothing is drawn yet."""
         features = self.features or SignalFeatures(problem.simulator.signals)
-        return MixtureState(repetition=repetition, stage=0, features=features)
+        latched = problem.unsafe is not None or problem.monitor is not None
+        return MixtureState(repetition=repetition, stage=0, features=features, latched=latched)
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
         """Draw from the newest proposals; fit the next one unless the stage is the last."""
@@ -144,7 +152,7 @@ class MixtureSampling:
             raise ValueError(message)
         final = slice(pool.count - sum(state.frozen), None)
         component = pool.component[final]
-        return mixture_estimate(
+        found = mixture_estimate(
             method=self.name,
             log_weight=pool.log_weight,
             violated=pool.violated,
@@ -153,6 +161,7 @@ class MixtureSampling:
             frozen_log_weight=balance_weights(pool.log_ratio[final], component),
             frozen=final,
         )
+        return found if state.latched else replace(found, warnings=(*found.warnings, NO_LATCH))
 
     def _final_sizes(self) -> tuple[int, ...]:
         return part_sizes(self.final_rollouts, largest=self.largest_part)

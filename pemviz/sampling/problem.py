@@ -17,6 +17,7 @@ from pemviz.sampling.batches import (
 )
 from pemviz.sampling.rollout import LogitFunction
 from pemviz.sampling.time_limit import call_within
+from pemviz.simulators.latched import Monitor
 from pemviz.types import (
     FinishedStage,
     Proposal,
@@ -39,7 +40,7 @@ def _no_pause() -> None:
     """Go on."""
 
 
-def _nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
+def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
     """Every stage is carried out."""
     return None
 
@@ -63,6 +64,7 @@ class Problem:
             to be carried out.
         unsafe: States ``[N]`` to whether being in one of them is what violates the
             specification, ``[N]``; ``None`` where the verdict takes more than single states.
+        monitor: Tells violations from the states so far where ``unsafe`` does not.
     """
 
     simulator: Simulator
@@ -74,8 +76,9 @@ class Problem:
     run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = _no_progress
     pause: Callable[[], None] = _no_pause
-    finished: Callable[[int, int], FinishedStage | None] = _nothing_finished
+    finished: Callable[[int, int], FinishedStage | None] = nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None
+    monitor: Monitor | None = None
 
 
 def sample(

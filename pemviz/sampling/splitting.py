@@ -135,10 +135,10 @@ def split(problem: Problem, *, count: int, generator: np.random.Generator) -> Sp
     """One run of adaptive multilevel splitting with ``count`` particles."""
     particles = in_time(problem, lambda: draw_particles(problem, count=count, generator=generator))
     log_share, simulated, levels = 0.0, count, 0
-    problem.progress(0, count)
+    first_level = _level(particles)
     for _ in range(MOST_LEVELS):
-        lowest = particles.lowest
-        level = float(np.quantile(lowest, 1.0 - KILLED_SHARE, method="higher"))
+        lowest, level = particles.lowest, _level(particles)
+        problem.progress(_on_the_way(level, first_level, count=count), count)
         if level < VIOLATION_THRESHOLD:
             break
         killed = lowest >= level
@@ -151,11 +151,27 @@ def split(problem: Problem, *, count: int, generator: np.random.Generator) -> Sp
         particles = in_time(
             problem, partial(_replaced, problem, particles, killed, level, generator)
         )
-        problem.progress(int((particles.lowest < VIOLATION_THRESHOLD).sum()), count)
+    problem.progress(count, count)
     scored = score(problem, particles.rollouts)
     share = float(scored.violated.mean())
     log_probability = log_share + math.log(share) if share > 0.0 else -math.inf
     return SplittingRun(log_probability, simulated, levels, scored)
+
+
+def _level(particles: Particles) -> float:
+    return float(np.quantile(particles.lowest, 1.0 - KILLED_SHARE, method="higher"))
+
+
+def _on_the_way(level: float, first_level: float, *, count: int) -> int:
+    """``count`` times the share of the way from the first level down to a violation.
+
+    How often particles are cut and continued is not known before: the level alone tells how
+    far a run is. It falls with every cut.
+    """
+    way = first_level - VIOLATION_THRESHOLD
+    if not (0.0 < way < math.inf):
+        return 0
+    return int(count * min(max((first_level - level) / way, 0.0), 1.0))
 
 
 def _replaced(

@@ -103,6 +103,7 @@ def _continued(
             signals[name][:, step] = values
         for name, values in states.memory.items():
             memory[name][:, step] = values
+        problem.pause()
         score[:, step] = problem.robustness(_if_detected(problem, signals, states, step))
         if step == steps:
             break

@@ -20,6 +20,9 @@ from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
 Unsafe = Callable[[StateBatch], BoolArray]
 """States ``[N]`` to whether being in them violates the specification ``[N]``."""
 
+Pause = Callable[[], None]
+"""Called now and then during long work; may raise to stop it."""
+
 SAFE_NODE = -1
 UNSAFE_NODE = -2
 MERGE_DISTANCE = 1e-6
@@ -70,8 +73,17 @@ class Values:
     log_probability: float
 
 
+def no_pause() -> None:
+    """Go on."""
+
+
 def explore(
-    *, twin: Simulator, pem_logit: LogitFunction, unsafe: Unsafe, largest_layer: int
+    *,
+    twin: Simulator,
+    pem_logit: LogitFunction,
+    unsafe: Unsafe,
+    largest_layer: int,
+    pause: Pause = no_pause,
 ) -> tuple[Layer, ...]:
     """All states that matter, by step; empty where the outcome is settled from the start.
 
@@ -84,22 +96,24 @@ def explore(
         pem_logit: The error model.
         unsafe: What violates the specification.
         largest_layer: Above so many states a step, neighbouring states are taken for one.
+        pause: Called several times a step.
     """
     steps = twin.states - 1
     stride = max(1, steps // LIVENESS_CHECKS)
-    merger = _Merger(largest_layer)
+    walk = _Walk(twin, unsafe, _Merger(largest_layer, pause), pause)
     layers: list[Layer] = []
     states = twin.initial(count=1)
-    if unsafe(states)[0] or not _alive(twin, states, unsafe)[0]:
+    if unsafe(states)[0] or not walk.alive(states)[0]:
         return ()
     for step in range(steps):
         logit = pem_logit(twin.salient(states.signals))
-        exact = merger.exact
-        merged, node = _children(twin, states, unsafe, merger)
+        exact = walk.merger.exact
+        pause()
+        merged, node = walk.children(states)
         if step + 1 == steps:
             alive = np.zeros(_count(merged), dtype=np.bool_)
         elif step % stride == 0:
-            alive = _alive(twin, merged, unsafe)
+            alive = walk.alive(merged)
         else:
             alive = np.ones(_count(merged), dtype=np.bool_)
         renumbered = np.where(alive, np.cumsum(alive) - 1, SAFE_NODE)
@@ -114,18 +128,23 @@ def explore(
     return tuple(layers)
 
 
-def solve(layers: Sequence[Layer]) -> Values:
-    """Backward for the probability of violation, forward for that of being reached."""
+def solve(layers: Sequence[Layer], *, pause: Pause = no_pause) -> Values:
+    """Backward for the probability of violation, forward for that of being reached.
+
+    ``pause`` is called once a layer and direction.
+    """
     log_value: list[FloatArray] = []
     proposal_logit: list[FloatArray] = []
     following = np.empty(0)
     for layer in reversed(layers):
+        pause()
         miss, hit = _outcome_values(layer, following)
         following = np.logaddexp(miss, hit)
         log_value.insert(0, following)
         proposal_logit.insert(0, _difference(hit, miss))
     log_reached = [np.zeros(1)] if layers else []
     for layer, after in itertools.pairwise(layers):
+        pause()
         log_reached.append(_reached(layer, log_reached[-1], after.count))
     return Values(
         log_value=tuple(log_value),
@@ -184,34 +203,52 @@ def log_sum_by(group: IntArray, log_values: FloatArray, count: int) -> FloatArra
         return np.log(total) + shift
 
 
-def _alive(twin: Simulator, states: StateBatch, unsafe: Unsafe) -> BoolArray:
-    """Whether missing or detecting all the time leads from states ``[n]`` to an unsafe one."""
-    alive = np.zeros(_count(states), dtype=np.bool_)
-    for hit in (False, True):
-        open_ = np.flatnonzero(~alive)
-        current = _taken(states, open_)
-        for _ in range(int(states.step), twin.states - 1):
-            if open_.size == 0:
-                break
-            current = twin.step(current, np.full(open_.size, hit))
-            bad = unsafe(current)
-            if bad.any():
-                alive[open_[bad]] = True
-                current, open_ = _taken(current, np.flatnonzero(~bad)), open_[~bad]
-    return alive
+@dataclass(frozen=True)
+class _Walk:
+    """Steps from many states at once.
 
+    Attributes:
+        twin: What steps them.
+        unsafe: What violates the specification.
+        merger: Takes equal states for one.
+        pause: Called after every step of the twin.
+    """
 
-def _children(
-    twin: Simulator, states: StateBatch, unsafe: Unsafe, merger: "_Merger"
-) -> tuple[StateBatch, IntArray]:
-    """Distinct states after states ``[n]``, and where a miss, then where a hit leads ``[2n]``."""
-    count = _count(states)
-    both = _joined([twin.step(states, np.full(count, hit)) for hit in (False, True)])
-    open_ = np.flatnonzero(~unsafe(both))
-    merged, index = merger.merge(_taken(both, open_))
-    node = np.full(2 * count, UNSAFE_NODE, dtype=np.int64)
-    node[open_] = index
-    return merged, node
+    twin: Simulator
+    unsafe: Unsafe
+    merger: "_Merger"
+    pause: Pause
+
+    def alive(self, states: StateBatch) -> BoolArray:
+        """Whether missing or detecting all the time leads from states ``[n]`` to an unsafe one."""
+        alive = np.zeros(_count(states), dtype=np.bool_)
+        for hit in (False, True):
+            open_ = np.flatnonzero(~alive)
+            current = _taken(states, open_)
+            for _ in range(int(states.step), self.twin.states - 1):
+                if open_.size == 0:
+                    break
+                current = self._after(current, hit=hit)
+                bad = self.unsafe(current)
+                if bad.any():
+                    alive[open_[bad]] = True
+                    current, open_ = _taken(current, np.flatnonzero(~bad)), open_[~bad]
+        return alive
+
+    def children(self, states: StateBatch) -> tuple[StateBatch, IntArray]:
+        """Distinct states after states ``[n]``; where a miss, then a hit leads ``[2n]``."""
+        count = _count(states)
+        both = _joined([self._after(states, hit=hit) for hit in (False, True)])
+        open_ = np.flatnonzero(~self.unsafe(both))
+        merged, index = self.merger.merge(_taken(both, open_))
+        node = np.full(2 * count, UNSAFE_NODE, dtype=np.int64)
+        node[open_] = index
+        return merged, node
+
+    def _after(self, states: StateBatch, *, hit: bool) -> StateBatch:
+        result = self.twin.step(states, np.full(_count(states), hit))
+        self.pause()
+        return result
 
 
 class _Merger:
@@ -220,21 +257,25 @@ class _Merger:
     Cells that were wide enough for one step are the first to be tried for the next.
     """
 
-    def __init__(self, largest: int) -> None:
+    def __init__(self, largest: int, pause: Pause) -> None:
         self._largest = largest
+        self._pause = pause
         self._share = FIRST_COARSE_SHARE
         self.exact = True
 
     def merge(self, states: StateBatch) -> tuple[StateBatch, IntArray]:
         """Representatives of states ``[n]``, and the index of each state's."""
         columns = state_columns(states)
+        self._pause()
         first, index = _representatives(cell_keys(columns, [MERGE_DISTANCE] * len(columns)))
+        self._pause()
         self.exact = first.size <= self._largest
         if self.exact:
             return _taken(states, first), index
         spans = [float(np.ptp(column)) for column in columns]
         self._share /= COARSENING
         while first.size > self._largest * COARSE_LAYER_SHARE and self._share < 1.0:
+            self._pause()
             self._share *= COARSENING
             cells = [max(span * self._share, MERGE_DISTANCE) for span in spans]
             first, index = _representatives(cell_keys(columns, cells))

@@ -1,11 +1,11 @@
 """The reference: the answer to compare other estimates with."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.value_reachable import explore, solve
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
 from pemviz.types import Estimate, Simulator
@@ -50,7 +50,11 @@ def reference(
         seed=REFERENCE_SEED,
         defensive_steps=REFERENCE_DEFENSIVE_STEPS,
     )
-    state, _ = method.step(problem, method.init(problem, repetition=0))
+    # what an interrupted run left is its own method's, not the reference's
+    problem = replace(problem, finished=nothing_finished)
+    state = method.init(problem, repetition=0)
+    while not method.is_done(state):
+        state, _ = method.step(problem, state)
     found = method.estimate(state)
     return Reference(
         probability=found.probability,
@@ -72,8 +76,11 @@ def exact_log_probability(problem: Problem, *, twin: Simulator) -> float | None:
         pem_logit=problem.pem_logit,
         unsafe=require_unsafe(problem),
         largest_layer=REFERENCE_LAYER,
+        pause=problem.pause,
     )
-    return solve(layers).log_probability if all(layer.exact for layer in layers) else None
+    if not all(layer.exact for layer in layers):
+        return None
+    return solve(layers, pause=problem.pause).log_probability
 
 
 def agreement_warning(estimate: Estimate, known: Reference) -> str | None:

@@ -13,10 +13,12 @@ from pemviz.sampling.rollout import LogitFunction
 from pemviz.sampling.value_reachable import (
     MERGE_DISTANCE,
     Layer,
+    Pause,
     Unsafe,
     Values,
     explore,
     log_sum_by,
+    no_pause,
     solve,
     state_columns,
     state_names,
@@ -37,6 +39,7 @@ def build_twisted_proposal(
     pem_logit: LogitFunction,
     unsafe: Unsafe,
     largest_layer: int = LARGEST_LAYER,
+    pause: Pause = no_pause,
 ) -> TwistedProposal:
     """Explore the twin, solve for the probability of violation, tabulate the proposal.
 
@@ -45,16 +48,20 @@ def build_twisted_proposal(
         pem_logit: The error model.
         unsafe: What violates the specification.
         largest_layer: Above so many states a step, neighbours are taken for one.
+        pause: Called every few tenths of a second; may raise to stop.
     """
-    layers = explore(twin=twin, pem_logit=pem_logit, unsafe=unsafe, largest_layer=largest_layer)
-    values = solve(layers)
+    layers = explore(
+        twin=twin, pem_logit=pem_logit, unsafe=unsafe, largest_layer=largest_layer, pause=pause
+    )
+    values = solve(layers, pause=pause)
     cells = tuple(
         tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
         for share in COARSE_SHARES
     )
     return TwistedProposal(
         tables=tuple(
-            _tables(layer, values, index, cells=cells) for index, layer in enumerate(layers)
+            _tables(layer, values, index, cells=cells, pause=pause)
+            for index, layer in enumerate(layers)
         ),
         names=state_names(twin.initial(count=1)),
         signal_names=tuple(signal.name for signal in _sorted_signals(twin)),
@@ -84,7 +91,12 @@ def _sorted_signals(twin: Simulator) -> Sequence[Signal]:
 
 
 def _tables(
-    layer: Layer, values: Values, index: int, *, cells: tuple[tuple[float, ...], ...]
+    layer: Layer,
+    values: Values,
+    index: int,
+    *,
+    cells: tuple[tuple[float, ...], ...],
+    pause: Pause,
 ) -> TwistedTables:
     logit = values.proposal_logit[index]
     log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
@@ -92,12 +104,11 @@ def _tables(
     columns = [column[kept] for column in state_columns(layer.states)]
     keys = cell_keys(columns, [MERGE_DISTANCE] * len(columns))
     signals = columns[: len(layer.states.signals)]
-    return TwistedTables(
-        states=_sorted(keys, logit[kept]),
-        coarse=tuple(
-            averaged(cell_keys(signals, sizes), logit[kept], log_share[kept]) for sizes in cells
-        ),
-    )
+    coarse: list[CellTable] = []
+    for sizes in cells:
+        pause()
+        coarse.append(averaged(cell_keys(signals, sizes), logit[kept], log_share[kept]))
+    return TwistedTables(states=_sorted(keys, logit[kept]), coarse=tuple(coarse))
 
 
 def averaged(keys: IntArray, logit: FloatArray, log_share: FloatArray) -> CellTable:

@@ -1,7 +1,6 @@
 """Importance sampling with the proposal that a twin's value function gives."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 from pemviz.errors import InputError
 from pemviz.proposals.twisted import TwistedProposal
@@ -10,14 +9,14 @@ from pemviz.sampling.final_batch import LARGEST_PART, FinalBatch, part_sizes
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollout import LogitFunction
-from pemviz.sampling.value_reachable import Unsafe
+from pemviz.sampling.value_reachable import Pause, Unsafe
 from pemviz.sampling.value_tables import (
     DEFENSIVE_STEPS,
     LARGEST_LAYER,
     build_twisted_proposal,
     with_defence,
 )
-from pemviz.simulators.latched import LatchedSimulator
+from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
 from pemviz.types import Estimate, Simulator, StageResult
 
 
@@ -65,12 +64,8 @@ class ValueTwistedSampling:
         Raises:
             InputError: Single states do not decide the specification.
         """
-        proposal = _proposal(
-            self.twin,
-            problem.pem_logit,
-            require_unsafe(problem),
-            self.largest_layer,
-        )
+        wanted = _Wanted(self.twin, problem.pem_logit, require_unsafe(problem), self.largest_layer)
+        proposal = _last_built.get(wanted, pause=problem.pause)
         proposal = with_defence(
             proposal, defensive_steps=self.defensive_steps, steps=self.twin.states - 1
         )
@@ -126,22 +121,49 @@ def require_unsafe(problem: Problem) -> Unsafe:
 
 
 def with_latch(problem: Problem) -> Problem:
-    """The problem on a simulator that remembers violations, where single states decide them."""
-    if problem.unsafe is None:
-        return problem
-    return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
+    """The problem on a simulator that remembers violations, if the problem says what they are."""
+    if problem.unsafe is not None:
+        return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
+    if problem.monitor is not None:
+        return replace(problem, simulator=MonitoredSimulator(problem.simulator, problem.monitor))
+    return problem
 
 
-@lru_cache(maxsize=1)  # large, and the same for all repetitions and for the reference
-def _proposal(
-    twin: Simulator,
-    pem_logit: LogitFunction,
-    unsafe: Unsafe,
-    largest_layer: int,
-) -> TwistedProposal:
-    return build_twisted_proposal(
-        twin=twin,
-        pem_logit=pem_logit,
-        unsafe=unsafe,
-        largest_layer=largest_layer,
-    )
+@dataclass(frozen=True)
+class _Wanted:
+    """What a value function follows from.
+
+    Two that are equal give the same one.
+    """
+
+    twin: Simulator
+    pem_logit: LogitFunction
+    unsafe: Unsafe
+    largest_layer: int
+
+
+class _LastBuilt:
+    """Holds the proposal built last: large, and the same for all repetitions and the reference.
+
+    A build that is stopped leaves what was there before.
+    """
+
+    def __init__(self) -> None:
+        self._held: tuple[_Wanted, TwistedProposal] | None = None
+
+    def get(self, wanted: _Wanted, *, pause: Pause) -> TwistedProposal:
+        held = self._held
+        if held is not None and held[0] == wanted:
+            return held[1]
+        built = build_twisted_proposal(
+            twin=wanted.twin,
+            pem_logit=wanted.pem_logit,
+            unsafe=wanted.unsafe,
+            largest_layer=wanted.largest_layer,
+            pause=pause,
+        )
+        self._held = (wanted, built)
+        return built
+
+
+_last_built = _LastBuilt()

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -11,8 +12,24 @@ from pemviz.types import Signal, Simulator, StateBatch
 VIOLATED = "violated"
 
 
+class Monitor(Protocol):
+    """Follows rollouts state by state, and tells which have violated whatever comes next."""
+
+    def start(self, *, count: int) -> Any:
+        """What is known of ``count`` rollouts before their first state."""
+        ...
+
+    def advance(self, known: Any, *, step: int, signals: Mapping[str, FloatArray]) -> Any:
+        """What is known with the states of ``step`` too, signals ``[N]``; changes nothing."""
+        ...
+
+    def violated(self, known: Any) -> BoolArray:
+        """Which rollouts violate the specification for certain, ``[N]``."""
+        ...
+
+
 @dataclass(frozen=True)
-class LatchedSimulator:
+class _Wrapped:
     """The same scenario; its states' memory also holds ``violated``.
 
     A proposal that makes violations likely must know when there has been one: from then on
@@ -20,11 +37,9 @@ class LatchedSimulator:
 
     Attributes:
         scenario: The back end itself.
-        unsafe: States ``[N]`` to whether being in them is a violation.
     """
 
     scenario: Simulator
-    unsafe: Callable[[StateBatch], BoolArray]
 
     @property
     def name(self) -> str:
@@ -46,6 +61,21 @@ class LatchedSimulator:
         """The back end's signals."""
         return self.scenario.signals
 
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """The back end's salient variables."""
+        return self.scenario.salient(signals)
+
+
+@dataclass(frozen=True)
+class LatchedSimulator(_Wrapped):
+    """Remembers violations where single states decide them.
+
+    Attributes:
+        unsafe: States ``[N]`` to whether being in them is a violation.
+    """
+
+    unsafe: Callable[[StateBatch], BoolArray]
+
     def initial(self, *, count: int) -> StateBatch:
         """The back end's initial states and whether they violate."""
         return self._latched(self.scenario.initial(count=count), np.zeros(count, dtype=np.bool_))
@@ -54,9 +84,50 @@ class LatchedSimulator:
         """The back end's next states; a violation stays."""
         return self._latched(self.scenario.step(states, detected), states.memory[VIOLATED])
 
-    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """The back end's salient variables."""
-        return self.scenario.salient(signals)
-
     def _latched(self, states: StateBatch, before: BoolArray) -> StateBatch:
         return replace(states, memory={**states.memory, VIOLATED: before | self.unsafe(states)})
+
+
+@dataclass(frozen=True)
+class MonitoredStates(StateBatch):
+    """States together with what the monitor knows of the way that led to them."""
+
+    known: Any = None
+
+
+@dataclass(frozen=True)
+class MonitoredSimulator(_Wrapped):
+    """Remembers violations where it takes a monitor of the states so far to tell them.
+
+    Its states continue rollouts that it began itself.
+
+    Attributes:
+        monitor: What tells them.
+    """
+
+    monitor: Monitor
+
+    def initial(self, *, count: int) -> MonitoredStates:
+        """The back end's initial states and whether they violate."""
+        states = self.scenario.initial(count=count)
+        return self._monitored(states, self.monitor.start(count=count))
+
+    def step(self, states: StateBatch, detected: BoolArray) -> MonitoredStates:
+        """The back end's next states; a violation stays.
+
+        Raises:
+            TypeError: The states are not this simulator's own.
+        """
+        if not isinstance(states, MonitoredStates):
+            message = "a monitored simulator goes on from its own states only"
+            raise TypeError(message)
+        return self._monitored(self.scenario.step(states, detected), states.known)
+
+    def _monitored(self, states: StateBatch, before: Any) -> MonitoredStates:
+        known = self.monitor.advance(before, step=int(states.step), signals=states.signals)
+        return MonitoredStates(
+            step=states.step,
+            signals=states.signals,
+            memory={**states.memory, VIOLATED: self.monitor.violated(known)},
+            known=known,
+        )

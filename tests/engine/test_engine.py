@@ -127,6 +127,41 @@ def test_it_stops_in_the_middle_of_a_fit():
     assert result.stages == ()
 
 
+def test_it_stops_while_the_value_function_is_computed():
+    asked = []
+
+    def should_stop():
+        asked.append(True)
+        return len(asked) == 40
+
+    listener = Listener()
+    config = replace(SMALL, method="value-twisted")
+    result = run_experiment(config, observers=[listener], should_stop=should_stop)
+    assert len(asked) == 40
+    assert result.status == "stopped"
+    assert [type(event) for event in listener.events] == [RunStarted, RunDone]
+
+
+@pytest.mark.parametrize("last_heard", [StageDone, RepetitionDone])
+def test_it_stops_within_the_data_bound_and_within_the_reference(last_heard):
+    """The data's bound follows the final stage, the reference the last repetition."""
+    listener = Listener()
+    asked_after = []
+
+    def should_stop():
+        if any(isinstance(event, last_heard) for event in listener.events):
+            asked_after.append(True)
+        return len(asked_after) == 3
+
+    config = replace(SMALL, method="monte-carlo", reference=True)
+    result = run_experiment(config, observers=[listener], should_stop=should_stop)
+    assert len(asked_after) == 3
+    assert result.status == "stopped"
+    assert result.reference is None
+    assert (result.data_bound is None) == (last_heard is StageDone)
+    assert len(result.stages) == 1
+
+
 def test_bad_input_is_refused_before_anyone_hears_of_it():
     listener = Listener()
     with pytest.raises(InputError):

@@ -105,6 +105,8 @@ def test_status_tells_stage_rollouts_and_time_left():
     progress = Progress(0, 1, 4, 12, 500, 1200, 10.0)
     text = headline.status(PanelState(running=True, progress=progress))
     assert "Stage 4 of 11: 500 of 1,200 rollouts, about 14 s left" in text
+    levels = headline.status(PanelState(running=True, progress=replace(progress, by_level=True)))
+    assert "Stage 4 of 11: 42% of the way to violations, about 14 s left" in levels
     assert "Stopping" in headline.status(PanelState(running=True, stopping=True))
     assert "Ready" in headline.status(PanelState())
     assert "gap is no signal" in headline.status(PanelState(error="gap is no signal"))

@@ -54,6 +54,14 @@ def test_reference_is_the_exact_answer():
     assert math.exp(exact) == pytest.approx(TRUTH, rel=1e-12)
 
 
+def test_what_an_interrupted_run_left_is_not_taken_for_the_reference():
+    def finished(repetition, stage):
+        pytest.fail(f"asked for repetition {repetition}, stage {stage}")
+
+    resumed = replace(PROBLEM, finished=finished)
+    assert reference(resumed, twin=SIMULATOR) == reference(PROBLEM, twin=SIMULATOR)
+
+
 def test_all_methods_agree_with_the_reference():
     known = reference(PROBLEM, twin=SIMULATOR)
     methods = (

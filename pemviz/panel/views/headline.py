@@ -80,7 +80,10 @@ def progress_text(progress: Progress) -> str:
         words = "Simulating"
     if progress.repetitions > 1:
         words = f"Repetition {progress.repetition + 1} of {progress.repetitions}, {words.lower()}"
-    words += f": {progress.done:,} of {progress.planned:,} rollouts"
+    if progress.by_level:
+        words += f": {progress.share:.0%} of the way to violations"
+    else:
+        words += f": {progress.done:,} of {progress.planned:,} rollouts"
     if progress.left_s is not None:
         words += f", about {_duration(progress.left_s)} left"
     return words
