@@ -1,3 +1,91 @@
-"""How likely is a rare violation of a perception-driven controller, and why."""
+"""How likely is a rare violation of a perception-driven controller, and why.
+
+The names below are what testing a system of one's own takes; ``examples/own_system.py`` shows
+them at work. They are imported when first used, so that ``import pemviz`` takes no time.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pemviz.arrays import BoolArray, FloatArray
+    from pemviz.config import ExperimentConfig, ScenarioConfig
+    from pemviz.engine import run, run_experiment
+    from pemviz.errors import ConfigError, InputError, PemvizError, RunError
+    from pemviz.experiment import Experiment, build_experiment
+    from pemviz.least_robust import LeastRobust, Rollout
+    from pemviz.pem import DetectorModel
+    from pemviz.reports.summary_text import summary_text
+    from pemviz.results import RunResult
+    from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator
+    from pemviz.store import RunStore
+    from pemviz.types import Estimate, Signal, Simulator, StateBatch
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "BoolArray": "arrays",
+    "ConfigError": "errors",
+    "DetectorModel": "pem",
+    "Estimate": "types",
+    "Experiment": "experiment",
+    "ExperimentConfig": "config",
+    "FloatArray": "arrays",
+    "GymnasiumSimulator": "simulators.gymnasium_adapter",
+    "InputError": "errors",
+    "LeastRobust": "least_robust",
+    "PemvizError": "errors",
+    "Rollout": "least_robust",
+    "RunError": "errors",
+    "RunResult": "results",
+    "RunStore": "store",
+    "ScenarioConfig": "config",
+    "Signal": "types",
+    "Simulator": "types",
+    "StateBatch": "types",
+    "build_experiment": "experiment",
+    "run": "engine",
+    "run_experiment": "engine",
+    "summary_text": "reports.summary_text",
+}
+
+__all__ = [
+    "BoolArray",
+    "ConfigError",
+    "DetectorModel",
+    "Estimate",
+    "Experiment",
+    "ExperimentConfig",
+    "FloatArray",
+    "GymnasiumSimulator",
+    "InputError",
+    "LeastRobust",
+    "PemvizError",
+    "Rollout",
+    "RunError",
+    "RunResult",
+    "RunStore",
+    "ScenarioConfig",
+    "Signal",
+    "Simulator",
+    "StateBatch",
+    "__version__",
+    "build_experiment",
+    "run",
+    "run_experiment",
+    "summary_text",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, imported from where it is defined (PEP 562)."""
+    home = _HOMES.get(name)
+    if home is None:
+        message = f"module 'pemviz' has no attribute {name!r}"
+        raise AttributeError(message)
+    return getattr(import_module(f"pemviz.{home}"), name)
+
+
+def __dir__() -> list[str]:
+    """Everything importable from here."""
+    return sorted({*globals(), *__all__})

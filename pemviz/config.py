@@ -9,7 +9,7 @@ from pemviz.ranges import Range, check_fields
 
 MethodName = Literal["adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
-SimulatorName = Literal["vectorized", "highway-env"]
+SHIPPED_SIMULATORS = ("vectorized", "highway-env")
 
 DEVICES = re.compile(r"cpu|torch-cpu|cuda(:[0-9]{1,3})?")
 Positive = Range(low=0.0, low_open=True, high=1e6)
@@ -73,8 +73,9 @@ class ExperimentConfig:
     intervals count steps."""
     pem: str = "ml-nn"
     """Perception error model: a shipped name or a file."""
-    simulator: SimulatorName = "vectorized"
-    """Back end that steps the scenario."""
+    simulator: str = "vectorized"
+    """Back end that steps the scenario: vectorized, highway-env, or a name that an installed
+    package registers as an entry point of the group pemviz.simulators."""
     device: str = "cpu"
     """Where rollouts are computed: cpu (numpy), cuda or cuda:N (a GPU, in double precision; the
     same estimate to 1e-6), or torch-cpu (the GPU's code on the CPU). Splitting, highway-env and
@@ -126,4 +127,7 @@ class ExperimentConfig:
             raise ConfigError(message)
         if DEVICES.fullmatch(self.device) is None:
             message = f"device = {self.device!r}: must be cpu, torch-cpu, cuda or cuda:N"
+            raise ConfigError(message)
+        if not self.simulator.strip():
+            message = f"simulator = '': must be {' or '.join(SHIPPED_SIMULATORS)} or registered"
             raise ConfigError(message)

@@ -49,6 +49,12 @@ ASSUMPTIONS = (
     "the dynamics are those of the simulator, not of a real car",
     "the perception error model holds where the scenario goes, beyond its training data too",
 )
+OWN_SYSTEM_ASSUMPTIONS = (
+    "perception reports one thing, detected or not, at every step",
+    "misses are independent of each other given the state",
+    "the simulator says how the system behaves; it gives the same again for the same outcomes",
+    "the detector model holds where the scenario goes",
+)
 
 
 class _StopRequested(Exception):  # noqa: N818  not an error: the user asked
@@ -212,7 +218,7 @@ class _Runner:
         explanation = explain(
             stage,
             features=experiment.features,
-            farthest_m=experiment.config.scenario.initial_gap_m,
+            farthest_m=experiment.back_end.farthest_m,
             target=experiment.config.target,
         )
         if explanation is not None:
@@ -225,8 +231,10 @@ class _Runner:
         warnings = extrapolation_warnings(
             stage.scored, simulator=experiment.problem.simulator, pem=experiment.pem
         )
-        twin = replace(self._stoppable(experiment.problem), simulator=experiment.twin)
-        bound = data_bound(twin, pem=experiment.pem, seed=experiment.config.seed)
+        bound = None
+        if experiment.twin is not None:
+            twin = replace(self._stoppable(experiment.problem), simulator=experiment.twin)
+            bound = data_bound(twin, pem=experiment.pem, seed=experiment.config.seed)
         if bound is not None:
             warnings = (
                 *warnings,
@@ -238,9 +246,10 @@ class _Runner:
     def _compare(self) -> None:
         """The reference beside the estimate, with a warning where they disagree."""
         experiment, estimate = self._experiment, self._result.estimate
-        if not experiment.config.reference or estimate is None:
+        twin = experiment.twin
+        if not experiment.config.reference or estimate is None or twin is None:
             return
-        known = reference(self._stoppable(experiment.problem), twin=experiment.twin)
+        known = reference(self._stoppable(experiment.problem), twin=twin)
         disagreement = agreement_warning(estimate, known)
         warnings = self._result.warnings + ((disagreement,) if disagreement else ())
         self._result = replace(self._result, reference=known, warnings=warnings)
@@ -295,7 +304,7 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         config=experiment.config,
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
         versions=versions(),
-        assumptions=ASSUMPTIONS,
+        assumptions=OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS,
     )
 
 

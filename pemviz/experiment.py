@@ -1,16 +1,17 @@
 """From a configuration to the parts of an experiment."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.config import ExperimentConfig
+from pemviz.back_ends import BackEnd, build_back_end, check_method_fits, own_back_end
+from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.pem import Pem, PemEnsemble, ensemble_of, load_pem
+from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.adaptive import AdaptiveSampling
@@ -19,23 +20,19 @@ from pemviz.sampling.devices import (
     batch_runner,
     check_device,
     has_tensors,
-    is_gpu,
 )
 from pemviz.sampling.direct import DirectSampling
 from pemviz.sampling.final_batch import largest_part
 from pemviz.sampling.method import Method
 from pemviz.sampling.mixture import MixtureSampling
-from pemviz.sampling.problem import BATCH_ROLLOUTS, Problem
+from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollout import replay
 from pemviz.sampling.splitting import SplittingSampling
 from pemviz.sampling.value_specification import unsafe_states
 from pemviz.sampling.value_twisted import ValueTwistedSampling, require_unsafe
-from pemviz.simulators.braking_features import BrakingFeatures
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.simulators.registry import build_named_simulator
 from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
-
-SLOW_BATCH_ROLLOUTS = 50
 
 
 @dataclass(frozen=True)
@@ -48,9 +45,8 @@ class Experiment:
         ensemble: Models that its training data could as well have produced, if there are any.
         formula: The specification.
         problem: What is to be estimated.
-        twin: A fast simulator of the same scenario, for the reference and the data's bound.
+        back_end: The simulator with its twin, if it has one, and what proposals may look at.
         method: How.
-        features: What the scenario's states offer to look at.
         planned_rollouts: How many rollouts all repetitions take together; with splitting, how
             many particles.
     """
@@ -60,10 +56,24 @@ class Experiment:
     ensemble: PemEnsemble | None
     formula: stl.Formula
     problem: Problem
-    twin: Simulator
+    back_end: BackEnd
     method: Method[Any]
-    features: StateFeatures
     planned_rollouts: int
+
+    @property
+    def twin(self) -> Simulator | None:
+        """A fast simulator of the same scenario, for the reference and the data's bound."""
+        return self.back_end.twin
+
+    @property
+    def features(self) -> StateFeatures:
+        """What the scenario's states offer to look at."""
+        return self.back_end.features
+
+    @property
+    def is_own_system(self) -> bool:
+        """Whether the scenario is another than the shipped one."""
+        return self.back_end.is_own
 
     @property
     def has_likelihood_ratios(self) -> bool:
@@ -71,24 +81,80 @@ class Experiment:
         return self.config.method != "splitting"
 
 
-def build_experiment(config: ExperimentConfig, *, allow_python: bool = False) -> Experiment:
-    """Validate ``config`` and build everything it names; nothing is simulated.
+def build_experiment(
+    config: ExperimentConfig,
+    *,
+    simulator: Simulator | None = None,
+    pem: DetectorModel | None = None,
+    twin: Simulator | None = None,
+    allow_python: bool = False,
+) -> Experiment:
+    """Validate ``config`` and build everything it names; nothing is estimated yet.
 
     Args:
         config: What is asked.
+        simulator: A system of your own instead of the one that ``config`` names. It is tried
+            out on one step, so that what is wrong with it is told here.
+        pem: A detector model of your own, anything with ``logit(salient)``, instead of the
+            one that ``config`` names.
+        twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
+            thousands of states costs it little) for method value-twisted and the reference.
         allow_python: Whether the error model may be ``module:attribute``, whose code then runs.
             Never taken from a configuration: a file must not decide that code runs.
 
     Raises:
         InputError: A value is out of range, the device is not there, the specification does not
-            parse or fit the scenario, or the perception error model cannot be loaded.
+            parse or fit the scenario, the perception error model cannot be loaded, or your own
+            simulator or detector does not keep to its protocol.
     """
+    config, model, back_end = _named_parts(config, simulator, pem, twin, allow_python=allow_python)
+    check_method_fits(config, back_end)
+    formula = build_formula(config, back_end.simulator)
+    if back_end.is_own:
+        check_pem_fits(model, back_end.simulator)
+    problem = _problem(config, formula, model, back_end)
+    if config.reference or config.method == "value-twisted":
+        require_unsafe(problem)
+    return Experiment(
+        config=config,
+        pem=model,
+        ensemble=ensemble_of(config.pem) if pem is None else None,
+        formula=formula,
+        problem=problem,
+        back_end=back_end,
+        method=build_method(config, back_end=back_end),
+        planned_rollouts=config.repetitions * rollouts_per_repetition(config),
+    )
+
+
+def _named_parts(
+    config: ExperimentConfig,
+    simulator: Simulator | None,
+    pem: DetectorModel | None,
+    twin: Simulator | None,
+    *,
+    allow_python: bool,
+) -> tuple[ExperimentConfig, Pem, BackEnd]:
+    """The user's own parts, or those that ``config`` names; it then names what is used."""
+    own_pem = None if pem is None else as_pem(pem)
+    own = None if simulator is None else own_back_end(simulator, twin=twin)
+    if own is not None:
+        if own.simulator.name in SHIPPED_SIMULATORS:
+            message = f"simulator {own.simulator.name!r}: a shipped one has this name already"
+            raise ConfigError(message)
+        config = replace(config, simulator=own.simulator.name)
+    if own_pem is not None:
+        config = replace(config, pem=own_pem.name)
     config.validate()
     check_device(config.device)
-    simulator = build_simulator(config)
-    formula = build_formula(config, simulator)
-    pem = load_pem(config.pem, allow_python=allow_python)
-    metric = build_metric(config, simulator)
+    model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
+    return config, model, own or build_back_end(config)
+
+
+def _problem(
+    config: ExperimentConfig, formula: stl.Formula, pem: Pem, back_end: BackEnd
+) -> Problem:
+    metric = build_metric(config, back_end.simulator)
 
     def robustness(signals: Mapping[str, FloatArray]) -> FloatArray:
         return stl.robustness(formula, signals, metric)
@@ -96,38 +162,38 @@ def build_experiment(config: ExperimentConfig, *, allow_python: bool = False) ->
     def violated(signals: Mapping[str, FloatArray]) -> BoolArray:
         return stl.violated(formula, signals)
 
-    problem = Problem(
-        simulator=simulator,
+    return Problem(
+        simulator=back_end.simulator,
         pem_logit=pem.logit,
         robustness=robustness,
         violated=violated,
-        batch_rollouts=batch_rollouts(config),
+        batch_rollouts=back_end.batch_rollouts,
         run_batches=batch_runner(config.device),
         batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula),
         monitor=FormulaMonitor(formula),
     )
-    if config.reference or config.method == "value-twisted":
-        require_unsafe(problem)
-    return Experiment(
-        config=config,
-        pem=pem,
-        ensemble=ensemble_of(config.pem),
-        formula=formula,
-        problem=problem,
-        twin=VectorizedSimulator(config.scenario),
-        method=build_method(config),
-        features=BrakingFeatures(config.scenario),
-        planned_rollouts=config.repetitions * rollouts_per_repetition(config),
-    )
 
 
-def batch_rollouts(config: ExperimentConfig) -> int:
-    """How many rollouts are simulated at a time; the result does not depend on it."""
-    if config.simulator == "highway-env":
-        return SLOW_BATCH_ROLLOUTS
-    largest = largest_part(states=config.scenario.states)
-    return largest if is_gpu(config.device) else min(BATCH_ROLLOUTS, largest)
+def check_pem_fits(pem: Pem, simulator: Simulator) -> None:
+    """Ask the error model about the simulator's initial state.
+
+    Raises:
+        InputError: It cannot answer, or its answer is no logit of the right shape.
+    """
+    salient = simulator.salient(simulator.initial(count=2).signals)
+    where = f"pem = {pem.name!r} on simulator {simulator.name!r}"
+    try:
+        logit = np.asarray(pem.logit(salient))
+    except Exception as error:  # the user's code may raise anything
+        message = f"{where}: {type(error).__name__}: {error}"
+        raise ConfigError(" ".join(message.split())) from error
+    if logit.shape != salient.shape[:-1] or np.isnan(logit).any():
+        message = (
+            f"{where}: logit of salient variables {list(salient.shape)} has shape "
+            f"{list(logit.shape)} or is no number: must be {list(salient.shape[:-1])} numbers"
+        )
+        raise ConfigError(message)
 
 
 def device_notes(experiment: Experiment) -> tuple[str, ...]:
@@ -148,12 +214,12 @@ def device_notes(experiment: Experiment) -> tuple[str, ...]:
 
 
 def build_simulator(config: ExperimentConfig) -> Simulator:
-    """The back end that ``config`` names."""
-    if config.simulator == "highway-env":
-        from pemviz.simulators.highway import HighwaySimulator  # noqa: PLC0415  pulls in pygame
+    """The back end that ``config`` names.
 
-        return HighwaySimulator(config.scenario)
-    return VectorizedSimulator(config.scenario)
+    Raises:
+        ConfigError: There is none of that name.
+    """
+    return build_named_simulator(config.simulator, config.scenario)
 
 
 def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula:
@@ -207,14 +273,19 @@ def check_bounds_hold(simulator: Simulator) -> None:
             message = (
                 f"metric = 'agm': {signal.name} reaches {low:.4g} to {high:.4g} {signal.unit}, "
                 f"beyond its bounds {signal.low:g} to {signal.high:g}; raise "
-                "scenario.gap_bound_m or scenario.speed_bound_mps"
+                "scenario.gap_bound_m or scenario.speed_bound_mps (own systems: the signal's)"
             )
             raise ConfigError(message)
 
 
-def build_method(config: ExperimentConfig) -> Method[Any]:
-    """The method that ``config`` names."""
-    most = largest_part(states=config.scenario.states)
+def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -> Method[Any]:
+    """The method that ``config`` names, on the back end that it names unless one is given.
+
+    Raises:
+        ConfigError: The back end does not offer what the method needs.
+    """
+    back_end = build_back_end(config) if back_end is None else back_end
+    most = largest_part(states=back_end.simulator.states)
     if config.method == "adaptive":
         return AdaptiveSampling(
             learning_stages=config.stages,
@@ -228,8 +299,10 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             largest_part=most,
         )
     if config.method == "value-twisted":
+        check_method_fits(config, back_end)
+        assert back_end.twin is not None  # noqa: S101  just checked
         return ValueTwistedSampling(
-            twin=VectorizedSimulator(config.scenario),
+            twin=back_end.twin,
             rollouts=config.final_rollouts,
             seed=config.seed,
             largest_part=most,
@@ -240,7 +313,7 @@ def build_method(config: ExperimentConfig) -> Method[Any]:
             rollouts=config.rollouts,
             final_rollouts=config.final_rollouts,
             seed=config.seed,
-            features=BrakingFeatures(config.scenario),
+            features=back_end.features,
             largest_part=most,
         )
     if config.method == "splitting":

@@ -38,20 +38,21 @@ class Explanation:
 
 
 def explain(
-    stage: StageResult, *, features: StateFeatures, farthest_m: float, target: float | None
+    stage: StageResult, *, features: StateFeatures, farthest_m: float | None, target: float | None
 ) -> Explanation | None:
     """Explain a final stage; ``None`` if nothing failed in it.
 
     Args:
         stage: Rollouts with importance weights.
         features: Says at which states perception's outcome may matter.
-        farthest_m: Bands of two metres reach from 0 m to at least here.
+        farthest_m: Bands of two metres of the gap reach from 0 m to at least here; ``None``
+            where the scenario has no gap, and nothing is told by bands.
         target: Failure probability that the detector is to be improved for.
     """
     failures = failures_of(stage.scored, features=features)
     if failures is None or stage.log10_probability is None:
         return None
-    count = math.ceil(farthest_m / BAND_WIDTH_M)
+    count = 0 if farthest_m is None else math.ceil(farthest_m / BAND_WIDTH_M)
     edges = [BAND_WIDTH_M * band for band in range(count + 1)]
     return Explanation(
         repetition=stage.repetition,

@@ -54,7 +54,9 @@ def part_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyA
         del arrays[name]
     arrays["pem_logit"] = rollouts.pem_logit
     arrays["proposal_logit"] = rollouts.proposal_logit
-    arrays.update({f"{MEMORY}{name}": values for name, values in rollouts.memory.items()})
+    for name, values in rollouts.memory.items():
+        if values.dtype != np.object_:  # copies of an environment: no stage is continued inside
+            arrays[f"{MEMORY}{name}"] = values
     arrays.update({f"{KEPT}{name}": values for name, values in stage.kept.items()})
     return arrays
 

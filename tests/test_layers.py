@@ -12,15 +12,17 @@ PACKAGE = ROOT / "pemviz"
 
 # Each layer may import from those before it, and within itself.
 LAYERS = (
-    {"__init__", "errors", "exit_codes", "arrays", "files", "ranges", "assets", "config",
+    {"errors", "exit_codes", "arrays", "files", "ranges", "assets", "config",
      "config_files", "types", "chunks", "json_text", "array_files", "documents", "processes"},
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
-    {"experiment", "model_uncertainty", "model_comparison", "explanation", "results", "events",
-     "engine", "rollout_files", "archive", "store", "runs", "curves", "reports"},
+    {"back_ends", "experiment", "least_robust", "model_uncertainty", "model_comparison",
+     "explanation", "results", "events", "engine", "rollout_files", "archive", "store", "runs",
+     "curves", "reports"},
     {"recording", "panel"},
     {"bench", "reproduce", "samples", "sweep"},
     {"commands", "cli", "__main__"},
+    {"__init__"},  # re-exports the public names, when they are asked for
 )  # fmt: skip
 APART = ({"stl", "pem", "proposals", "simulators"}, {"recording", "panel"})
 ONLY_IN = {

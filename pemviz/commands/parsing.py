@@ -4,13 +4,16 @@ import contextlib
 import io
 import re
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import tyro
 
 from pemviz.errors import InputError
+from pemviz.ranges import Range
 
 Arguments = TypeVar("Arguments")
+Processes = Annotated[int, Range(low=1, high=1024)]
+"""An option that several commands have."""
 
 FRAME = re.compile("[\u2500-\u257f]+")
 COLOUR = re.compile("\x1b\\[[0-9;]*m")

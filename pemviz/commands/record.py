@@ -1,32 +1,17 @@
 """``pemviz record``: run an experiment, keep it in a run folder, set an exit code by it."""
 
-import json
-import sys
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from pemviz.commands.gate import gate_exit_code
-from pemviz.commands.interrupt import stop_on_signals
-from pemviz.commands.parsing import parse_arguments
-from pemviz.commands.progress import progress_observer
-from pemviz.commands.summary import print_summary
-from pemviz.commands.workers import Processes, check_workers, with_workers
+from pemviz.commands.parsing import Processes, parse_arguments
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config, load_preset
 from pemviz.errors import ConfigError
-from pemviz.events import Observer
-from pemviz.exit_codes import EXIT_DONE, EXIT_FAILED
-from pemviz.experiment import Experiment, build_experiment, device_notes
 from pemviz.ranges import Range, check_value
-from pemviz.reports.writer import ReportWriter
-from pemviz.results import estimate_from_document, result_document
-from pemviz.runs import carry_out, read_result
-from pemviz.store import create_run_folder
 
 FailAbove = Annotated[float, Range(low=0.0, low_open=True, high=1.0)]
 Port = Annotated[int, Range(low=1, high=65535)]
@@ -95,82 +80,9 @@ def run(words: Sequence[str]) -> int:
         RunError: The run failed.
     """
     arguments = parse(words)
-    if arguments.source.resume is not None:
-        done = _finished(arguments, arguments.source.resume)
-        if done is not None:
-            return done
-    experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
-    for note in device_notes(experiment):
-        print(f"pemviz: {note}", file=sys.stderr)
-    check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
-    reports = ReportWriter(
-        summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
-    )
-    folder = arguments.source.resume or create_run_folder(
-        arguments.out, label=arguments.experiment.method
-    )
-    with (
-        stop_on_signals() as should_stop,
-        progress_observer(quiet=arguments.json) as progress,
-        _recorder(arguments, experiment, folder) as recorders,
-        with_workers(
-            experiment, workers=arguments.workers, scheduler=arguments.scheduler
-        ) as worked,
-    ):
-        result = carry_out(
-            worked, folder, observers=[*recorders, progress, reports], should_stop=should_stop
-        )
-    if arguments.json:
-        print(json.dumps(result_document(result), allow_nan=False))
-    else:
-        print_summary(result, folder)
-    if result.status != "done":
-        print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
-        return EXIT_FAILED
-    if arguments.fail_above is None or result.estimate is None:
-        return EXIT_DONE
-    return gate_exit_code(result.estimate, fail_above=arguments.fail_above)
+    from pemviz.commands.record_run import record  # noqa: PLC0415  --help answers without it
 
-
-@contextmanager
-def _recorder(
-    arguments: RecordArguments, experiment: Experiment, folder: Path
-) -> Generator[Sequence[Observer], None, None]:
-    """The observer that writes ``run.rrd``, if one is asked for.
-
-    A resumed run's recording replaces the old one only when it is whole.
-    """
-    if arguments.no_recording:
-        yield ()
-        return
-    from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
-
-    path = folder / "run.rrd"
-    written = path.with_name(".run.rrd.partial") if path.exists() else path
-    yield (
-        Recorder(
-            written,
-            pem_logit=experiment.pem.logit,
-            frames=not arguments.no_frames,
-            live_port=arguments.live,
-        ),
-    )
-    if written != path:
-        written.replace(path)
-
-
-def _finished(arguments: RecordArguments, folder: Path) -> int | None:
-    """Report a run that is done already and return its exit code; ``None`` if it is not."""
-    document = read_result(folder)
-    if document is None or document.get("status") != "done":
-        return None
-    print(f"pemviz: {folder} is done already; nothing was computed", file=sys.stderr)
-    if arguments.json:
-        print(json.dumps(document, allow_nan=False))
-    if arguments.fail_above is None:
-        return EXIT_DONE
-    estimate = estimate_from_document(document["estimate"])
-    return gate_exit_code(estimate, fail_above=arguments.fail_above)
+    return record(arguments)
 
 
 def parse(words: Sequence[str]) -> RecordArguments:

@@ -10,9 +10,9 @@ from typing import Annotated
 import tyro
 
 from pemviz.commands.interrupt import stop_on_signals
-from pemviz.commands.parsing import parse_arguments
+from pemviz.commands.parsing import Processes, parse_arguments
 from pemviz.commands.sweep_progress import sweep_progress, tell_done_before
-from pemviz.commands.workers import Processes, check_one_kind
+from pemviz.commands.workers import check_one_kind
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config, load_preset
 from pemviz.errors import ConfigError, RunError

@@ -3,16 +3,12 @@
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Annotated
 
 from pemviz.errors import ConfigError
 from pemviz.experiment import Experiment
 from pemviz.processes import process_pool
-from pemviz.ranges import Range
 from pemviz.sampling.pooled_batches import PooledRunner
 from pemviz.sweep.cluster import cluster_pool
-
-Processes = Annotated[int, Range(low=1, high=1024)]
 
 
 def check_one_kind(*, workers: int | None, scheduler: str | None) -> None:

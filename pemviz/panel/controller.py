@@ -12,7 +12,7 @@ from pemviz.engine import run as run_engine
 from pemviz.errors import InputError, PemvizError
 from pemviz.events import Observer
 from pemviz.experiment import build_experiment
-from pemviz.panel.rundata import RunData
+from pemviz.panel.rundata import RunData, check_shown
 from pemviz.panel.watcher import Progress, Watcher
 from pemviz.runs import carry_out
 from pemviz.store import create_run_folder
@@ -157,6 +157,7 @@ class Controller:
 
     def _run(self, request: _Request) -> None:
         experiment = build_experiment(request.config)
+        check_shown(experiment.problem.simulator, experiment.config)
         folder = None
         observers: list[Observer] = []
         if request.keep:

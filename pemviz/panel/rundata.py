@@ -13,7 +13,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.simulators.scenario import scenario_signals
-from pemviz.types import StageKind
+from pemviz.types import Simulator, StageKind
 
 Value = TypeVar("Value")
 
@@ -161,6 +161,24 @@ def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     index = np.empty(key.size, dtype=np.int64)
     index[order] = np.arange(key.size) - np.repeat(starts, lengths)
     return {**part, "rollout": index}
+
+
+def check_shown(simulator: Simulator, config: ExperimentConfig) -> None:
+    """Check that a simulator's rollouts look like those of the scenario that the panel draws.
+
+    Raises:
+        InputError: They do not.
+    """
+    scenario = config.scenario
+    drawn = {signal.name: signal.key for signal in scenario_signals(scenario)}
+    offered = {signal.name: signal.key for signal in simulator.signals}
+    if offered != drawn or (simulator.states, simulator.dt_s) != (scenario.states, scenario.dt_s):
+        message = (
+            f"simulator = {config.simulator!r}: the panel draws a car behind another "
+            f"({', '.join(drawn)}; scenario.states and dt_s), this one is different; use pemviz "
+            "record and pemviz open"
+        )
+        raise InputError(message)
 
 
 def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, where: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast, get_args
 
 import viser
 
-from pemviz.config import ExperimentConfig, MethodName, MetricName, SimulatorName
+from pemviz.config import ExperimentConfig, MethodName, MetricName
 from pemviz.config_files import load_preset, preset_names
 from pemviz.errors import InputError
 from pemviz.experiment import build_formula, build_simulator
@@ -16,6 +16,7 @@ from pemviz.panel.fields import USED_FIELDS, hint, limits
 from pemviz.panel.views.experiment import scenario_text, spec_verdict
 from pemviz.panel.widgets import set_html
 from pemviz.pem import shipped_pems
+from pemviz.simulators.registry import simulator_names
 
 if TYPE_CHECKING:
     from pemviz.panel.session import Session
@@ -61,7 +62,7 @@ class ExperimentTab:
             final_rollouts=self.final_rollouts.value,
             seed=self.seed.value,
             pem=self.pem.value,
-            simulator=cast(SimulatorName, self.simulator.value),
+            simulator=self.simulator.value,
             reference=self.reference.value,
             spec=self.spec.value,
         )
@@ -109,9 +110,7 @@ class ExperimentTab:
     def _add_specification(self) -> None:
         gui, session = self._session.client.gui, self._session
         self.pem = gui.add_dropdown("Error model", tuple(shipped_pems()), hint=hint("pem"))
-        self.simulator = gui.add_dropdown(
-            "Simulator", get_args(SimulatorName), hint=hint("simulator")
-        )
+        self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
         self._verdict = gui.add_html("")
@@ -144,6 +143,8 @@ class ExperimentTab:
         self.final_rollouts.value, self.seed.value = config.final_rollouts, config.seed
         if config.pem not in self.pem.options:
             self.pem.options = (*self.pem.options, config.pem)
+        if config.simulator not in self.simulator.options:
+            self.simulator.options = (*self.simulator.options, config.simulator)
         self.pem.value, self.simulator.value = config.pem, config.simulator
         self.reference.value, self.spec.value = config.reference, config.spec
         set_html(self._facts, scenario_text(config.scenario))

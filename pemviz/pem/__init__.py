@@ -9,6 +9,7 @@ from pemviz.pem.errors import PemError
 from pemviz.pem.files import save_pem
 from pemviz.pem.fit import KITTI_YOLOV3, Provenance, fit_ensemble, fit_pem
 from pemviz.pem.load import ensemble_of, load_ensemble, load_pem, shipped_pems
+from pemviz.pem.own import DetectorModel, as_pem
 from pemviz.pem.protocol import (
     CLASS_NAMES,
     OCCLUSION_NAMES,
@@ -26,6 +27,7 @@ __all__ = [
     "KITTI_YOLOV3",
     "OCCLUSION_NAMES",
     "SALIENT_COLUMNS",
+    "DetectorModel",
     "EnsemblePem",
     "Pem",
     "PemCard",
@@ -35,6 +37,7 @@ __all__ = [
     "SalientTable",
     "SupportReport",
     "SupportSummary",
+    "as_pem",
     "compare_pems",
     "data_bound_pem",
     "ensemble_of",

@@ -44,7 +44,11 @@ class ShipArguments:
 
 
 def run(arguments: ShipArguments) -> int:
-    """Fit, score and write; gives the exit code."""
+    """Fit, score and write; gives the exit code.
+
+    Raises:
+        PemError: a name is none of SHIPPED, or the table cannot be used.
+    """
     unknown = set(arguments.only) - set(SHIPPED)
     if unknown:
         raise PemError(f"unknown models {sorted(unknown)}, allowed: {', '.join(SHIPPED)}")

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 
+from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.config_files import config_text
 from pemviz.model_uncertainty import ModelInterval
 from pemviz.recording.learning import StageFigures
@@ -103,11 +104,18 @@ def _question(result: RunResult) -> str:
     config = result.config
     return (
         f"## What was asked\nHow likely is it that `{config.spec}` is violated, if perception "
-        f"misses as the error model **{result.pem.name}** says? Scenario: "
-        f"{config.scenario.initial_speed_kmh:g} km/h, {config.scenario.initial_gap_m:g} m behind "
-        f"a lead car that brakes at {config.scenario.lead_deceleration_mps2:g} m/s². "
+        f"misses as the error model **{result.pem.name}** says? Scenario: {_scenario(config)}. "
         f"Rollouts are ranked by the {config.metric} robustness; violations are always decided "
         "by the classical one."
+    )
+
+
+def _scenario(config: ExperimentConfig) -> str:
+    if config.simulator not in SHIPPED_SIMULATORS:
+        return f"that of the simulator **{config.simulator}**"
+    return (
+        f"{config.scenario.initial_speed_kmh:g} km/h, {config.scenario.initial_gap_m:g} m behind "
+        f"a lead car that brakes at {config.scenario.lead_deceleration_mps2:g} m/s²"
     )
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields
 
-from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
 from pemviz.config_files import config_text
 from pemviz.reports.escape import markdown_block, markdown_code, markdown_table, markdown_text
 from pemviz.reports.gate import GateDecision
@@ -143,7 +143,7 @@ def _worst(result: RunResult) -> list[str]:
     rows: list[Row] = [
         ("robustness", f"{worst.robustness:.3g} ({result.config.metric})"),
         ("verdict", "violates" if worst.violated else "holds"),
-        ("missed detections", f"{worst.misses} of {result.config.scenario.states - 1} steps"),
+        ("missed detections", _misses(result.config, worst.misses)),
         ("NLL under the error model", f"{worst.nll:.4g} nats"),
         ("log weight", f"{worst.log_weight:.4g} nats"),
         (
@@ -163,7 +163,7 @@ def _provenance(result: RunResult) -> list[str]:
         ("its digest (SHA-256)", markdown_code(result.pem.digest)),
         ("method", f"{config.method}, metric {config.metric}, back end {config.simulator}"),
         ("budget", _budget(config)),
-        ("scenario", _scenario(config.scenario)),
+        ("scenario", _scenario(config)),
         ("seed", str(config.seed)),
         ("versions", markdown_text(", ".join(f"{n} {v}" for n, v in result.versions.items()))),
         ("wall time", f"{result.timings_s.get('total', math.nan):.1f} s"),
@@ -181,9 +181,17 @@ def _budget(config: ExperimentConfig) -> str:
     return f"{config.final_rollouts} rollouts{repetitions}"
 
 
-def _scenario(scenario: ScenarioConfig) -> str:
+def _misses(config: ExperimentConfig, misses: int) -> str:
+    if config.simulator not in SHIPPED_SIMULATORS:  # its rollouts may be of another length
+        return str(misses)
+    return f"{misses} of {config.scenario.states - 1} steps"
+
+
+def _scenario(config: ExperimentConfig) -> str:
     """What differs from the defaults, the first figures in any case."""
-    default = ScenarioConfig()
+    if config.simulator not in SHIPPED_SIMULATORS:
+        return markdown_text(f"that of the simulator {config.simulator}")
+    scenario, default = config.scenario, ScenarioConfig()
     shown = (
         f"{scenario.initial_speed_kmh:g} km/h, {scenario.initial_gap_m:g} m behind a lead car "
         f"that brakes at {scenario.lead_deceleration_mps2:g} m/s²"

@@ -104,10 +104,11 @@ def misses_by_distance(
     failures: Failures, *, edges: Sequence[float], signal: str = "gap"
 ) -> tuple[BandMisses, ...]:
     """Average misses in each band between ``edges`` (ascending), by the signal's value."""
-    value = failures.rollouts.decision_states().signals[signal]
+    signals = failures.rollouts.decision_states().signals
     every = float(failures.share @ failures.missed.sum(axis=1))
     bands: list[BandMisses] = []
     for low, high in itertools.pairwise(edges):
+        value = signals[signal]
         inside = failures.missed & (value >= low) & (value < high)
         misses = float(failures.share @ inside.sum(axis=1))
         bands.append(BandMisses(low, high, misses, misses / every if every > 0.0 else 0.0))

@@ -64,10 +64,11 @@ def band_sensitivities(
         target: Failure probability to get below, above 0; ``None``: no target.
         signal: The distance.
     """
-    value = failures.rollouts.decision_states().signals[signal]
+    signals = failures.rollouts.decision_states().signals
     aim = (log_probability, target)
     rows = [_sensitivity(failures, failures.deciding, (None, None), *aim)]
     for low, high in itertools.pairwise(edges):
+        value = signals[signal]
         inside = failures.deciding & (value >= low) & (value < high)
         rows.append(_sensitivity(failures, inside, (low, high), *aim))
     return tuple(rows)

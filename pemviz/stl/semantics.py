@@ -114,6 +114,9 @@ def evaluate(  # noqa: PLR0911 (one case per operator)
         signals: arrays [T, n] by name, at least one (it gives n).
         start: first step.
         steps: number of steps.
+
+    Raises:
+        TypeError: a kind of formula that this function does not know.
     """
 
     def value(part: Formula, first: int = start, count: int = steps) -> ArrayT:

@@ -1,0 +1,152 @@
+"""A gymnasium environment that is told, at each step, whether perception detected.
+
+gymnasium itself is not imported here: whatever has ``reset`` and ``step`` will do.
+"""
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.types import Signal, StateBatch
+
+ENDED = "ended"
+SNAPSHOT = "snapshot"
+NUMBER = "environment_"
+
+
+class Environment(Protocol):
+    """What is used of ``gymnasium.Env``."""
+
+    def reset(self, *, seed: int | None = None) -> tuple[Any, dict[str, Any]]:
+        """The first observation, and information that is not looked at."""
+        ...
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Observation, reward, terminated, truncated and information."""
+        ...
+
+
+def detection_action(detected: bool) -> int:
+    """The action of an environment whose action space is ``Discrete(2)``: 1 if detected."""
+    return int(detected)
+
+
+def signal_values(signals: Mapping[str, FloatArray]) -> FloatArray:
+    """All signals ``[...]`` in their order as salient variables ``[..., D]``."""
+    return np.stack(list(signals.values()), axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GymnasiumSimulator:
+    """Each rollout of a batch in turn is put into one environment, stepped, read back.
+
+    The environment must do the same again from the same state; its own randomness, if it has
+    any, is that of ``seed``, so that the answer is for this one course of it. Once an episode
+    has ended, its signals stay as they are until the last step.
+
+    Attributes:
+        environment: The environment; used by one thread at a time.
+        signals: What specifications may name.
+        observe: An observation to the signals' values by name.
+        states: States in a rollout (T).
+        dt_s: Time between two states [s].
+        salient_of: Signals ``[...]`` to what the detector's answer depends on ``[..., D]``.
+        action_of: Perception's outcome to the environment's action.
+        get_state: All that decides how the environment goes on, as numbers ``[S]``. With
+            ``set_state`` it is quick and small; without the pair, a deep copy of the
+            environment is kept for every state of every rollout.
+        set_state: Puts the environment into a state that ``get_state`` gave.
+        seed: The environment is reset with.
+        name: For files and tables.
+    """
+
+    environment: Environment
+    signals: tuple[Signal, ...]
+    observe: Callable[[Any], Mapping[str, float]]
+    states: int
+    dt_s: float
+    salient_of: Callable[[Mapping[str, FloatArray]], FloatArray] = signal_values
+    action_of: Callable[[bool], Any] = detection_action
+    get_state: Callable[[Any], FloatArray] | None = None
+    set_state: Callable[[Any, FloatArray], None] | None = None
+    seed: int = 0
+    name: str = "gymnasium"
+
+    def initial(self, *, count: int) -> StateBatch:
+        """``count`` copies of the state after a reset, arrays ``[count]``."""
+        observation, _ = self.environment.reset(seed=self.seed)
+        row = (self.observe(observation), self._snapshot(self.environment), False)
+        return self._batch([row] * count, step=np.zeros((), dtype=np.int64))
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The states one step on, for outcomes ``[N]``."""
+        rows = [self._advanced(states, row, seen) for row, seen in enumerate(detected.tolist())]
+        return self._batch(rows, step=states.step + 1)
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """What the detector's answer depends on, ``[..., D]``."""
+        return self.salient_of({signal.name: signals[signal.name] for signal in self.signals})
+
+    @property
+    def _has_pair(self) -> bool:
+        return self.get_state is not None and self.set_state is not None
+
+    def _advanced(self, states: StateBatch, row: int, detected: bool) -> "_Row":
+        if states.memory[ENDED][row]:
+            values = {name: float(array[row]) for name, array in states.signals.items()}
+            return values, self._stored(states, row), True
+        environment = self._restored(states, row)
+        observation, _, terminated, truncated, _ = environment.step(self.action_of(detected))
+        ended = bool(terminated or truncated)
+        reached = (self.observe(observation), self._snapshot(environment), ended)
+        if ended:  # before it serves another rollout
+            environment.reset(seed=self.seed)
+        return reached
+
+    def _snapshot(self, environment: Environment) -> Any:
+        """What a state keeps of the environment: numbers ``[S]``, or the environment itself."""
+        if self.get_state is None or self.set_state is None:
+            return copy.deepcopy(environment)
+        return np.array(self.get_state(environment), dtype=np.float64)
+
+    def _stored(self, states: StateBatch, row: int) -> Any:
+        if not self._has_pair:
+            return states.memory[SNAPSHOT][row]
+        numbers = [name for name in states.memory if name.startswith(NUMBER)]
+        return np.array([states.memory[name][row] for name in numbers])
+
+    def _restored(self, states: StateBatch, row: int) -> Environment:
+        """An environment that may be stepped: the states given are never touched."""
+        kept = self._stored(states, row)
+        if self.set_state is None or self.get_state is None:
+            return copy.deepcopy(kept)
+        self.set_state(self.environment, kept)
+        return self.environment
+
+    def _batch(self, rows: "list[_Row]", *, step: AnyArray) -> StateBatch:
+        observed = [values for values, _, _ in rows]
+        signals = {
+            signal.name: np.array([values[signal.name] for values in observed], dtype=np.float64)
+            for signal in self.signals
+        }
+        ended = np.array([over for _, _, over in rows], dtype=np.bool_)
+        kept = [snapshot for _, snapshot, _ in rows]
+        return StateBatch(
+            step=step, signals=signals, memory={ENDED: ended, **self._remembered(kept)}
+        )
+
+    def _remembered(self, kept: list[Any]) -> dict[str, AnyArray]:
+        if self._has_pair:
+            table = np.array(kept, dtype=np.float64).reshape(len(kept), -1)
+            return {f"{NUMBER}{column}": table[:, column] for column in range(table.shape[1])}
+        copies = np.empty(len(kept), dtype=np.object_)
+        for row, snapshot in enumerate(kept):
+            copies[row] = snapshot
+        return {SNAPSHOT: copies}
+
+
+_Row = tuple[Mapping[str, float], Any, bool]

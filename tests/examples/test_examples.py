@@ -1,0 +1,88 @@
+"""The examples run as they stand, and their answers are right."""
+
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pemviz
+from pemviz.sampling.value_twisted import ValueTwistedSampling
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+SPEC = "always[0,60] (distance >= 0.3)"
+
+
+@pytest.fixture(scope="module")
+def drone():
+    return runpy.run_path(str(ROOT / "examples" / "own_system.py"))
+
+
+def answer(drone, *, method, logit_at_wall, **settings):
+    config = pemviz.ExperimentConfig(method=method, spec=SPEC, **settings)
+    experiment = pemviz.build_experiment(
+        config, simulator=drone["DroneAtWall"](), pem=drone["WallCamera"](logit_at_wall)
+    )
+    return pemviz.run(experiment).estimate
+
+
+def known(drone, *, logit_at_wall):
+    """Importance sampling with values from the drone itself: unbiased, a fraction of a per cent."""
+    config = pemviz.ExperimentConfig(method="mixture", spec=SPEC)
+    simulator = drone["DroneAtWall"]()
+    problem = pemviz.build_experiment(
+        config, simulator=simulator, pem=drone["WallCamera"](logit_at_wall)
+    ).problem
+    method = ValueTwistedSampling(twin=simulator, rollouts=20_000, seed=7, largest_layer=2_000)
+    state, _ = method.step(problem, method.init(problem, repetition=0))
+    return method.estimate(state)
+
+
+def agree(one, other, *, errors):
+    joint = np.hypot(one.std_error, other.std_error)
+    assert abs(one.probability - other.probability) < errors * joint, (one, other)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_runs_and_is_short(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < 60
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(path)],
+        capture_output=True, text=True, check=False, cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for words in ("95 % interval", "violations", "least robust rollout: violates"):
+        assert words in done.stdout
+    assert "do not quote" not in done.stdout
+    assert "too heavy" not in done.stdout
+
+
+def test_mixture_agrees_with_plain_monte_carlo(drone):
+    """Near 4e-4; 3.5 joint standard errors: a false alarm with probability 5e-4."""
+    plain = answer(drone, method="monte-carlo", logit_at_wall=-1.2, final_rollouts=100_000, seed=3)
+    assert 20 < plain.failures < 80
+    mixture = answer(drone, method="mixture", logit_at_wall=-1.2, rollouts=200, seed=3)
+    agree(mixture, plain, errors=3.5)
+
+
+def test_rare_setting_three_ways(drone):
+    """Near 9e-8; each comparison within 3.5 joint standard errors (5e-4 each)."""
+    mixture = answer(drone, method="mixture", logit_at_wall=-0.5, rollouts=300, seed=5)
+    truth = known(drone, logit_at_wall=-0.5)
+    assert truth.std_error < 0.02 * truth.probability
+    agree(mixture, truth, errors=3.5)
+    splitting = answer(drone, method="splitting", logit_at_wall=-0.5, rollouts=300, seed=5)
+    agree(splitting, truth, errors=3.5)
+    assert splitting.ci_low < truth.probability < splitting.ci_high
+
+
+def test_the_readme_shows_the_example_as_it_is():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    mark = "<!-- tested: excerpt of examples/own_system.py -->\n```python\n"
+    excerpt = readme.split(mark)[1].split("```")[0]
+    assert excerpt in (ROOT / "examples" / "own_system.py").read_text(encoding="utf-8")

@@ -1,0 +1,175 @@
+"""What is wrong with a simulator of one's own is told in one line, before anything runs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pemviz
+from pemviz.simulators.check import check_simulator
+from pemviz.simulators.toy import ToyPem, ToySimulator
+from pemviz.types import Signal
+from tests.toy import MissCounter
+
+CONFIG = pemviz.ExperimentConfig(method="mixture", spec="always[0,5] (gap >= 0.5)")
+
+
+class Bent:
+    """The toy with some members replaced."""
+
+    def __init__(self, **changes):
+        self._toy = ToySimulator()
+        self._changes = changes
+
+    def __getattr__(self, name):
+        if name.startswith("_"):
+            raise AttributeError(name)
+        change = self._changes.get(name)
+        return getattr(self._toy, name) if change is None else change
+
+
+def bent_initial(**changes):
+    return lambda count: replace(ToySimulator().initial(count=count), **changes)
+
+
+def writing(states, detected):
+    states.signals["gap"][:] -= 1.0
+    return ToySimulator().step(states, detected)
+
+
+def mixing(states, detected):
+    moved = ToySimulator().step(states, detected)
+    gap = moved.signals["gap"]
+    return replace(moved, signals={"gap": gap + 0.0 * gap + gap.mean()})
+
+
+def raising(states, detected):
+    raise RuntimeError("the licence server\nis down")
+
+
+GAP = Signal(name="gap", key="gap_m", unit="m", low=0.0, high=9.0)
+
+WRONG = {
+    "name is empty": Bent(name=" "),
+    "states = 1": Bent(states=1),
+    "dt_s = nan": Bent(dt_s=float("nan")),
+    "signals is empty": Bent(signals=()),
+    "the same name": Bent(signals=(GAP, replace(GAP, key="other"))),
+    "identifiers": Bent(signals=(replace(GAP, key="gap m"),)),
+    "is taken": Bent(signals=(replace(GAP, key="log_p"),)),
+    "low must be below": Bent(signals=(replace(GAP, low=9.0),)),
+    "declared": Bent(initial=bent_initial(signals={"distance": np.zeros(3)})),
+    "has shape": Bent(initial=bent_initial(signals={"gap": np.zeros((3, 1))})),
+    "type float64": Bent(initial=bent_initial(signals={"gap": np.zeros(3, np.float32)})),
+    "finite numbers": Bent(initial=bent_initial(signals={"gap": np.full(3, np.nan)})),
+    "one number for the batch": Bent(initial=bent_initial(step=np.zeros(3, np.int64))),
+    "pemviz's own": Bent(initial=bent_initial(memory={"violated": np.zeros(3)})),
+    "writes to the states": Bent(step=writing),
+    "whatever is beside it": Bent(step=mixing),
+    "RuntimeError: the licence server is down": Bent(step=raising),
+    "salient gives shapes": Bent(salient=lambda signals: signals["gap"][:, None]),
+}
+
+
+def test_simulators_that_keep_to_the_protocol_pass():
+    for simulator in (ToySimulator(), MissCounter(states=7), Bent()):
+        check_simulator(simulator)
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_wrong_simulators_are_refused_in_one_line(words):
+    with pytest.raises(pemviz.ConfigError) as caught:
+        pemviz.build_experiment(CONFIG, simulator=WRONG[words], pem=ToyPem())
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_lacks_members_is_no_simulator():
+    with pytest.raises(pemviz.ConfigError, match=r"dict is no pemviz.Simulator, it lacks name, s"):
+        pemviz.build_experiment(CONFIG, simulator={}, pem=ToyPem())
+
+
+class Flat:
+    def logit(self, salient):
+        return np.zeros(3)
+
+
+class Broken:
+    def logit(self, salient):
+        return salient["gap"]
+
+
+@pytest.mark.parametrize(
+    ("pem", "words"),
+    [
+        (object(), "needs a method logit"),
+        (ToyPem, "needs a method logit"),
+        (Flat(), r"has shape \[3\]"),
+        (Broken(), "IndexError"),
+    ],
+)
+def test_wrong_detectors_are_refused_in_one_line(pem, words):
+    with pytest.raises(pemviz.InputError, match=words) as caught:
+        pemviz.build_experiment(CONFIG, simulator=ToySimulator(), pem=pem)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_model_for_cars_is_refused_by_another_scenario():
+    with pytest.raises(pemviz.InputError, match=r"'ml-nn' on simulator 'toy'.*\[\.\.\., 11\]"):
+        pemviz.build_experiment(CONFIG, simulator=ToySimulator())
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"method": "value-twisted"}, "needs a fast twin, and simulator 'toy' has none"),
+        ({"reference": True}, "needs a fast twin, and simulator 'toy' has none"),
+        ({"spec": "always[0,5] (lead_speed >= 0.5)"}, "lead_speed"),
+        ({"spec": "always[0,99] (gap >= 0.5)"}, "looks 99 steps ahead"),
+    ],
+)
+def test_what_a_system_cannot_offer_is_told(changes, words):
+    with pytest.raises(pemviz.InputError, match=words):
+        pemviz.build_experiment(replace(CONFIG, **changes), simulator=ToySimulator(), pem=ToyPem())
+
+
+def test_adaptive_needs_a_gap():
+    nameless = Bent(
+        signals=(replace(GAP, name="room"),),
+        initial=lambda count: replace(
+            ToySimulator().initial(count=count), signals={"room": np.full(count, 5.0)}
+        ),
+        step=lambda states, detected: replace(
+            states,
+            step=states.step + 1,
+            signals={"room": states.signals["room"] + np.where(detected, 1.0, -1.0)},
+        ),
+        salient=lambda signals: signals["room"][..., None],
+    )
+    changed = replace(CONFIG, method="adaptive", spec="always[0,5] (room >= 0.5)")
+    with pytest.raises(pemviz.ConfigError, match="has no signal 'gap'"):
+        pemviz.build_experiment(changed, simulator=nameless, pem=ToyPem())
+
+
+def test_a_shipped_simulators_name_is_refused():
+    with pytest.raises(pemviz.ConfigError, match="has this name already"):
+        pemviz.build_experiment(CONFIG, simulator=Bent(name="vectorized"), pem=ToyPem())
+
+
+def test_a_twin_of_ones_own_gives_the_reference():
+    """The toy as its own twin: exact, so that the reference is the truth."""
+    from pemviz.simulators.toy import toy_probability_by_recursion  # noqa: PLC0415
+
+    toy, pem = ToySimulator(states=11), ToyPem()
+    config = replace(
+        CONFIG, spec="always[0,10] (gap >= 0.5)", reference=True, stages=3, rollouts=60, seed=4
+    )
+    result = pemviz.run(pemviz.build_experiment(config, simulator=toy, pem=pem, twin=toy))
+    truth = toy_probability_by_recursion(toy, pem)
+    assert result.reference.probability == pytest.approx(truth, rel=0.02)
+    assert result.data_bound is None
+    assert result.config.simulator == "toy"
+    assert result.config.pem == result.pem.name == "ToyPem"
+    assert "lead car" not in " ".join(result.assumptions)
+    with pytest.raises(pemviz.ConfigError, match="twin of simulator 'toy'"):
+        pemviz.build_experiment(config, simulator=toy, pem=pem, twin=ToySimulator(states=9))

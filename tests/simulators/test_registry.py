@@ -1,0 +1,153 @@
+"""Simulators that other packages register are found by name; what is wrong is one line."""
+
+import importlib
+import json
+import sys
+
+import pytest
+
+from pemviz.cli import main
+from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.errors import ConfigError, InputError
+from pemviz.experiment import build_experiment
+from pemviz.panel.rundata import check_shown
+from pemviz.simulators.registry import SHIPPED, build_named_simulator, simulator_names
+
+MODULE = '''
+"""Simulators of a third party."""
+
+from dataclasses import dataclass, replace
+
+from pemviz.simulators.toy import ToySimulator
+from pemviz.simulators.vectorized import VectorizedSimulator
+
+
+def lattice():
+    return ToySimulator(states=11)
+
+
+@dataclass(frozen=True)
+class Faster(VectorizedSimulator):
+    @property
+    def name(self):
+        return "faster"
+
+
+def by_scenario(scenario):
+    return Faster(scenario)
+
+
+def failing(scenario):
+    raise ValueError(f"no licence\\nfor {scenario.states} states")
+
+
+def nothing():
+    return None
+
+
+NOT_CALLABLE = 3
+'''
+NAMES = {
+    "lattice": "lattice",
+    "faster": "by_scenario",
+    "failing": "failing",
+    "nothing": "nothing",
+    "class": "Faster",
+    "type": "type",
+    "absent": "no_such_name",
+    "number": "NOT_CALLABLE",
+    "vectorized": "failing",
+}
+
+
+@pytest.fixture
+def third_party(tmp_path, monkeypatch):
+    """A package with simulators, as pip would have installed it into another folder."""
+    (tmp_path / "third_party_simulators.py").write_text(MODULE, encoding="utf-8")
+    info = tmp_path / "third_party_simulators-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: third-party-simulators\n")
+    points = "\n".join(f"{name} = third_party_simulators:{to}" for name, to in NAMES.items())
+    (info / "entry_points.txt").write_text(f"[pemviz.simulators]\n{points}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.invalidate_caches()
+    yield tmp_path
+    sys.modules.pop("third_party_simulators", None)
+
+
+def test_without_packages_there_are_the_shipped_ones():
+    assert simulator_names()[: len(SHIPPED)] == SHIPPED == ("vectorized", "highway-env")
+    for name in SHIPPED:
+        assert build_named_simulator(name, ScenarioConfig()).name == name
+
+
+@pytest.mark.usefixtures("third_party")
+def test_registered_simulators_are_listed_and_built():
+    assert set(NAMES) < set(simulator_names())
+    assert build_named_simulator("lattice", ScenarioConfig()).states == 11
+    faster = build_named_simulator("faster", ScenarioConfig(states=7))
+    assert (faster.name, faster.states) == ("faster", 7)
+    assert build_named_simulator("vectorized", ScenarioConfig()).name == "vectorized"
+
+
+@pytest.mark.usefixtures("third_party")
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("latice", "no such simulator; did you mean lattice? There are: vectorized, highway-env, "),
+        ("vectorised", "did you mean vectorized?"),
+        ("", "simulator = ''"),
+        ("failing", "third_party_simulators:failing raises ValueError: no licence for 100 states"),
+        ("nothing", "returns nothing, which is no pemviz.Simulator"),
+        ("absent", "AttributeError"),
+        ("number", "TypeError"),
+    ],
+)
+def test_what_is_wrong_is_one_line(name, words, capsys):
+    assert main(["record", "--simulator", name]) == 2
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+
+
+@pytest.mark.usefixtures("third_party")
+def test_another_package_under_the_same_name_is_refused(tmp_path):
+    info = tmp_path / "second-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: second\n")
+    (info / "entry_points.txt").write_text("[pemviz.simulators]\nlattice = second:build\n")
+    importlib.invalidate_caches()
+    with pytest.raises(ConfigError, match=r"registered more than once, as .*second:build"):
+        build_named_simulator("lattice", ScenarioConfig())
+
+
+@pytest.mark.usefixtures("third_party")
+def test_record_carries_out_a_registered_simulator(tmp_path, capsys):
+    """The same car following under another name: the shipped error model fits, a twin is none."""
+    words = ["--simulator", "faster", "--method", "mixture", "--stages", "2", "--rollouts", "60"]
+    out = ["--final-rollouts", "60", "--seed", "3", "--out", str(tmp_path / "runs")]
+    page = tmp_path / "page.md"
+    assert main(["record", *words, *out, "--json", "--summary", str(page)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["config"]["simulator"] == "faster"
+    assert document["estimate"]["failures"] > 0
+    assert document["data_bound"] is None
+    assert "that of the simulator faster" in page.read_text(encoding="utf-8")
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert (folder / "run.rrd").stat().st_size > 0
+
+
+@pytest.mark.usefixtures("third_party")
+@pytest.mark.parametrize("more", [["--method", "value-twisted"], ["--reference"]])
+def test_what_needs_a_twin_is_refused(more, capsys):
+    assert main(["record", "--simulator", "faster", *more]) == 2
+    assert "needs a fast twin, and simulator 'faster' has none" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("third_party")
+def test_the_panel_refuses_what_it_cannot_draw():
+    config = ExperimentConfig(simulator="faster")
+    check_shown(build_experiment(config).problem.simulator, config)
+    lattice = build_named_simulator("lattice", config.scenario)
+    with pytest.raises(InputError, match="the panel draws a car behind another"):
+        check_shown(lattice, ExperimentConfig(simulator="lattice"))
