@@ -44,12 +44,7 @@ def run(arguments: EvaluateArguments) -> int:
     Raises:
         PemError: bad arguments or table; one line says what, where and what is allowed.
     """
-    if not arguments.models:
-        raise PemError(f"models is empty, allowed: {', '.join(MODEL_KINDS)}")
-    if arguments.seed < 0:
-        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
-    if not 1 <= arguments.workers <= 64:
-        raise PemError(f"workers is {arguments.workers}, allowed: 1 to 64")
+    _check(arguments)
     table = load_table(arguments.table)
     # scikit-learn and torch take seconds to import: not before the arguments are known good.
     from pemviz.pem.evaluate import cross_validate, split_folds  # noqa: PLC0415
@@ -85,6 +80,15 @@ def run(arguments: EvaluateArguments) -> int:
     console.print(shown)
     console.print(f"written: {', '.join(str(path) for path in written)}")
     return 0
+
+
+def _check(arguments: EvaluateArguments) -> None:
+    if not arguments.models:
+        raise PemError(f"models is empty, allowed: {', '.join(MODEL_KINDS)}")
+    if arguments.seed < 0:
+        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    if not 1 <= arguments.workers <= 64:
+        raise PemError(f"workers is {arguments.workers}, allowed: 1 to 64")
 
 
 def _cell(value: object) -> str:
