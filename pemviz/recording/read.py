@@ -44,7 +44,8 @@ class RecordedStage:
 def read_stages(path: Path) -> dict[int, RecordedStage]:
     """Every stage's recorded rollouts, by stage.
 
-    A recording may have been cut short, or rewritten by ``rerun rrd optimize``.
+    A recording may have been cut short, or rewritten by ``rerun rrd optimize``. Read only files
+    that are otherwise whole: at other damage rerun's reader may end the process.
 
     Raises:
         InputError: The file cannot be read as a recording.

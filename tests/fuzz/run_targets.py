@@ -4,7 +4,7 @@ import json
 import random
 import shutil
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -152,14 +152,19 @@ def _config(folder: Path) -> ExperimentConfig:
     return load_config(folder / "config.toml")
 
 
-def read_recording(case: Case, *, whole: bool) -> None:
-    """A damaged recording: found or refused, and its rollouts read back."""
+def open_recording(case: Case) -> None:
+    """A damaged recording: found or refused."""
+    content = case.valid.recording
+    (case.folder / "run.rrd").write_bytes(damage_bytes(case.rng, content, [content]))
+    find_recording(case.folder)
+
+
+def read_recording(case: Case) -> None:
+    """A recording cut short anywhere, as by a kill; at other damage rerun's reader may abort."""
     path = case.folder / "run.rrd"
     content = case.valid.recording
-    path.write_bytes(damage_bytes(case.rng, content, [content]))
-    find_recording(case.folder)
-    if whole:
-        read_stages(path)
+    path.write_bytes(content[: case.rng.randrange(len(content) + 1)])
+    read_stages(path)
 
 
 TARGETS = (
@@ -168,6 +173,6 @@ TARGETS = (
     Target("rollouts", read_rollouts, 8),
     Target("stage", read_stage, 4),
     Target("begun", read_begun, 3),
-    Target("open", partial(read_recording, whole=False), 4),
-    Target("recording", partial(read_recording, whole=True), 1, limits_memory=False),
+    Target("open", open_recording, 4),
+    Target("recording", read_recording, 1, limits_memory=False),
 )
