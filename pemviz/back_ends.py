@@ -60,11 +60,11 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         simulator=simulator,
         features=BrakingFeatures(config.scenario),
         twin=VectorizedSimulator(config.scenario),
-        batch_rollouts=_batch_rollouts(config),
+        batch_rollouts=batch_rollouts(config),
     )
 
 
-def _batch_rollouts(config: ExperimentConfig) -> int:
+def batch_rollouts(config: ExperimentConfig) -> int:
     """How many rollouts are simulated at a time; the result does not depend on it."""
     if config.simulator == "highway-env":
         return SLOW_BATCH_ROLLOUTS

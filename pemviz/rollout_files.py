@@ -214,5 +214,9 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
 
 
 def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[int, ...]]]:
-    """Type and shape, but for the number of rollouts, of each array."""
-    return {name: (array.dtype.str, array.ndim, array.shape[1:]) for name, array in table.items()}
+    """Type and shape, but for the number of rollouts, of each array that all stages have."""
+    return {
+        name: (array.dtype.str, array.ndim, array.shape[1:])
+        for name, array in table.items()
+        if not name.startswith((MEMORY, KEPT))
+    }

@@ -20,7 +20,6 @@ LONG_FUNCTIONS = {
     ): "sets up and takes down in one order: signals, server, browser",
     ("experiment.py", "build_method"): "one branch a method, each a plain list of its settings",
     ("model_comparison.py", "compare_models"): "draws once and hands the same arrays to each model",
-    ("panel/views/learning.py", "estimate_plot"): "one picture, drawn from back to front",
     ("panel/views/ranking_table.py", "ranking_table"): "one table: its markup reads as one piece",
     ("pem/collect.py", "collect"): "the matching of one image, step by step",
     ("pem/curve_picture.py", "write_picture"): "one picture, drawn from back to front",

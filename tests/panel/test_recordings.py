@@ -161,9 +161,10 @@ def test_rollouts_with_impossible_numbers_are_refused(folder, name, change, word
 def test_stages_that_hold_different_arrays_are_refused(folder):
     run = folder.root / "run"
     (run / "stages").mkdir()
-    shutil.move(run / "rollouts.npz", run / "stages" / "a.npz")
-    np.savez(run / "stages" / "b.npz", gap_m=np.zeros(3))
-    with pytest.raises(InputError, match=r"b\.npz: must hold the same arrays as a\.npz"):
+    names = [f"repetition-00000-stage-{stage:05d}.npz" for stage in range(2)]
+    shutil.move(run / "rollouts.npz", run / "stages" / names[0])
+    np.savez(run / "stages" / names[1], gap_m=np.zeros(3))
+    with pytest.raises(InputError, match=rf"{names[1]}: must hold the same arrays as {names[0]}"):
         load_run(run)
 
 

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pemviz.back_ends import batch_rollouts
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.engine import run_experiment
 from pemviz.errors import ConfigError
-from pemviz.experiment import batch_rollouts, build_experiment, device_notes
+from pemviz.experiment import build_experiment, device_notes
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis
 from pemviz.proposals.simple import ConstantProposal, PemProposal
@@ -23,6 +24,7 @@ from pemviz.sampling.devices import (
     missing_cuda,
     simulate_on_device,
 )
+from pemviz.sampling.final_batch import LARGEST_PART
 from pemviz.sampling.problem import sample
 from pemviz.sampling.rollout import simulate
 from pemviz.sampling.value_twisted import with_latch
@@ -274,7 +276,7 @@ def test_gpu_batches_are_large_but_bounded():
         config = ExperimentConfig(**changes)
         return batch_rollouts(config), batch_rollouts(replace(config, device="cuda:1"))
 
-    assert batch() == (4096, 50_000)
+    assert batch() == (4096, LARGEST_PART)
     assert batch(scenario=replace(PAPER.scenario, states=50_000)) == (100, 100)
     assert batch(simulator="highway-env") == (50, 50)
 

@@ -48,7 +48,9 @@ def test_monte_carlo_finds_the_exact_answer():
         violated=toy_violated,
     )
     method = DirectSampling(name="monte-carlo", proposal=PemProposal(), rollouts=100_000, seed=3)
-    state, _ = method.step(problem, method.init(problem, repetition=0))
+    state = method.init(problem, repetition=0)
+    while not method.is_done(state):
+        state, _ = method.step(problem, state)
     found = method.estimate(state)
     truth = toy_probability_by_recursion(simulator, pem)
     assert found.std_error is not None
