@@ -5,6 +5,7 @@ import pytest
 from pemviz.cli import main
 
 
+@pytest.mark.slow
 def test_figures_of_the_paper_repetition(capsys):
     assert main(["bench", "--part", "paper", "--json"]) == 0
     (figures,) = json.loads(capsys.readouterr().out).values()

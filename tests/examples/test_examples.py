@@ -70,6 +70,7 @@ def test_mixture_agrees_with_plain_monte_carlo(drone):
     agree(mixture, plain, errors=3.5)
 
 
+@pytest.mark.slow
 def test_rare_setting_three_ways(drone):
     """Near 9e-8; each comparison within 3.5 joint standard errors (5e-4 each)."""
     mixture = answer(drone, method="mixture", logit_at_wall=-0.5, rollouts=300, seed=5)

@@ -70,6 +70,7 @@ def test_a_full_disk_ends_the_run_and_loses_no_finished_stage(tmp_path, config):
     assert found == expected
 
 
+@pytest.mark.slow
 def test_a_recording_that_cannot_be_written_is_told_in_one_line(tmp_path, config):
     ended = record("--config", config, "--out", str(tmp_path / "out"), "--no-frames", full=True)
     assert ended.returncode == EXIT_FAILED

@@ -277,7 +277,7 @@ def test_gpu_batches_are_large_but_bounded():
         return batch_rollouts(config), batch_rollouts(replace(config, device="cuda:1"))
 
     assert batch() == (4096, LARGEST_PART)
-    assert batch(scenario=replace(PAPER.scenario, states=50_000)) == (100, 100)
+    assert batch(scenario=replace(PAPER.scenario, states=50_000)) == (40, 40)
     assert batch(simulator="highway-env") == (50, 50)
 
 
