@@ -29,6 +29,7 @@ ESTIMATE = {
     "method": TEXT,
     **dict.fromkeys(("rollouts_simulated", "rollouts_in_estimate", "failures"), WHOLE),
     **dict.fromkeys(("probability", "log10_probability", "std_error", "ci_low", "ci_high"), NUMBER),
+    "confidence": NUMBER,
     **dict.fromkeys(("nll_mean", "nll_log_mean", "ess", "pareto_k", "max_weight_share"), NUMBER),
     "warnings": LIST,
 }

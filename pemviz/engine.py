@@ -12,7 +12,7 @@ import numpy as np
 from pemviz import __version__
 from pemviz.arrays import read_only
 from pemviz.config import ExperimentConfig
-from pemviz.errors import RunError
+from pemviz.errors import PemvizError, RunError
 from pemviz.events import (
     Observer,
     RepetitionDone,
@@ -157,7 +157,7 @@ class _Runner:
         event = RunFailed(message=message, result=self._result)
         for observer in self._observers:
             # the observer that failed the run may fail again; the others must still hear
-            with contextlib.suppress(OSError, ValueError):
+            with contextlib.suppress(OSError, ValueError, PemvizError):
                 observer.notify(event)
 
     def _repeat(self, repetition: int) -> None:

@@ -107,11 +107,16 @@ def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
     numbers = *rollouts.signals.values(), rollouts.pem_logit, rollouts.proposal_logit
     if (
         any(array.dtype != np.bool_ for array in outcomes)
-        or any(a.dtype.kind != "f" or not np.all(np.abs(a) <= LARGEST) for a in numbers)
+        or any(a.dtype.kind != "f" or not _is_bounded(a) for a in numbers)
+        or scored.robustness.dtype != np.float64
         or np.isnan(scored.robustness).any()
     ):
         message = f"stage {path}: an array is of the wrong type, or holds what is no number"
         raise InputError(message)
+
+
+def _is_bounded(values: AnyArray) -> bool:
+    return bool(np.all(np.abs(values.astype(np.float64, copy=False)) <= LARGEST))
 
 
 def part_path(folder: Path, *, repetition: int, stage: int) -> Path:

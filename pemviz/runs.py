@@ -1,5 +1,6 @@
 """A run that is kept in a folder, and that goes on from what an earlier process left there."""
 
+import json
 import logging
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from typing import Any, cast
 from filelock import FileLock, Timeout
 
 from pemviz.archive import Archive
+from pemviz.config_files import config_table
 from pemviz.documents import check_document
 from pemviz.engine import run, versions
 from pemviz.errors import InputError
@@ -48,7 +50,7 @@ def carry_out(
         RunError: The run failed.
     """
     with run_lock(folder):
-        check_same_model(experiment, folder)
+        check_same_run(experiment, folder)
         archive = Archive(folder, experiment.problem.simulator.signals)
         problem = replace(experiment.problem, finished=archive)
         return run(
@@ -103,15 +105,22 @@ def read_result(folder: Path) -> dict[str, Any] | None:
     return found
 
 
-def check_same_model(experiment: Experiment, folder: Path) -> None:
-    """Refuse to go on with another error model; warn of other versions.
+def check_same_run(experiment: Experiment, folder: Path) -> None:
+    """Refuse to go on with other settings or another error model; warn of other versions.
 
     Raises:
-        InputError: The digests differ, or ``result.json`` is damaged.
+        InputError: They differ, or ``result.json`` is damaged.
     """
     document = read_result(folder)
     if document is None:
         return
+    settings = json.loads(json.dumps(config_table(experiment.config)))
+    if document.get("config") != settings:
+        message = (
+            f"run {folder}: was begun with settings other than those of its config.toml; "
+            "start a new run"
+        )
+        raise InputError(message)
     pem = document.get("pem")
     digest = cast(dict[str, Any], pem).get("digest") if isinstance(pem, dict) else None
     if digest != experiment.pem.digest:
@@ -121,6 +130,5 @@ def check_same_model(experiment: Experiment, folder: Path) -> None:
             f"{experiment.pem.digest[:12]}); start a new run"
         )
         raise InputError(message)
-    begun = document.get("versions")
-    if begun != versions():
+    if document.get("versions") != versions():
         LOG.warning("run %s: was begun with other versions; last digits may differ", folder)

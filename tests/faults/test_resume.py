@@ -155,6 +155,14 @@ def test_another_error_model_under_the_same_name_is_refused(tmp_path):
         carry_out(experiment, tmp_path)
 
 
+def test_settings_that_were_changed_meanwhile_are_refused(tmp_path):
+    folder = stopped_run(tmp_path)
+    config = (folder / "config.toml").read_text()
+    (folder / "config.toml").write_text(config.replace("rollouts = 40", "rollouts = 80", 1))
+    with pytest.raises(InputError, match="begun with settings other than those"):
+        record.run(["--resume", str(folder), "--no-recording"])
+
+
 def stopped_run(root):
     experiment = build_experiment(replace(SMALL, repetitions=1))
     folder = folder_of(root, "stopped")

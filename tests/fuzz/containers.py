@@ -4,6 +4,7 @@ import io
 import json
 import random
 import struct
+import warnings
 import zipfile
 from collections.abc import Mapping
 
@@ -77,7 +78,9 @@ def _other_values(rng: random.Random, array: np.ndarray) -> np.ndarray:
 
 def _as_type(rng: random.Random, array: np.ndarray) -> np.ndarray:
     try:
-        return array.astype(rng.choice(ARRAY_TYPES))
+        with warnings.catch_warnings():  # complex to real, large to small: that is the damage
+            warnings.simplefilter("ignore")
+            return array.astype(rng.choice(ARRAY_TYPES))
     except (TypeError, ValueError):
         return array
 

@@ -47,8 +47,7 @@ def band_table(
     target: float | None,
 ) -> str:
     """One line for each band of the gap in which misses matter, and one for all together."""
-    by_band = {(s.get("low"), s.get("high")): s for s in sensitivity}
-    missed = {(m.get("low"), m.get("high")): m for m in misses}
+    by_band, missed = _by_band(sensitivity), _by_band(misses)
     lines: list[list[str]] = []
     for low, high in {**missed, **by_band}:
         found, sensitive = missed.get((low, high), {}), by_band.get((low, high), {})
@@ -61,6 +60,18 @@ def band_table(
     if target is not None:
         header.append(f"misses must fall to, for {number(target, 2)}")
     return grid(header, lines, name="Misses by distance")
+
+
+def _by_band(
+    found: Sequence[Mapping[str, Any]],
+) -> dict[tuple[float | None, float | None], Mapping[str, Any]]:
+    """By low and high end [m]; both ``None`` for all distances together."""
+    ends = [(entry.get("low"), entry.get("high")) for entry in found]
+    return {
+        cast(tuple[float | None, float | None], band): entry
+        for band, entry in zip(ends, found, strict=True)
+        if all(end is None or is_number(end) for end in band)
+    }
 
 
 def _matters(missed: Mapping[str, Any], sensitive: Mapping[str, Any]) -> bool:
