@@ -18,6 +18,8 @@ from pemviz.types import Estimate, StageKind, StageResult
 
 SCHEMA = 1
 LEAST_ROBUST = 20
+ALWAYS_KNOWN = ("method", "probability", "rollouts_simulated", "failures", "confidence")
+"""Of an estimate; everything else may be undefined."""
 
 RunStatus = Literal["done", "stopped", "failed"]
 
@@ -209,6 +211,10 @@ def estimate_from_document(document: Mapping[str, Any]) -> Estimate:
         InputError: A value is missing.
     """
     table: dict[str, Any] = dict(document)
+    unknown = [name for name in ALWAYS_KNOWN if table.get(name) is None]
+    if unknown:
+        message = f"estimate: {', '.join(unknown)} is missing"
+        raise InputError(message)
     try:
         unbiased = table.pop("unbiased")
         table["unbiased_probability"] = unbiased["probability"]
