@@ -1,9 +1,11 @@
 """What a ``result.json`` must look like for us to read it."""
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, cast
 
 from pemviz.errors import InputError
+from pemviz.json_text import parse_json
 
 LARGEST_COUNT = 2**53
 
@@ -48,6 +50,25 @@ RESULT = {
 INTERVAL = {**dict.fromkeys(("low", "high", "median", "confidence"), NUMBER), "members": WHOLE}
 REFERENCE = {"probability": NUMBER, "std_error": NUMBER}
 REQUIRED = {"stages": ("repetition", "stage", "rollouts", "failures")}
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The contents of a ``result.json``.
+
+    Raises:
+        InputError: It cannot be read, is not a JSON object, or holds what no result holds.
+    """
+    try:
+        document = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        message = f"result {path}: cannot be read ({error})"
+        raise InputError(message) from error
+    if not isinstance(document, dict):
+        message = f"result {path}: must be a JSON object"
+        raise InputError(message)
+    found = cast(dict[str, Any], document)
+    check_document(found, where=str(path))
+    return found
 
 
 def check_document(document: Mapping[str, Any], *, where: str) -> None:

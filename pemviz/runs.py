@@ -8,16 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from filelock import FileLock, Timeout
-
 from pemviz.archive import Archive
 from pemviz.config_files import config_table
-from pemviz.documents import check_document
+from pemviz.documents import read_document
 from pemviz.engine import run, versions
 from pemviz.errors import InputError
 from pemviz.events import Observer
 from pemviz.experiment import Experiment
-from pemviz.json_text import parse_json
+from pemviz.locks import held
 from pemviz.results import RunResult
 from pemviz.store import RunStore
 
@@ -68,19 +66,12 @@ def run_lock(folder: Path) -> Generator[None, None, None]:
     Raises:
         InputError: Another process holds it, or there is no such folder to write to.
     """
-    lock = FileLock(folder / LOCK)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout as error:
-        message = f"run {folder}: another process is at work in it"
-        raise InputError(message) from error
-    except OSError as error:
-        message = f"run {folder}: cannot be written to ({error.strerror or error})"
-        raise InputError(message) from error
-    try:
+    with held(
+        folder / LOCK,
+        busy=f"run {folder}: another process is at work in it",
+        unusable=f"run {folder}: cannot be written to",
+    ):
         yield
-    finally:
-        lock.release()
 
 
 def read_result(folder: Path) -> dict[str, Any] | None:
@@ -90,19 +81,7 @@ def read_result(folder: Path) -> dict[str, Any] | None:
         InputError: It is damaged.
     """
     path = folder / "result.json"
-    try:
-        document = parse_json(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        message = f"result {path}: cannot be read ({error})"
-        raise InputError(message) from error
-    if not isinstance(document, dict):
-        message = f"result {path}: must hold a JSON object"
-        raise InputError(message)
-    found = cast(dict[str, Any], document)
-    check_document(found, where=str(path))
-    return found
+    return read_document(path) if path.exists() else None
 
 
 def check_same_run(experiment: Experiment, folder: Path) -> None:

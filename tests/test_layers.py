@@ -13,7 +13,8 @@ PACKAGE = ROOT / "pemviz"
 # Each layer may import from those before it, and within itself.
 LAYERS = (
     {"errors", "exit_codes", "arrays", "files", "ranges", "assets", "config",
-     "config_files", "types", "chunks", "json_text", "array_files", "documents", "processes"},
+     "config_files", "types", "chunks", "json_text", "array_files", "documents", "locks",
+     "processes"},
     {"stl", "pem", "proposals", "simulators"},
     {"sampling"},
     {"back_ends", "experiment", "least_robust", "model_uncertainty", "model_comparison",

@@ -13,8 +13,8 @@ from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config
 from pemviz.curves import detection_curves, gap_grid, pem_curve
+from pemviz.documents import read_document
 from pemviz.errors import InputError
-from pemviz.panel.recordings import read_document
 from pemviz.panel.rundata import (
     ProposalCurve,
     RunData,

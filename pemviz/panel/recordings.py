@@ -7,9 +7,8 @@ from typing import Any, Literal, cast
 
 from pemviz.assets import asset_root
 from pemviz.config_files import load_config
-from pemviz.documents import check_document
+from pemviz.documents import read_document
 from pemviz.errors import InputError
-from pemviz.json_text import parse_json
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 RESULT = "result.json"
@@ -126,25 +125,6 @@ class RecordingsFolder:
             entry = str(error)
         self._entries[name] = (changed_s, entry)
         return entry
-
-
-def read_document(path: Path) -> dict[str, Any]:
-    """The contents of a ``result.json``.
-
-    Raises:
-        InputError: It cannot be read, is not a JSON object, or holds what no result holds.
-    """
-    try:
-        document = parse_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        message = f"result {path}: cannot be read ({error})"
-        raise InputError(message) from error
-    if not isinstance(document, dict):
-        message = f"result {path}: must be a JSON object"
-        raise InputError(message)
-    found = cast(dict[str, Any], document)
-    check_document(found, where=str(path))
-    return found
 
 
 def sample_folder() -> Path | None:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from filelock import FileLock, Timeout
-
 from pemviz.config_files import config_table, config_text
 from pemviz.errors import ConfigError, RunError
 from pemviz.files import write_bytes
+from pemviz.locks import held
 from pemviz.sweep.plan import PlannedRun
 from pemviz.sweep.runs import RESULT_FILES, File, Keep
 
@@ -46,24 +45,19 @@ def sweep_folder(out: Path) -> Generator[Path, None, None]:
     """The sweep's folder, made if need be and held for this process alone; yields its runs'.
 
     Raises:
-        ConfigError: It cannot be made, or another sweep is at work there.
+        InputError: It cannot be made, or another sweep is at work there.
     """
     runs = out / RUNS
+    unusable = f"out = {out}: cannot be used"
     try:
         runs.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(out / LOCK)
-        lock.acquire(timeout=0)
-    except Timeout as error:
-        message = f"out = {out}: another sweep is at work there"
-        raise ConfigError(message) from error
     except OSError as error:
-        message = f"out = {out}: cannot be used ({error.strerror or error})"
+        message = f"{unusable} ({error.strerror or error})"
         raise ConfigError(message) from error
-    try:
+    busy = f"out = {out}: another sweep is at work there"
+    with held(out / LOCK, busy=busy, unusable=unusable):
         _remove_leftovers(runs)
         yield runs
-    finally:
-        lock.release()
 
 
 def write_folder(runs: Path, name: str, files: Sequence[File]) -> None:

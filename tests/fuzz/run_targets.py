@@ -15,9 +15,10 @@ from safetensors.numpy import load
 from pemviz.commands.gate import gate_exit_code
 from pemviz.config import ExperimentConfig
 from pemviz.config_files import load_config
+from pemviz.documents import read_document
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import rank, ranking_csv, row
-from pemviz.panel.recordings import RecordingsFolder, read_document
+from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.rundata import RunData, check_table
 from pemviz.panel.views.compare import metric_names, metrics_page, runs_page
 from pemviz.panel.views.headline import headline
