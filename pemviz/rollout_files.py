@@ -124,6 +124,11 @@ def part_path(folder: Path, *, repetition: int, stage: int) -> Path:
     return folder / PART_FOLDER / f"repetition-{repetition:05d}-stage-{stage:05d}.npz"
 
 
+def stage_files(folder: Path) -> list[Path]:
+    """The files of a run folder's finished stages, in order; none once the run is done."""
+    return sorted((folder / PART_FOLDER).glob("repetition-*.npz"))
+
+
 def write_part(path: Path, arrays: Mapping[str, AnyArray]) -> None:
     """Write one stage's arrays.
 
@@ -197,7 +202,7 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
     """
     whole = folder / "rollouts.npz"
     # stages' files are there until the run is done, and may be more than were joined so far
-    parts = sorted((folder / PART_FOLDER).glob("repetition-*.npz"))
+    parts = stage_files(folder)
     if not parts and whole.exists():
         parts = [whole]
     if not parts:

@@ -15,7 +15,14 @@ from pemviz.errors import InputError
 from pemviz.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
 from pemviz.files import write_bytes, write_json, write_text
 from pemviz.results import RunResult, result_document
-from pemviz.rollout_files import PART_FOLDER, join_parts, part_arrays, part_path, write_part
+from pemviz.rollout_files import (
+    PART_FOLDER,
+    join_parts,
+    part_arrays,
+    part_path,
+    stage_files,
+    write_part,
+)
 from pemviz.types import Signal, StageResult
 
 
@@ -80,15 +87,23 @@ class RunStore:
                     self._write_result(event.result)
             case StageDone():
                 self._keep_stage(event.stage, event.result)
-            case RepetitionDone():
+            case RepetitionDone() if not self._is_behind():
                 self._write_result(event.result)
             case RunDone() | RunFailed():
                 self._end(event.result)
             case _:
                 pass
 
+    def _is_behind(self) -> bool:
+        """Whether the folder holds finished stages that this process has not come to yet."""
+        if self._archive is None:
+            return False
+        return len(stage_files(self.folder)) > len(self._parts)
+
     def _end(self, result: RunResult) -> None:
         if result.status != "done":
+            if self._is_behind():  # what the folder says goes further
+                return
             self._write_result(result)
             with contextlib.suppress(OSError):  # a full disk: the stages' files have it all
                 self._join()

@@ -72,6 +72,19 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
     assert not (parts / "stages").exists()
 
 
+@pytest.mark.parametrize("stop_after", [1, 6])
+def test_stopping_while_it_reads_back_loses_nothing(stop_after, tmp_path):
+    experiment = build_experiment(SMALL)
+    stop = StopAfter(8)  # the first repetition has five stages
+    carry_out(experiment, tmp_path, observers=[stop], should_stop=stop)
+    before = contents(tmp_path)
+    assert len(before["result"]["stages"]) == 8
+    again = StopAfter(stop_after)
+    result = carry_out(experiment, tmp_path, observers=[again], should_stop=again)
+    assert result.status == "stopped"
+    assert contents(tmp_path) == before
+
+
 def test_finished_stages_are_not_simulated_again(tmp_path):
     drawn = []
 
