@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pemviz.arrays import BoolArray, FloatArray
     from pemviz.config import ExperimentConfig, ScenarioConfig
-    from pemviz.engine import run, run_experiment
     from pemviz.errors import ConfigError, InputError, PemvizError, RunError
-    from pemviz.experiment import Experiment, build_experiment
-    from pemviz.least_robust import LeastRobust, Rollout
     from pemviz.pem import DetectorModel
     from pemviz.reports.summary_text import summary_text
-    from pemviz.results import RunResult
+    from pemviz.runs.engine import run, run_experiment
+    from pemviz.runs.experiment import Experiment, build_experiment
+    from pemviz.runs.least_robust import LeastRobust, Rollout
+    from pemviz.runs.result import RunResult
+    from pemviz.runs.store import RunStore
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator
-    from pemviz.store import RunStore
     from pemviz.types import Estimate, Signal, Simulator, StateBatch
 
 __version__ = "0.1.0"
@@ -28,24 +28,24 @@ _HOMES = {
     "ConfigError": "errors",
     "DetectorModel": "pem",
     "Estimate": "types",
-    "Experiment": "experiment",
+    "Experiment": "runs.experiment",
     "ExperimentConfig": "config",
     "FloatArray": "arrays",
     "GymnasiumSimulator": "simulators.gymnasium_adapter",
     "InputError": "errors",
-    "LeastRobust": "least_robust",
+    "LeastRobust": "runs.least_robust",
     "PemvizError": "errors",
-    "Rollout": "least_robust",
+    "Rollout": "runs.least_robust",
     "RunError": "errors",
-    "RunResult": "results",
-    "RunStore": "store",
+    "RunResult": "runs.result",
+    "RunStore": "runs.store",
     "ScenarioConfig": "config",
     "Signal": "types",
     "Simulator": "types",
     "StateBatch": "types",
-    "build_experiment": "experiment",
-    "run": "engine",
-    "run_experiment": "engine",
+    "build_experiment": "runs.experiment",
+    "run": "runs.engine",
+    "run_experiment": "runs.engine",
     "summary_text": "reports.summary_text",
 }
 

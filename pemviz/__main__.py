@@ -2,6 +2,6 @@
 
 import sys
 
-from pemviz.cli import main
+from pemviz.cli.main import main
 
 sys.exit(main())

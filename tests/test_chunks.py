@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from pemviz.chunks import ROWS, map_distinct, map_rows
 from pemviz.pem import load_pem
-from pemviz.pem.protocol import SALIENT_COLUMNS
+from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
 
 def twisted_sum(rows):

@@ -8,13 +8,13 @@ import zipfile
 import numpy as np
 import pytest
 
-from pemviz.array_files import load_tensors, read_arrays
-from pemviz.config_files import load_config
-from pemviz.documents import check_document
+from pemviz.config.toml_files import load_config
 from pemviz.errors import LONGEST_MESSAGE, ConfigError, InputError
-from pemviz.files import is_file, is_folder
-from pemviz.json_text import parse_json
-from pemviz.rollout_files import finished_stage
+from pemviz.files.array_files import load_tensors, read_arrays
+from pemviz.files.atomic import is_file, is_folder
+from pemviz.files.json_text import parse_json
+from pemviz.runs.result_documents import check_document
+from pemviz.runs.rollout_files import finished_stage
 from pemviz.types import Signal
 
 
@@ -104,7 +104,7 @@ def test_arrays_are_read_back(tmp_path):
 
 
 def test_a_large_array_is_read_in_pieces(tmp_path, monkeypatch):
-    monkeypatch.setattr("pemviz.array_files.PIECE_BYTES", 64)
+    monkeypatch.setattr("pemviz.files.array_files.PIECE_BYTES", 64)
     array = np.random.default_rng(1).normal(size=(50, 3))
     np.savez(tmp_path / "some.npz", a=array)
     np.testing.assert_array_equal(read_arrays(tmp_path / "some.npz")["a"], array)

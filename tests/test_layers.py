@@ -1,6 +1,7 @@
 """Imports point one way, and the core works where optional parts cannot be imported."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,23 +10,21 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pemviz"
+ROW = re.compile(r"^\| \d+ \| (?P<parts>[^|]+) \|", re.M)
+
+
+def layers(contributing):
+    """The table of layers in CONTRIBUTING: their parts, and which of these stand apart."""
+    rows = [match["parts"] for match in ROW.finditer(contributing)]
+    named = [set(re.findall(r"`(\w+)`", row)) for row in rows]
+    apart = [parts for parts, row in zip(named, rows, strict=True) if " / " in row]
+    assert len(named) > 5
+    assert len(apart) == 2
+    return named, apart
+
 
 # Each layer may import from those before it, and within itself.
-LAYERS = (
-    {"errors", "exit_codes", "arrays", "files", "ranges", "assets", "config",
-     "config_files", "types", "chunks", "json_text", "array_files", "documents", "locks",
-     "processes"},
-    {"stl", "pem", "proposals", "simulators"},
-    {"sampling"},
-    {"back_ends", "experiment", "least_robust", "model_uncertainty", "model_comparison",
-     "explanation", "results", "events", "engine", "rollout_files", "archive", "store", "runs",
-     "curves", "reports"},
-    {"recording", "panel"},
-    {"bench", "reproduce", "samples", "sweep"},
-    {"commands", "cli", "__main__"},
-    {"__init__"},  # re-exports the public names, when they are asked for
-)  # fmt: skip
-APART = ({"stl", "pem", "proposals", "simulators"}, {"recording", "panel"})
+LAYERS, APART = layers((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
 ONLY_IN = {
     "rerun": "recording",
     "rerun_bindings": "recording",
@@ -108,7 +107,7 @@ class Blocker:
 sys.meta_path.insert(0, Blocker())
 import pemviz
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run_experiment
+from pemviz.runs.engine import run_experiment
 
 result = run_experiment(ExperimentConfig(method="naive", final_rollouts=20))
 assert result.status == "done", result

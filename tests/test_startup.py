@@ -14,7 +14,7 @@ NEITHER = (*HEAVY, *SLOW)
 
 CODE = """
 import sys
-from pemviz.cli import main
+from pemviz.cli.main import main
 try:
     assert main({words!r}) == 0
 except SystemExit as stop:

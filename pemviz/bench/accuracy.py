@@ -13,11 +13,11 @@ from scipy import stats
 
 from pemviz.config import ExperimentConfig, MethodName
 from pemviz.errors import InputError
-from pemviz.experiment import build_experiment, build_method
+from pemviz.runs.experiment import build_experiment, build_method
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.value_reference import exact_log_probability, reference
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 SEEDS_PER_JOB = 10
 LEARNING = ("adaptive", "mixture")

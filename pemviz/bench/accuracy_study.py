@@ -15,9 +15,9 @@ from pemviz.bench.accuracy import (
 )
 from pemviz.bench.accuracy_report import write_accuracy
 from pemviz.config import ExperimentConfig, MethodName, ScenarioConfig
-from pemviz.config_files import load_preset
+from pemviz.config.ranges import Range, check_fields
+from pemviz.config.toml_files import load_preset
 from pemviz.errors import ConfigError
-from pemviz.ranges import Range, check_fields
 
 PAPER = ScenarioConfig()
 SCENARIOS: Mapping[str, ScenarioConfig] = {

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 from pemviz.bench.figures import Figure
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run
-from pemviz.experiment import build_experiment
-from pemviz.results import RunResult
+from pemviz.runs.engine import run
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.result import RunResult
 
 
 def paper_figures(*, repeats: int = 3) -> Sequence[Figure]:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from pemviz.bench.figures import Figure
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run
-from pemviz.events import Observer
-from pemviz.experiment import Experiment, build_experiment
 from pemviz.recording import Recorder
+from pemviz.runs.engine import run
+from pemviz.runs.events import Observer
+from pemviz.runs.experiment import Experiment, build_experiment
 
 BYTES_A_MB = 1e6
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from pemviz.config import DEVICES
 from pemviz.errors import ConfigError, RunError
-from pemviz.sampling.devices import missing_cuda
+from pemviz.sampling.rollouts.devices import missing_cuda
 
 GRID = ("1000x100", "10000x100", "100000x100", "1000000x100", "10000x500", "10000x2000")
 DISK_BYTES_PER_STEP = 120

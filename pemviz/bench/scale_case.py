@@ -8,9 +8,9 @@ from pathlib import Path
 from numpy.random import SeedSequence
 
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.experiment import build_experiment
-from pemviz.proposals.simple import PemProposal
-from pemviz.runs import carry_out
+from pemviz.proposals.fixed import PemProposal
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.resume import carry_out
 from pemviz.sampling.problem import sample
 
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from pemviz.bench.figures import Figure, median_ratio
 from pemviz.config import ScenarioConfig
-from pemviz.sampling.rollout import replay
-from pemviz.simulators.highway import HighwaySimulator
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.simulators.braking.highway import HighwaySimulator
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import Simulator
 
 
@@ -72,7 +72,7 @@ def _replaying(simulator: Simulator, rollouts: int) -> Callable[[], object]:
 
 def _bare_vehicles(config: ScenarioConfig, rollouts: int) -> Callable[[], object]:
     """Work that only steps highway-env's own vehicles, as often as rollouts would."""
-    from pemviz.simulators.highway_env_scenario import plain_road  # noqa: PLC0415  pygame
+    from pemviz.simulators.braking.highway_env_scenario import plain_road  # noqa: PLC0415  pygame
 
     def work() -> None:
         for _ in range(rollouts):

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run as run_engine
 from pemviz.errors import InputError, PemvizError
-from pemviz.events import Observer
-from pemviz.experiment import build_experiment
-from pemviz.panel.rundata import RunData, check_shown
-from pemviz.panel.watcher import Progress, Watcher
-from pemviz.runs import carry_out
-from pemviz.store import create_run_folder
+from pemviz.panel.run_data import RunData, check_shown
+from pemviz.panel.run_observer import Progress, Watcher
+from pemviz.runs.engine import run as run_engine
+from pemviz.runs.events import Observer
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.resume import carry_out
+from pemviz.runs.store import create_run_folder
 
 LOG = logging.getLogger(__name__)
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import get_args, get_type_hints
 
 from pemviz.config import ExperimentConfig, MethodName
-from pemviz.ranges import Range
+from pemviz.config.ranges import Range
 
 USED_FIELDS: dict[MethodName, frozenset[str]] = {
     "adaptive": frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts"}),

@@ -8,14 +8,13 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from pemviz.array_files import load_tensors
+from pemviz.analysis.detection_curves import detection_curves, gap_grid, pem_curve
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config import ExperimentConfig
-from pemviz.config_files import load_config
-from pemviz.curves import detection_curves, gap_grid, pem_curve
-from pemviz.documents import read_document
+from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
-from pemviz.panel.rundata import (
+from pemviz.files.array_files import load_tensors
+from pemviz.panel.run_data import (
     ProposalCurve,
     RunData,
     check_table,
@@ -25,8 +24,9 @@ from pemviz.panel.rundata import (
 )
 from pemviz.pem import load_pem
 from pemviz.proposals.gap_network import gap_network_from_arrays
-from pemviz.rollout_files import load_rollouts
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.runs.result_documents import read_document
+from pemviz.runs.rollout_files import load_rollouts
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import StageKind
 
 LARGEST_ROLLOUTS_BYTES = 4 * 1024**3

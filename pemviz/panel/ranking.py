@@ -9,9 +9,9 @@ import numpy as np
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
-from pemviz.experiment import build_formula, build_metric
-from pemviz.panel.rundata import RunData, signals_of
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.panel.run_data import RunData, signals_of
+from pemviz.runs.experiment import build_formula, build_metric
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 
 @dataclass(frozen=True)

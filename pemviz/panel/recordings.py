@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from pemviz.assets import asset_root
-from pemviz.config_files import load_config
-from pemviz.documents import read_document
+from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
+from pemviz.files.shipped import asset_root
+from pemviz.runs.result_documents import read_document
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 RESULT = "result.json"

@@ -14,14 +14,14 @@ import viser
 
 from pemviz.errors import PemvizError
 from pemviz.panel.hub import Hub
-from pemviz.panel.rundata import RunData
-from pemviz.panel.tab_compare import CompareTab
-from pemviz.panel.tab_experiment import ExperimentTab
-from pemviz.panel.tab_head import Head
-from pemviz.panel.tab_player import Player
-from pemviz.panel.tab_recordings import RecordingsTab
-from pemviz.panel.tab_trajectories import TrajectoriesTab
-from pemviz.panel.tab_views import LearningTab, WhyTab
+from pemviz.panel.run_data import RunData
+from pemviz.panel.tabs.compare import CompareTab
+from pemviz.panel.tabs.experiment import ExperimentTab
+from pemviz.panel.tabs.head import Head
+from pemviz.panel.tabs.learning_and_why import LearningTab, WhyTab
+from pemviz.panel.tabs.player import Player
+from pemviz.panel.tabs.recordings import RecordingsTab
+from pemviz.panel.tabs.trajectories import TrajectoriesTab
 
 LOG = logging.getLogger(__name__)
 

@@ -4,7 +4,7 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
-from pemviz.config_files import load_preset
+from pemviz.config.toml_files import load_preset
 from pemviz.errors import InputError
 from pemviz.panel.controller import Controller
 from pemviz.panel.loading import load_run

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.proposals.defence import defended
+from pemviz.proposals.defensive_share import defended
 from pemviz.types import Signal, StateBatch
 
 STANDARD_RANGE = 3.0

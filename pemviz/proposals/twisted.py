@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.proposals.defence import defended
+from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.twisted_cells import CellTable, cell_keys
 from pemviz.types import StateBatch
 

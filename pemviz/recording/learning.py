@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
+from pemviz.analysis.detection_curves import DetectionCurves
 from pemviz.arrays import FloatArray
-from pemviz.curves import DetectionCurves
 from pemviz.recording import colors, paths
 from pemviz.recording.stream import RecordingFile
-from pemviz.sampling.estimates import log_normal_interval, monte_carlo_estimate
-from pemviz.sampling.final_batch import weighed
-from pemviz.sampling.weights import log_mean_failing_weight, log_std_error
+from pemviz.sampling.estimates.estimate import log_normal_interval, monte_carlo_estimate
+from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_std_error
+from pemviz.sampling.rollouts.final_batch import weighed
 from pemviz.types import StageResult
 
 HISTOGRAM_BINS = 40

@@ -16,9 +16,9 @@ from typing import Annotated
 import rerun_cli
 import tyro
 
+from pemviz.config.ranges import Range
 from pemviz.errors import InputError, RunError
-from pemviz.files import is_folder
-from pemviz.ranges import Range
+from pemviz.files.atomic import is_folder
 from pemviz.recording.web import web_viewer
 
 RECORDING_NAME = "run.rrd"

@@ -6,16 +6,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
 from pemviz.arrays import FloatArray
-from pemviz.curves import GAP, detection_curves, gap_grid, pem_curve
-from pemviz.events import (
-    Event,
-    RepetitionDone,
-    RunDone,
-    RunFailed,
-    RunStarted,
-    StageDone,
-)
 from pemviz.pem import load_pem
 from pemviz.recording import learning, paths, scene, text, worst
 from pemviz.recording.blueprint import blueprint, views_with_data
@@ -24,9 +16,17 @@ from pemviz.recording.rollouts import log_rollouts
 from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota
 from pemviz.recording.stream import RecordingFile
 from pemviz.recording.views import ContainerSpec, Subject, all_views
-from pemviz.results import RunResult
-from pemviz.sampling.rollout import LogitFunction
-from pemviz.simulators.scenario import EGO_SPEED
+from pemviz.runs.events import (
+    Event,
+    RepetitionDone,
+    RunDone,
+    RunFailed,
+    RunStarted,
+    StageDone,
+)
+from pemviz.runs.result import RunResult
+from pemviz.sampling.rollouts.draw import LogitFunction
+from pemviz.simulators.braking.scenario import EGO_SPEED
 from pemviz.types import StageResult
 
 RECORDED_REPETITION = 0
@@ -273,7 +273,7 @@ def _prepare(
 def _import_filming() -> None:
     """Import what films the least robust rollout while the run goes on; it takes a second."""
     with suppress(ImportError):  # told when it is needed
-        import_module("pemviz.simulators.highway_env_scenario")
+        import_module("pemviz.simulators.braking.highway_env_scenario")
 
 
 def robustness_unit(metric: str) -> str:

@@ -15,7 +15,7 @@ from pemviz.config import ScenarioConfig
 from pemviz.recording import colors, paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.recording.worst import Track
-from pemviz.simulators.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, EGO_SPEED, GAP
+from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, EGO_SPEED, GAP
 
 LANES = 5
 POST_M = 5.5

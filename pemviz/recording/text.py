@@ -3,13 +3,13 @@
 import json
 from collections.abc import Sequence
 
+from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
-from pemviz.config_files import config_text
-from pemviz.model_uncertainty import ModelInterval
+from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
-from pemviz.results import RunResult, result_document
+from pemviz.runs.result import RunResult, result_document
 from pemviz.types import Estimate
 
 NOTHING = "none"

@@ -14,7 +14,7 @@ from pemviz.config import ScenarioConfig
 from pemviz.recording import colors, paths
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
-from pemviz.results import RankedRollout, RunResult
+from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.types import Signal, StageResult
 
 JPEG_QUALITY = 85
@@ -136,7 +136,7 @@ def _log_outcomes(file: RecordingFile, track: Track, *, path: str, times: StepTi
 
 def log_frames(file: RecordingFile, track: Track, *, scenario: ScenarioConfig, stage: int) -> None:
     """The rollout filmed from above by highway-env, one JPEG picture for each state."""
-    from pemviz.simulators.highway import frames  # noqa: PLC0415  pulls in pygame
+    from pemviz.simulators.braking.highway import frames  # noqa: PLC0415  pulls in pygame
 
     encoded = [_jpeg(frame) for frame in frames(scenario, detected=track.detected)]
     times = StepTimes(stage=stage, count=len(encoded), dt_s=scenario.dt_s)

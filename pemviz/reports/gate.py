@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from pemviz.results import RunResult
-from pemviz.sampling.diagnostics import unreliable_because
+from pemviz.runs.result import RunResult
+from pemviz.sampling.estimates.diagnostics import unreliable_because
 from pemviz.types import Estimate
 
 GateOutcome = Literal["passed", "tripped", "undecided"]

@@ -5,7 +5,7 @@ from xml.etree import ElementTree as Xml
 from pemviz.reports.escape import printable_line, printable_lines
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.words import interval_text, model_range_text, probability_text, violations_text
-from pemviz.results import RunResult
+from pemviz.runs.result import RunResult
 
 DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>'
 

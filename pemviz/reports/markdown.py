@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
-from pemviz.config_files import config_text
+from pemviz.config.toml_files import config_text
 from pemviz.reports.escape import markdown_block, markdown_code, markdown_table, markdown_text
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
@@ -17,7 +17,7 @@ from pemviz.reports.words import (
     share_text,
     violations_text,
 )
-from pemviz.results import RunResult
+from pemviz.runs.result import RunResult
 from pemviz.types import Estimate
 
 MOST_REPETITIONS = 20

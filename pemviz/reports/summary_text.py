@@ -1,7 +1,7 @@
 """A run's answer in a few lines of plain text."""
 
 from pemviz.reports.words import interval_text, probability_text, violations_text
-from pemviz.results import RunResult
+from pemviz.runs.result import RunResult
 
 
 def summary_text(result: RunResult) -> str:

@@ -1,6 +1,6 @@
 """Figures of an estimate in words, the same on the terminal and in reports."""
 
-from pemviz.model_uncertainty import ModelInterval
+from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.types import Estimate
 
 

@@ -4,12 +4,12 @@ import os
 from pathlib import Path
 
 from pemviz.errors import ConfigError, RunError
-from pemviz.events import Event, RunDone, RunFailed
-from pemviz.files import is_folder, write_text
+from pemviz.files.atomic import is_folder, write_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
-from pemviz.results import RunResult
+from pemviz.runs.events import Event, RunDone, RunFailed
+from pemviz.runs.result import RunResult
 
 
 class ReportWriter:

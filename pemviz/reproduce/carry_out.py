@@ -5,10 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pemviz.analysis.detection_curves import gap_grid, pem_curve
 from pemviz.config import ExperimentConfig
-from pemviz.curves import gap_grid, pem_curve
 from pemviz.errors import ConfigError
-from pemviz.experiment import Experiment, build_experiment
 from pemviz.pem import load_table
 from pemviz.reproduce import artefacts
 from pemviz.reproduce.artefacts import Artefact, DetectionAxis, table_artefact
@@ -25,6 +24,7 @@ from pemviz.reproduce.reference import exact_reference
 from pemviz.reproduce.settings import METRICS, Settings
 from pemviz.reproduce.table_one import score_model, table_1, trainable_models
 from pemviz.reproduce.workers import Job, OnProgress, no_progress, run_jobs
+from pemviz.runs.experiment import Experiment, build_experiment
 
 MODEL, REPETITION, SEARCH, REFERENCE = "model", "repetition", "search", "reference"
 Key = tuple[Any, ...]

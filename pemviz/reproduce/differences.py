@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from pemviz.reproduce.published import ADAPTIVE, NAIVE, TABLE_3
 from pemviz.reproduce.summary import RowSummary
-from pemviz.sampling.value_reference import Reference
+from pemviz.sampling.value_twisted.reference import Reference
 
 LIMITS = (
     "the paper gives neither the lead car's braking nor the ego's limits, so those of the "

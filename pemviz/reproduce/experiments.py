@@ -6,11 +6,11 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import expit
 
+from pemviz.analysis.detection_curves import gap_grid, initial_states
 from pemviz.arrays import FloatArray
 from pemviz.config import ExperimentConfig
-from pemviz.curves import gap_grid, initial_states
-from pemviz.experiment import Experiment, build_experiment
 from pemviz.reproduce.settings import METRICS, Settings
+from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.types import Estimate, Proposal, Simulator
 
 

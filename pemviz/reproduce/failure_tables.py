@@ -7,7 +7,7 @@ from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.published import NOT_GIVEN, NOTHING, TABLE_2, TABLE_3, Published
 from pemviz.reproduce.summary import RowSummary, summarise
 from pemviz.reproduce.tables import Cell, Column, Table
-from pemviz.sampling.value_reference import Reference
+from pemviz.sampling.value_twisted.reference import Reference
 
 Outcomes = Mapping[str, Sequence[RepetitionOutcome]]
 

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from pemviz.config import ExperimentConfig
-from pemviz.experiment import build_experiment
-from pemviz.sampling.value_reference import Reference, reference
+from pemviz.runs.experiment import build_experiment
+from pemviz.sampling.value_twisted.reference import Reference, reference
 
 
 def exact_reference(config: ExperimentConfig, rollouts: int) -> Reference:

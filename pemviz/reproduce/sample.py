@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from pemviz.config import ExperimentConfig
-from pemviz.config_files import load_preset
-from pemviz.engine import run_experiment
-from pemviz.results import RunResult
-from pemviz.store import RunStore
+from pemviz.config.toml_files import load_preset
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.result import RunResult
+from pemviz.runs.store import RunStore
 
 TARGET = Path(__file__).resolve().parents[2] / "recordings" / "sample"
 RUN_ID = "sample"

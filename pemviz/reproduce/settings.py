@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from pemviz.config import ExperimentConfig, MetricName
-from pemviz.config_files import load_preset
+from pemviz.config.toml_files import load_preset
 
 Part = Literal["table1", "table2", "table3", "figures"]
 PARTS: tuple[Part, ...] = get_args(Part)

@@ -5,7 +5,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pemviz.sampling.repetitions import summarise_repetitions
+from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.types import Estimate
 
 

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from pemviz.pem import load_table
-from pemviz.pem.fit import ModelKind
+from pemviz.pem.fitting.fit import ModelKind
 from pemviz.reproduce.tables import Column, Table
 
 MODELS: tuple[ModelKind, ...] = ("guess-mu", "lr", "b-nn", "ml-nn")
@@ -28,7 +28,7 @@ Scores = tuple[float, float, float, float]
 
 def score_model(model: ModelKind, data: Path, seed: int) -> Scores:
     """5-fold stratified cross-validation of one kind of model."""
-    from pemviz.pem.evaluate import cross_validate  # noqa: PLC0415  sklearn is slow
+    from pemviz.pem.judging.cross_validation import cross_validate  # noqa: PLC0415  sklearn is slow
 
     evaluation = cross_validate(load_table(data), model=model, seed=seed)
     return (*evaluation.bce, *evaluation.roc_auc)
@@ -42,7 +42,7 @@ def trainable_models() -> tuple[ModelKind, ...]:
 
 def table_1(scores: Mapping[str, Scores]) -> Table:
     """Ours beside the paper's."""
-    from pemviz.pem.evaluate import PAPER_TABLE_1  # noqa: PLC0415  sklearn is slow
+    from pemviz.pem.judging.cross_validation import PAPER_TABLE_1  # noqa: PLC0415  sklearn is slow
 
     paper = {str(model): values for model, values in PAPER_TABLE_1.items()}
     return Table(

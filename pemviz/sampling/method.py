@@ -5,8 +5,11 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from pemviz.sampling.estimates.importance_weights import (
+    effective_sample_size,
+    log_mean_failing_weight,
+)
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.weights import effective_sample_size, log_mean_failing_weight
 from pemviz.types import Estimate, Proposal, ScoredRollouts, StageResult
 
 State = TypeVar("State")

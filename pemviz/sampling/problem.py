@@ -8,15 +8,15 @@ from typing import TypeVar
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.sampling.batches import (
+from pemviz.sampling.rollouts.batches import (
     BatchRunner,
     BatchTask,
     SimulationError,
     check_numbers,
     run_here,
 )
-from pemviz.sampling.rollout import LogitFunction
-from pemviz.sampling.time_limit import call_within
+from pemviz.sampling.rollouts.draw import LogitFunction
+from pemviz.sampling.rollouts.time_limit import call_within
 from pemviz.simulators.latched import Monitor
 from pemviz.types import (
     FinishedStage,

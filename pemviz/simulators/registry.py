@@ -37,11 +37,11 @@ def build_named_simulator(name: str, scenario: ScenarioConfig) -> Simulator:
             something else.
     """
     if name == "highway-env":
-        from pemviz.simulators.highway import HighwaySimulator  # noqa: PLC0415  pulls in pygame
+        from pemviz.simulators.braking.highway import HighwaySimulator  # noqa: PLC0415  pulls in pygame
 
         return HighwaySimulator(scenario)
     if name == "vectorized":
-        from pemviz.simulators.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
+        from pemviz.simulators.braking.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
 
         return VectorizedSimulator(scenario)
     return _registered(name, scenario)

@@ -7,8 +7,8 @@ from functools import cache
 from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 from pemviz.config import ExperimentConfig
+from pemviz.config.ranges import allows_none, check_value, optional_value
 from pemviz.errors import ConfigError
-from pemviz.ranges import allows_none, check_value, optional_value
 
 Value = str | int | float | bool | None
 Setting = tuple[tuple[str, Value], ...]

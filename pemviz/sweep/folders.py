@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from pemviz.config_files import config_table, config_text
+from pemviz.config.toml_files import config_table, config_text
 from pemviz.errors import ConfigError, RunError
-from pemviz.files import write_bytes
-from pemviz.locks import held
+from pemviz.files.atomic import write_bytes
+from pemviz.files.locks import held
 from pemviz.sweep.plan import PlannedRun
 from pemviz.sweep.runs import RESULT_FILES, File, Keep
 

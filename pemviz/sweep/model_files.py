@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pemviz.errors import InputError
-from pemviz.files import write_bytes
-from pemviz.pem.load import ENSEMBLE_ENDING, SUFFIX, shipped_pems
+from pemviz.files.atomic import write_bytes
+from pemviz.pem.files.load import ENSEMBLE_ENDING, SUFFIX, shipped_pems
 
 FOLDER = "model"
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pemviz.config import ExperimentConfig
-from pemviz.config_files import config_text
+from pemviz.config.toml_files import config_text
 from pemviz.recording.sweep_overview import (
     SweepEstimate,
     SweepSetting,

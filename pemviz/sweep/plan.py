@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from pemviz.config import ExperimentConfig
-from pemviz.config_files import config_text
+from pemviz.config.toml_files import config_text
 from pemviz.errors import ConfigError, InputError
-from pemviz.experiment import build_experiment
+from pemviz.runs.experiment import build_experiment
 from pemviz.sweep.fields import Setting, Value, Variation, with_setting
 
 MAXIMUM_RUNS = 100_000

@@ -11,12 +11,12 @@ from typing import Literal
 from threadpoolctl import threadpool_limits
 
 from pemviz import __version__
-from pemviz.config_files import config_from_table, config_text
-from pemviz.engine import run
+from pemviz.config.toml_files import config_from_table, config_text
 from pemviz.errors import RunError
-from pemviz.events import Observer
-from pemviz.experiment import Experiment, build_experiment
-from pemviz.store import RunStore
+from pemviz.runs.engine import run
+from pemviz.runs.events import Observer
+from pemviz.runs.experiment import Experiment, build_experiment
+from pemviz.runs.store import RunStore
 from pemviz.sweep.model_files import ModelFiles
 from pemviz.sweep.plan import PlannedRun
 

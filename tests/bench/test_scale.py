@@ -7,8 +7,8 @@ import pytest
 from pemviz.bench import scale
 from pemviz.bench.scale import ScaleRow, ScaleStudy, cells, reasons, run_scale
 from pemviz.bench.scale_case import peak_memory_bytes
-from pemviz.cli import main
-from pemviz.sampling.devices import missing_cuda
+from pemviz.cli.main import main
+from pemviz.sampling.rollouts.devices import missing_cuda
 
 
 def test_a_case_is_measured_in_a_process_of_its_own(capsys):
@@ -49,7 +49,7 @@ def test_the_part_shows_the_same_table(monkeypatch, capsys):
         rollouts=1000, states=100, device="cpu", run_s=2.0, run_ns_per_step=20_202.0,
         simulation_ns_per_step=300.4, peak_mb=220.0, disk_mb=4.0,
     )  # fmt: skip
-    monkeypatch.setattr("pemviz.commands.bench.run_scale", lambda study: iter([row]))
+    monkeypatch.setattr("pemviz.cli.bench.run_scale", lambda study: iter([row]))
     assert main(["bench", "--part", "scale"]) == 0
     assert "20,202" in capsys.readouterr().out
     assert main(["bench", "--part", "scale", "--json"]) == 0

@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from pemviz.commands.serve import recorders, viewer
+from pemviz.cli.serve import recorders, viewer
 from pemviz.config import ExperimentConfig
 from pemviz.panel.controller import Controller
 from pemviz.panel.fields import USED_FIELDS

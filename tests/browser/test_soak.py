@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.config_files import load_preset
-from pemviz.engine import run_experiment
-from pemviz.results import result_document
+from pemviz.config.toml_files import load_preset
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.result import result_document
 from tests.browser.light_client import LightClient
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,10 +7,10 @@ from urllib.parse import urlsplit
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run_experiment
 from pemviz.recording import Recorder
 from pemviz.recording.open import viewer_process
 from pemviz.recording.web import web_viewer
+from pemviz.runs.engine import run_experiment
 
 playwright = pytest.importorskip("playwright.sync_api")
 CHROMIUM = shutil.which("chromium")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pemviz
-from pemviz.sampling.value_twisted import ValueTwistedSampling
+from pemviz.sampling.value_twisted.method import ValueTwistedSampling
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load_file
 
-from pemviz.commands import record
-from pemviz.rollout_files import load_rollouts
+from pemviz.cli import record
+from pemviz.runs.rollout_files import load_rollouts
 
 CONFIG = """\
 method = "adaptive"

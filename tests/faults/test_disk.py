@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.exit_codes import EXIT_DONE, EXIT_FAILED
-from pemviz.rollout_files import load_rollouts
+from pemviz.cli.exit_codes import EXIT_DONE, EXIT_FAILED
+from pemviz.runs.rollout_files import load_rollouts
 from tests.faults.test_resume import contents
 
 ROOT = Path(__file__).resolve().parents[2]

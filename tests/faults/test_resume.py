@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.commands import record
+from pemviz.cli import record
+from pemviz.cli.exit_codes import EXIT_DONE, EXIT_GATE_TRIPPED
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.config_files import config_text
+from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError, RunError
-from pemviz.events import StageDone
-from pemviz.exit_codes import EXIT_DONE, EXIT_GATE_TRIPPED
-from pemviz.experiment import build_experiment
-from pemviz.rollout_files import load_rollouts
-from pemviz.runs import carry_out, run_lock
-from pemviz.sampling.batches import run_here
+from pemviz.runs.events import StageDone
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.resume import carry_out, run_lock
+from pemviz.runs.rollout_files import load_rollouts
+from pemviz.sampling.rollouts.batches import run_here
 
 SMALL = ExperimentConfig(
     stages=3, rollouts=40, final_rollouts=60, epochs=5, repetitions=2, seed=11,

@@ -6,11 +6,11 @@ import numpy as np
 from safetensors.numpy import load
 
 from pemviz.pem import ensemble_of, load_pem, save_pem, support_of
-from pemviz.pem.card import card_markdown
-from pemviz.pem.files import METADATA_KEY, read_tensors
-from pemviz.pem.network import NetworkPem
-from pemviz.pem.protocol import Pem
-from pemviz.pem.support_check import support_check
+from pemviz.pem.files.card import card_markdown
+from pemviz.pem.files.model_files import METADATA_KEY, read_tensors
+from pemviz.pem.judging.support_check import support_check
+from pemviz.pem.models.network import NetworkPem
+from pemviz.pem.models.protocol import Pem
 from tests.fuzz.containers import damage_safetensors
 from tests.fuzz.harness import Case, Target
 from tests.fuzz.mutate import text_bytes

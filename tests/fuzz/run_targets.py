@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load
 
-from pemviz.commands.gate import gate_exit_code
+from pemviz.cli.gate import gate_exit_code
 from pemviz.config import ExperimentConfig
-from pemviz.config_files import load_config
-from pemviz.documents import read_document
+from pemviz.config.toml_files import load_config
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import rank, ranking_csv, row
 from pemviz.panel.recordings import RecordingsFolder
-from pemviz.panel.rundata import RunData, check_table
+from pemviz.panel.run_data import RunData, check_table
 from pemviz.panel.views.compare import metric_names, metrics_page, runs_page
 from pemviz.panel.views.headline import headline
 from pemviz.panel.views.learning import learning
@@ -28,10 +27,11 @@ from pemviz.panel.views.rollout import track, track_plots
 from pemviz.panel.views.why import why
 from pemviz.recording.open import find_recording
 from pemviz.recording.read import read_stages
-from pemviz.results import estimate_from_document
-from pemviz.rollout_files import PART_FOLDER, finished_stage, load_rollouts
-from pemviz.runs import read_result
-from pemviz.simulators.scenario import scenario_signals
+from pemviz.runs.result import estimate_from_document
+from pemviz.runs.result_documents import read_document
+from pemviz.runs.resume import read_result
+from pemviz.runs.rollout_files import PART_FOLDER, finished_stage, load_rollouts
+from pemviz.simulators.braking.scenario import scenario_signals
 from tests.fuzz.containers import archive, damage_npz, damage_safetensors
 from tests.fuzz.harness import Case, Target, documented
 from tests.fuzz.mutate import as_json, damage_bytes, damage_tree

@@ -10,14 +10,14 @@ import numpy as np
 import tomli_w
 
 from pemviz.config import ExperimentConfig
-from pemviz.config_files import config_table, config_text, load_config
-from pemviz.experiment import build_formula, build_metric, build_simulator
+from pemviz.config.toml_files import config_table, config_text, load_config
 from pemviz.pem import Pem, ensemble_of, load_pem
-from pemviz.pem.collect import CollectOptions, collect
-from pemviz.pem.detections import DetectionFormat
-from pemviz.pem.support import summarise_support
-from pemviz.pem.table import INPUTS_FILE, LABELS_FILE, SalientTable, load_table
-from pemviz.sampling.rollout import replay
+from pemviz.pem.data.collect import CollectOptions, collect
+from pemviz.pem.data.detections import DetectionFormat
+from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE, SalientTable, load_table
+from pemviz.pem.judging.support import summarise_support
+from pemviz.runs.experiment import build_formula, build_metric, build_simulator
+from pemviz.sampling.rollouts.draw import replay
 from pemviz.stl import parse
 from tests.fuzz.harness import Case, Target
 from tests.fuzz.mutate import WORDS, as_json, damage_bytes, damage_text, damage_tree, text_bytes

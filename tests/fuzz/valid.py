@@ -11,19 +11,19 @@ import numpy as np
 from safetensors.numpy import save
 
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.config_files import config_text
-from pemviz.engine import run
-from pemviz.experiment import build_experiment
+from pemviz.config.toml_files import config_text
 from pemviz.pem import PemCard, load_pem, save_pem, save_table
-from pemviz.pem.encoding import PAPER_INPUTS
-from pemviz.pem.ensemble import EnsemblePem
-from pemviz.pem.network import Layer, NetworkPem
-from pemviz.pem.support import summarise_support
-from pemviz.pem.synthetic import synthetic_table
-from pemviz.pem.tabulated import TabulatedPem
-from pemviz.pem.trees import LEAF, TreesPem
+from pemviz.pem.data.synthetic import synthetic_table
+from pemviz.pem.judging.support import summarise_support
+from pemviz.pem.models.encoding import PAPER_INPUTS
+from pemviz.pem.models.ensemble import EnsemblePem
+from pemviz.pem.models.network import Layer, NetworkPem
+from pemviz.pem.models.tabulated import TabulatedPem
+from pemviz.pem.models.trees import LEAF, TreesPem
 from pemviz.proposals.gap_network import GapNetwork
-from pemviz.store import RunStore
+from pemviz.runs.engine import run
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.store import RunStore
 from tests.toy import constant_pem
 
 FRAMES = ("000000", "000007")

@@ -5,9 +5,9 @@ import threading
 import time
 from dataclasses import replace
 
-from pemviz.engine import run_experiment
 from pemviz.panel.controller import Controller
-from pemviz.results import result_document
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.result import result_document
 from tests.panel.conftest import NAIVE, SMALL, wait_until
 
 VARYING = ("run_id", "timings_s")

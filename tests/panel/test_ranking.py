@@ -9,7 +9,7 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.panel.ranking import elites, rank, ranking_csv, row
-from pemviz.panel.rundata import numbered, thinned
+from pemviz.panel.run_data import numbered, thinned
 from pemviz.panel.views.why import failures_of, longest_runs
 from tests.panel.conftest import NAIVE, wait_until
 

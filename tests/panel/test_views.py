@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig, MethodName
-from pemviz.experiment import build_method
 from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import USED_FIELDS, field_docs, hint, limits
 from pemviz.panel.ranking import rank, row
-from pemviz.panel.rundata import RunData
+from pemviz.panel.run_data import RunData
+from pemviz.panel.run_observer import Progress
 from pemviz.panel.scene import braking, gap_color
 from pemviz.panel.svg import Axis, Plot, nice_ticks
-from pemviz.panel.tab_player import interesting_step
+from pemviz.panel.tabs.player import interesting_step
 from pemviz.panel.views import compare, experiment, headline, learning, recordings, why
 from pemviz.panel.views.ranking_table import first_place, ranking_table
 from pemviz.panel.views.rollout import track, track_plots, with_cursor
 from pemviz.panel.views.words import number
-from pemviz.panel.watcher import Progress
+from pemviz.runs.experiment import build_method
 
 CRAFTED = "<script>alert(1)</script>"
 

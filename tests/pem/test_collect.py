@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pemviz.pem import PemError, load_table
-from pemviz.pem.collect import CollectOptions, collect
-from pemviz.pem.kitti import TYPES
-from pemviz.pem.matching import iou, match_boxes
+from pemviz.pem.data.collect import CollectOptions, collect
+from pemviz.pem.data.kitti_labels import TYPES
+from pemviz.pem.data.matching import iou, match_boxes
 from tests.pem.helpers import seeds
 
 EXPECTED_COLUMNS = {

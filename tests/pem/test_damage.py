@@ -7,13 +7,13 @@ import pytest
 from safetensors.numpy import save_file
 
 from pemviz.pem import PemCard, PemError, load_pem, load_table, save_pem, support_from_json
-from pemviz.pem.collect import collect
-from pemviz.pem.encoding import PAPER_INPUTS
-from pemviz.pem.files import METADATA_KEY, read_tensors
-from pemviz.pem.network import Layer, NetworkPem
-from pemviz.pem.support import DISTANCE_EDGES_M, LATERAL_EDGES_M
-from pemviz.pem.tabulated import TabulatedPem
-from pemviz.pem.trees import LEAF, TreesPem
+from pemviz.pem.data.collect import collect
+from pemviz.pem.files.model_files import METADATA_KEY, read_tensors
+from pemviz.pem.judging.support import DISTANCE_EDGES_M, LATERAL_EDGES_M
+from pemviz.pem.models.encoding import PAPER_INPUTS
+from pemviz.pem.models.network import Layer, NetworkPem
+from pemviz.pem.models.tabulated import TabulatedPem
+from pemviz.pem.models.trees import LEAF, TreesPem
 from tests.fuzz.valid import authors_tensors, label_file, result_file
 
 CARD = PemCard(name="made up", model="ml-nn")

@@ -19,9 +19,9 @@ from pemviz.pem import (
     save_pem,
     shipped_pems,
 )
-from pemviz.pem.files import METADATA_KEY, read_tensors
-from pemviz.pem.load import ASSET_FOLDER, asset_path
-from pemviz.pem.tabulated import TabulatedPem
+from pemviz.pem.files.load import ASSET_FOLDER, asset_path
+from pemviz.pem.files.model_files import METADATA_KEY, read_tensors
+from pemviz.pem.models.tabulated import TabulatedPem
 from tests.pem.helpers import braking_rows, random_rows
 
 

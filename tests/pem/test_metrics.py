@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.metrics import brier_score_loss, log_loss, roc_auc_score
 
-from pemviz.assets import asset_path
+from pemviz.files.shipped import asset_path
 from pemviz.pem import PemError, fit_pem, load_table
-from pemviz.pem.evaluate import cross_validate, split_folds
-from pemviz.pem.metrics import calibration_error, reliability, score
-from pemviz.pem.report import write_report
-from pemviz.pem.synthetic import main, synthetic_table, true_logit
+from pemviz.pem.data.synthetic import main, synthetic_table, true_logit
+from pemviz.pem.judging.cross_validation import cross_validate, split_folds
+from pemviz.pem.judging.report import write_report
+from pemviz.pem.judging.scores import calibration_error, reliability, score
 from tests.pem.helpers import seeds
 
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run
-from pemviz.events import StageDone
-from pemviz.experiment import Experiment, build_experiment
 from pemviz.recording import Recorder, read
-from pemviz.results import RunResult
-from pemviz.store import RunStore
+from pemviz.runs.engine import run
+from pemviz.runs.events import StageDone
+from pemviz.runs.experiment import Experiment, build_experiment
+from pemviz.runs.result import RunResult
+from pemviz.runs.store import RunStore
 from pemviz.types import StageResult
 from tests.toy import constant_pem
 

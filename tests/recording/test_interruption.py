@@ -10,13 +10,13 @@ import numpy as np
 import psutil
 import pytest
 
-from pemviz.engine import run
 from pemviz.errors import InputError, RunError
-from pemviz.events import StageDone
-from pemviz.experiment import build_experiment
 from pemviz.recording import Recorder, paths
 from pemviz.recording.read import read_stages
 from pemviz.recording.web import free_port
+from pemviz.runs.engine import run
+from pemviz.runs.events import StageDone
+from pemviz.runs.experiment import build_experiment
 from tests.recording.conftest import LEARNING, chunks, texts, with_blind_pem
 from tests.recording.test_values import verify
 from tests.toy import ConstantPem, MissCounter, constant_pem
@@ -27,8 +27,8 @@ KILLED_RUN = """
 import os, signal, sys
 from pathlib import Path
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run_experiment
-from pemviz.events import StageDone
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.events import StageDone
 from pemviz.recording import Recorder
 
 class Killer:

@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run
-from pemviz.events import RunDone, StageDone
-from pemviz.experiment import build_experiment
 from pemviz.recording import Recorder, paths, text
 from pemviz.recording.blueprint import blueprint, shown, views_with_data
 from pemviz.recording.views import (
@@ -22,6 +19,9 @@ from pemviz.recording.views import (
     shown_stages,
     views_of,
 )
+from pemviz.runs.engine import run
+from pemviz.runs.events import RunDone, StageDone
+from pemviz.runs.experiment import build_experiment
 from tests.recording.conftest import LEARNING, chunks, record, texts, with_blind_pem
 
 PACKAGE = Path(text.__file__).parent

@@ -9,12 +9,12 @@ import pytest
 import rerun_cli
 from scipy.special import expit
 
-from pemviz.curves import detection_curves, gap_grid
-from pemviz.engine import run
+from pemviz.analysis.detection_curves import detection_curves, gap_grid
 from pemviz.recording import paths
 from pemviz.recording.read import read_stages
-from pemviz.sampling.estimates import importance_sampling_estimate
-from pemviz.sampling.final_batch import weighed
+from pemviz.runs.engine import run
+from pemviz.sampling.estimates.estimate import importance_sampling_estimate
+from pemviz.sampling.rollouts.final_batch import weighed
 from tests.recording.conftest import (
     LEARNING,
     bars,

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
+from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.config import ExperimentConfig
-from pemviz.model_uncertainty import DataBound, ModelInterval
-from pemviz.results import PemInfo, RankedRollout, RunResult
-from pemviz.sampling.value_reference import Reference
+from pemviz.runs.result import PemInfo, RankedRollout, RunResult
+from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate
 
 NASTY = (

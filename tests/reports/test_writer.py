@@ -3,10 +3,10 @@ import xml.etree.ElementTree as Xml
 
 import pytest
 
-from pemviz.cli import main
+from pemviz.cli.main import main
 from pemviz.errors import ConfigError, RunError
-from pemviz.events import RunDone
 from pemviz.reports.writer import ReportWriter
+from pemviz.runs.events import RunDone
 from tests.reports.runs import result
 
 QUICK = ["--final-rollouts", "200", "--no-recording", "--json"]

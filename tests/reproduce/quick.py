@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from pemviz.config_files import load_preset
+from pemviz.config.toml_files import load_preset
 from pemviz.reproduce.settings import Settings
 
 QUICK = Settings(

@@ -3,10 +3,8 @@ import pytest
 
 from pemviz import stl
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run_experiment
-from pemviz.experiment import build_experiment
 from pemviz.pem import load_pem
-from pemviz.proposals.simple import ConstantProposal
+from pemviz.proposals.fixed import ConstantProposal
 from pemviz.reproduce.experiments import (
     metric_experiments,
     run_repetition,
@@ -16,6 +14,8 @@ from pemviz.reproduce.least_safe import find_least_safe
 from pemviz.reproduce.published import AUTHORS_PEM_DIGEST
 from pemviz.reproduce.reference import exact_reference
 from pemviz.reproduce.settings import METRICS
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
 from tests.reproduce.quick import QUICK
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from markdown_it import MarkdownIt
 
-from pemviz.cli import main
-from pemviz.commands import reproduce as command
+from pemviz.cli import reproduce as command
+from pemviz.cli.main import main
 from pemviz.errors import ConfigError
 from pemviz.reproduce import reproduce
 from pemviz.reproduce.carry_out import plan

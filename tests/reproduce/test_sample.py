@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from pemviz import samples
-from pemviz.config_files import config_from_table, load_config
+from pemviz.config.toml_files import config_from_table, load_config
 from pemviz.errors import InputError
+from pemviz.files import sample_run
 from pemviz.recording.read import chunks
 from pemviz.reproduce.sample import MOST_BYTES, folder_bytes, make_sample, sample_config
-from pemviz.results import SCHEMA
-from pemviz.rollout_files import load_rollouts
+from pemviz.runs.result import SCHEMA
+from pemviz.runs.rollout_files import load_rollouts
 
 ROOT = Path(__file__).resolve().parents[2]
 HOW = "run `python -m pemviz.reproduce.sample` and commit the result"
@@ -22,7 +22,7 @@ HOW = "run `python -m pemviz.reproduce.sample` and commit the result"
 
 @pytest.fixture(scope="module")
 def sample():
-    return samples.sample_run_path()
+    return sample_run.sample_run_path()
 
 
 @pytest.fixture(scope="module")
@@ -114,15 +114,15 @@ def test_running_it_again_gives_its_estimate(sample, fresh):
 def test_an_installed_wheel_finds_its_copy(tmp_path, monkeypatch):
     (tmp_path / "_sample").mkdir()
     (tmp_path / "_sample" / "result.json").write_text("{}")
-    monkeypatch.setattr(samples.resources, "files", lambda package: tmp_path)
-    assert samples.sample_run_path() == tmp_path / "_sample"
+    monkeypatch.setattr(sample_run.resources, "files", lambda package: tmp_path)
+    assert sample_run.sample_run_path() == tmp_path / "_sample"
 
 
 def test_a_missing_sample_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(samples.resources, "files", lambda package: tmp_path)
-    monkeypatch.setattr(samples, "__file__", str(tmp_path / "pemviz" / "samples.py"))
+    monkeypatch.setattr(sample_run.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(sample_run, "__file__", str(tmp_path / "pemviz" / "sample_run.py"))
     with pytest.raises(InputError, match="sample run not found"):
-        samples.sample_run_path()
+        sample_run.sample_run_path()
 
 
 def test_the_wheel_takes_the_sample_along():

@@ -6,12 +6,12 @@ import pytest
 
 from pemviz.config import ScenarioConfig
 from pemviz.pem import load_pem
+from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import GapNetwork
-from pemviz.proposals.simple import PemProposal
-from pemviz.sampling.adaptive import AdaptiveSampling
-from pemviz.sampling.levels import elite_threshold
+from pemviz.sampling.adaptive.elite_threshold import elite_threshold
+from pemviz.sampling.adaptive.method import AdaptiveSampling
 from pemviz.sampling.problem import Problem
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from tests.toy import MissCounter, constant_pem, exact_failure_probability
 
 

@@ -10,26 +10,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pemviz.back_ends import batch_rollouts
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.engine import run_experiment
 from pemviz.errors import ConfigError
-from pemviz.experiment import build_experiment, device_notes
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis
-from pemviz.proposals.simple import ConstantProposal, PemProposal
-from pemviz.sampling.devices import (
+from pemviz.runs.back_ends import batch_rollouts
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.experiment import build_experiment, device_notes
+from pemviz.sampling.problem import sample
+from pemviz.sampling.rollouts.devices import (
     DeviceRunner,
     check_device,
     missing_cuda,
     simulate_on_device,
 )
-from pemviz.sampling.final_batch import LARGEST_PART
-from pemviz.sampling.problem import sample
-from pemviz.sampling.rollout import simulate
-from pemviz.sampling.value_twisted import with_latch
-from pemviz.simulators.braking_features import BrakingFeatures
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.final_batch import LARGEST_PART
+from pemviz.sampling.value_twisted.method import with_latch
+from pemviz.simulators.braking.features import BrakingFeatures
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from tests.simulators.strategies import scenarios
 from tests.toy import ConstantPem, MissCounter
 
@@ -204,7 +204,7 @@ class CountedMisses(MissCounter):
 
 
 def test_a_twin_of_ones_own_is_used(device):
-    from pemviz.sampling.tensor_twins import TensorStates, as_tensor, twin  # noqa: PLC0415
+    from pemviz.sampling.rollouts.tensor_twins import TensorStates, as_tensor, twin  # noqa: PLC0415
 
     steps_taken = []
 
@@ -285,7 +285,7 @@ def test_numpy_runs_without_torch():
     code = """
 import sys
 from pemviz.config import ExperimentConfig
-from pemviz.engine import run_experiment
+from pemviz.runs.engine import run_experiment
 run_experiment(ExperimentConfig(method="naive", final_rollouts=20))
 assert "torch" not in sys.modules
 """

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pemviz.proposals.simple import ConstantProposal, PemProposal
-from pemviz.sampling.diagnostics import (
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
+from pemviz.sampling.direct.method import DirectSampling
+from pemviz.sampling.estimates.diagnostics import (
     negative_log_likelihood,
     pareto_k_hat,
     unreliable_because,
 )
-from pemviz.sampling.direct import DirectSampling
-from pemviz.sampling.estimates import log_normal_interval
-from pemviz.sampling.repetitions import summarise_repetitions
+from pemviz.sampling.estimates.estimate import log_normal_interval
+from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from tests.toy import exact_failure_probability
 
 TRUTH = exact_failure_probability(steps=6, miss_probability=0.1)

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from pemviz.proposals.simple import PemProposal
-from pemviz.sampling.batches import SimulationError
+from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.splitting import SplittingSampling
+from pemviz.sampling.rollouts.batches import SimulationError
+from pemviz.sampling.splitting.method import SplittingSampling
 from tests.toy import MissCounter, constant_pem
 
 STATES = 12

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.proposals.simple import ConstantProposal, PemProposal
-from pemviz.sampling.adaptive import AdaptiveSampling
-from pemviz.sampling.direct import DirectSampling
-from pemviz.sampling.final_batch import largest_part, part_sizes
-from pemviz.sampling.mixture import MixtureSampling
-from pemviz.sampling.value_twisted import ValueTwistedSampling
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
+from pemviz.sampling.adaptive.method import AdaptiveSampling
+from pemviz.sampling.direct.method import DirectSampling
+from pemviz.sampling.mixture.method import MixtureSampling
+from pemviz.sampling.rollouts.final_batch import largest_part, part_sizes
+from pemviz.sampling.value_twisted.method import ValueTwistedSampling
 from tests.toy import exact_failure_probability
 
 TRUTH = exact_failure_probability(steps=6, miss_probability=0.1)

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from pemviz.sampling.mixture import MixtureSampling
-from pemviz.sampling.mixture_fit import smoothing_exponent
-from pemviz.sampling.mixture_pool import balance_weights
+from pemviz.sampling.estimates.importance_weights import effective_sample_size
+from pemviz.sampling.mixture.balance_heuristic import balance_weights
+from pemviz.sampling.mixture.fit import smoothing_exponent
+from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.weights import effective_sample_size
 from pemviz.simulators.toy import (
     ToyPem,
     ToySimulator,

@@ -8,11 +8,11 @@ from scipy import stats
 
 from pemviz import stl
 from pemviz.config import ExperimentConfig
-from pemviz.experiment import build_experiment
-from pemviz.sampling.mixture import MixtureSampling
+from pemviz.runs.experiment import build_experiment
+from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollout import replay
-from pemviz.sampling.value_specification import unsafe_states
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
 from pemviz.simulators.latched import (
     VIOLATED,
     LatchedSimulator,

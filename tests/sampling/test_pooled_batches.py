@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from pemviz.processes import process_pool
-from pemviz.proposals.simple import ConstantProposal
-from pemviz.sampling.batches import SimulationError
-from pemviz.sampling.pooled_batches import PooledRunner
+from pemviz.proposals.fixed import ConstantProposal
 from pemviz.sampling.problem import sample
+from pemviz.sampling.rollouts.batches import SimulationError
+from pemviz.sampling.rollouts.worker_batches import PooledRunner
 from tests.toy import ConstantPem
 
 HALF = ConstantProposal(detection_probability=0.5)

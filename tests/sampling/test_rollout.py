@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from pemviz.config import ScenarioConfig
 from pemviz.pem import load_pem
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.gap_network import GapNetwork
-from pemviz.proposals.simple import ConstantProposal, PemProposal
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollout import replay, simulate
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.sampling.rollouts.draw import replay, simulate
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import outcome_log_likelihood
 
 

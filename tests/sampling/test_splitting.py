@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.splitting import SplittingSampling, split
-from pemviz.sampling.splitting_particles import draw_particles, restarted
+from pemviz.sampling.splitting.method import SplittingSampling, split
+from pemviz.sampling.splitting.particles import draw_particles, restarted
 from pemviz.simulators.toy import (
     ToyPem,
     ToySimulator,

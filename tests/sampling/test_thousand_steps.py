@@ -8,13 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from pemviz.proposals.simple import ConstantProposal
-from pemviz.sampling.adaptive import AdaptiveSampling
-from pemviz.sampling.diagnostics import unreliable_because
-from pemviz.sampling.direct import DirectSampling
-from pemviz.sampling.mixture import MixtureSampling
+from pemviz.proposals.fixed import ConstantProposal
+from pemviz.sampling.adaptive.method import AdaptiveSampling
+from pemviz.sampling.direct.method import DirectSampling
+from pemviz.sampling.estimates.diagnostics import unreliable_because
+from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.splitting import SplittingSampling
+from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.simulators.toy import (
     ToyPem,
     ToySimulator,

@@ -5,9 +5,9 @@ import pytest
 
 from pemviz.proposals.twisted import TwistedProposal
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.value_reference import exact_log_probability, reference
-from pemviz.sampling.value_tables import build_twisted_proposal
-from pemviz.sampling.value_twisted import ValueTwistedSampling
+from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
+from pemviz.sampling.value_twisted.tables import build_twisted_proposal
 from pemviz.simulators.toy import (
     ToyPem,
     ToySimulator,

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.proposals.simple import ConstantProposal
-from pemviz.sampling.direct import DirectSampling
-from pemviz.sampling.mixture import MixtureSampling
+from pemviz.proposals.fixed import ConstantProposal
+from pemviz.sampling.direct.method import DirectSampling
+from pemviz.sampling.estimates.repetitions import summarise_repetitions
+from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.repetitions import summarise_repetitions
-from pemviz.sampling.value_reference import (
+from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+from pemviz.sampling.value_twisted.reference import (
     Reference,
     agreement_warning,
     exact_log_probability,
     reference,
 )
-from pemviz.sampling.value_twisted import ValueTwistedSampling
 from pemviz.simulators.toy import (
     ToyPem,
     ToySimulator,

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from pemviz import stl
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import InputError
-from pemviz.experiment import build_experiment
-from pemviz.proposals.defence import defended
+from pemviz.proposals.defensive_share import defended
+from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollout import replay
-from pemviz.sampling.value_reachable import explore, solve
-from pemviz.sampling.value_specification import UnsafeStates, unsafe_states
-from pemviz.sampling.value_tables import build_twisted_proposal
-from pemviz.sampling.value_twisted import ValueTwistedSampling
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+from pemviz.sampling.value_twisted.reachable_states import explore, solve
+from pemviz.sampling.value_twisted.tables import build_twisted_proposal
+from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates, unsafe_states
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.toy import (
     ToyPem,
     ToySimulator,
@@ -27,7 +28,6 @@ from pemviz.simulators.toy import (
     toy_unsafe,
     toy_violated,
 )
-from pemviz.simulators.vectorized import VectorizedSimulator
 from pemviz.types import StateBatch, outcome_log_likelihood
 
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from pemviz.arrays import BoolArray, read_only
 from pemviz.config import ScenarioConfig
-from pemviz.config_files import load_preset
-from pemviz.sampling.rollout import replay
-from pemviz.simulators.highway import HighwaySimulator
-from pemviz.simulators.scenario import EGO_SPEED, GAP, LEAD_SPEED, SPEED_ERROR_INTEGRAL
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.config.toml_files import load_preset
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.simulators.braking.highway import HighwaySimulator
+from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED, SPEED_ERROR_INTEGRAL
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import Simulator, StateBatch
 from tests.simulators.reference import reference_rollout
 from tests.simulators.strategies import Case, cases

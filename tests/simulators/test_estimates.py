@@ -5,12 +5,12 @@ import pytest
 
 from pemviz.config import ScenarioConfig
 from pemviz.pem import load_pem
-from pemviz.proposals.simple import ConstantProposal, PemProposal
-from pemviz.sampling.direct import DirectSampling
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
+from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.problem import Problem
-from pemviz.simulators.highway import HighwaySimulator
-from pemviz.simulators.scenario import GAP
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.simulators.braking.highway import HighwaySimulator
+from pemviz.simulators.braking.scenario import GAP
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import Estimate, Simulator
 
 ROLLOUTS = 60

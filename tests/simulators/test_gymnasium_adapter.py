@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pemviz
-from pemviz.sampling.rollout import replay
+from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.toy import (
     ToyPem,
     ToySimulator,

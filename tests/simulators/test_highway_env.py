@@ -10,17 +10,17 @@ from gymnasium.utils.env_checker import check_env
 from highway_env.envs.common.abstract import AbstractEnv
 
 from pemviz.config import ScenarioConfig
-from pemviz.sampling.rollout import replay
-from pemviz.simulators import highway_env_scenario
-from pemviz.simulators.highway import HighwaySimulator, frames
-from pemviz.simulators.highway_env_scenario import (
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.simulators.braking import highway_env_scenario
+from pemviz.simulators.braking.highway import HighwaySimulator, frames
+from pemviz.simulators.braking.highway_env_scenario import (
     EGO_RGB,
     ENVIRONMENT_ID,
     LEAD_RGB,
     BrakingEnv,
     plain_road,
 )
-from pemviz.simulators.scenario import EGO_SPEED, GAP, LEAD_SPEED
+from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED
 
 ROAD_RGB = (100, 100, 100)
 LINE_RGB = (255, 255, 255)
@@ -51,7 +51,7 @@ def test_gymnasium_can_import_the_module_by_itself() -> None:
 
 def test_simulator_s_module_leaves_highway_env_alone() -> None:
     code = (
-        "import sys, pemviz.simulators.highway\n"
+        "import sys, pemviz.simulators.braking.highway\n"
         "assert not {'highway_env', 'pygame', 'gymnasium'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -6,11 +6,11 @@ import sys
 
 import pytest
 
-from pemviz.cli import main
+from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import ConfigError, InputError
-from pemviz.experiment import build_experiment
-from pemviz.panel.rundata import check_shown
+from pemviz.panel.run_data import check_shown
+from pemviz.runs.experiment import build_experiment
 from pemviz.simulators.registry import SHIPPED, build_named_simulator, simulator_names
 
 MODULE = '''
@@ -19,7 +19,7 @@ MODULE = '''
 from dataclasses import dataclass, replace
 
 from pemviz.simulators.toy import ToySimulator
-from pemviz.simulators.vectorized import VectorizedSimulator
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 
 def lattice():

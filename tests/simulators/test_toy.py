@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.proposals.simple import PemProposal
-from pemviz.sampling.direct import DirectSampling
+from pemviz.proposals.fixed import PemProposal
+from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.problem import Problem
 from pemviz.simulators.toy import (
     ToyPem,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.cli import main
+from pemviz.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = """

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from pemviz.cli import main
+from pemviz.cli.main import main
 from tests.sweep.conftest import VARIED, contents
 
 distributed = pytest.importorskip("distributed")

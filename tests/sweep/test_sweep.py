@@ -11,12 +11,12 @@ import time
 import pytest
 from pyarrow import parquet
 
-from pemviz.cli import main
-from pemviz.config_files import load_config
-from pemviz.engine import run_experiment
+from pemviz.cli.main import main
+from pemviz.config.toml_files import load_config
 from pemviz.recording import paths
 from pemviz.recording.read import chunks
-from pemviz.results import result_document
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.result import result_document
 from pemviz.sweep.folders import RunFigures, sweep_folder
 from tests.sweep.conftest import ROOT, VARIED, contents
 

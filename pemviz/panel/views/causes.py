@@ -5,7 +5,7 @@ from html import escape
 from typing import Any, cast
 
 from pemviz.panel.palette import MISSED
-from pemviz.panel.rundata import RunData
+from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import FAINT, GRID, nice_ticks, svg, text
 from pemviz.panel.views.learning import is_number
 from pemviz.panel.views.words import MINUS, grid, heading, number, percent, quiet, rows, table

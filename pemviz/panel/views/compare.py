@@ -9,10 +9,10 @@ import numpy as np
 
 from pemviz.arrays import BoolArray
 from pemviz.config import MetricName
-from pemviz.config_files import config_table
+from pemviz.config.toml_files import config_table
 from pemviz.panel.palette import BLACK, BLUE, METRICS, PEM, VERMILLION
 from pemviz.panel.ranking import elites, rank, row
-from pemviz.panel.rundata import RunData
+from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.learning import is_number, logs
 from pemviz.panel.views.words import block, grid, heading, number, quiet, table

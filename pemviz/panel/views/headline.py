@@ -3,9 +3,9 @@
 from html import escape
 
 from pemviz.panel.controller import PanelState
-from pemviz.panel.rundata import RunData
+from pemviz.panel.run_data import RunData
+from pemviz.panel.run_observer import Progress
 from pemviz.panel.views.words import block, number, quiet, table, warning
-from pemviz.panel.watcher import Progress
 
 
 def headline(run: RunData | None) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pemviz.panel.palette import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
-from pemviz.panel.rundata import RunData
+from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.words import block, number, quiet, rows, table
 

@@ -4,7 +4,7 @@ from html import escape
 
 from pemviz.panel.palette import MISSED
 from pemviz.panel.ranking import RankedRow, Ranking, row
-from pemviz.panel.rundata import RunData
+from pemviz.panel.run_data import RunData
 from pemviz.panel.views.words import MINUS, block, cells, number, quiet
 
 PAGE_ROWS = 12

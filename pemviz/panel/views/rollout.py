@@ -8,10 +8,10 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.panel.palette import BLUE, DETECTED, EGO, GREY, LEAD, MISSED, PEM, PROPOSAL, VERMILLION
 from pemviz.panel.ranking import RankedRow
-from pemviz.panel.rundata import RunData, detection_probability
+from pemviz.panel.run_data import RunData, detection_probability
 from pemviz.panel.svg import Axis, Plot, svg, text
 from pemviz.panel.views.words import number
-from pemviz.simulators.scenario import scenario_signals
+from pemviz.simulators.braking.scenario import scenario_signals
 
 WIDTH, HEIGHT = 900, 190
 PLOT_WIDTH = 300

@@ -10,7 +10,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.panel.palette import BLACK, VERMILLION
-from pemviz.panel.rundata import RunData
+from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.causes import causes_part
 from pemviz.panel.views.learning import SPLITTING, is_number

@@ -1,0 +1,1 @@
+"""What a run says beyond its estimate: causes, sensitivity, other error models."""

@@ -1,0 +1,143 @@
+"""P(detected) against gap, of the perception error model and of a proposal; for any viewer.
+
+A proposal may depend on more than the gap. Its curve is then the mean of what it gives at the
+states near each gap that given rollouts passed through.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import expit
+
+from pemviz.arrays import AnyArray, FloatArray
+from pemviz.sampling.rollouts.draw import LogitFunction
+from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
+
+GAP = "gap"
+STEP_M = 0.1
+SMALLEST_END_M = 20.0
+MARGIN = 4 / 3
+PROBED_ROLLOUTS = 10
+
+
+@dataclass(frozen=True)
+class DetectionCurves:
+    """P(detected) along gaps, all arrays ``[G]``.
+
+    Attributes:
+        gap_m: Ascending gaps [m].
+        pem: Under the perception error model.
+        proposal: Under the proposal.
+    """
+
+    gap_m: FloatArray
+    pem: FloatArray
+    proposal: FloatArray
+
+
+def gap_grid(simulator: Simulator) -> FloatArray:
+    """Gaps ``[G]`` from contact to a third beyond the initial gap, at least 20 m, every 0.1 m."""
+    initial_m = float(np.max(simulator.initial(count=1).signals[GAP]))
+    end_m = max(SMALLEST_END_M, float(np.ceil(MARGIN * initial_m)))
+    return np.linspace(0.0, end_m, round(end_m / STEP_M) + 1)
+
+
+def pem_curve(*, simulator: Simulator, pem_logit: LogitFunction, gap_m: FloatArray) -> FloatArray:
+    """P(detected) ``[G]`` of the perception error model at gaps ``[G]``, else as at the start."""
+    states = initial_states(simulator, gap_m=gap_m)
+    return np.asarray(expit(pem_logit(simulator.salient(states.signals))), dtype=np.float64)
+
+
+def detection_curves(
+    *,
+    simulator: Simulator,
+    pem_logit: LogitFunction,
+    proposal: Proposal,
+    gap_m: FloatArray,
+    rollouts: RolloutBatch | None = None,
+    rollout_weight: FloatArray | None = None,
+) -> DetectionCurves:
+    """Both curves at gaps ``[G]``.
+
+    Args:
+        simulator: Gives salient variables and the states' layout.
+        pem_logit: The perception error model.
+        proposal: The proposal.
+        gap_m: Ascending gaps ``[G]`` [m].
+        rollouts: Whose states a proposal of more than the gap is averaged over; without any,
+            all else is as in the initial state.
+        rollout_weight: Weights ``[N]`` of the rollouts in that average; equal if ``None``.
+    """
+    states = initial_states(simulator, gap_m=gap_m)
+    pem_logits = np.asarray(pem_logit(simulator.salient(states.signals)), dtype=np.float64)
+    probability = _probability(proposal, states, pem_logits)
+    if rollouts is not None and not _needs_gap_alone(simulator, proposal, rollouts):
+        probability = mean_near_gaps(
+            _probability(proposal, rollouts.decision_states(), rollouts.pem_logit),
+            rollouts=rollouts,
+            gap_m=gap_m,
+            rollout_weight=rollout_weight,
+        )
+    return DetectionCurves(
+        gap_m=gap_m, pem=np.asarray(expit(pem_logits), dtype=np.float64), proposal=probability
+    )
+
+
+def _probability(proposal: Proposal, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+    return np.asarray(expit(proposal.logit(states, pem_logit)), dtype=np.float64)
+
+
+def _needs_gap_alone(simulator: Simulator, proposal: Proposal, rollouts: RolloutBatch) -> bool:
+    """Whether some of the rollouts' states get the same as the initial state at their gaps."""
+    some = slice(0, PROBED_ROLLOUTS)
+    states = rollouts.decision_states()
+    gaps = states.signals[GAP][some]
+    probed = StateBatch(
+        step=states.step,
+        signals={name: values[some] for name, values in states.signals.items()},
+        memory={name: values[some] for name, values in states.memory.items()},
+    )
+    else_initial = initial_states(simulator, gap_m=gaps.ravel())
+    pem_logits = rollouts.pem_logit[some]
+    here = proposal.logit(probed, pem_logits)
+    there = proposal.logit(else_initial, pem_logits.ravel()).reshape(gaps.shape)
+    return bool(np.array_equal(here, there))
+
+
+def initial_states(simulator: Simulator, *, gap_m: FloatArray) -> StateBatch:
+    """The initial state, but at gaps ``[G]``."""
+    states = simulator.initial(count=gap_m.size)
+    return replace(
+        states,
+        step=np.zeros(gap_m.size, dtype=np.int64),
+        signals={**states.signals, GAP: gap_m},
+    )
+
+
+def mean_near_gaps(
+    values: FloatArray,
+    *,
+    rollouts: RolloutBatch,
+    gap_m: FloatArray,
+    rollout_weight: FloatArray | None = None,
+) -> FloatArray:
+    """Weighted mean ``[G]`` of ``values`` ``[N, T-1]`` over the states nearest to each gap.
+
+    Grid gaps that no state is near take values interpolated between their neighbours, constant
+    beyond the ends. Rollouts with weights that are all 0 count equally.
+    """
+    gaps = rollouts.decision_states().signals[GAP]
+    weight = np.ones(rollouts.count) if rollout_weight is None else rollout_weight
+    if not np.sum(weight) > 0.0:
+        weight = np.ones(rollouts.count)
+    spread = np.broadcast_to(weight[:, None], gaps.shape)
+    index = np.searchsorted((gap_m[1:] + gap_m[:-1]) / 2, gaps.ravel())
+    total = _sums(index, spread, gap_m.size)
+    filled = total > 0.0
+    mean = _sums(index, spread * values, gap_m.size)[filled] / total[filled]
+    return np.interp(gap_m, gap_m[filled], mean)
+
+
+def _sums(index: AnyArray, weights: AnyArray, size: int) -> FloatArray:
+    totals = np.bincount(index, weights=np.ravel(weights), minlength=size)
+    return np.asarray(totals, dtype=np.float64)

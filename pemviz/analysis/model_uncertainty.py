@@ -1,0 +1,187 @@
+"""What a result owes to its perception error model: other models, and thin training data."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.pem import (
+    Pem,
+    PemEnsemble,
+    data_bound_pem,
+    pem_interval,
+    reweight,
+    support_check,
+    support_of,
+)
+from pemviz.pem.judging.reweight import MemberEstimates
+from pemviz.proposals.fixed import PemProposal
+from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
+from pemviz.sampling.estimates.importance_weights import log_sum
+from pemviz.sampling.problem import Problem, sample_batches
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.final_batch import pooled, weighed
+from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
+
+DATA_BOUND_ROLLOUTS = 10_000
+ENOUGH_FAILURES = 2_000
+"""Of which the models' own answers are formed; the models differ by far more than 1/sqrt of it."""
+SHOWN_ROLLOUTS = 5_000
+"""Of which it is asked whether they go where the training data never was."""
+DATA_BOUND_KEY = 2**32 - 2
+
+
+@dataclass(frozen=True)
+class ModelInterval:
+    """The failure probability over models that the training data could as well have produced.
+
+    Attributes:
+        low: Lower end; ``None`` where no rollout violates under some model.
+        high: Upper end; ``None`` where no rollout violates at all.
+        median: Over the models.
+        members: How many models.
+        confidence: Share of them inside.
+        warnings: What limits the interval.
+    """
+
+    low: float | None
+    high: float | None
+    median: float | None
+    members: int
+    confidence: float
+    warnings: tuple[str, ...]
+
+
+def member_estimates(
+    scored: ScoredRollouts, *, simulator: Simulator, ensemble: PemEnsemble
+) -> MemberEstimates:
+    """The failure probability under each of the ensemble's models, from the same rollouts.
+
+    Of many rollouts the first are enough: as many as hold ENOUGH_FAILURES violations.
+    """
+    count = _enough(scored.violated)
+    rollouts, violated = _first(scored.rollouts, count), scored.violated[:count]
+    states = rollouts.decision_states()
+    failing = {name: values[violated] for name, values in states.signals.items()}
+    return reweight(
+        detected=rollouts.detected[violated],
+        salient=simulator.salient(failing),
+        log_q=rollouts.log_q[violated],
+        violated=violated[violated],
+        members=ensemble.members,
+        rollouts=rollouts.count,
+    )
+
+
+def _enough(violated: BoolArray) -> int:
+    """How many rollouts hold ENOUGH_FAILURES violations, if violations come evenly."""
+    share = ENOUGH_FAILURES / max(int(violated.sum()), 1)
+    return violated.size if share >= 1.0 else math.ceil(share * violated.size)
+
+
+def _first(rollouts: RolloutBatch, count: int) -> RolloutBatch:
+    return RolloutBatch(
+        signals={name: values[:count] for name, values in rollouts.signals.items()},
+        memory={name: values[:count] for name, values in rollouts.memory.items()},
+        detected=rollouts.detected[:count],
+        pem_logit=rollouts.pem_logit[:count],
+        proposal_logit=rollouts.proposal_logit[:count],
+    )
+
+
+def model_interval(repetitions: Sequence[MemberEstimates]) -> ModelInterval:
+    """Pool repetitions of equal size into one interval over the models."""
+    log_mu = np.stack([estimates.log_mu for estimates in repetitions])
+    pooled = MemberEstimates(
+        names=repetitions[0].names,
+        log_mu=np.array([_log_mean(column) for column in log_mu.T]),
+        relative_std_error=repetitions[0].relative_std_error,
+        effective_failures=np.sum([e.effective_failures for e in repetitions], axis=0),
+    )
+    interval = pem_interval(pooled)
+    return ModelInterval(
+        low=_power(interval.log10_low),
+        high=_power(interval.log10_high),
+        median=_power(interval.log10_median),
+        members=interval.members,
+        confidence=interval.confidence,
+        warnings=interval.warnings,
+    )
+
+
+@dataclass(frozen=True)
+class DataBound:
+    """What the training data alone allow, without the model's own guesses.
+
+    Attributes:
+        probability: The failure probability is below this with ``confidence``, if P(missed) is
+            constant within distance bands and misses never help.
+        rollouts: Plain Monte Carlo rollouts that it rests on.
+        failures: Those that violate.
+        confidence: Of the bands' bounds together, and again of the Monte Carlo bound.
+    """
+
+    probability: float
+    rollouts: int
+    failures: int
+    confidence: float
+
+
+def data_bound(problem: Problem, *, pem: Pem, seed: int) -> DataBound | None:
+    """Bound the failure probability by the training data's counts alone.
+
+    The exact (Clopper-Pearson) upper bound of P(missed) in each distance band, and certain
+    misses where there is no data, make a model of their own; plain Monte Carlo carries it to
+    the failure probability. ``None`` for a model without counts.
+    """
+    support = support_of(pem)
+    if support is None:
+        return None
+    simulator = problem.simulator
+    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    visited = simulator.salient(replay(simulator=simulator, detected=outcomes))
+    bound = data_bound_pem(visited, support=support, confidence=CONFIDENCE)
+    batches = sample_batches(
+        replace(problem, pem_logit=bound.logit),
+        proposal=PemProposal(),
+        count=DATA_BOUND_ROLLOUTS,
+        seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
+    )
+    drawn = pooled([weighed(batch) for batch in batches])
+    found = monte_carlo_estimate(drawn, method="monte-carlo")
+    return DataBound(
+        probability=1.0 if found.ci_high is None else found.ci_high,
+        rollouts=DATA_BOUND_ROLLOUTS,
+        failures=found.failures,
+        confidence=CONFIDENCE,
+    )
+
+
+def extrapolation_warnings(
+    scored: ScoredRollouts, *, simulator: Simulator, pem: Pem
+) -> tuple[str, ...]:
+    """Where the rollouts ask the model about what its training data never showed.
+
+    Models that carry no counts of their training data are met with one warning that says so.
+    """
+    support = support_of(pem)
+    if support is None:
+        return (
+            f"error model {pem.name}: carries no counts of its training data, so where it "
+            "extrapolates cannot be told",
+        )
+    shown = _first(scored.rollouts, min(scored.rollouts.count, SHOWN_ROLLOUTS))
+    salient = simulator.salient(shown.decision_states().signals)
+    return support_check(salient, support=support, pem=pem).warnings
+
+
+def _log_mean(log_values: FloatArray) -> float:
+    finite = log_values[np.isfinite(log_values)]
+    return log_sum(finite) - math.log(log_values.size) if finite.size else -math.inf
+
+
+def _power(log10_value: float) -> float | None:
+    return 10.0**log10_value if math.isfinite(log10_value) else None

@@ -1,0 +1,116 @@
+"""``pemviz bench``: measure speed on this machine, or the methods' accuracy."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from rich.console import Console
+from rich.table import Table
+
+from pemviz.bench.figures import Figure
+from pemviz.bench.scale import HEADER, ScaleRow, ScaleStudy, cells, reasons, run_scale
+from pemviz.cli.exit_codes import EXIT_DONE
+from pemviz.cli.parsing import parse_arguments
+
+Part = Literal["paper", "simulators", "stl", "recording", "scale"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchArguments:
+    """Measure speed on this machine.
+
+    ``pemviz bench accuracy`` measures how wrong the methods are on scenarios with known
+    answers, ``pemviz bench scale`` how time and memory grow; they have options of their own.
+    """
+
+    part: tuple[Part, ...] = ("paper", "simulators", "stl", "recording")
+    """What to measure: the paper's experiment, both back ends, the robustness metrics, size and
+    cost of a recording; scale (a few minutes) how time and memory grow."""
+    json: bool = False
+    """Print the figures as one JSON object and nothing else."""
+
+
+def run(words: Sequence[str]) -> int:
+    """Measure and print.
+
+    Raises:
+        InputError: The arguments are wrong.
+    """
+    if words and words[0] == "accuracy":
+        return _accuracy(words[1:])
+    if words and words[0] == "scale":
+        return _scale(parse_arguments(ScaleStudy, words[1:], command="bench scale"))
+    arguments = parse_arguments(BenchArguments, words, command="bench", default=BenchArguments())
+    measured = {part: list(_measure(part)()) for part in arguments.part if part != "scale"}
+    grown = list(run_scale(ScaleStudy())) if "scale" in arguments.part else None
+    if arguments.json:
+        shown = {part: [asdict(f) for f in figures] for part, figures in measured.items()}
+        scale = {} if grown is None else {"scale": [asdict(row) for row in grown]}
+        print(json.dumps({**shown, **scale}))
+        return EXIT_DONE
+    if measured:
+        _print_figures(measured)
+    if grown is not None:
+        _print_scale(grown)
+    return EXIT_DONE
+
+
+def _print_figures(measured: Mapping[str, Sequence[Figure]]) -> None:
+    table = Table(title="pemviz bench: medians of one run on this machine", title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    table.add_column("goal")
+    for figures in measured.values():
+        for figure in figures:
+            table.add_row(figure.name, f"{figure.value:.3g}", figure.unit or "-", figure.goal)
+        table.add_section()
+    Console().print(table)
+
+
+def _scale(study: ScaleStudy) -> int:
+    rows = run_scale(study)
+    if study.json:
+        print(json.dumps({"scale": [asdict(row) for row in rows]}))
+    else:
+        _print_scale(list(rows))
+    return EXIT_DONE
+
+
+def _print_scale(rows: Sequence[ScaleRow]) -> None:
+    table = Table(title="pemviz bench scale: Monte Carlo runs, kept", title_justify="left")
+    for name in HEADER:
+        table.add_column(name, justify="left" if name == "device" else "right")
+    for row in rows:
+        table.add_row(*cells(row))
+    Console().print(table)
+    for line in reasons(rows):
+        print(line)
+
+
+def _accuracy(words: Sequence[str]) -> int:
+    from pemviz.bench.accuracy_report import accuracy_lines  # noqa: PLC0415
+    from pemviz.bench.accuracy_study import AccuracyStudy, run_study  # noqa: PLC0415
+
+    study = parse_arguments(AccuracyStudy, words, command="bench accuracy")
+    print("\n".join(accuracy_lines(run_study(study))))
+    return EXIT_DONE
+
+
+def _measure(part: Part) -> Callable[[], Sequence[Figure]]:
+    if part == "paper":
+        from pemviz.bench.paper import paper_figures  # noqa: PLC0415
+
+        return paper_figures
+    if part == "simulators":
+        from pemviz.bench.simulators import simulator_figures  # noqa: PLC0415
+
+        return simulator_figures
+    if part == "recording":
+        from pemviz.bench.recording import recording_figures  # noqa: PLC0415  rerun is slow
+
+        return recording_figures
+    from pemviz.bench.stl import stl_figures  # noqa: PLC0415
+
+    return stl_figures

@@ -1,0 +1,94 @@
+"""The command line: finds the command, reports errors in one line, sets the exit code."""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+
+from pemviz import __version__
+from pemviz.cli.exit_codes import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED
+from pemviz.errors import InputError, PemvizError
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, imported when it is called.
+
+    Attributes:
+        module: Has a function ``run`` that takes the remaining arguments and returns the
+            exit code.
+        summary: One line for the overview.
+    """
+
+    module: str
+    summary: str
+
+
+COMMANDS = {
+    "record": Command("pemviz.cli.record", "run an experiment and keep it in a run folder"),
+    "sweep": Command("pemviz.cli.sweep", "run many experiments: settings times seeds"),
+    "pem": Command("pemviz.cli.pem.command", "collect, fit, evaluate, show error models"),
+    "serve": Command("pemviz.cli.serve", "show the panel in the browser"),
+    "open": Command("pemviz.cli.open", "show a run's recording in rerun's viewer"),
+    "reproduce": Command(
+        "pemviz.cli.reproduce", "the paper's tables and figures beside its numbers"
+    ),
+    "bench": Command("pemviz.cli.bench", "measure speed on this machine"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(_overview())
+        return EXIT_DONE if words else EXIT_BAD_INPUT
+    if words[0] == "--version":
+        print(f"pemviz {__version__}")
+        return EXIT_DONE
+    return _carry_out(words[0], words[1:])
+
+
+def _carry_out(name: str, words: Sequence[str]) -> int:
+    """A command's exit code; what it cannot do is told in one line."""
+    try:
+        return _command(name)(words)
+    except InputError as error:
+        return _complain(str(error), code=EXIT_BAD_INPUT)
+    except PemvizError as error:
+        return _complain(str(error), code=EXIT_FAILED)
+    except OSError as error:  # a full disk, a folder that went away
+        where = "" if error.filename is None else f" ({error.filename})"
+        return _complain(f"{error.strerror or error}{where}", code=EXIT_FAILED)
+    except KeyboardInterrupt:
+        return _complain("interrupted", code=EXIT_FAILED)
+
+
+def _command(name: str) -> Callable[[Sequence[str]], int]:
+    """The command's ``run``; commands are imported only when called, some take seconds."""
+    command = COMMANDS.get(name)
+    if command is None:
+        message = f"{name!r} is no command; there are: {', '.join(COMMANDS)}"
+        raise InputError(message)
+    return import_module(command.module).run
+
+
+def _overview() -> str:
+    width = max(len(name) for name in COMMANDS)
+    lines = [f"  {name.ljust(width)}  {command.summary}" for name, command in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: pemviz COMMAND [OPTIONS]",
+            "",
+            "How likely is a rare violation, how far to trust that number, what causes it?",
+            "",
+            *lines,
+            "",
+            "pemviz COMMAND --help explains a command's options.",
+        ]
+    )
+
+
+def _complain(message: str, *, code: int) -> int:
+    print(f"pemviz: {' '.join(message.split())}", file=sys.stderr)
+    return code

@@ -1,0 +1,65 @@
+"""Arguments parsed by tyro into a dataclass, with tyro's complaints cut to one line."""
+
+import contextlib
+import io
+import re
+from collections.abc import Sequence
+from typing import Annotated, TypeVar
+
+import tyro
+
+from pemviz.config.ranges import Range
+from pemviz.errors import InputError
+
+Arguments = TypeVar("Arguments")
+Processes = Annotated[int, Range(low=1, high=1024)]
+"""An option that several commands have."""
+
+FRAME = re.compile("[\u2500-\u257f]+")
+COLOUR = re.compile("\x1b\\[[0-9;]*m")
+
+
+def parse_arguments(
+    kind: type[Arguments],
+    words: Sequence[str],
+    *,
+    command: str,
+    default: Arguments | None = None,
+    description: str | None = None,
+) -> Arguments:
+    """Parse a command's words into ``kind``; ``--help`` prints and exits with 0.
+
+    Args:
+        kind: A dataclass whose field docstrings are the help texts.
+        words: The words after the command.
+        command: Its name, for messages.
+        default: Values of fields that the words leave out; without it, the fields' own.
+        description: Shown above the options.
+
+    Raises:
+        InputError: One line with tyro's complaint.
+    """
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(
+                kind,
+                prog=f"pemviz {command}",
+                args=list(words),
+                description=description,
+                config=(tyro.conf.FlagCreatePairsOff,),
+                default=tyro.MISSING_NONPROP if default is None else default,
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        raise InputError(one_line(complaint.getvalue(), command=command)) from None
+
+
+def one_line(complaint: str, *, command: str) -> str:
+    """A framed, coloured, wrapped complaint as one plain line."""
+    text = " ".join(FRAME.sub(" ", COLOUR.sub("", complaint)).split())
+    text = re.sub(r" ?(Argument helptext:|For full helptext,).*$", "", text)
+    text = re.sub(r" ?Perhaps you meant: (\S+).*$", r"; did you mean \1?", text)
+    text = re.sub(r"^(Value error|Missing argument|Parsing error|Invalid choice) ", "", text)
+    return f"{text.strip() or 'the arguments cannot be read'} (see pemviz {command} --help)"

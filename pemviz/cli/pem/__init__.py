@@ -1,0 +1,1 @@
+"""``pemviz pem``: a module a command."""

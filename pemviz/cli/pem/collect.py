@@ -1,0 +1,82 @@
+"""``pemviz pem collect``."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from pemviz.cli.pem.progress import progress_bar
+from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
+from pemviz.pem.data.detections import DetectionFormat
+from pemviz.pem.data.matching import PAPER_IOU
+from pemviz.pem.errors import PemError
+
+
+@dataclass(frozen=True)
+class CollectArguments:
+    """Match KITTI labels with a detector's boxes: one row per obstacle, was it detected."""
+
+    labels: Path
+    """Folder of KITTI label files (label_2), one per frame."""
+    detections: Path
+    """Folder of text files (kitti, yolo), one per frame, or a json file (coco)."""
+    out: Path = Path("obstacles.csv")
+    """CSV file to write."""
+    format: DetectionFormat = "kitti"
+    """How the detections are written: KITTI results, YOLO text (shares of the image), COCO json."""
+    iou_above: float = PAPER_IOU
+    """A pair of boxes counts as a detection above this overlap (0 to below 1)."""
+    class_aware: bool = False
+    """Count only detections of the obstacle's own class."""
+    score_from: float = 0.0
+    """Ignore detections with a lower score (0 to 1)."""
+    drop_unknown: bool = False
+    """Leave out obstacles of class Misc or unknown occlusion; no model can be fitted to them."""
+    class_names: tuple[str, ...] = NUMBERED_CLASSES
+    """Names of the classes 0, 1, ... where detections have numbers."""
+    image_sizes: Path | None = None
+    """CSV with the columns frame, width_px, height_px; YOLO text needs it."""
+    missing_is_empty: bool = False
+    """Take a frame without detections file as one in which nothing was detected."""
+    skip_bad: bool = False
+    """Count malformed lines and go on, instead of stopping at the first."""
+
+
+def run(arguments: CollectArguments) -> int:
+    """Write the table and say what is in it; gives the exit code.
+
+    Raises:
+        PemError: bad arguments or files; one line says what, where and what is allowed.
+    """
+    if not 0.0 <= arguments.iou_above < 1.0:
+        raise PemError(f"iou_above is {arguments.iou_above:g}, allowed: 0 to below 1")
+    if not 0.0 <= arguments.score_from <= 1.0:
+        raise PemError(f"score_from is {arguments.score_from:g}, allowed: 0 to 1")
+    options = CollectOptions(
+        iou_above=arguments.iou_above,
+        class_aware=arguments.class_aware,
+        score_from=arguments.score_from,
+        drop_unknown=arguments.drop_unknown,
+        skip_bad=arguments.skip_bad,
+    )
+    with progress_bar("frames") as tell:
+        counts = collect(
+            labels=arguments.labels,
+            detections=arguments.detections,
+            out=arguments.out,
+            detection_format=arguments.format,
+            options=options,
+            class_names=arguments.class_names,
+            image_sizes=arguments.image_sizes,
+            missing_is_empty=arguments.missing_is_empty,
+            on_progress=tell,
+        )
+    print(
+        f"{arguments.out}: {counts.frames} frames, {counts.obstacles} obstacles, "
+        f"{counts.missed} missed, {counts.dropped} dropped (Misc or unknown occlusion)"
+    )
+    if counts.bad_lines:
+        print(
+            f"warning: {counts.bad_lines} malformed lines skipped, the first: {counts.first_bad}",
+            file=sys.stderr,
+        )
+    return 0

@@ -1,0 +1,40 @@
+"""``pemviz pem``: perception error models, from detections to a calibrated surrogate."""
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+from pemviz.cli.exit_codes import EXIT_BAD_INPUT, EXIT_DONE
+from pemviz.cli.parsing import parse_arguments
+from pemviz.errors import InputError
+
+ACTIONS = {
+    "compare": ("CompareArguments", "failure probability under several models, and their ratios"),
+    "collect": ("CollectArguments", "match detections with KITTI labels into one table"),
+    "fit": ("FitArguments", "train a model on such a table"),
+    "evaluate": ("EvaluateArguments", "cross-validate models: scores, calibration, tables"),
+    "show": ("ShowArguments", "draw P(missed) against distance"),
+}
+
+
+def run(words: Sequence[str]) -> int:
+    """Carry out ``pemviz pem ACTION``.
+
+    Raises:
+        InputError: The action or its arguments are wrong.
+    """
+    if not words or words[0] in ("-h", "--help"):
+        print(_overview())
+        return EXIT_DONE if words else EXIT_BAD_INPUT
+    if words[0] not in ACTIONS:
+        message = f"pem {words[0]!r}: must be one of {', '.join(ACTIONS)}"
+        raise InputError(message)
+    module = import_module(f"pemviz.cli.pem.{words[0]}")
+    kind: type[Any] = getattr(module, ACTIONS[words[0]][0])
+    carry_out: Callable[[Any], int] = module.run
+    return carry_out(parse_arguments(kind, words[1:], command=f"pem {words[0]}"))
+
+
+def _overview() -> str:
+    lines = [f"  {name.ljust(9)} {summary}" for name, (_, summary) in ACTIONS.items()]
+    return "\n".join(["usage: pemviz pem ACTION [OPTIONS]", "", *lines])

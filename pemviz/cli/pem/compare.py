@@ -1,0 +1,85 @@
+"""``pemviz pem compare``."""
+
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from pemviz.config.ranges import Range, check_value
+from pemviz.config.toml_files import load_preset
+from pemviz.runs.model_comparison import ModelFigures, compare_models
+
+Rollouts = Annotated[int, Range(low=2, high=1_000_000)]
+Seed = Annotated[int, Range(low=0, high=2**63 - 1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareArguments:
+    """Failure probability under several error models, and its ratio to the first one's.
+
+    All from the same rollouts, drawn by the value-twisted method: a few seconds a model.
+    """
+
+    models: tyro.conf.Positional[tuple[str, ...]]
+    """Shipped names, files, or with --allow-python module:attribute; at least two."""
+    preset: str = "paper"
+    """Shipped configuration whose scenario and specification are taken: paper or town01."""
+    spec: str | None = None
+    """Another specification; 'always' over a condition on single states."""
+    rollouts: Rollouts = 1200
+    """Rollouts for each model; 2 to 1000000."""
+    seed: Seed = 0
+    """Root of all randomness; 0 or more."""
+    allow_python: bool = False
+    """Allow a model named module:attribute, which runs that module's code."""
+    json: bool = False
+    """Print the figures as one JSON object and nothing else."""
+
+
+def run(arguments: CompareArguments) -> int:
+    """Estimate and print; gives the exit code.
+
+    Raises:
+        InputError: The arguments are wrong, or a model cannot be used.
+    """
+    check_value(name="rollouts", value=arguments.rollouts, annotation=Rollouts)
+    check_value(name="seed", value=arguments.seed, annotation=Seed)
+    preset = load_preset(arguments.preset)
+    config = replace(preset, seed=arguments.seed, spec=arguments.spec or preset.spec)
+    figures = compare_models(
+        config, arguments.models, rollouts=arguments.rollouts, allow_python=arguments.allow_python
+    )
+    if arguments.json:
+        print(json.dumps({"models": [asdict(one) for one in figures]}, allow_nan=False))
+        return 0
+    title = f"{config.spec}, {arguments.rollouts} rollouts a model"
+    shown = Table(title=title, title_justify="left")
+    for column in ("error model", "probability", "times the first", "95 % interval"):
+        shown.add_column(column, justify="left" if column == "error model" else "right")
+    for one in figures:
+        shown.add_row(*_cells(one))
+    console = Console()
+    console.print(shown)
+    for one in figures:
+        if one.log10_probability is not None and not one.is_reliable:
+            few = f"only {one.effective_failures:.1f} effective rollouts violate"
+            console.print(f"warning: {one.name}: {few}: do not quote its number", soft_wrap=True)
+    return 0
+
+
+def _cells(one: ModelFigures) -> tuple[str, str, str, str]:
+    if one.log10_probability is None:
+        return one.name, "no violation", "", ""
+    probability = f"{one.probability:.3g} +- {one.std_error:.1g}"
+    if one.to_first is None:
+        return one.name, probability, "1", ""
+    ratio = one.to_first
+    return (
+        one.name,
+        probability,
+        f"{10.0**ratio.log10_ratio:.3g}",
+        f"{10.0**ratio.log10_low:.3g} to {10.0**ratio.log10_high:.3g}",
+    )

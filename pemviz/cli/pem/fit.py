@@ -1,0 +1,136 @@
+"""``pemviz pem fit``."""
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pemviz.arrays import AnyArray
+from pemviz.cli.pem.progress import progress_bar
+from pemviz.files.atomic import is_folder
+from pemviz.pem.data.table import SalientTable, load_table
+from pemviz.pem.data.text_files import writing
+from pemviz.pem.errors import PemError
+from pemviz.pem.files.card import UNKNOWN_LICENCE, card_markdown
+from pemviz.pem.files.load import ENSEMBLE_ENDING, SUFFIX
+from pemviz.pem.files.model_files import StoredPem, save_pem
+from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_ensemble, fit_pem
+
+
+@dataclass(frozen=True)
+class FitArguments:
+    """Train a perception error model; writes OUT.safetensors and its card (.md, .json)."""
+
+    table: Path
+    """Training data: CSV of 'pemviz pem collect', or a folder with salient_inputs.txt and
+    salient_labels.txt."""
+    out: Path
+    """File to write, ending in .safetensors."""
+    model: ModelKind = "ml-nn"
+    """Kind of model: guess-mu, lr, ml-nn and b-nn as in the paper (b-nn needs pyro-ppl);
+    gb-paper and gb-raw are boosted trees on the paper's inputs or on all columns."""
+    seed: int = 0
+    """Seed of everything random (0 or more)."""
+    members: int = 0
+    """Also train an ensemble of so many members (0 or at least 2; 20 for a 95 % interval),
+    each on a bootstrap sample, into OUT-ensemble.safetensors."""
+    folds: int = 5
+    """Folds of the cross-validation whose scores go into the card (0: none, or at least 2)."""
+    name: str | None = None
+    """Name of the model; the file's name if not given."""
+    data: str | None = None
+    """The training data in words, for the card; the table's name if not given."""
+    licence: str = UNKNOWN_LICENCE
+    """Terms that the training data puts on the model, for the card."""
+
+
+def run(arguments: FitArguments) -> int:
+    """Train, score, write; gives the exit code.
+
+    Raises:
+        PemError: bad arguments or table; one line says what, where and what is allowed.
+    """
+    _validate(arguments)
+    table = load_table(arguments.table)
+    name = arguments.name or arguments.out.stem
+    provenance = Provenance(data=arguments.data or table.source, licence=arguments.licence)
+    scores = _scores(table, arguments=arguments)
+    with progress_bar(f"fit {arguments.model}") as tell:
+        pem = fit_pem(
+            table,
+            model=arguments.model,
+            seed=arguments.seed,
+            name=name,
+            provenance=provenance,
+            on_progress=tell,
+        )
+    _write(replace(pem, card=replace(pem.card, scores=scores)), arguments.out)
+    if arguments.members:
+        with progress_bar(f"fit {arguments.members} members") as tell:
+            ensemble = fit_ensemble(
+                table,
+                model=arguments.model,
+                members=arguments.members,
+                seed=arguments.seed,
+                name=f"{name}{ENSEMBLE_ENDING}",
+                provenance=provenance,
+                on_progress=tell,
+            )
+        _write(ensemble, arguments.out.with_name(f"{arguments.out.stem}{ENSEMBLE_ENDING}{SUFFIX}"))
+    return 0
+
+
+def _validate(arguments: FitArguments) -> None:
+    if arguments.out.suffix != SUFFIX:
+        raise PemError(f"out is {str(arguments.out)!r}, must end in {SUFFIX}")
+    if not is_folder(arguments.out.parent):
+        raise PemError(f"out: no folder {str(arguments.out.parent)!r}")
+    if arguments.seed < 0:
+        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    if arguments.members < 0 or arguments.members == 1:
+        raise PemError(f"members is {arguments.members}, allowed: 0, or 2 or more")
+    if arguments.members and arguments.model == "b-nn":
+        raise PemError("members: model 'b-nn' is an ensemble of posterior draws by itself")
+    if arguments.folds < 0 or arguments.folds == 1:
+        raise PemError(f"folds is {arguments.folds}, allowed: 0, or 2 or more")
+
+
+def _scores(table: SalientTable, *, arguments: FitArguments) -> dict[str, float]:
+    if arguments.folds == 0:
+        return {}
+    from pemviz.pem.judging.cross_validation import card_scores, cross_validate  # noqa: PLC0415 (scikit-learn)
+
+    with progress_bar(f"{arguments.folds}-fold cross-validation") as tell:
+        evaluation = cross_validate(
+            table,
+            model=arguments.model,
+            folds=arguments.folds,
+            seed=arguments.seed,
+            on_progress=tell,
+        )
+    return card_scores(evaluation)
+
+
+def _write(pem: StoredPem, path: Path) -> None:
+    card = {key: value for key, value in asdict(pem.card).items() if key != "support"}
+    metadata = {**card, "digest": pem.digest, **pem.options(), **_normalisation(pem.tensors())}
+    text = json.dumps(metadata, indent=1, allow_nan=False)
+    page = card_markdown(pem.card, digest=pem.digest)
+    with writing(path):
+        save_pem(pem, path)
+        path.with_suffix(".md").write_text(page, encoding="utf-8")
+        path.with_suffix(".json").write_text(text, encoding="utf-8")
+    scores = ", ".join(f"{name} {value:.4f}" for name, value in pem.card.scores.items())
+    print(f"{path}: {pem.card.model}, SHA-256 {pem.digest[:16]}{', ' if scores else ''}{scores}")
+
+
+def _normalisation(tensors: dict[str, AnyArray]) -> dict[str, Any]:
+    """Mean and deviation of the numeric inputs, where a model has them."""
+    named = {"pose.mean": "normalisation_mean", "pose.std": "normalisation_std"}
+    return {
+        words: np.asarray(tensors[name]).tolist()
+        for name, words in named.items()
+        if name in tensors
+    }

@@ -1,0 +1,123 @@
+"""Progress on standard error: a bar on a terminal, a line a stage elsewhere."""
+
+import contextlib
+from collections.abc import Generator
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
+from pemviz.runs.result import StageSummary, summarise_stage
+
+
+class ProgressBar:
+    """Observer that shows stage, threshold, failures and time left."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._task: TaskID | None = None
+        self._done_before = 0
+        self._repetitions = 1
+        self._planned = 0
+        self._by_level = False
+
+    def notify(self, event: Event) -> None:
+        """Move the bar."""
+        match event:
+            case RunStarted():
+                self._repetitions = event.config.repetitions
+                self._planned = event.planned_rollouts
+                self._by_level = event.config.method == "splitting"
+                self._task = self._progress.add_task("starting", total=self._planned, counted="")
+            case RolloutsDone():
+                self._move(self._done_before + event.done)
+            case StageDone():
+                self._done_before += event.stage.scored.rollouts.count
+                text = stage_line(summarise_stage(event.stage), repetitions=self._repetitions)
+                self._move(self._done_before, description=text)
+            case _:
+                pass
+
+    def _move(self, done: int, *, description: str | None = None) -> None:
+        if self._task is not None:
+            counted = counted_in_words(done, self._planned, by_level=self._by_level)
+            self._progress.update(
+                self._task, completed=done, counted=counted, description=description
+            )
+
+
+def counted_in_words(done: int, planned: int, *, by_level: bool) -> str:
+    """How far a run is; ``by_level``: by the levels passed, not by rollouts."""
+    if by_level:
+        return f"{done / max(planned, 1):.0%} of the way to violations"
+    return f"{done:,} of {planned:,} rollouts"
+
+
+class ProgressLines:
+    """Observer that prints a line a stage, or a repetition if there are several."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._repetitions = 1
+
+    def notify(self, event: Event) -> None:
+        """Print what is done."""
+        match event:
+            case RunStarted():
+                self._repetitions = event.config.repetitions
+            case StageDone() if self._repetitions == 1:
+                self._print(stage_line(summarise_stage(event.stage), repetitions=1))
+            case RepetitionDone() if self._repetitions > 1:
+                number = f"repetition {event.repetition + 1} of {self._repetitions}"
+                self._print(f"{number}: probability {event.estimate.probability:.3g}")
+            case _:
+                pass
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, highlight=False, markup=False)
+
+
+class NoProgress:
+    """Observer that shows nothing."""
+
+    def notify(self, event: Event) -> None:
+        """Take no note of ``event``."""
+
+
+def stage_line(stage: StageSummary, *, repetitions: int) -> str:
+    """A stage in a few words."""
+    parts = [f"stage {stage.stage}"]
+    if repetitions > 1:
+        parts.insert(0, f"repetition {stage.repetition + 1} of {repetitions}")
+    if stage.kind != "learn":
+        parts.append({"pretrain": "pre-training", "final": "final"}[stage.kind])
+    if stage.threshold is not None:
+        parts.append(f"threshold {stage.threshold:.3g}")
+    parts.append(f"{stage.failures} of {stage.rollouts} violate")
+    return ", ".join(parts)
+
+
+@contextlib.contextmanager
+def progress_observer(*, quiet: bool = False) -> Generator[Observer, None, None]:
+    """The observer that suits standard error."""
+    console = Console(stderr=True)
+    if quiet and not console.is_terminal:
+        yield NoProgress()
+    elif not console.is_terminal:
+        yield ProgressLines(console)
+    else:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[counted]},"),
+            TimeRemainingColumn(),
+            TextColumn("left"),
+        )
+        with Progress(*columns, console=console, transient=True) as progress:
+            yield ProgressBar(progress)

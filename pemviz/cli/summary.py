@@ -1,0 +1,91 @@
+"""The summary at the end of a run."""
+
+import math
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from pemviz.analysis.explanation import Explanation
+from pemviz.analysis.sensitivity import BandSensitivity
+from pemviz.reports.words import (
+    interval_text,
+    model_range_text,
+    number_text,
+    probability_text,
+    share_text,
+    violations_text,
+)
+from pemviz.runs.result import RunResult
+from pemviz.types import Estimate
+
+SHOWN_MISSES = 0.005
+
+
+def print_summary(result: RunResult, folder: Path) -> None:
+    """Print the answer, how far to trust it, and where the run lies."""
+    console = Console(highlight=False)
+    if result.estimate is not None:
+        console.print(_table(result, result.estimate))
+        if result.explanation is not None:
+            console.print(_causes(result.explanation, target=result.config.target))
+        for warning in (*result.estimate.warnings, *result.warnings):
+            console.print(f"warning: {warning}", style="yellow", markup=False)
+    console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
+
+
+def _table(result: RunResult, estimate: Estimate) -> Table:
+    table = Table(title="Failure probability", title_justify="left", show_header=False)
+    table.add_column("what", no_wrap=True)
+    table.add_column("value")
+    config = result.config
+    repetitions = len(result.repetitions)
+    table.add_row("specification", config.spec)
+    table.add_row(
+        "method",
+        f"{config.method} ({repetitions} repetitions)" * (repetitions > 1) or config.method,
+    )
+    table.add_row("error model", result.pem.name)
+    table.add_row("probability", probability_text(estimate))
+    table.add_row("95 % interval", interval_text(estimate))
+    table.add_row("range over error models", model_range_text(result.pem_interval))
+    table.add_row("violations", violations_text(estimate))
+    table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))
+    table.add_row("effective sample size", number_text(estimate.ess))
+    table.add_row("Pareto k-hat", number_text(estimate.pareto_k, unit="(reliable up to 0.7)"))
+    table.add_row("largest weight's share", share_text(estimate.max_weight_share))
+    worst = result.least_robust[0] if result.least_robust else None
+    if worst is not None:
+        table.add_row(
+            "least robust rollout",
+            f"robustness {worst.robustness:.3g}, {worst.misses} misses, stage {worst.stage}",
+        )
+    table.add_row("time", f"{result.timings_s.get('total', math.nan):.1f} s")
+    return table
+
+
+def _causes(explanation: Explanation, *, target: float | None) -> Table:
+    """Where misses cause violations, and by how much they would have to become rarer."""
+    table = Table(title="Misses that cause it, by gap", title_justify="left")
+    table.add_column("gap")
+    table.add_column("misses a violation", justify="right")
+    table.add_column("sensitivity", justify="right")
+    if target is not None:
+        table.add_column(f"factor on misses for {target:g}", justify="right")
+    everywhere, *bands = explanation.sensitivity
+    total = sum(band.misses for band in explanation.misses_by_distance)
+    for misses, band in zip(explanation.misses_by_distance, bands, strict=True):
+        if misses.misses > SHOWN_MISSES:
+            row = _band_row(f"{misses.low:g} to {misses.high:g} m", misses.misses, band, target)
+            table.add_row(*row)
+    table.add_row(*_band_row("all", total, everywhere, target), end_section=True)
+    return table
+
+
+def _band_row(
+    name: str, misses: float, band: BandSensitivity, target: float | None
+) -> tuple[str, ...]:
+    row = (name, f"{misses:.2f}", f"{band.elasticity:.2f}")
+    if target is None:
+        return row
+    return (*row, "not enough alone" if band.target_factor is None else f"{band.target_factor:.3g}")

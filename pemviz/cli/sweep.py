@@ -1,0 +1,234 @@
+"""``pemviz sweep``: many experiments, every combination of settings with every seed."""
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from pemviz.cli.exit_codes import EXIT_DONE, EXIT_FAILED
+from pemviz.cli.interrupt import stop_on_signals
+from pemviz.cli.parsing import Processes, parse_arguments
+from pemviz.cli.sweep_progress import sweep_progress, tell_done_before
+from pemviz.cli.workers import check_one_kind
+from pemviz.config import ExperimentConfig
+from pemviz.config.ranges import Range, check_value
+from pemviz.config.toml_files import load_config, load_preset
+from pemviz.errors import ConfigError, RunError
+from pemviz.files.atomic import write_bytes, write_text
+from pemviz.processes import usable_cpus
+from pemviz.sweep.carry_out import RunState, carry_out_runs, finished_before
+from pemviz.sweep.cluster import ClusterWorkers
+from pemviz.sweep.fields import parse_variation
+from pemviz.sweep.folders import sweep_folder
+from pemviz.sweep.local import LocalWorkers
+from pemviz.sweep.model_files import ModelFiles, model_files
+from pemviz.sweep.plan import Plan, PlannedRun, make_plan
+from pemviz.sweep.runs import Keep
+from pemviz.sweep.summary import summary_markdown
+from pemviz.sweep.table import csv_text, parquet_bytes, rows
+from pemviz.sweep.workers import Workers
+
+SCHEMA = 1
+DEFAULT_OUT = Path("sweeps")
+Seeds = Annotated[int, Range(low=1, high=100_000)]
+
+DESCRIPTION = (
+    "Run an experiment with every combination of settings and every seed. Writes one run folder "
+    "a run, one table (sweep.csv, sweep.parquet), summary.md and the overview recording "
+    "sweep.rrd. The same command again skips what is done. Exit codes: 0 done, 2 bad input, "
+    "3 a run failed twice, or interrupted."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepArguments:
+    """Options of ``pemviz sweep``."""
+
+    config: tyro.conf.Positional[Path | None] = None
+    """Configuration file (TOML) that every run starts from."""
+    preset: str | None = None
+    """Shipped configuration to start from instead: paper or town01."""
+    vary: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """FIELD=VALUE,VALUE,... with any field of the configuration, such as alpha=0.05,0.1 or
+    scenario.initial_gap_m=12,15; may be given several times."""
+    seeds: Seeds = 1
+    """Seeds a setting, from the configuration's on; 1 to 100000."""
+    out: Path | None = None
+    """Folder for everything; without it, one below sweeps/ that the same command finds again."""
+    workers: Processes | None = None
+    """Processes on this machine, 1 to 1024; without it, as many as there are CPUs. The results
+    do not depend on it."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, such as tcp://10.0.0.5:8786: its workers carry out the runs.
+    They need pemviz in the same version, and no disk in common with this machine."""
+    keep: Keep = "results"
+    """What is kept of a run: config.toml and result.json, or all, rollouts, proposals and
+    recording too."""
+    json: bool = False
+    """Print the table as one JSON object and nothing else."""
+
+
+def run(words: Sequence[str]) -> int:
+    """Carry out the command and return its exit code.
+
+    Raises:
+        InputError: The arguments are wrong; nothing was simulated.
+        RunError: Something cannot be written, or the cluster is gone.
+    """
+    arguments = parse(words)
+    base = _base(arguments)
+    plan = make_plan(
+        base, [parse_variation(text) for text in arguments.vary], seeds=arguments.seeds
+    )
+    models = {name: model_files(name) for name in {one.config.pem for one in plan.runs}}
+    workers = _workers(arguments, plan)
+    out = _out(arguments, plan)
+    with sweep_folder(out) as runs:
+        before = finished_before(runs, plan.runs, keep=arguments.keep)
+        states, lost = _carry_out(
+            runs, before, workers, models=models, keep=arguments.keep, quiet=arguments.json
+        )
+        write_reports(out, plan, states, base=base)
+    _print(arguments, out, plan, states)
+    return _judge(states, out=out, lost=lost)
+
+
+def parse(words: Sequence[str]) -> SweepArguments:
+    """The command's arguments.
+
+    Raises:
+        InputError: An option is unknown, or a value is not allowed.
+    """
+    arguments = parse_arguments(
+        SweepArguments, words, command="sweep", default=SweepArguments(), description=DESCRIPTION
+    )
+    check_value(name="seeds", value=arguments.seeds, annotation=Seeds)
+    if arguments.workers is not None:
+        check_value(name="workers", value=arguments.workers, annotation=Processes)
+    check_one_kind(workers=arguments.workers, scheduler=arguments.scheduler)
+    return arguments
+
+
+def write_reports(
+    out: Path, plan: Plan, states: Sequence[RunState], *, base: ExperimentConfig
+) -> None:
+    """Write table, summary and overview recording, each whole or not at all.
+
+    Raises:
+        RunError: One of them cannot be written.
+    """
+    from pemviz.sweep.overview import write_overview  # noqa: PLC0415  rerun is slow to import
+
+    table = rows(plan, states)
+    try:
+        write_text(out / "sweep.csv", csv_text(plan, table))
+        write_bytes(out / "sweep.parquet", parquet_bytes(plan, table))
+        write_text(out / "summary.md", summary_markdown(plan, states))
+        write_overview(out / "sweep.rrd", plan, states, base=base)
+    except OSError as error:
+        message = f"out = {out}: cannot be written ({error.strerror or error})"
+        raise RunError(message) from error
+
+
+def _base(arguments: SweepArguments) -> ExperimentConfig:
+    if arguments.config is not None and arguments.preset is not None:
+        message = (
+            f"config {arguments.config} and preset = {arguments.preset!r}: give only one of them"
+        )
+        raise ConfigError(message)
+    if arguments.config is not None:
+        return load_config(arguments.config)
+    if arguments.preset is None:
+        message = "nothing to start from: give a configuration file or --preset paper"
+        raise ConfigError(message)
+    return load_preset(arguments.preset)
+
+
+def _workers(arguments: SweepArguments, plan: Plan) -> Workers:
+    if arguments.scheduler is not None:
+        return ClusterWorkers(arguments.scheduler)
+    count = usable_cpus() if arguments.workers is None else arguments.workers
+    return LocalWorkers(min(count, len(plan.runs)))
+
+
+def _out(arguments: SweepArguments, plan: Plan) -> Path:
+    if arguments.out is not None:
+        return arguments.out
+    source = arguments.preset if arguments.config is None else arguments.config.stem
+    return DEFAULT_OUT / f"{source}-{plan.digest}"
+
+
+def _carry_out(
+    runs: Path,
+    before: Sequence[RunState],
+    workers: Workers,
+    *,
+    models: dict[str, ModelFiles],
+    keep: Keep,
+    quiet: bool,
+) -> tuple[list[RunState], str | None]:
+    """How all runs stand in the end, and why the workers were lost, if they were."""
+    known = {state.planned.name: state for state in before}
+    waiting: list[PlannedRun] = [state.planned for state in before if state.status != "done"]
+    total, done = len(before), len(before) - len(waiting)
+    if done:
+        tell_done_before(done, total)
+    lost = None
+    if waiting:
+        with (
+            stop_on_signals() as should_stop,
+            sweep_progress(total, done=done, quiet=quiet) as on_report,
+            workers,
+        ):
+
+            def keep_state(state: RunState) -> None:
+                known[state.planned.name] = state
+
+            lost = _until_lost(
+                lambda: carry_out_runs(
+                    runs,
+                    waiting,
+                    workers,
+                    models=models,
+                    keep=keep,
+                    on_report=on_report,
+                    on_end=keep_state,
+                    should_stop=should_stop,
+                )
+            )
+    return [known[state.planned.name] for state in before], lost
+
+
+def _until_lost(carry_out: Callable[[], None]) -> str | None:
+    try:
+        carry_out()
+    except RunError as error:
+        return str(error)
+    return None
+
+
+def _print(arguments: SweepArguments, out: Path, plan: Plan, states: Sequence[RunState]) -> None:
+    if arguments.json:
+        document = {"schema": SCHEMA, "out": str(out), "runs": rows(plan, states)}
+        print(json.dumps(document, allow_nan=False))
+    else:
+        print(summary_markdown(plan, states))
+        print(f"sweep folder: {out}")
+
+
+def _judge(states: Sequence[RunState], *, out: Path, lost: str | None) -> int:
+    done = sum(state.status == "done" for state in states)
+    if lost is not None:
+        print(f"pemviz: {lost}", file=sys.stderr)
+    if done == len(states):
+        return EXIT_DONE if lost is None else EXIT_FAILED
+    print(
+        f"pemviz: {done} of {len(states)} runs are done; the same command again does the rest; "
+        f"what is finished is in {out}",
+        file=sys.stderr,
+    )
+    return EXIT_FAILED

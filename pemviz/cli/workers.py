@@ -1,0 +1,64 @@
+"""Who simulates: options that several commands have."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import replace
+
+from pemviz.errors import ConfigError
+from pemviz.processes import process_pool
+from pemviz.runs.experiment import Experiment
+from pemviz.sampling.rollouts.worker_batches import PooledRunner
+from pemviz.sweep.cluster import cluster_pool
+
+
+def check_one_kind(*, workers: int | None, scheduler: str | None) -> None:
+    """Refuse processes of this machine and a cluster at once.
+
+    Raises:
+        ConfigError: Both are given.
+    """
+    if workers is not None and scheduler is not None:
+        message = f"workers = {workers} and scheduler = {scheduler}: give only one of them"
+        raise ConfigError(message)
+
+
+def check_workers(experiment: Experiment, *, workers: int | None, scheduler: str | None) -> None:
+    """Refuse workers where they could not help.
+
+    Raises:
+        ConfigError: Both kinds are given, or the simulator or method has no use for any.
+    """
+    check_one_kind(workers=workers, scheduler=scheduler)
+    if workers is None and scheduler is None:
+        return
+    given = f"workers = {workers}" if scheduler is None else f"scheduler = {scheduler}"
+    config = experiment.config
+    if config.simulator == "vectorized":
+        message = f"{given}: the vectorized simulator has no use for it; try simulator highway-env"
+        raise ConfigError(message)
+    if config.method == "splitting":
+        message = f"{given}: splitting simulates in this process alone; leave it out"
+        raise ConfigError(message)
+
+
+@contextmanager
+def with_workers(
+    experiment: Experiment, *, workers: int | None, scheduler: str | None
+) -> Generator[Experiment, None, None]:
+    """Yield the experiment with its rollouts simulated by these; see :func:`check_workers`.
+
+    Raises:
+        ConfigError: The cluster cannot be used.
+    """
+    if scheduler is not None:
+        with cluster_pool(scheduler) as (submit, count):
+            yield _simulated_by(experiment, PooledRunner(submit, count))
+    elif workers is not None and workers > 1:
+        with process_pool(workers) as submit:
+            yield _simulated_by(experiment, PooledRunner(submit, workers))
+    else:
+        yield experiment
+
+
+def _simulated_by(experiment: Experiment, runner: PooledRunner) -> Experiment:
+    return replace(experiment, problem=replace(experiment.problem, run_batches=runner))

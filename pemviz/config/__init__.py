@@ -1,0 +1,19 @@
+"""What is asked of a run, with units and ranges, and how it is written as TOML."""
+
+from pemviz.config.settings import (
+    DEVICES,
+    SHIPPED_SIMULATORS,
+    ExperimentConfig,
+    MethodName,
+    MetricName,
+    ScenarioConfig,
+)
+
+__all__ = [
+    "DEVICES",
+    "SHIPPED_SIMULATORS",
+    "ExperimentConfig",
+    "MethodName",
+    "MetricName",
+    "ScenarioConfig",
+]

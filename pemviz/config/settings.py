@@ -1,0 +1,133 @@
+"""What is asked of a run: every number that shapes a result, with unit and range."""
+
+import re
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from pemviz.config.ranges import Range, check_fields
+from pemviz.errors import ConfigError
+
+MethodName = Literal["adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"]
+MetricName = Literal["classical", "agm", "smooth-cumulative"]
+SHIPPED_SIMULATORS = ("vectorized", "highway-env")
+
+DEVICES = re.compile(r"cpu|torch-cpu|cuda(:[0-9]{1,3})?")
+Positive = Range(low=0.0, low_open=True, high=1e6)
+NotNegative = Range(low=0.0, high=1e6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioConfig:
+    """An ego car follows a braking lead car on a straight road (DESIGN section 3)."""
+
+    initial_speed_kmh: Annotated[float, Range(low=0.0, low_open=True, high=144.0)] = 70.0
+    """Speed of both cars at the start, and the ego's target speed [km/h]; above 0, at most 144."""
+    initial_gap_m: Annotated[float, Range(low=0.0, low_open=True, high=200.0)] = 15.0
+    """Windscreen camera to the rear of the lead car at the start [m]; above 0, at most 200."""
+    lead_deceleration_mps2: Annotated[float, Range(low=0.0, high=20.0)] = 2.943
+    """The lead car's braking until it stands [m/s^2]; 0 to 20."""
+    lead_brake_time_s: Annotated[float, NotNegative] = 0.0
+    """When the lead car starts to brake [s]; 0 to 1e6."""
+    emergency_gap_m: Annotated[float, Positive] = 10.0
+    """A detection below this gap triggers emergency braking [m]; above 0, at most 1e6."""
+    emergency_deceleration_mps2: Annotated[float, Range(low=0.0, low_open=True, high=20.0)] = 8.0
+    """The ego's emergency braking [m/s^2]; above 0, at most 20."""
+    speed_gain_per_s: Annotated[float, NotNegative] = 1.0
+    """Proportional gain of the speed controller [1/s]; 0 to 1e6."""
+    speed_integral_gain_per_s2: Annotated[float, NotNegative] = 0.05
+    """Integral gain of the speed controller [1/s^2]; 0 to 1e6."""
+    maximum_acceleration_mps2: Annotated[float, Range(low=0.0, high=20.0)] = 1.0
+    """Upper limit of the speed controller [m/s^2]; 0 to 20."""
+    maximum_deceleration_mps2: Annotated[float, Range(low=0.0, high=20.0)] = 3.0
+    """Lower limit of the speed controller, as a positive number [m/s^2]; 0 to 20."""
+    dt_s: Annotated[float, Range(low=0.001, high=1.0)] = 0.05
+    """Time step [s]; 0.001 to 1."""
+    states: Annotated[int, Range(low=2, high=100_000)] = 100
+    """States in a rollout (T); perception acts at all but the last; 2 to 100000."""
+    camera_height_m: Annotated[float, Range(low=0.0, low_open=True, high=100.0)] = 1.65
+    """Camera above the road, the y that the perception error model sees [m]; above 0 to 100."""
+    lead_length_m: Annotated[float, Range(low=0.0, low_open=True, high=30.0)] = 5.0
+    """Length of the lead car; its centre lies half of it beyond the gap [m]; above 0 to 30."""
+    gap_bound_m: Annotated[float, Positive] = 25.0
+    """The agm metric normalises gaps from minus to plus this value [m]; above 0 to 1e6."""
+    speed_bound_mps: Annotated[float, Positive] = 40.0
+    """The agm metric normalises speeds from 0 to this value [m/s]; above 0 to 1e6."""
+
+    @property
+    def initial_speed_mps(self) -> float:
+        """Speed of both cars at the start [m/s]."""
+        return self.initial_speed_kmh / 3.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentConfig:
+    """One experiment: scenario, specification, perception error model, method, seed."""
+
+    method: MethodName = "adaptive"
+    """How the failure probability is estimated."""
+    metric: MetricName = "classical"
+    """Robustness metric that ranks rollouts and sets thresholds; violations are always decided
+    by the classical one."""
+    spec: str = "always[0,99] (gap >= 2.0)"
+    """Specification in Signal Temporal Logic over gap [m], ego_speed and lead_speed [m/s];
+    intervals count steps."""
+    pem: str = "ml-nn"
+    """Perception error model: a shipped name or a file."""
+    simulator: str = "vectorized"
+    """Back end that steps the scenario: vectorized, highway-env, or a name that an installed
+    package registers as an entry point of the group pemviz.simulators."""
+    device: str = "cpu"
+    """Where rollouts are computed: cpu (numpy), cuda or cuda:N (a GPU, in double precision; the
+    same estimate to 1e-6), or torch-cpu (the GPU's code on the CPU). Splitting, highway-env and
+    everything that is fitted stay on the CPU."""
+    alpha: Annotated[float, Range(low=0.0, high=1.0)] = 0.1
+    """Exponent that smooths the training weights; 0 to 1. It never enters an estimate."""
+    sigma: Annotated[float, Range(low=0.95, high=1.0, high_open=True)] = 0.95
+    """Elite quantile: a stage learns from the least robust 1 - sigma; at least 0.95, below 1."""
+    stages: Annotated[int, Range(low=1, high=1000)] = 10
+    """Learning stages (K); 1 to 1000."""
+    rollouts: Annotated[int, Range(low=2, high=1_000_000)] = 100
+    """Rollouts a stage, pre-training included (N_kappa); 2 to 1000000."""
+    final_rollouts: Annotated[int, Range(low=2, high=10_000_000)] = 100
+    """Rollouts that the estimate is formed from (N_e); 2 to 10000000."""
+    epochs: Annotated[int, Range(low=1, high=100_000)] = 500
+    """Full-batch training steps of the proposal network at each stage; 1 to 100000."""
+    learning_rate: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] = 1e-3
+    """Adam's step size; above 0, at most 1."""
+    smooth_beta_per_m: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] = 75.0
+    """Sharpness of the smooth-cumulative metric [1/m]; above 0, at most 1e6."""
+    naive_detection_probability: Annotated[
+        float, Range(low=0.0, high=1.0, low_open=True, high_open=True)
+    ] = 0.5
+    """Constant detection probability that the naive method samples from; above 0 and below 1."""
+    seed: Annotated[int, Range(low=0, high=2**63 - 1)] = 0
+    """Root of all randomness; the same seed and config give the same result; 0 or more."""
+    repetitions: Annotated[int, Range(low=1, high=100_000)] = 1
+    """Independent repetitions, summarised by their mean; 1 to 100000."""
+    batch_time_limit_s: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] = 600.0
+    """A batch of rollouts (4096; 50 with a slow simulator) that takes longer fails the run [s];
+    above 0, at most 1e6."""
+    reference: bool = False
+    """Also compute the answer by the value-twisted reference, to compare with."""
+    target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None
+    """Failure probability to bring the system below: tells by which factor misses would have to
+    become rarer, for each distance band; above 0, at most 1."""
+    scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
+    """The scenario's parameters."""
+
+    def validate(self) -> None:
+        """Check every value and those that must fit together.
+
+        Raises:
+            ConfigError: One line that names field, value and what is allowed.
+        """
+        check_fields(self)
+        if not self.pem.strip():
+            message = "pem = '': must be the name of a shipped model or a file"
+            raise ConfigError(message)
+        if DEVICES.fullmatch(self.device) is None:
+            message = f"device = {self.device!r}: must be cpu, torch-cpu, cuda or cuda:N"
+            raise ConfigError(message)
+        if not self.simulator.strip():
+            message = f"simulator = '': must be {' or '.join(SHIPPED_SIMULATORS)} or registered"
+            raise ConfigError(message)

@@ -1,0 +1,134 @@
+"""Configurations as TOML: presets, the user's files, and the copy in every run folder."""
+
+import difflib
+import tomllib
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast, get_type_hints
+
+import tomli_w
+
+from pemviz.config import ExperimentConfig
+from pemviz.config.ranges import allows_none, check_value, optional_value
+from pemviz.errors import ConfigError
+from pemviz.files.shipped import asset_path
+
+Config = TypeVar("Config")
+
+LARGEST_BYTES = 1_000_000
+"""A configuration has a kilobyte; no more than this is read of what is given as one."""
+DEEPEST_KEY = 200
+"""Dots in a key; tomllib's time grows with the square of their number."""
+
+
+def preset_names() -> tuple[str, ...]:
+    """Names of the shipped presets."""
+    return tuple(sorted(path.stem for path in asset_path("presets").glob("*.toml")))
+
+
+def load_preset(name: str) -> ExperimentConfig:
+    """The shipped preset ``name``.
+
+    Raises:
+        ConfigError: There is no such preset.
+    """
+    if name not in preset_names():
+        message = f"preset = {name!r}: must be one of {', '.join(preset_names())}"
+        raise ConfigError(message)
+    return load_config(asset_path("presets", f"{name}.toml"))
+
+
+def load_config(path: Path) -> ExperimentConfig:
+    """Read and validate a TOML file; what it leaves out keeps its default.
+
+    Raises:
+        ConfigError: The file cannot be read, is not TOML, or holds an unknown field or a
+            value that is out of range.
+    """
+    try:
+        config = config_from_table(_read_table(path))
+        config.validate()
+    except ConfigError as error:
+        message = f"config {path}: {error}"
+        raise ConfigError(message) from error
+    return config
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    """The file's values.
+
+    Raises:
+        ConfigError: It cannot be read, or is not TOML; the message does not name it.
+    """
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(LARGEST_BYTES + 1)
+        if len(content) > LARGEST_BYTES:
+            message = f"must be a configuration of at most {LARGEST_BYTES} bytes"
+            raise ConfigError(message)
+        text = content.decode("utf-8").replace("\r\n", "\n")
+        if any(line.partition("=")[0].count(".") > DEEPEST_KEY for line in text.split("\n")):
+            raise ConfigError(_TOO_DEEP)
+        return tomllib.loads(text)
+    except OSError as error:
+        message = f"cannot be read ({error.strerror or error})"
+        raise ConfigError(message) from error
+    except ValueError as error:  # also of numbers with more digits than Python reads
+        message = f"not valid TOML ({error})"
+        raise ConfigError(message) from error
+    except RecursionError as error:
+        raise ConfigError(_TOO_DEEP) from error
+
+
+_TOO_DEEP = "nested too deeply"
+
+
+def config_from_table(table: dict[str, Any]) -> ExperimentConfig:
+    """The configuration that a table of plain values spells out.
+
+    Raises:
+        ConfigError: A field is unknown or of the wrong type.
+    """
+    return _build(ExperimentConfig, table, prefix="")
+
+
+def config_table(config: ExperimentConfig) -> dict[str, Any]:
+    """Every field as plain values, for TOML and JSON."""
+    return asdict(config)
+
+
+def config_text(config: ExperimentConfig) -> str:
+    """Every field as TOML that :func:`load_config` reads back to an equal configuration."""
+    # TOML has no null: what is not set is left out
+    set_values = {n: value for n, value in config_table(config).items() if value is not None}
+    return tomli_w.dumps(set_values)
+
+
+def _build(kind: type[Config], table: dict[str, Any], *, prefix: str) -> Config:
+    hints = get_type_hints(kind, include_extras=True)
+    known = {field.name for field in fields(cast(Any, kind))}
+    values: dict[str, Any] = {}
+    for name, value in table.items():
+        if name not in known:
+            raise ConfigError(_unknown(f"{prefix}{name}", name, known))
+        annotation = hints[name]
+        if is_dataclass(annotation):
+            if not isinstance(value, dict):
+                message = f"{prefix}{name} = {value!r}: must be a table [{prefix}{name}]"
+                raise ConfigError(message)
+            nested = cast(type[Any], annotation)
+            values[name] = _build(nested, cast(dict[str, Any], value), prefix=f"{name}.")
+        elif value is None and allows_none(annotation):
+            values[name] = None
+        else:
+            values[name] = check_value(
+                name=f"{prefix}{name}", value=value, annotation=optional_value(annotation)
+            )
+    return kind(**values)
+
+
+def _unknown(shown: str, name: str, known: set[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    if near:
+        return f"{shown}: no such field; did you mean {near[0]}?"
+    return f"{shown}: no such field; allowed are {', '.join(sorted(known))}"

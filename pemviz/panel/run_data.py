@@ -1,0 +1,224 @@
+"""A run as the panel shows it, be it under way, just finished or read from a folder."""
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, row_sums
+from pemviz.config import ExperimentConfig
+from pemviz.errors import InputError
+from pemviz.simulators.braking.scenario import scenario_signals
+from pemviz.types import Simulator, StageKind
+
+Value = TypeVar("Value")
+
+KEPT_ROLLOUTS = 20_000
+FARTHEST = 1e9
+"""Beyond any gap [m], speed [m/s] or log likelihood of a step [nats]."""
+PER_ROLLOUT = ("repetition", "stage", "robustness", "violated")
+
+
+@dataclass(frozen=True)
+class ProposalCurve:
+    """P(detected) against the gap under one stage's proposal.
+
+    Attributes:
+        repetition: Zero-based.
+        stage: The stage whose rollouts it was learned from.
+        kind: That stage's kind.
+        gap_m: ``[G]`` ascending gaps [m].
+        detection: ``[G]`` probabilities; NaN where nothing is known.
+    """
+
+    repetition: int
+    stage: int
+    kind: StageKind
+    gap_m: FloatArray
+    detection: FloatArray
+
+
+class Memo:
+    """Values computed once for a run; it goes when the run goes."""
+
+    def __init__(self) -> None:
+        self._values: dict[object, Any] = {}
+        self._lock = threading.RLock()
+
+    def get(self, key: object, compute: Callable[[], Value]) -> Value:
+        """The value under ``key``, computed at the first call."""
+        with self._lock:
+            if key not in self._values:
+                self._values[key] = compute()
+            return cast(Value, self._values[key])
+
+
+@dataclass(frozen=True, eq=False)
+class RunData:
+    """One state of one run; a run that goes on yields a new one after every stage.
+
+    Attributes:
+        name: The run's id.
+        config: What was asked.
+        read_document: Gives the contents of ``result.json``.
+        gap_m: ``[G]`` gaps of the error model's curve [m].
+        pem_detection: ``[G]`` P(detected) under the error model.
+        curves: Proposals in the order in which they were learned.
+        parts: Tables of rollouts with the keys of ``rollouts.npz``, each table some stages.
+        simulated: How many rollouts were simulated; tables may hold fewer, see ``thinned``.
+        folder: Where the run lies on disk, if it does.
+        running: Whether it goes on.
+    """
+
+    name: str
+    config: ExperimentConfig
+    read_document: Callable[[], Mapping[str, Any]]
+    gap_m: FloatArray
+    pem_detection: FloatArray
+    curves: tuple[ProposalCurve, ...] = ()
+    parts: tuple[Mapping[str, AnyArray], ...] = ()
+    simulated: int = 0
+    folder: Path | None = None
+    running: bool = False
+    memo: Memo = field(default_factory=Memo, init=False)
+
+    @cached_property
+    def document(self) -> Mapping[str, Any]:
+        """The contents of ``result.json``."""
+        return self.read_document()
+
+    @cached_property
+    def rollouts(self) -> Mapping[str, AnyArray]:
+        """All tables joined; empty if there is no rollout."""
+        if len(self.parts) == 1:
+            return self.parts[0]
+        if not self.parts:
+            return {}
+        return {name: np.concatenate([part[name] for part in self.parts]) for name in self.parts[0]}
+
+    @property
+    def kept(self) -> int:
+        """How many rollouts the tables hold."""
+        return sum(int(part["violated"].shape[0]) for part in self.parts)
+
+    @property
+    def final_curves(self) -> tuple[ProposalCurve, ...]:
+        """The curves of the last repetition that has any."""
+        if not self.curves:
+            return ()
+        last = self.curves[-1].repetition
+        return tuple(curve for curve in self.curves if curve.repetition == last)
+
+    @cached_property
+    def log_weight(self) -> FloatArray:
+        """Log importance weights ``[N]`` of the rollouts kept [nats]."""
+        rollouts = self.rollouts
+        return row_sums(np.asarray(rollouts["log_p"] - rollouts["log_q"], dtype=np.float64))
+
+    @cached_property
+    def pem_nll(self) -> FloatArray:
+        """Negative log-likelihoods ``[N]`` of the rollouts kept under the error model [nats]."""
+        return -row_sums(np.asarray(self.rollouts["log_p"], dtype=np.float64))
+
+
+def detection_probability(log_likelihood: FloatArray, detected: BoolArray) -> FloatArray:
+    """P(detected) ``[...]`` from the log likelihood of outcomes ``[...]``."""
+    return np.where(detected, np.exp(log_likelihood), -np.expm1(log_likelihood))
+
+
+def signals_of(run: RunData) -> dict[str, FloatArray]:
+    """The kept rollouts' signals ``[N, T]`` by the names that specifications use."""
+    return {
+        signal.name: np.asarray(run.rollouts[signal.key], dtype=np.float64)
+        for signal in scenario_signals(run.config.scenario)
+    }
+
+
+def thinned(
+    parts: Sequence[Mapping[str, AnyArray]], *, limit: int = KEPT_ROLLOUTS
+) -> tuple[Mapping[str, AnyArray], ...]:
+    """The least robust ``limit`` rollouts, in their order, if there are more than that."""
+    if sum(part["violated"].shape[0] for part in parts) <= limit:
+        return tuple(parts)
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    chosen = np.sort(np.argsort(joined["robustness"], kind="stable")[:limit])
+    return ({name: values[chosen] for name, values in joined.items()},)
+
+
+def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    """The table with each rollout's index in its stage under ``rollout``."""
+    if "rollout" in part:
+        return dict(part)
+    key = part["repetition"].astype(np.int64) * (1 << 32) + part["stage"].astype(np.int64)
+    order = np.argsort(key, kind="stable")
+    ordered = key[order]
+    starts = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]])
+    lengths = np.diff(np.r_[starts, key.size])
+    index = np.empty(key.size, dtype=np.int64)
+    index[order] = np.arange(key.size) - np.repeat(starts, lengths)
+    return {**part, "rollout": index}
+
+
+def check_shown(simulator: Simulator, config: ExperimentConfig) -> None:
+    """Check that a simulator's rollouts look like those of the scenario that the panel draws.
+
+    Raises:
+        InputError: They do not.
+    """
+    scenario = config.scenario
+    drawn = {signal.name: signal.key for signal in scenario_signals(scenario)}
+    offered = {signal.name: signal.key for signal in simulator.signals}
+    if offered != drawn or (simulator.states, simulator.dt_s) != (scenario.states, scenario.dt_s):
+        message = (
+            f"simulator = {config.simulator!r}: the panel draws a car behind another "
+            f"({', '.join(drawn)}; scenario.states and dt_s), this one is different; use pemviz "
+            "record and pemviz open"
+        )
+        raise InputError(message)
+
+
+def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, where: str) -> None:
+    """Check a table read from disk against what its configuration promises.
+
+    Raises:
+        InputError: An array is absent, or its shape, type or numbers cannot be a run's.
+    """
+    states = config.scenario.states
+    keys = [signal.key for signal in scenario_signals(config.scenario)]
+    widths = dict.fromkeys(keys, states)
+    widths |= dict.fromkeys(("detected", "log_p", "log_q"), states - 1)
+    count = table["violated"].size if "violated" in table else 0
+    for name in (*PER_ROLLOUT, *widths):
+        shape = (count, widths[name]) if name in widths else (count,)
+        if name not in table or table[name].shape != shape:
+            found = "is absent" if name not in table else f"has shape {table[name].shape}"
+            message = f"rollouts {where}: {name} {found}, must have shape {shape}"
+            raise InputError(message)
+        fault = _fault(name, table[name])
+        if fault is not None:
+            message = f"rollouts {where}: {name} {fault}"
+            raise InputError(message)
+
+
+def _fault(name: str, values: AnyArray) -> str | None:
+    """What is wrong with an array's type or numbers, in words; ``None`` if nothing is."""
+    kind = _KINDS.get(name, "f")
+    if values.dtype.kind != kind:
+        return f"holds {values.dtype}, must hold {_KIND_WORDS[kind]}"
+    if kind == "i" and not np.all((values >= 0) & (values < 2**31)):
+        return "must lie between 0 and 2147483647"
+    if name in ("log_p", "log_q") and not np.all((values <= 0.0) & (values >= -FARTHEST)):
+        return f"must hold logarithms of probabilities, {-FARTHEST:g} to 0"
+    if name == "robustness" and np.any(np.isnan(values)):
+        return "must hold numbers, not NaN"
+    if name not in PER_ROLLOUT and kind == "f" and not np.all(np.abs(values) <= FARTHEST):
+        return f"must hold numbers between {-FARTHEST:g} and {FARTHEST:g}"
+    return None
+
+
+_KINDS = {"detected": "b", "violated": "b", "repetition": "i", "stage": "i"}
+_KIND_WORDS = {"b": "truth values", "i": "whole numbers", "f": "floating-point numbers"}

@@ -1,0 +1,166 @@
+"""The observer that turns the engine's events into what the panel shows."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
+from pemviz.arrays import FloatArray
+from pemviz.panel.run_data import ProposalCurve, RunData, numbered, thinned
+from pemviz.runs.events import Event, RepetitionDone, RolloutsDone, RunDone, RunFailed, RunStarted
+from pemviz.runs.events import StageDone as StageDoneEvent
+from pemviz.runs.result import RunResult, result_document
+from pemviz.runs.rollout_files import stage_arrays
+from pemviz.sampling.rollouts.draw import LogitFunction
+from pemviz.types import Signal, Simulator, StageResult
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is.
+
+    Attributes:
+        repetition: Zero-based.
+        repetitions: How many there are.
+        stage: The stage under way, zero-based.
+        stages: Stages of a repetition.
+        done: Rollouts simulated.
+        planned: Rollouts that the run will simulate.
+        elapsed_s: Time since the start.
+        by_level: Whether ``done`` and ``planned`` tell how far splitting's levels have come, and
+            count no rollouts.
+    """
+
+    repetition: int
+    repetitions: int
+    stage: int
+    stages: int
+    done: int
+    planned: int
+    elapsed_s: float
+    by_level: bool = False
+
+    @property
+    def share(self) -> float:
+        """Done share of the rollouts, 0 to 1."""
+        return min(self.done / self.planned, 1.0) if self.planned else 0.0
+
+    @property
+    def left_s(self) -> float | None:
+        """Time left if the rest takes as long a rollout as what is done; unknown at first."""
+        return self.elapsed_s * (1.0 - self.share) / self.share if self.share > 0.0 else None
+
+
+Publish = Callable[[RunData, Progress], None]
+
+
+class Watcher:
+    """Observer that publishes a run's state after every event worth showing."""
+
+    def __init__(self, *, pem_logit: LogitFunction, folder: Path | None, publish: Publish) -> None:
+        self._pem_logit = pem_logit
+        self._folder = folder
+        self._publish = publish
+        self._began_s = time.monotonic()
+        self._signals: tuple[Signal, ...] = ()
+        self._simulator: Simulator | None = None
+        self._gap_m: FloatArray = np.empty(0)
+        self._done_before = 0
+        self.run: RunData | None = None
+        self.progress = Progress(0, 1, 0, 1, 0, 0, 0.0)
+
+    def notify(self, event: Event) -> None:
+        """Publish what ``event`` adds."""
+        match event:
+            case RunStarted():
+                self._start(event)
+            case RolloutsDone():
+                self.progress = replace(
+                    self.progress,
+                    repetition=event.repetition,
+                    stage=event.stage,
+                    done=self._done_before + event.done,
+                )
+            case StageDoneEvent():
+                self._add_stage(event.stage)
+                self._set_result(event.result)
+            case RepetitionDone():
+                self._set_result(event.result)
+            case RunDone() | RunFailed():
+                self._set_result(event.result)
+                if self.run is not None:
+                    self.run = replace(self.run, running=False)
+        elapsed_s = time.monotonic() - self._began_s
+        self.progress = replace(self.progress, elapsed_s=elapsed_s)
+        if self.run is not None:
+            self._publish(self.run, self.progress)
+
+    def _start(self, event: RunStarted) -> None:
+        self._signals = event.signals
+        self._simulator = event.simulator
+        if any(signal.name == GAP for signal in event.signals):
+            self._gap_m = gap_grid(event.simulator)
+            detection = pem_curve(
+                simulator=event.simulator, pem_logit=self._pem_logit, gap_m=self._gap_m
+            )
+        else:
+            detection = np.empty(0)
+        self.progress = replace(
+            self.progress,
+            repetitions=event.config.repetitions,
+            stages=event.stages,
+            planned=event.planned_rollouts,
+            by_level=event.config.method == "splitting",
+        )
+        self.run = RunData(
+            name=event.result.run_id,
+            config=event.config,
+            read_document=lambda: result_document(event.result),
+            gap_m=self._gap_m,
+            pem_detection=detection,
+            folder=self._folder,
+            running=True,
+        )
+
+    def _set_result(self, result: RunResult) -> None:
+        if self.run is not None:
+            self.run = replace(self.run, read_document=lambda: result_document(result))
+
+    def _add_stage(self, stage: StageResult) -> None:
+        run = self.run
+        if run is None:
+            return
+        count = stage.scored.rollouts.count
+        self._done_before += count
+        self.progress = replace(self.progress, done=self._done_before, stage=stage.stage + 1)
+        part = numbered(stage_arrays(stage, self._signals))
+        curve = self._curve(stage)
+        self.run = replace(
+            run,
+            curves=run.curves if curve is None else (*run.curves, curve),
+            parts=thinned((*run.parts, part)),
+            simulated=run.simulated + count,
+        )
+
+    def _curve(self, stage: StageResult) -> ProposalCurve | None:
+        proposal = stage.sampled_from if stage.learned is None else stage.learned
+        last = stage.kind == "final" and stage.stage > 0
+        if self._simulator is None or not self._gap_m.size or last:
+            return None
+        curves = detection_curves(
+            simulator=self._simulator,
+            pem_logit=self._pem_logit,
+            proposal=proposal,
+            gap_m=self._gap_m,
+            rollouts=stage.scored.rollouts,
+        )
+        return ProposalCurve(
+            repetition=stage.repetition,
+            stage=stage.stage,
+            kind=stage.kind,
+            gap_m=self._gap_m,
+            detection=curves.proposal,
+        )

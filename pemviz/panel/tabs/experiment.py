@@ -1,0 +1,184 @@
+"""The Experiment tab: what to run, Run and Stop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast, get_args
+
+import viser
+
+from pemviz.config import ExperimentConfig, MethodName, MetricName
+from pemviz.config.toml_files import load_preset, preset_names
+from pemviz.errors import InputError
+from pemviz.panel.controller import PanelState
+from pemviz.panel.fields import USED_FIELDS, hint, limits
+from pemviz.panel.views.experiment import scenario_text, spec_verdict
+from pemviz.panel.widgets import set_html
+from pemviz.pem import shipped_pems
+from pemviz.runs.experiment import build_formula, build_simulator
+from pemviz.simulators.registry import simulator_names
+
+if TYPE_CHECKING:
+    from pemviz.panel.session import Session
+
+FIRST_PRESET = "paper"
+PRESET_HINT = (
+    "Shipped configuration that fills in all controls and the scenario: paper (70 km/h, lead car "
+    "brakes at 0.3 g) or town01 (30 km/h, lead car brakes hard)."
+)
+RUN_HINT = "Run what is set up below. One experiment runs at a time; all browsers see it."
+STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
+ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
+LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
+
+
+class ExperimentTab:
+    """Controls of an experiment; this browser's own."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._scenario = load_preset(FIRST_PRESET).scenario
+        self._base = load_preset(FIRST_PRESET)
+        self._add_buttons()
+        self._add_choices()
+        self._add_numbers()
+        self._add_specification()
+        self._fill(self._base)
+
+    @property
+    def config(self) -> ExperimentConfig:
+        """What the controls say, not validated.
+
+        Choices that came over the wire are checked like all else when the run is built.
+        """
+        return replace(
+            self._base,
+            method=cast(MethodName, self.method.value),
+            metric=cast(MetricName, self.metric.value),
+            alpha=self.alpha.value,
+            sigma=self.sigma.value,
+            stages=self.stages.value,
+            rollouts=self.rollouts.value,
+            final_rollouts=self.final_rollouts.value,
+            seed=self.seed.value,
+            pem=self.pem.value,
+            simulator=self.simulator.value,
+            reference=self.reference.value,
+            spec=self.spec.value,
+        )
+
+    def refresh(self, state: PanelState) -> None:
+        """Run is possible while nothing runs, Stop while something does."""
+        if self.run.disabled != state.running:
+            self.run.disabled = state.running
+        idle = not state.running or state.stopping
+        if self.stop.disabled != idle:
+            self.stop.disabled = idle
+
+    def show(self, config: ExperimentConfig) -> None:
+        """Fill the controls with another run's settings."""
+        self._base = config
+        self._fill(config)
+
+    def _add_buttons(self) -> None:
+        gui, session = self._session.client.gui, self._session
+        self.run = gui.add_button("Run", icon=viser.Icon.PLAYER_PLAY, color="blue", hint=RUN_HINT)
+        self.stop = gui.add_button(
+            "Stop", icon=viser.Icon.PLAYER_STOP, color="red", disabled=True, hint=STOP_HINT
+        )
+        self.run.on_click(session.on(self._run))
+        self.stop.on_click(session.on(session.hub.controller.stop))
+
+    def _add_choices(self) -> None:
+        gui, session = self._session.client.gui, self._session
+        self.preset = gui.add_dropdown(
+            "Preset", preset_names(), initial_value=FIRST_PRESET, hint=PRESET_HINT
+        )
+        self.method = gui.add_dropdown("Method", get_args(MethodName), hint=hint("method"))
+        self.metric = gui.add_dropdown("Metric", get_args(MetricName), hint=hint("metric"))
+        self.preset.on_update(session.on(self._choose_preset))
+        self.method.on_update(session.on(self._enable))
+
+    def _add_numbers(self) -> None:
+        self.alpha = self._float("alpha", "alpha", step=ALPHA_STEP)
+        self.sigma = self._float("sigma", "sigma", step=SIGMA_STEP)
+        self.stages = self._count("Stages", "stages")
+        self.rollouts = self._count("Rollouts", "rollouts")
+        self.final_rollouts = self._count("Final rollouts", "final_rollouts")
+        self.seed = self._count("Seed", "seed")
+
+    def _add_specification(self) -> None:
+        gui, session = self._session.client.gui, self._session
+        self.pem = gui.add_dropdown("Error model", tuple(shipped_pems()), hint=hint("pem"))
+        self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
+        self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
+        self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
+        self._verdict = gui.add_html("")
+        self._facts = gui.add_html("")
+        self.spec.on_update(session.on(self._check_spec))
+
+    def _float(self, label: str, name: str, *, step: float) -> viser.GuiSliderHandle[float]:
+        low, high = limits(name, step=step)
+        initial = float(getattr(self._base, name))
+        return self._session.client.gui.add_slider(label, low, high, step, initial, hint=hint(name))
+
+    def _count(self, label: str, name: str) -> viser.GuiNumberHandle[int]:
+        low, high = limits(name, step=1)
+        return self._session.client.gui.add_number(
+            label,
+            int(getattr(self._base, name)),
+            min=int(low),
+            max=min(int(high), LARGEST_EXACT),
+            step=1,
+            hint=hint(name),
+        )
+
+    def _choose_preset(self) -> None:
+        self.show(load_preset(self.preset.value))
+
+    def _fill(self, config: ExperimentConfig) -> None:
+        self.method.value, self.metric.value = config.method, config.metric
+        self.alpha.value, self.sigma.value = config.alpha, config.sigma
+        self.stages.value, self.rollouts.value = config.stages, config.rollouts
+        self.final_rollouts.value, self.seed.value = config.final_rollouts, config.seed
+        if config.pem not in self.pem.options:
+            self.pem.options = (*self.pem.options, config.pem)
+        if config.simulator not in self.simulator.options:
+            self.simulator.options = (*self.simulator.options, config.simulator)
+        self.pem.value, self.simulator.value = config.pem, config.simulator
+        self.reference.value, self.spec.value = config.reference, config.spec
+        set_html(self._facts, scenario_text(config.scenario))
+        self._enable()
+        self._check_spec()
+
+    def _enable(self) -> None:
+        """Grey out what the method does not use; a slider's box cannot be, so sliders go."""
+        used = USED_FIELDS.get(cast(MethodName, self.method.value), frozenset())
+        for name, slider in (("alpha", self.alpha), ("sigma", self.sigma)):
+            if slider.visible != (name in used):
+                slider.visible = name in used
+        for name, control in (
+            ("stages", self.stages),
+            ("rollouts", self.rollouts),
+            ("final_rollouts", self.final_rollouts),
+        ):
+            if control.disabled == (name in used):
+                control.disabled = name not in used
+
+    def _check_spec(self) -> None:
+        try:
+            config = self.config
+            build_formula(config, build_simulator(replace(config, simulator="vectorized")))
+        except InputError as error:
+            set_html(self._verdict, spec_verdict(str(error), spec=self.spec.value))
+        else:
+            set_html(self._verdict, spec_verdict(None, spec=self.spec.value))
+
+    def _run(self) -> None:
+        session = self._session
+        config = self.config
+        config.validate()
+        if not session.hub.controller.start(config):
+            session.tell("Not started", "Another experiment is running; stop it first.")
+            return
+        session.look_at(None)

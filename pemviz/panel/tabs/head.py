@@ -1,0 +1,31 @@
+"""Above all tabs: the answer, what runs, how far it is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pemviz.panel.controller import PanelState
+from pemviz.panel.run_data import RunData
+from pemviz.panel.views.headline import headline, status
+from pemviz.panel.widgets import set_html
+
+if TYPE_CHECKING:
+    from pemviz.panel.session import Session
+
+
+class Head:
+    """The answer, the state, the progress bar."""
+
+    def __init__(self, session: Session) -> None:
+        gui = session.client.gui
+        self._headline = gui.add_html("")
+        self._status = gui.add_html("")
+        self._bar = gui.add_progress_bar(0.0, visible=False, color="blue")
+
+    def refresh(self, state: PanelState, run: RunData | None) -> None:
+        """Show the state."""
+        set_html(self._headline, headline(run))
+        set_html(self._status, status(state))
+        if self._bar.visible != state.running:
+            self._bar.visible = state.running
+        self._bar.value = 100.0 * state.progress.share if state.progress is not None else 0.0

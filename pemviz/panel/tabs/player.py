@@ -1,0 +1,186 @@
+"""The Rollout panel beneath the scene: play, pause, speed, scrub, follow, plots against time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import viser
+
+from pemviz.panel.ranking import RankedRow
+from pemviz.panel.run_data import RunData
+from pemviz.panel.scene import LIMIT_M, Scene
+from pemviz.panel.views.rollout import Track, track, track_plots, with_cursor
+from pemviz.panel.widgets import TABS_WIDTH_PX, set_html
+
+if TYPE_CHECKING:
+    from pemviz.panel.session import Session
+
+Key = Literal["space", "arrowleft", "arrowright"]
+
+SPEEDS = {"0.1x": 0.1, "0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0}
+STEP_HINT = "State of the rollout; drag to scrub. Keys: arrow left, arrow right."
+PLAY_HINT = "Play and pause (key: space), start again, speed as a multiple of real time."
+MARGIN_PX = 8
+PANEL_HEIGHT_PX = 274
+NARROWEST_PX = 420
+PLOT_PAUSE_S = 0.12
+# viser tells the scene's width in the screen's own pixels, of which there may be more than CSS's
+NOT_WIDER = (
+    "<style>[data-floating-window]{max-width:max("
+    f"{NARROWEST_PX}px,calc(100vw - {TABS_WIDTH_PX + 2 * MARGIN_PX}px))}}</style>"
+)
+
+
+class Player:
+    """Plays one rollout in this browser's scene."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.playing = False
+        self._key: object = None
+        self.track: Track | None = None
+        self._pieces = ("", "")
+        self._step = 0
+        self._began: tuple[float, int] = (0.0, 0)
+        self._plotted_s = 0.0
+        self._width_px = 0
+        self._speed = 1.0
+        self.scene = Scene(session.client.scene)
+        self._panel = session.client.gui.add_panel()
+        with self._panel.add_tab("Rollout", viser.Icon.MOVIE):
+            self._add_controls()
+        self._fit()
+        session.client.camera.on_update(lambda _: session.post(self._fit))
+
+    def show(self, run: RunData, entry: RankedRow) -> None:
+        """Show a rollout; nothing changes if it is the one shown."""
+        key = (run.name, entry.repetition, entry.stage, entry.rollout)
+        chosen = track(run, entry)
+        if key == self._key:
+            return
+        self._key, self.track = key, chosen
+        self._pieces = track_plots(chosen)
+        self.playing = False
+        with self._session.client.atomic():
+            self.slider.max = chosen.states - 1
+            self.scene.show(chosen)
+            self._go_to(interesting_step(chosen))
+
+    def forget(self) -> None:
+        """The next rollout shown is another one, whatever its numbers."""
+        self._key = None
+
+    def advance(self) -> None:
+        """Move on with the time that has passed, while playing."""
+        chosen = self.track
+        if not self.playing or chosen is None:
+            return
+        began_s, first = self._began
+        passed = (time.monotonic() - began_s) * self._speed
+        step = min(first + int(passed / chosen.scenario.dt_s), chosen.states - 1)
+        if step != self._step:
+            self._go_to(step)
+        if step == chosen.states - 1:
+            self._pause()
+
+    def _add_controls(self) -> None:
+        gui, session = self._session.client.gui, self._session
+        gui.add_html(NOT_WIDER)
+        self._plots = gui.add_html("")
+        self.slider = gui.add_slider("Step", 0, 99, 1, 0, hint=STEP_HINT)
+        buttons = ("Play", "Pause", "Restart", *SPEEDS)
+        self.play = gui.add_button_group("Playback", buttons, hint=PLAY_HINT)
+        self.slider.on_update(session.on(self._scrub))
+        self.play.on_click(session.on(self._play_clicked))
+        self._key_for("Play or pause", "space", self._toggle)
+        self._key_for("Step back", "arrowleft", lambda: self._nudge(-1))
+        self._key_for("Step ahead", "arrowright", lambda: self._nudge(1))
+
+    def _key_for(self, label: str, key: Key, work: Callable[[], None]) -> None:
+        command = self._session.client.gui.add_command(label, hotkey=key)
+        command.on_trigger(self._session.on(work))
+
+    def _go_to(self, step: int) -> None:
+        chosen = self.track
+        if chosen is None:
+            return
+        self._step = min(max(step, 0), chosen.states - 1)
+        with self._session.client.atomic():
+            self.scene.at(self._step)
+            self.slider.value = self._step
+            now_s = time.monotonic()
+            if not self.playing or now_s - self._plotted_s >= PLOT_PAUSE_S:
+                self._plotted_s = now_s
+                set_html(
+                    self._plots, with_cursor(self._pieces, chosen, self._step, speed=self._speed)
+                )
+
+    def _scrub(self) -> None:
+        self._pause()
+        self._go_to(self.slider.value)
+
+    def _nudge(self, by: int) -> None:
+        self._pause()
+        self._go_to(self._step + by)
+
+    def _toggle(self) -> None:
+        if self.playing:
+            self._pause()
+        else:
+            self._play()
+
+    def _play_clicked(self) -> None:
+        word = self.play.value
+        if word in SPEEDS:
+            self._set_speed(SPEEDS[word])
+        elif word == "Pause":
+            self._pause()
+        else:
+            if word == "Restart":
+                self._go_to(0)
+            self._play()
+
+    def _play(self) -> None:
+        if self.track is None:
+            return
+        if self._step >= self.track.states - 1:
+            self._go_to(0)
+        self.playing = True
+        self._began = (time.monotonic(), self._step)
+
+    def _pause(self) -> None:
+        if self.playing:
+            self.playing = False
+            self._go_to(self._step)
+
+    def _set_speed(self, speed: float) -> None:
+        self._speed = speed
+        self._began = (time.monotonic(), self._step)
+        self._go_to(self._step)
+
+    def follow(self, follow: bool) -> None:
+        """Whether the view keeps up with the ego car."""
+        self.scene.follow(follow)
+        self._go_to(self._step)
+
+    def _fit(self) -> None:
+        """Lay the panel along the lower edge of the scene, as wide as the scene is."""
+        width_px = int(self._session.client.camera.image_width) - 2 * MARGIN_PX
+        if width_px == self._width_px:
+            return
+        self._width_px = width_px
+        self._panel.float(
+            x=MARGIN_PX,
+            y=-MARGIN_PX,
+            width=max(width_px, NARROWEST_PX),
+            height=PANEL_HEIGHT_PX,
+        )
+
+
+def interesting_step(chosen: Track) -> int:
+    """Where the eye should land: the first violating state, else the closest one."""
+    below = np.flatnonzero(chosen.gap_m < LIMIT_M)
+    return int(below[0]) if below.size else int(np.argmin(chosen.gap_m))

@@ -1,0 +1,1 @@
+"""From labels and detections to the table that error models learn from."""

@@ -1,0 +1,166 @@
+"""From label and detection files to the table that models learn from, one frame at a time."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TextIO
+
+from pemviz.files.atomic import is_folder
+from pemviz.pem.data.detections import Detection, DetectionFormat, FrameDetections, open_detections
+from pemviz.pem.data.kitti_labels import MISC, TYPES, UNKNOWN_OCCLUSION, Obstacle, read_labels
+from pemviz.pem.data.matching import PAPER_IOU, match_boxes
+from pemviz.pem.data.table import OUTCOME_COLUMN
+from pemviz.pem.errors import PemError
+from pemviz.pem.models.protocol import SALIENT_COLUMNS
+
+TABLE_COLUMNS = ("frame", "type", *SALIENT_COLUMNS, OUTCOME_COLUMN, "iou")
+NUMBERED_CLASSES = TYPES[:-1]
+"""Names of the classes 0, 1, ... unless the user gives others: KITTI's, without DontCare."""
+
+CLASS_ID = {name: index for index, name in enumerate(TYPES)}
+
+
+@dataclass(frozen=True)
+class CollectOptions:
+    """What counts as a detection, and what is left out."""
+
+    iou_above: float = PAPER_IOU
+    """A pair of boxes counts as a detection above this overlap."""
+    class_aware: bool = False
+    """Whether only a detection of the obstacle's own class counts."""
+    score_from: float = 0.0
+    """Detections with a lower score are ignored."""
+    drop_unknown: bool = False
+    """Whether obstacles of class Misc or of unknown occlusion are left out."""
+    skip_bad: bool = False
+    """Whether malformed lines are counted and passed over."""
+
+
+@dataclass
+class CollectCounts:
+    """What happened on the way."""
+
+    frames: int = 0
+    """Frames read."""
+    obstacles: int = 0
+    """Obstacles written."""
+    missed: int = 0
+    """Those that the detector missed."""
+    dropped: int = 0
+    """Obstacles left out: class Misc or unknown occlusion."""
+    bad_lines: int = 0
+    """Malformed lines passed over."""
+    first_bad: str = field(default="")
+    """What was wrong with the first of them."""
+
+
+def collect(
+    *,
+    labels: Path,
+    detections: Path,
+    out: Path,
+    detection_format: DetectionFormat = "kitti",
+    options: CollectOptions = CollectOptions(),
+    class_names: tuple[str, ...] = NUMBERED_CLASSES,
+    image_sizes: Path | None = None,
+    missing_is_empty: bool = False,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> CollectCounts:
+    """Match every labelled obstacle with the detections and write one row for it.
+
+    Args:
+        labels: folder of KITTI label files, one a frame.
+        detections: folder or file of detections.
+        out: CSV to write; complete or not there.
+        detection_format: how the detections are written.
+        options: what counts as a detection, and what is left out.
+        class_names: names of numbered classes.
+        image_sizes: CSV with frame, width_px, height_px, for YOLO.
+        missing_is_empty: whether a frame without detections file means that none were made.
+        on_progress: told (frames done, frames in all).
+
+    Raises:
+        PemError: naming file, line and column of what is malformed, or what is missing.
+    """
+    files = sorted(labels.glob("*.txt")) if is_folder(labels) else []
+    if not files:
+        raise PemError(f"{labels}: no folder with KITTI label files (*.txt)")
+    counts = CollectCounts()
+
+    def on_bad_line(error: PemError) -> None:
+        if not options.skip_bad:
+            raise error
+        counts.bad_lines += 1
+        counts.first_bad = counts.first_bad or str(error)
+
+    reader = open_detections(
+        detections,
+        detection_format=detection_format,
+        class_names=class_names,
+        image_sizes=image_sizes,
+        missing_is_empty=missing_is_empty,
+        on_bad_line=on_bad_line,
+    )
+    partial = out.with_name(f".{out.name}.partial")
+    try:
+        with partial.open("w", encoding="utf-8", newline="\n") as stream:
+            stream.write(",".join(TABLE_COLUMNS) + "\n")
+            for done, file in enumerate(files, start=1):
+                obstacles = read_labels(file, on_bad_line=on_bad_line)
+                _write_frame(stream, file.stem, obstacles, reader, options=options, counts=counts)
+                if on_progress is not None:
+                    on_progress(done, len(files))
+        partial.replace(out)
+    except OSError as error:
+        raise PemError(f"{out}: cannot be written ({error.strerror})") from None
+    finally:
+        partial.unlink(missing_ok=True)
+    return counts
+
+
+def _write_frame(
+    stream: TextIO,
+    frame: str,
+    obstacles: list[Obstacle],
+    reader: FrameDetections,
+    *,
+    options: CollectOptions,
+    counts: CollectCounts,
+) -> None:
+    counts.frames += 1
+    for obstacle, overlap in _outcomes(obstacles, reader(frame), options=options):
+        if options.drop_unknown and _is_unknown(obstacle):
+            counts.dropped += 1
+            continue
+        detected = overlap > options.iou_above
+        counts.obstacles += 1
+        counts.missed += not detected
+        values = (
+            CLASS_ID[obstacle.type],
+            obstacle.truncation,
+            obstacle.occlusion,
+            obstacle.alpha_rad,
+            *obstacle.dimensions_m,
+            *obstacle.location_m,
+            obstacle.rotation_y_rad,
+        )
+        cells = (frame, obstacle.type, *(f"{value:.10g}" for value in values))
+        stream.write(",".join((*cells, str(int(detected)), f"{overlap:.4f}")) + "\n")
+
+
+def _outcomes(
+    obstacles: list[Obstacle], found: list[Detection], *, options: CollectOptions
+) -> Iterator[tuple[Obstacle, float]]:
+    """Each obstacle with its partner's overlap."""
+    kept = [detection for detection in found if detection.score >= options.score_from]
+    overlaps = match_boxes(
+        [obstacle.box_px for obstacle in obstacles],
+        [detection.box_px for detection in kept],
+        obstacle_types=[each.type for each in obstacles] if options.class_aware else None,
+        detection_types=[each.type for each in kept] if options.class_aware else None,
+    )
+    return zip(obstacles, overlaps.tolist(), strict=True)
+
+
+def _is_unknown(obstacle: Obstacle) -> bool:
+    return obstacle.type == MISC or obstacle.occlusion == UNKNOWN_OCCLUSION

@@ -1,0 +1,256 @@
+"""What a detector found: KITTI result files, YOLO text files, COCO json; all to boxes in pixels."""
+
+import csv
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pemviz.files.atomic import is_file, is_folder
+from pemviz.files.json_text import parse_json
+from pemviz.pem.data.kitti_labels import (
+    FARTHEST_PX,
+    LABEL_COLUMNS,
+    NOT_AN_OBSTACLE,
+    Box,
+    OnBadLine,
+    box,
+    cells_of_lines,
+    numbers,
+)
+from pemviz.pem.data.text_files import open_text
+from pemviz.pem.errors import PemError
+
+DetectionFormat = Literal["kitti", "yolo", "coco"]
+_WHOLE_NUMBER = re.compile("[0-9]{1,9}")
+YOLO_COLUMNS = ("class", "centre_x", "centre_y", "width", "height", "score")
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One box of a detector."""
+
+    type: str
+    """Its class by name; the class's number as text if its name is not known."""
+    box_px: Box
+    """Box in the image."""
+    score: float
+    """The detector's confidence, 0 to 1; 1 where the file gives none."""
+
+
+FrameDetections = Callable[[str], list[Detection]]
+"""Detections of a frame by its name, such as 000007."""
+
+
+def open_detections(
+    path: Path,
+    *,
+    detection_format: DetectionFormat,
+    class_names: Sequence[str],
+    image_sizes: Path | None,
+    missing_is_empty: bool,
+    on_bad_line: OnBadLine,
+) -> FrameDetections:
+    """A reader of detections, one frame at a time.
+
+    Args:
+        path: a folder of text files for ``kitti`` and ``yolo``, a json file for ``coco``.
+        detection_format: how they are written.
+        class_names: names of the classes 0, 1, ... where the format has numbers.
+        image_sizes: CSV with frame, width_px, height_px; ``yolo`` needs it.
+        missing_is_empty: whether a frame without a file (or, in ``coco``, without an entry)
+            means that nothing was detected.
+        on_bad_line: called with what is wrong; the line is passed over if that returns.
+
+    Raises:
+        PemError: the path, the sizes or the json cannot be used.
+    """
+    if detection_format == "coco":
+        return _open_coco(
+            path, class_names=class_names, missing_is_empty=missing_is_empty, on_bad=on_bad_line
+        )
+    if not is_folder(path):
+        raise PemError(f"{path}: no folder of detections")
+    sizes = _read_sizes(image_sizes) if detection_format == "yolo" else {}
+
+    def of_frame(frame: str) -> list[Detection]:
+        file = path / f"{frame}.txt"
+        if not is_file(file):
+            if missing_is_empty:
+                return []
+            raise PemError(f"{file}: no detections of this frame (allow that if none were made)")
+        if detection_format == "kitti":
+            return _read(file, _kitti_detection, on_bad_line=on_bad_line)
+        if frame not in sizes:
+            raise PemError(f"{image_sizes}: no size of frame {frame}")
+        width_px, height_px = sizes[frame]
+
+        def parse(cells: list[str], where: str) -> Detection:
+            return _yolo_detection(
+                cells, where, width_px=width_px, height_px=height_px, class_names=class_names
+            )
+
+        return _read(file, parse, on_bad_line=on_bad_line)
+
+    return of_frame
+
+
+def _read(
+    path: Path, parse: Callable[[list[str], str], Detection], *, on_bad_line: OnBadLine
+) -> list[Detection]:
+    found: list[Detection] = []
+    for number, cells in cells_of_lines(path):
+        try:
+            if cells[0] != NOT_AN_OBSTACLE:
+                found.append(parse(cells, f"{path}:{number}"))
+        except PemError as error:
+            on_bad_line(error)
+    return found
+
+
+def _kitti_detection(cells: list[str], where: str) -> Detection:
+    columns = len(LABEL_COLUMNS)
+    if len(cells) not in (columns, columns + 1):
+        raise PemError(f"{where}: {len(cells)} columns where {columns + 1} are needed")
+    values = numbers(cells, (*LABEL_COLUMNS, "score"), first=1, where=where)
+    left, top, right, bottom = values[3:7]
+    score = values[14] if len(cells) > columns else 1.0
+    return Detection(cells[0], box(left, top, right, bottom, column=5, where=where), score)
+
+
+def _yolo_detection(
+    cells: list[str],
+    where: str,
+    *,
+    width_px: float,
+    height_px: float,
+    class_names: Sequence[str],
+) -> Detection:
+    if len(cells) not in (5, 6):
+        raise PemError(f"{where}: {len(cells)} columns where 5 or 6 are needed")
+    values = numbers(cells, YOLO_COLUMNS, first=0, where=where)
+    number, centre_x, centre_y, width, height = values[:5]
+    for index, value in enumerate(values[1:5], start=1):
+        if not -0.5 <= value <= 1.5:
+            raise PemError(
+                f"{where}: column {index + 1} ({YOLO_COLUMNS[index]}) is {cells[index]}, "
+                "not a share of the image"
+            )
+    if number < 0 or number != int(number):
+        raise PemError(f"{where}: column 1 (class) is {cells[0]}, not a class number")
+    sides = box(
+        (centre_x - width / 2) * width_px,
+        (centre_y - height / 2) * height_px,
+        (centre_x + width / 2) * width_px,
+        (centre_y + height / 2) * height_px,
+        column=4,
+        where=where,
+    )
+    score = values[5] if len(values) > 5 else 1.0
+    return Detection(_class_name(int(number), class_names), sides, score)
+
+
+def _class_name(number: int, class_names: Sequence[str]) -> str:
+    return class_names[number] if number < len(class_names) else str(number)
+
+
+def _read_sizes(path: Path | None) -> dict[str, tuple[float, float]]:
+    """Image sizes [px] by frame."""
+    if path is None:
+        raise PemError("YOLO detections are shares of the image: give the image sizes as CSV")
+    if not is_file(path):
+        raise PemError(f"{path}: no such file")
+    sizes: dict[str, tuple[float, float]] = {}
+    with open_text(path) as stream:
+        reader = csv.DictReader(stream)
+        try:
+            if not {"frame", "width_px", "height_px"} <= set(reader.fieldnames or ()):
+                raise PemError(f"{path}:1: the header must hold frame, width_px, height_px")
+            for row in reader:
+                sizes[row["frame"]] = _size(row, where=f"{path}:{reader.line_num}")
+        except csv.Error as error:
+            raise PemError(f"{path}:{reader.line_num}: not CSV ({error})") from None
+    return sizes
+
+
+def _size(row: Mapping[str, Any], *, where: str) -> tuple[float, float]:
+    """Width and height [px] of a row."""
+    try:
+        size = (float(row["width_px"]), float(row["height_px"]))
+    except (TypeError, ValueError):
+        raise PemError(f"{where}: a size is not a number") from None
+    if not all(0.0 < side <= FARTHEST_PX for side in size):
+        raise PemError(f"{where}: a size must be above 0 and at most {FARTHEST_PX:g} px")
+    return size
+
+
+def _open_coco(
+    path: Path, *, class_names: Sequence[str], missing_is_empty: bool, on_bad: OnBadLine
+) -> FrameDetections:
+    """A COCO results list, or a COCO object with images, annotations and categories."""
+    if not is_file(path):
+        raise PemError(f"{path}: no such file")
+    try:
+        with open_text(path) as stream:
+            content: Any = parse_json(stream.read(), strict=False)
+    except json.JSONDecodeError as error:
+        raise PemError(f"{path}:{error.lineno}: column {error.colno}: {error.msg}") from None
+    except ValueError as error:
+        raise PemError(f"{path}: {error}") from None
+    entries: Any = content.get("annotations") if isinstance(content, dict) else content
+    if not isinstance(entries, list):
+        raise PemError(f"{path}: need a list of results, or an object with 'annotations'")
+    whole: Mapping[str, Any] = content if isinstance(content, dict) else {}
+    frames = _coco_names(whole, "images", "file_name", where=str(path))
+    types = _coco_names(whole, "categories", "name", where=str(path))
+    by_frame: dict[str, list[Detection]] = {frame: [] for frame in frames.values()}
+    for index, entry in enumerate(entries):
+        try:
+            image, category, found = _coco_entry(entry, where=f"{path}: entry {index}")
+        except PemError as error:
+            on_bad(error)
+            continue
+        frame = frames.get(image, image.zfill(6))
+        name = types.get(category) or _class_name(int(category), class_names)
+        by_frame.setdefault(frame, []).append(Detection(name, found.box_px, found.score))
+
+    def of_frame(frame: str) -> list[Detection]:
+        if frame not in by_frame and not missing_is_empty:
+            raise PemError(f"{path}: no detections of frame {frame} (allow that if none were made)")
+        return by_frame.get(frame, [])
+
+    return of_frame
+
+
+def _coco_names(
+    content: Mapping[str, Any], section: str, key: str, *, where: str
+) -> dict[str, str]:
+    """Names of images (without folder and ending) or categories, by id as text."""
+    try:
+        return {
+            str(item["id"]): Path(str(item[key])).stem if key == "file_name" else str(item[key])
+            for item in content.get(section, [])
+        }
+    except (KeyError, TypeError):
+        raise PemError(f"{where}: an entry of {section!r} lacks 'id' or {key!r}") from None
+
+
+def _coco_entry(entry: Any, *, where: str) -> tuple[str, str, Detection]:
+    """Image id, category id and detection (its type left empty) of one entry."""
+    if not isinstance(entry, dict):
+        raise PemError(f"{where}: not an object")
+    for key in ("image_id", "category_id", "bbox"):
+        if key not in entry:
+            raise PemError(f"{where}: field {key!r} is missing")
+    sides: Any = entry["bbox"]
+    if not isinstance(sides, list) or len(sides) != 4:
+        raise PemError(f"{where}: field 'bbox' must hold x, y, width, height")
+    names = ("bbox x", "bbox y", "bbox width", "bbox height", "score")
+    texts = [str(value) for value in (*sides, entry.get("score", 1.0))]
+    x, y, width, height, score = numbers(texts, names, first=0, where=where)
+    if not _WHOLE_NUMBER.fullmatch(str(entry["category_id"])):
+        raise PemError(f"{where}: field 'category_id' must be a whole number of at most 9 digits")
+    sides_px = box(x, y, x + width, y + height, column=3, where=where)
+    return str(entry["image_id"]), str(entry["category_id"]), Detection("", sides_px, score)

@@ -1,0 +1,55 @@
+"""Which obstacles a detector found: an assignment of boxes that maximises their overlap."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from pemviz.arrays import FloatArray
+from pemviz.pem.data.kitti_labels import Box
+
+PAPER_IOU = 0.01
+"""Overlap above which the paper's authors counted a pair as a detection."""
+
+
+def match_boxes(
+    obstacles: Sequence[Box],
+    detections: Sequence[Box],
+    *,
+    obstacle_types: Sequence[str] | None = None,
+    detection_types: Sequence[str] | None = None,
+) -> FloatArray:
+    """IoU of each obstacle with the detection assigned to it, 0 without one; shape [obstacles].
+
+    Each box has at most one partner; the assignment maximises the sum of overlaps (Kuhn's
+    Hungarian method, by scipy).
+
+    Args:
+        obstacles: true boxes [px].
+        detections: detected boxes [px].
+        obstacle_types: classes of the obstacles; with detection_types, only boxes of the same
+            class may be partners.
+        detection_types: classes of the detections.
+    """
+    result = np.zeros(len(obstacles))
+    if not obstacles or not detections:
+        return result
+    overlap = iou(np.asarray(obstacles, dtype=np.float64), np.asarray(detections, dtype=np.float64))
+    if obstacle_types is not None and detection_types is not None:
+        overlap *= np.asarray(obstacle_types)[:, None] == np.asarray(detection_types)[None, :]
+    rows, columns = linear_sum_assignment(overlap, maximize=True)
+    result[rows] = overlap[rows, columns]
+    return result
+
+
+def iou(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Intersection over union of boxes [n, 4] and [m, 4] (left, top, right, bottom), [n, m]."""
+    upper_left = np.maximum(first[:, None, :2], second[None, :, :2])
+    lower_right = np.minimum(first[:, None, 2:], second[None, :, 2:])
+    intersection = np.prod(np.maximum(lower_right - upper_left, 0.0), axis=-1)
+    union = _area(first)[:, None] + _area(second)[None, :] - intersection
+    return np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0.0)
+
+
+def _area(boxes: FloatArray) -> FloatArray:
+    return np.prod(boxes[:, 2:] - boxes[:, :2], axis=-1)

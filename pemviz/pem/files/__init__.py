@@ -1,0 +1,1 @@
+"""Perception error models on disk, with their cards."""

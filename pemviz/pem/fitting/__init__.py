@@ -1,0 +1,1 @@
+"""Training of each kind of perception error model."""

@@ -1,0 +1,170 @@
+"""Training a perception error model, or an ensemble, by the name of its kind."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from pemviz.pem.data.table import SalientTable
+from pemviz.pem.errors import PemError
+from pemviz.pem.files.card import KITTI_LICENCE, UNKNOWN_LICENCE, PemCard
+from pemviz.pem.judging.support import summarise_support
+from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
+from pemviz.pem.models.tree_features import FeatureSet
+
+ModelKind = Literal["guess-mu", "lr", "ml-nn", "b-nn", "gb-paper", "gb-raw"]
+MODEL_KINDS: tuple[ModelKind, ...] = get_args(ModelKind)
+
+Progress = Callable[[int, int], None]
+"""Told (steps done, steps in all)."""
+
+_FEATURE_SETS: dict[ModelKind, FeatureSet] = {"gb-paper": "paper", "gb-raw": "raw"}
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What the card of a fitted model says about its data."""
+
+    data: str
+    """The training data, in words."""
+    licence: str = UNKNOWN_LICENCE
+    """Terms that the data puts on the model."""
+
+
+KITTI_YOLOV3 = Provenance(
+    data=(
+        "37,498 KITTI obstacles (no class Misc, no unknown occlusion) and what a YOLOv3 trained "
+        "on KITTI made of each, published by C. Innes (github.com/craigiedon/"
+        "PyTorch-YOLOv3-kitti, salient_dataset)"
+    ),
+    licence=KITTI_LICENCE,
+)
+
+
+def fit_pem(
+    table: SalientTable,
+    *,
+    model: ModelKind = "ml-nn",
+    seed: int = 0,
+    name: str | None = None,
+    provenance: Provenance | None = None,
+    on_progress: Progress | None = None,
+) -> SingleModel | EnsemblePem:
+    """Train a model; the same table and seed give the same model to the last bit.
+
+    Args:
+        table: obstacles and outcomes; normalisation is fitted on it too.
+        model: the kind of model; ``b-nn`` gives an ensemble of posterior draws.
+        seed: of everything random.
+        name: of the model; its kind if None.
+        provenance: for the card; taken from the table's source if None.
+        on_progress: told (steps done, steps in all).
+
+    Raises:
+        PemError: unknown kind, a missing optional package, or a table without both outcomes.
+    """
+    card = _card(table, model=model, name=name or model, seed=seed, provenance=provenance)
+    return _fit(table, model=model, card=card, seed=seed, on_progress=on_progress)
+
+
+def fit_ensemble(
+    table: SalientTable,
+    *,
+    model: ModelKind = "ml-nn",
+    members: int = 20,
+    seed: int = 0,
+    name: str | None = None,
+    provenance: Provenance | None = None,
+    on_progress: Progress | None = None,
+) -> EnsemblePem:
+    """Train members that differ in the bootstrap sample of the data and in initialisation.
+
+    Args:
+        table: obstacles and outcomes.
+        model: the kind of the members; a ``b-nn`` is an ensemble already.
+        members: how many, at least 2.
+        seed: of everything random.
+        name: of the ensemble; its kind and ``-ensemble`` if None.
+        provenance: for the card; taken from the table's source if None.
+        on_progress: told (members done, members in all).
+
+    Raises:
+        PemError: fewer than two members, or what fit_pem raises.
+    """
+    if members < 2:
+        raise PemError(f"members is {members}, allowed: 2 or more")
+    if model == "b-nn":
+        raise PemError("model 'b-nn' is an ensemble of posterior draws by itself")
+    whole = name or f"{model}-ensemble"
+    card = _card(table, model=model, name=whole, seed=seed, provenance=provenance)
+    fitted: list[SingleModel] = []
+    for index, child in enumerate(np.random.SeedSequence(seed).spawn(members)):
+        random = np.random.default_rng(child)
+        sample = table.take(random.integers(0, len(table), len(table)))
+        member = _fit(
+            sample,
+            model=model,
+            card=replace(card, name=f"{whole}[{index}]"),
+            seed=int(random.integers(2**31)),
+            on_progress=None,
+        )
+        assert not isinstance(member, EnsemblePem)  # noqa: S101 (b-nn is refused above)
+        fitted.append(member)
+        if on_progress is not None:
+            on_progress(index + 1, members)
+    recipe = (
+        f"{members} members, each on a bootstrap sample of the table and from its own "
+        f"initialisation: {fitted[0].card.recipe}"
+    )
+    return EnsemblePem(replace(card, recipe=recipe), tuple(fitted))
+
+
+def _card(
+    table: SalientTable, *, model: str, name: str, seed: int, provenance: Provenance | None
+) -> PemCard:
+    told = provenance or Provenance(data=table.source)
+    return PemCard(
+        name=name,
+        model=model,
+        data=told.data,
+        data_digest=table.digest,
+        licence=told.licence,
+        seed=seed,
+        support=summarise_support(table).to_json(),
+    )
+
+
+def _fit(
+    table: SalientTable,
+    *,
+    model: ModelKind,
+    card: PemCard,
+    seed: int,
+    on_progress: Progress | None,
+) -> SingleModel | EnsemblePem:
+    # torch, scikit-learn and pyro take seconds to import: each only for the models it fits.
+    if model == "ml-nn":
+        from pemviz.pem.fitting.network import NetworkRecipe, fit_network  # noqa: PLC0415
+
+        recipe = NetworkRecipe()
+        card = replace(card, recipe=recipe.in_words())
+        return fit_network(table, card=card, seed=seed, recipe=recipe, on_progress=on_progress)
+    if model == "b-nn":
+        from pemviz.pem.fitting.bayes import RECIPE, fit_bayes  # noqa: PLC0415
+
+        card = replace(card, recipe=RECIPE)
+        return fit_bayes(table, card=card, seed=seed, on_progress=on_progress)
+    if model in _FEATURE_SETS:
+        from pemviz.pem.fitting.trees import fit_trees, recipe_in_words  # noqa: PLC0415
+
+        features = _FEATURE_SETS[model]
+        card = replace(card, recipe=recipe_in_words(features))
+        return fit_trees(table, card=card, feature_set=features, seed=seed, on_progress=on_progress)
+    if model in MODEL_KINDS:
+        from pemviz.pem.fitting import linear  # noqa: PLC0415
+
+        if model == "lr":
+            return linear.fit_logistic(table, card=replace(card, recipe=linear.LR_RECIPE))
+        return linear.fit_guess_mu(table, card=replace(card, recipe=linear.GUESS_MU_RECIPE))
+    raise PemError(f"unknown model {model!r}, allowed: {', '.join(MODEL_KINDS)}")

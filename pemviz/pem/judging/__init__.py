@@ -1,0 +1,1 @@
+"""How good a perception error model is, and where its data carries it."""

@@ -1,0 +1,1 @@
+"""The kinds of perception error models, evaluated by numpy."""

@@ -1,0 +1,74 @@
+"""Several models that the same data could have produced, kept and used as one."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
+
+from pemviz.arrays import AnyArray, FloatArray
+from pemviz.chunks import map_rows
+from pemviz.pem.errors import PemError
+from pemviz.pem.files.card import Carded, PemCard
+from pemviz.pem.files.tensors import tensors_digest
+from pemviz.pem.models.network import NetworkPem
+from pemviz.pem.models.protocol import as_rows
+from pemviz.pem.models.trees import TreesPem
+
+SingleModel = NetworkPem | TreesPem
+
+
+@dataclass(frozen=True, eq=False)
+class EnsemblePem(Carded):
+    """Members of one kind; as a model of its own it answers with their mean probability."""
+
+    kind: ClassVar[str] = "ensemble"
+
+    card: PemCard
+    members: tuple[SingleModel, ...]
+    """The members, at least two."""
+
+    def __post_init__(self) -> None:
+        """Refuse an ensemble of one, or of different kinds.
+
+        Raises:
+            PemError: what is wrong, in one line.
+        """
+        if len(self.members) < 2:
+            raise PemError(f"{self.card.name}: an ensemble needs at least two members")
+        first = self.members[0]
+        same = (member.options() == first.options() for member in self.members)
+        if not all(same) or len({member.kind for member in self.members}) > 1:
+            raise PemError(f"{self.card.name}: an ensemble's members must be of one kind")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over the members' tensors."""
+        return tensors_digest(f"ensemble of {self.members[0].kind}", self.tensors())
+
+    def tensors(self) -> dict[str, AnyArray]:
+        """Everything that decides the answers, by the names used in files."""
+        return {
+            f"members.{index:03d}.{name}": array
+            for index, member in enumerate(self.members)
+            for name, array in member.tensors().items()
+        }
+
+    def options(self) -> dict[str, Any]:
+        """What a file must say beside the tensors: the members' kind and their options."""
+        first = self.members[0]
+        return {"member_kind": first.kind, **first.options()}
+
+    def logit(self, salient: ArrayLike) -> FloatArray:
+        """Logit of the members' mean P(detected), shape [...], of salient variables [..., 11]."""
+        rows, shape = as_rows(salient)
+        logits = np.stack([member.logit(rows) for member in self.members], axis=1)
+        return map_rows(mean_probability_logit, logits).reshape(shape)
+
+
+def mean_probability_logit(logits: FloatArray) -> FloatArray:
+    """Logit [n] of the mean over members of the probabilities with logits [n, members]."""
+    log_detected = np.asarray(logsumexp(-np.logaddexp(0.0, -logits), axis=1))
+    log_missed = np.asarray(logsumexp(-np.logaddexp(0.0, logits), axis=1))
+    return log_detected - log_missed

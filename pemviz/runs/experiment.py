@@ -1,0 +1,341 @@
+"""From a configuration to the parts of an experiment."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pemviz import stl
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
+from pemviz.errors import ConfigError
+from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
+from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.runs.back_ends import BackEnd, build_back_end, check_method_fits, own_back_end
+from pemviz.sampling.adaptive.method import AdaptiveSampling
+from pemviz.sampling.direct.method import DirectSampling
+from pemviz.sampling.method import Method
+from pemviz.sampling.mixture.method import MixtureSampling
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.rollouts.devices import (
+    NUMPY,
+    batch_runner,
+    check_device,
+    has_tensors,
+)
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.final_batch import largest_part
+from pemviz.sampling.splitting.method import SplittingSampling
+from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
+from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
+from pemviz.simulators.registry import build_named_simulator
+from pemviz.stl.monitor import FormulaMonitor
+from pemviz.types import Simulator
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The parts that a run puts together.
+
+    Attributes:
+        config: What was asked, validated.
+        pem: The perception error model.
+        ensemble: Models that its training data could as well have produced, if there are any.
+        formula: The specification.
+        problem: What is to be estimated.
+        back_end: The simulator with its twin, if it has one, and what proposals may look at.
+        method: How.
+        planned_rollouts: How many rollouts all repetitions take together; with splitting, how
+            many particles.
+    """
+
+    config: ExperimentConfig
+    pem: Pem
+    ensemble: PemEnsemble | None
+    formula: stl.Formula
+    problem: Problem
+    back_end: BackEnd
+    method: Method[Any]
+    planned_rollouts: int
+
+    @property
+    def twin(self) -> Simulator | None:
+        """A fast simulator of the same scenario, for the reference and the data's bound."""
+        return self.back_end.twin
+
+    @property
+    def features(self) -> StateFeatures:
+        """What the scenario's states offer to look at."""
+        return self.back_end.features
+
+    @property
+    def is_own_system(self) -> bool:
+        """Whether the scenario is another than the shipped one."""
+        return self.back_end.is_own
+
+    @property
+    def has_likelihood_ratios(self) -> bool:
+        """Whether rollouts carry weights; splitting's particles are cut and copied instead."""
+        return self.config.method != "splitting"
+
+
+def build_experiment(
+    config: ExperimentConfig,
+    *,
+    simulator: Simulator | None = None,
+    pem: DetectorModel | None = None,
+    twin: Simulator | None = None,
+    allow_python: bool = False,
+) -> Experiment:
+    """Validate ``config`` and build everything it names; nothing is estimated yet.
+
+    Args:
+        config: What is asked.
+        simulator: A system of your own instead of the one that ``config`` names. It is tried
+            out on one step, so that what is wrong with it is told here.
+        pem: A detector model of your own, anything with ``logit(salient)``, instead of the
+            one that ``config`` names.
+        twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
+            thousands of states costs it little) for method value-twisted and the reference.
+        allow_python: Whether the error model may be ``module:attribute``, whose code then runs.
+            Never taken from a configuration: a file must not decide that code runs.
+
+    Raises:
+        InputError: A value is out of range, the device is not there, the specification does not
+            parse or fit the scenario, the perception error model cannot be loaded, or your own
+            simulator or detector does not keep to its protocol.
+    """
+    config, model, back_end = _named_parts(config, simulator, pem, twin, allow_python=allow_python)
+    check_method_fits(config, back_end)
+    formula = build_formula(config, back_end.simulator)
+    if back_end.is_own:
+        check_pem_fits(model, back_end.simulator)
+    problem = _problem(config, formula, model, back_end)
+    if config.reference or config.method == "value-twisted":
+        require_unsafe(problem)
+    return Experiment(
+        config=config,
+        pem=model,
+        ensemble=ensemble_of(config.pem) if pem is None else None,
+        formula=formula,
+        problem=problem,
+        back_end=back_end,
+        method=build_method(config, back_end=back_end),
+        planned_rollouts=config.repetitions * rollouts_per_repetition(config),
+    )
+
+
+def _named_parts(
+    config: ExperimentConfig,
+    simulator: Simulator | None,
+    pem: DetectorModel | None,
+    twin: Simulator | None,
+    *,
+    allow_python: bool,
+) -> tuple[ExperimentConfig, Pem, BackEnd]:
+    """The user's own parts, or those that ``config`` names; it then names what is used."""
+    own_pem = None if pem is None else as_pem(pem)
+    own = None if simulator is None else own_back_end(simulator, twin=twin)
+    if own is not None:
+        if own.simulator.name in SHIPPED_SIMULATORS:
+            message = f"simulator {own.simulator.name!r}: a shipped one has this name already"
+            raise ConfigError(message)
+        config = replace(config, simulator=own.simulator.name)
+    if own_pem is not None:
+        config = replace(config, pem=own_pem.name)
+    config.validate()
+    check_device(config.device)
+    model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
+    return config, model, own or build_back_end(config)
+
+
+def _problem(
+    config: ExperimentConfig, formula: stl.Formula, pem: Pem, back_end: BackEnd
+) -> Problem:
+    metric = build_metric(config, back_end.simulator)
+
+    def robustness(signals: Mapping[str, FloatArray]) -> FloatArray:
+        return stl.robustness(formula, signals, metric)
+
+    def violated(signals: Mapping[str, FloatArray]) -> BoolArray:
+        return stl.violated(formula, signals)
+
+    return Problem(
+        simulator=back_end.simulator,
+        pem_logit=pem.logit,
+        robustness=robustness,
+        violated=violated,
+        batch_rollouts=back_end.batch_rollouts,
+        run_batches=batch_runner(config.device),
+        batch_time_limit_s=config.batch_time_limit_s,
+        unsafe=unsafe_states(formula),
+        monitor=FormulaMonitor(formula),
+    )
+
+
+def check_pem_fits(pem: Pem, simulator: Simulator) -> None:
+    """Ask the error model about the simulator's initial state.
+
+    Raises:
+        InputError: It cannot answer, or its answer is no logit of the right shape.
+    """
+    salient = simulator.salient(simulator.initial(count=2).signals)
+    where = f"pem = {pem.name!r} on simulator {simulator.name!r}"
+    try:
+        logit = np.asarray(pem.logit(salient))
+    except Exception as error:  # the user's code may raise anything
+        message = f"{where}: {type(error).__name__}: {error}"
+        raise ConfigError(" ".join(message.split())) from error
+    if logit.shape != salient.shape[:-1] or np.isnan(logit).any():
+        message = (
+            f"{where}: logit of salient variables {list(salient.shape)} has shape "
+            f"{list(logit.shape)} or is no number: must be {list(salient.shape[:-1])} numbers"
+        )
+        raise ConfigError(message)
+
+
+def device_notes(experiment: Experiment) -> tuple[str, ...]:
+    """What an experiment that asks for a device computes on the CPU all the same, a line each."""
+    config, problem = experiment.config, experiment.problem
+    if config.device == NUMPY:
+        return ()
+    stays = "computes on the CPU all the same"
+    if config.method == "splitting" or not has_tensors(problem.simulator):
+        by = "splitting" if config.method == "splitting" else f"simulator {problem.simulator.name}"
+        return (f"device {config.device}: {by} {stays}",)
+    notes: list[str] = []
+    if not has_tensors(experiment.pem):
+        notes.append(f"device {config.device}: error model {experiment.pem.name} {stays}")
+    if config.method == "value-twisted":
+        notes.append(f"device {config.device}: value-twisted's proposal {stays}")
+    return tuple(notes)
+
+
+def build_simulator(config: ExperimentConfig) -> Simulator:
+    """The back end that ``config`` names.
+
+    Raises:
+        ConfigError: There is none of that name.
+    """
+    return build_named_simulator(config.simulator, config.scenario)
+
+
+def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula:
+    """The specification, checked against the scenario.
+
+    Raises:
+        InputError: It does not parse, names an unknown signal, or looks further ahead than a
+            rollout is long.
+    """
+    try:
+        formula = stl.parse(config.spec, signals=[signal.name for signal in simulator.signals])
+    except stl.FormulaError as error:
+        message = f"spec = {config.spec!r}: {error}"
+        raise ConfigError(message) from error
+    last = simulator.states - 1
+    if formula.horizon_steps() > last:
+        message = (
+            f"spec = {config.spec!r}: looks {formula.horizon_steps()} steps ahead, but a rollout "
+            f"of scenario.states = {simulator.states} states has only steps 0 to {last}"
+        )
+        raise ConfigError(message)
+    return formula
+
+
+def build_metric(config: ExperimentConfig, simulator: Simulator) -> stl.Metric:
+    """The metric that ranks rollouts.
+
+    Raises:
+        ConfigError: The agm metric's bounds do not hold all that the scenario can reach.
+    """
+    if config.metric == "agm":
+        check_bounds_hold(simulator)
+        return stl.Agm(bounds={s.name: (s.low, s.high) for s in simulator.signals})
+    if config.metric == "smooth-cumulative":
+        return stl.SmoothCumulative(beta=config.smooth_beta_per_m)
+    return stl.Classical()
+
+
+def check_bounds_hold(simulator: Simulator) -> None:
+    """Check the signals' bounds on the two extreme rollouts, all missed and all detected.
+
+    Raises:
+        ConfigError: One of them leaves the bounds.
+    """
+    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    reached = replay(simulator=simulator, detected=outcomes)
+    for signal in simulator.signals:
+        low, high = float(reached[signal.name].min()), float(reached[signal.name].max())
+        if low < signal.low or high > signal.high:
+            message = (
+                f"metric = 'agm': {signal.name} reaches {low:.4g} to {high:.4g} {signal.unit}, "
+                f"beyond its bounds {signal.low:g} to {signal.high:g}; raise "
+                "scenario.gap_bound_m or scenario.speed_bound_mps (own systems: the signal's)"
+            )
+            raise ConfigError(message)
+
+
+def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -> Method[Any]:
+    """The method that ``config`` names, on the back end that it names unless one is given.
+
+    Raises:
+        ConfigError: The back end does not offer what the method needs.
+    """
+    back_end = build_back_end(config) if back_end is None else back_end
+    most = largest_part(states=back_end.simulator.states)
+    if config.method == "adaptive":
+        return AdaptiveSampling(
+            learning_stages=config.stages,
+            rollouts=config.rollouts,
+            final_rollouts=config.final_rollouts,
+            sigma=config.sigma,
+            alpha=config.alpha,
+            epochs=config.epochs,
+            learning_rate=config.learning_rate,
+            seed=config.seed,
+            largest_part=most,
+        )
+    if config.method == "value-twisted":
+        check_method_fits(config, back_end)
+        assert back_end.twin is not None  # noqa: S101  just checked
+        return ValueTwistedSampling(
+            twin=back_end.twin,
+            rollouts=config.final_rollouts,
+            seed=config.seed,
+            largest_part=most,
+        )
+    if config.method == "mixture":
+        return MixtureSampling(
+            learning_stages=config.stages,
+            rollouts=config.rollouts,
+            final_rollouts=config.final_rollouts,
+            seed=config.seed,
+            features=back_end.features,
+            largest_part=most,
+        )
+    if config.method == "splitting":
+        return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
+    proposal = (
+        PemProposal()
+        if config.method == "monte-carlo"
+        else ConstantProposal(detection_probability=config.naive_detection_probability)
+    )
+    return DirectSampling(
+        name=config.method,
+        proposal=proposal,
+        rollouts=config.final_rollouts,
+        seed=config.seed,
+        largest_part=most,
+    )
+
+
+def rollouts_per_repetition(config: ExperimentConfig) -> int:
+    """How many rollouts one repetition simulates; with splitting, how many particles."""
+    if config.method in ("adaptive", "mixture"):
+        return (config.stages + 1) * config.rollouts + config.final_rollouts
+    if config.method == "splitting":
+        return config.stages * config.rollouts
+    return config.final_rollouts

@@ -1,0 +1,101 @@
+"""The least robust rollout of a run, kept whole for whoever wants to look at it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.runs.events import Event, RunStarted, StageDone
+from pemviz.types import StageResult
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """One rollout.
+
+    Attributes:
+        repetition: Zero-based.
+        stage: Its stage.
+        robustness: Under the run's metric.
+        violated: The classical verdict.
+        nll: Negative log-likelihood of its outcomes under the error model [nats].
+        time_s: ``[T]`` times of its states [s].
+        signals: ``[T]`` by name.
+        detected: ``[T-1]`` perception's outcomes.
+    """
+
+    repetition: int
+    stage: int
+    robustness: float
+    violated: bool
+    nll: float
+    time_s: FloatArray
+    signals: Mapping[str, FloatArray]
+    detected: BoolArray
+
+    @property
+    def missed_steps(self) -> IntArray:
+        """Steps at which perception missed, ascending."""
+        return np.flatnonzero(~self.detected)
+
+    def __str__(self) -> str:
+        ranges = [f"{n} {np.min(v):.3g} to {np.max(v):.3g}" for n, v in self.signals.items()]
+        verdict = "violates" if self.violated else "holds"
+        return (
+            f"least robust rollout: {verdict}, robustness {self.robustness:.3g}, stage "
+            f"{self.stage}; misses {self.missed_steps.size} of {self.detected.size} steps "
+            f"({_runs_text(self.missed_steps)}); {', '.join(ranges)}; NLL {self.nll:.3g} nats"
+        )
+
+
+class LeastRobust:
+    """Observer that keeps the least robust rollout of a run so far.
+
+    Attributes:
+        rollout: The rollout; ``None`` before the first stage is done.
+    """
+
+    def __init__(self) -> None:
+        self.rollout: Rollout | None = None
+        self._dt_s = 1.0
+
+    def __str__(self) -> str:
+        return "no rollout yet" if self.rollout is None else str(self.rollout)
+
+    def notify(self, event: Event) -> None:
+        """Look at the rollouts of every stage."""
+        match event:
+            case RunStarted():
+                self._dt_s = event.simulator.dt_s
+            case StageDone():
+                self._consider(event.stage)
+            case _:
+                pass
+
+    def _consider(self, stage: StageResult) -> None:
+        scored = stage.scored
+        index = int(np.argmin(scored.robustness))
+        robustness = float(scored.robustness[index])
+        if self.rollout is not None and self.rollout.robustness <= robustness:
+            return
+        signals = {name: np.array(v[index]) for name, v in scored.rollouts.signals.items()}
+        states = scored.rollouts.detected.shape[1] + 1
+        self.rollout = Rollout(
+            repetition=stage.repetition,
+            stage=stage.stage,
+            robustness=robustness,
+            violated=bool(scored.violated[index]),
+            nll=float(-scored.rollouts.log_p[index].sum()),
+            time_s=np.arange(states) * self._dt_s,
+            signals=signals,
+            detected=np.array(scored.rollouts.detected[index]),
+        )
+
+
+def _runs_text(steps: IntArray) -> str:
+    """Ascending steps as runs: ``0-3, 7``."""
+    if steps.size == 0:
+        return "none"
+    runs = np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1)
+    return ", ".join(f"{r[0]}-{r[-1]}" if r.size > 1 else f"{r[0]}" for r in runs)

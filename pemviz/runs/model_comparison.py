@@ -1,0 +1,141 @@
+"""Several perception error models on one scenario: their failure probabilities and ratios."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.special import logsumexp
+
+from pemviz.arrays import FloatArray, row_sums
+from pemviz.config import ExperimentConfig
+from pemviz.errors import ConfigError
+from pemviz.pem.judging.reweight import FEW_EFFECTIVE, RatioInterval, compare_pems, reweight
+from pemviz.runs.experiment import Experiment, build_experiment
+from pemviz.sampling.problem import concatenated, sample
+from pemviz.sampling.value_twisted.method import ValueTwistedSampling, with_latch
+from pemviz.types import Proposal, RolloutBatch, outcome_log_likelihood
+
+
+@dataclass(frozen=True)
+class ModelFigures:
+    """The failure probability under one model.
+
+    Attributes:
+        name: The model's.
+        data: What it was trained on.
+        probability: The failure probability; 0 where ``log10_probability`` is too small.
+        log10_probability: ``None`` if no rollout violates.
+        std_error: Of the probability.
+        effective_failures: How many equally weighted violations carry it.
+        to_first: Ratio to the first model's, with its interval; ``None`` for the first, and if no
+            rollout violates.
+    """
+
+    name: str
+    data: str
+    probability: float
+    log10_probability: float | None
+    std_error: float
+    effective_failures: float
+    to_first: RatioInterval | None
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether enough rollouts carry it."""
+        return self.effective_failures >= FEW_EFFECTIVE
+
+
+def compare_models(
+    config: ExperimentConfig, names: Sequence[str], *, rollouts: int, allow_python: bool = False
+) -> Sequence[ModelFigures]:
+    """Estimate the failure probability under each model from the same rollouts.
+
+    ``rollouts`` are drawn from each model's value-twisted proposal; all together count as draws
+    from the mixture of the proposals (balance heuristic: Veach & Guibas 1995), so that no model
+    has to live on rollouts that were drawn for another.
+
+    Args:
+        config: Scenario, specification, seed; its own model and method do not matter.
+        names: At least two models; ratios are to the first.
+        rollouts: For each model.
+        allow_python: Whether ``module:attribute`` may be imported, whose code then runs.
+
+    Raises:
+        InputError: A model cannot be loaded, or single states do not decide the specification.
+    """
+    if len(names) < 2:
+        message = f"models = {', '.join(names) or 'none'}: name at least two"
+        raise ConfigError(message)
+    base = replace(config, method="value-twisted", final_rollouts=rollouts, reference=False)
+    experiments = [
+        build_experiment(replace(base, pem=name), allow_python=allow_python) for name in names
+    ]
+    proposals = [_proposal(experiment) for experiment in experiments]
+    seeds = np.random.SeedSequence(config.seed).spawn(len(names))
+    scored = concatenated(
+        [
+            sample(with_latch(one.problem), proposal=proposal, count=rollouts, seeds=seed)
+            for one, proposal, seed in zip(experiments, proposals, seeds, strict=True)
+        ]
+    )
+    drawn = scored.rollouts
+    salient = experiments[0].problem.simulator.salient(drawn.decision_states().signals)
+    log_q = _log_mixture(drawn, experiments, proposals)
+    pems = [experiment.pem for experiment in experiments]
+    found = reweight(
+        detected=drawn.detected,
+        salient=salient,
+        log_q=log_q,
+        violated=scored.violated,
+        members=pems,
+    )
+    ratio = partial(
+        compare_pems,
+        detected=drawn.detected,
+        salient=salient,
+        log_q=log_q,
+        violated=scored.violated,
+        old=pems[0],
+    )
+    return [
+        ModelFigures(
+            name=pem.name,
+            data=pem.data,
+            probability=math.exp(log_mu),
+            log10_probability=log_mu / math.log(10.0) if math.isfinite(log_mu) else None,
+            std_error=math.exp(log_mu) * relative if math.isfinite(log_mu) else 0.0,
+            effective_failures=effective,
+            to_first=ratio(new=pem) if index and scored.violated.any() else None,
+        )
+        for index, (pem, log_mu, relative, effective) in enumerate(
+            zip(
+                pems,
+                found.log_mu.tolist(),
+                found.relative_std_error.tolist(),
+                found.effective_failures.tolist(),
+                strict=True,
+            )
+        )
+    ]
+
+
+def _proposal(experiment: Experiment) -> Proposal:
+    method = experiment.method
+    assert isinstance(method, ValueTwistedSampling)  # noqa: S101  asked for above
+    return method.init(experiment.problem, repetition=0).proposal
+
+
+def _log_mixture(
+    drawn: RolloutBatch, experiments: Sequence[Experiment], proposals: Sequence[Proposal]
+) -> FloatArray:
+    """Log of the mean of the proposals' densities, each drawn from alike, at rollouts ``[N]``."""
+    states = drawn.decision_states()
+    salient = experiments[0].problem.simulator.salient(states.signals)
+    logits = [
+        proposal.logit(states, experiment.problem.pem_logit(salient))
+        for experiment, proposal in zip(experiments, proposals, strict=True)
+    ]
+    densities = [row_sums(outcome_log_likelihood(logit, drawn.detected)) for logit in logits]
+    return np.asarray(logsumexp(np.stack(densities), axis=0)) - math.log(len(proposals))

@@ -1,0 +1,232 @@
+"""Rollouts and proposals on disk, a file a stage while a run goes on, then one for all."""
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any, cast
+
+import numpy as np
+from numpy.lib import format as npy
+
+from pemviz.arrays import AnyArray
+from pemviz.errors import InputError
+from pemviz.files.array_files import read_arrays
+from pemviz.files.atomic import write_atomically
+from pemviz.types import (
+    FinishedStage,
+    RolloutBatch,
+    ScoredRollouts,
+    Signal,
+    StageResult,
+    outcome_log_likelihood,
+)
+
+PART_FOLDER = "stages"
+LARGEST = 1e100
+"""No state and no logit is larger; sums over a rollout stay finite."""
+MEMORY, KEPT = "memory.", "kept."
+LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
+"""Likelihoods of a stage's file are computed from these when they are asked for."""
+
+
+def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:
+    """A stage's rollouts under the keys of ``rollouts.npz``."""
+    scored = stage.scored
+    rollouts = scored.rollouts
+    count = rollouts.count
+    return {
+        "repetition": np.full(count, stage.repetition, dtype=np.int64),
+        "stage": np.full(count, stage.stage, dtype=np.int64),
+        **{signal.key: rollouts.signals[signal.name] for signal in signals},
+        "detected": rollouts.detected,
+        "log_p": rollouts.log_p,
+        "log_q": rollouts.log_q,
+        "robustness": scored.robustness,
+        "violated": scored.violated,
+    }
+
+
+def part_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:
+    """All that a stage's file holds: enough to go on from it in another process."""
+    rollouts = stage.scored.rollouts
+    arrays = stage_arrays(stage, signals)
+    for name in LOGITS:
+        del arrays[name]
+    arrays["pem_logit"] = rollouts.pem_logit
+    arrays["proposal_logit"] = rollouts.proposal_logit
+    for name, values in rollouts.memory.items():
+        if values.dtype != np.object_:  # copies of an environment: no stage is continued inside
+            arrays[f"{MEMORY}{name}"] = values
+    arrays.update({f"{KEPT}{name}": values for name, values in stage.kept.items()})
+    return arrays
+
+
+def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage:
+    """A stage's file as the stage.
+
+    Raises:
+        InputError: It is damaged.
+    """
+    arrays = read_arrays(path)
+    try:
+        rollouts = RolloutBatch(
+            signals={signal.name: arrays[signal.key] for signal in signals},
+            memory=_without_prefix(arrays, MEMORY),
+            detected=arrays["detected"],
+            pem_logit=arrays["pem_logit"],
+            proposal_logit=arrays["proposal_logit"],
+        )
+        scored = ScoredRollouts(rollouts, arrays["robustness"], arrays["violated"])
+    except KeyError as error:
+        message = f"stage {path}: {error} is missing"
+        raise InputError(message) from error
+    _check_shapes(path, scored)
+    return FinishedStage(scored=scored, kept=_without_prefix(arrays, KEPT))
+
+
+def _without_prefix(arrays: Mapping[str, AnyArray], prefix: str) -> dict[str, AnyArray]:
+    return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
+
+
+def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
+    rollouts = scored.rollouts
+    if rollouts.detected.ndim != 2:
+        message = f"stage {path}: detected has shape {rollouts.detected.shape}"
+        raise InputError(message)
+    count, steps = rollouts.detected.shape
+    expected = {
+        (count, steps + 1): (*rollouts.signals.values(), *rollouts.memory.values()),
+        (count, steps): (rollouts.pem_logit, rollouts.proposal_logit),
+        (count,): (scored.robustness, scored.violated),
+    }
+    for shape, arrays in expected.items():
+        if any(array.shape != shape for array in arrays):
+            message = f"stage {path}: an array has not the shape {shape}"
+            raise InputError(message)
+    outcomes = rollouts.detected, scored.violated
+    numbers = *rollouts.signals.values(), rollouts.pem_logit, rollouts.proposal_logit
+    if (
+        any(array.dtype != np.bool_ for array in outcomes)
+        or any(a.dtype.kind != "f" or not _is_bounded(a) for a in numbers)
+        or scored.robustness.dtype != np.float64
+        or np.isnan(scored.robustness).any()
+    ):
+        message = f"stage {path}: an array is of the wrong type, or holds what is no number"
+        raise InputError(message)
+
+
+def _is_bounded(values: AnyArray) -> bool:
+    return bool(np.all(np.abs(values.astype(np.float64, copy=False)) <= LARGEST))
+
+
+def part_path(folder: Path, *, repetition: int, stage: int) -> Path:
+    """Where one stage's rollouts lie while the run goes on."""
+    return folder / PART_FOLDER / f"repetition-{repetition:05d}-stage-{stage:05d}.npz"
+
+
+def stage_files(folder: Path) -> list[Path]:
+    """The files of a run folder's finished stages, in order; none once the run is done."""
+    return sorted((folder / PART_FOLDER).glob("repetition-*.npz"))
+
+
+def write_part(path: Path, arrays: Mapping[str, AnyArray]) -> None:
+    """Write one stage's arrays.
+
+    Raises:
+        OSError: They cannot be written.
+    """
+    path.parent.mkdir(exist_ok=True)
+    contents = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    write_atomically(path, lambda stream: np.savez(stream, **cast(Any, contents)))
+
+
+def join_parts(parts: Sequence[Path], target: Path) -> None:
+    """Join the stages' files into one, holding one array of one stage in memory at a time.
+
+    The same stages give the same bytes.
+
+    Raises:
+        OSError: A file cannot be read or written.
+    """
+
+    def write(stream: IO[bytes]) -> None:
+        with zipfile.ZipFile(stream, mode="w", compression=zipfile.ZIP_STORED) as archive:
+            with np.load(parts[0], allow_pickle=False) as first:
+                names = _documented(first.files)
+            for name in names:
+                info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whenever it is written
+                with archive.open(info, mode="w", force_zip64=True) as entry:
+                    _join_array(entry, name, parts)
+
+    write_atomically(target, write)
+
+
+def _documented(names: Sequence[str]) -> list[str]:
+    """Of a stage's file, what stands in ``rollouts.npz``, in its order."""
+    kept = [n for n in names if not n.startswith((MEMORY, KEPT)) and n not in LOGITS.values()]
+    if "log_p" in kept:
+        return kept
+    after = kept.index("detected") + 1
+    return [*kept[:after], *LOGITS, *kept[after:]]
+
+
+def _array(arrays: Any, name: str) -> AnyArray:
+    """One array of a stage's file; likelihoods are computed."""
+    if name in LOGITS and name not in arrays:
+        return outcome_log_likelihood(arrays[LOGITS[name]], arrays["detected"])
+    return arrays[name]
+
+
+def _join_array(entry: IO[bytes], name: str, parts: Sequence[Path]) -> None:
+    header: dict[str, Any] | None = None
+    rows = 0
+    for part in parts:
+        with np.load(part, allow_pickle=False) as arrays:
+            rows += arrays["repetition"].shape[0]
+    for part in parts:
+        with np.load(part, allow_pickle=False) as arrays:
+            array = np.ascontiguousarray(_array(arrays, name))
+        if header is None:
+            shape = (rows, *array.shape[1:])
+            descr = npy.dtype_to_descr(array.dtype)
+            header = {"descr": descr, "fortran_order": False, "shape": shape}
+            npy.write_array_header_2_0(entry, cast(Any, header))
+        entry.write(cast(Any, array).data.cast("B"))
+
+
+def load_rollouts(folder: Path) -> dict[str, AnyArray]:
+    """The rollouts of a run folder, finished or not, stages in order.
+
+    Raises:
+        InputError: There are none, or a file is damaged.
+    """
+    whole = folder / "rollouts.npz"
+    # stages' files are there until the run is done, and may be more than were joined so far
+    parts = stage_files(folder)
+    if not parts and whole.exists():
+        parts = [whole]
+    if not parts:
+        message = f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)"
+        raise InputError(message)
+    tables = [read_arrays(part) for part in parts]
+    for part, table in zip(parts[1:], tables[1:], strict=True):
+        if _layout(table) != _layout(tables[0]):
+            message = f"rollouts {part}: must hold the same arrays as {parts[0].name}"
+            raise InputError(message)
+    try:
+        return {
+            name: np.concatenate([_array(table, name) for table in tables])
+            for name in _documented(list(tables[0]))
+        }
+    except (KeyError, ValueError, TypeError) as error:
+        message = f"rollouts {parts[0]}: do not hold a stage's arrays ({error})"
+        raise InputError(message) from error
+
+
+def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[int, ...]]]:
+    """Type and shape, but for the number of rollouts, of each array that all stages have."""
+    return {
+        name: (array.dtype.str, array.ndim, array.shape[1:])
+        for name, array in table.items()
+        if not name.startswith((MEMORY, KEPT))
+    }

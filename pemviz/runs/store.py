@@ -1,0 +1,143 @@
+"""The run folder: what a run leaves on disk, readable after a kill at any moment."""
+
+import contextlib
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+from safetensors.numpy import save as save_tensors
+
+from pemviz.arrays import AnyArray
+from pemviz.config.toml_files import config_text
+from pemviz.errors import InputError
+from pemviz.files.atomic import write_bytes, write_json, write_text
+from pemviz.runs.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
+from pemviz.runs.finished_stages import Archive
+from pemviz.runs.result import RunResult, result_document
+from pemviz.runs.rollout_files import (
+    PART_FOLDER,
+    join_parts,
+    part_arrays,
+    part_path,
+    stage_files,
+    write_part,
+)
+from pemviz.types import Signal, StageResult
+
+
+def create_run_folder(parent: Path, *, label: str) -> Path:
+    """A new folder ``<parent>/<time>-<label>``, numbered if that is taken.
+
+    Raises:
+        InputError: It cannot be created.
+    """
+    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{label}"
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        for attempt in range(1, 1000):
+            folder = parent / (stem if attempt == 1 else f"{stem}-{attempt}")
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            return folder
+    except OSError as error:
+        message = f"out = {parent}: no run folder can be made there ({error.strerror or error})"
+        raise InputError(message) from error
+    message = f"out = {parent}: a thousand runs named {stem} are there already"
+    raise InputError(message)
+
+
+class RunStore:
+    """Observer that keeps a run folder up to date.
+
+    After every stage ``result.json`` is rewritten and the stage's rollouts are in a file of
+    their own; the end of the run joins these into ``rollouts.npz``. The stages' files of a run
+    that was stopped or failed stay, so that it can be resumed.
+
+    Attributes:
+        folder: The run folder; it exists already.
+    """
+
+    def __init__(self, folder: Path, *, archive: Archive | None = None) -> None:
+        """Prepare; nothing is written before the run starts.
+
+        Args:
+            folder: The run folder; it exists already.
+            archive: What an earlier process left in it, which is not written again.
+        """
+        self.folder = folder
+        self._archive = archive
+        self._signals: tuple[Signal, ...] = ()
+        self._parts: list[Path] = []
+        self._proposals: dict[str, AnyArray] = {}
+
+    def notify(self, event: Event) -> None:
+        """Write what ``event`` adds.
+
+        Raises:
+            OSError: The disk is full or the folder is gone.
+        """
+        match event:
+            case RunStarted():
+                self._signals = event.signals
+                write_text(self.folder / "config.toml", config_text(event.config))
+                if not (self.folder / "result.json").exists():
+                    self._write_result(event.result)
+            case StageDone():
+                self._keep_stage(event.stage, event.result)
+            case RepetitionDone() if not self._is_behind():
+                self._write_result(event.result)
+            case RunDone() | RunFailed():
+                self._end(event.result)
+            case _:
+                pass
+
+    def _is_behind(self) -> bool:
+        """Whether the folder holds finished stages that this process has not come to yet."""
+        if self._archive is None:
+            return False
+        return len(stage_files(self.folder)) > len(self._parts)
+
+    def _end(self, result: RunResult) -> None:
+        if result.status != "done":
+            if self._is_behind():  # what the folder says goes further
+                return
+            self._write_result(result)
+            with contextlib.suppress(OSError):  # a full disk: the stages' files have it all
+                self._join()
+            return
+        self._join()
+        self._write_result(result)
+        parts = self.folder / PART_FOLDER
+        if parts.exists():
+            removed = parts.rename(self.folder / f".{PART_FOLDER}.removed")
+            shutil.rmtree(removed, ignore_errors=True)
+
+    def _write_result(self, result: RunResult) -> None:
+        write_json(self.folder / "result.json", result_document(result))
+
+    def _keep_stage(self, stage: StageResult, result: RunResult) -> None:
+        part = part_path(self.folder, repetition=stage.repetition, stage=stage.stage)
+        self._parts.append(part)
+        if stage.learned is not None:
+            prefix = f"repetition.{stage.repetition}.stage.{stage.stage}"
+            for name, array in stage.learned.arrays().items():
+                self._proposals[f"{prefix}.{name}"] = np.ascontiguousarray(array)
+        if self._archive is not None and (stage.repetition, stage.stage) in self._archive.restored:
+            return
+        write_part(part, part_arrays(stage, self._signals))
+        if stage.learned is not None:
+            self._write_proposals()
+        self._write_result(result)
+
+    def _write_proposals(self) -> None:
+        if self._proposals:
+            write_bytes(self.folder / "proposals.safetensors", save_tensors(self._proposals))
+
+    def _join(self) -> None:
+        self._write_proposals()
+        if self._parts:
+            join_parts(self._parts, self.folder / "rollouts.npz")
+            self._parts = []

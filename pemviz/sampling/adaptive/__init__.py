@@ -1,0 +1,1 @@
+"""Method ``adaptive``: the paper's Algorithm 1."""

@@ -1,0 +1,1 @@
+"""Methods ``monte-carlo`` and ``naive``: nothing is learned."""

@@ -1,0 +1,1 @@
+"""From weighted rollouts to an estimate with its interval and diagnostics."""

@@ -1,0 +1,128 @@
+"""Several independent repetitions, summarised as one estimate."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy import stats
+
+from pemviz.sampling.estimates.diagnostics import LARGE_SHARE, RELIABLE_PARETO_K, SMALL_ESS
+from pemviz.sampling.estimates.estimate import CONFIDENCE, log_normal_interval
+from pemviz.types import Estimate
+
+
+def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
+    """The mean of independent repetitions and the standard error between them.
+
+    With one repetition this is that repetition's estimate. With several, diagnostics that
+    belong to a set of weights are the least favourable among the repetitions.
+    """
+    if len(estimates) == 1:
+        return estimates[0]
+    probabilities = np.array([estimate.probability for estimate in estimates])
+    count = len(estimates)
+    mean = float(np.mean(probabilities))
+    error = float(np.std(probabilities, ddof=1)) / math.sqrt(count)
+    unbiased, unbiased_error = _unbiased(estimates)
+    failures = sum(estimate.failures for estimate in estimates)
+    low, high = _repetition_interval(estimates, mean=mean, error=error)
+    return Estimate(
+        method=estimates[0].method,
+        probability=mean,
+        log10_probability=_mean_log10(estimates),
+        std_error=error if failures else None,
+        ci_low=low,
+        ci_high=high,
+        rollouts_simulated=sum(e.rollouts_simulated for e in estimates),
+        rollouts_in_estimate=sum(e.rollouts_in_estimate for e in estimates),
+        failures=failures,
+        nll_mean=_weighted_mean([(e.nll_mean, e.failures) for e in estimates]),
+        nll_log_mean=_pooled_nll_log_mean(estimates),
+        ess=_extreme(min, [e.ess for e in estimates]),
+        pareto_k=_extreme(max, [e.pareto_k for e in estimates]),
+        max_weight_share=_extreme(max, [e.max_weight_share for e in estimates]),
+        unbiased_probability=unbiased,
+        unbiased_std_error=unbiased_error if failures else None,
+        warnings=repetition_warnings(estimates),
+    )
+
+
+def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None]:
+    """Mean of the repetitions' unbiased figures and its standard error; ``None`` without any."""
+    known = [e.unbiased_probability for e in estimates if e.unbiased_probability is not None]
+    if len(known) < len(estimates):
+        return None, None
+    return float(np.mean(known)), float(np.std(known, ddof=1)) / math.sqrt(len(known))
+
+
+def _repetition_interval(
+    estimates: Sequence[Estimate], *, mean: float, error: float
+) -> tuple[float | None, float | None]:
+    if all(estimate.method == "monte-carlo" for estimate in estimates):
+        count = sum(estimate.rollouts_in_estimate for estimate in estimates)
+        failures = sum(estimate.failures for estimate in estimates)
+        pooled = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")
+        return float(pooled.low), float(pooled.high)
+    if mean <= 0.0:
+        return None, None
+    return log_normal_interval(
+        math.log(mean), relative_error=error / mean, degrees_of_freedom=len(estimates) - 1
+    )
+
+
+def _mean_log10(estimates: Sequence[Estimate]) -> float | None:
+    """log10 of the mean, formed from the logs so that no repetition underflows."""
+    logs = [e.log10_probability for e in estimates if e.log10_probability is not None]
+    if not logs:
+        return None
+    largest = max(logs)
+    total = sum(10.0 ** (value - largest) for value in logs)
+    return largest + math.log10(total / len(estimates))
+
+
+def _pooled_nll_log_mean(estimates: Sequence[Estimate]) -> float | None:
+    """-log of the mean likelihood over the failures of all repetitions."""
+    known = [
+        (e.nll_log_mean, e.failures) for e in estimates if e.nll_log_mean is not None and e.failures
+    ]
+    if not known:
+        return None
+    smallest = min(nll for nll, _ in known)
+    total = sum(failures * math.exp(smallest - nll) for nll, failures in known)
+    return smallest - math.log(total / sum(failures for _, failures in known))
+
+
+def _weighted_mean(values: Sequence[tuple[float | None, int]]) -> float | None:
+    known = [(value, weight) for value, weight in values if value is not None]
+    total = sum(weight for _, weight in known)
+    return sum(value * weight for value, weight in known) / total if total else None
+
+
+def _extreme(
+    choose: Callable[[Sequence[float]], float], values: Sequence[float | None]
+) -> float | None:
+    known = [value for value in values if value is not None]
+    return choose(known) if known else None
+
+
+def repetition_warnings(estimates: Sequence[Estimate]) -> tuple[str, ...]:
+    """What is wrong with how many of the repetitions, most serious first."""
+    total = len(estimates)
+    counted = (
+        ("no failure was seen", sum(e.failures == 0 for e in estimates)),
+        (
+            f"one rollout carries over {LARGE_SHARE:.0%} of the weight",
+            sum((e.max_weight_share or 0.0) > LARGE_SHARE for e in estimates),
+        ),
+        (
+            f"a few weights carry the estimate (effective sample size below {SMALL_ESS:g})",
+            sum(e.ess is not None and e.ess < SMALL_ESS for e in estimates),
+        ),
+        (
+            f"the weights' tail is too heavy (Pareto k-hat above {RELIABLE_PARETO_K})",
+            sum((e.pareto_k or 0.0) > RELIABLE_PARETO_K for e in estimates),
+        ),
+    )
+    return tuple(
+        f"in {count} of {total} repetitions {finding}" for finding, count in counted if count
+    )

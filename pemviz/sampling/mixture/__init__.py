@@ -1,0 +1,1 @@
+"""Method ``mixture``: adaptive multiple importance sampling."""

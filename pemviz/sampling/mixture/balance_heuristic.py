@@ -1,0 +1,180 @@
+"""All rollouts of all stages, weighted as draws from the mixture of all proposals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
+from pemviz.proposals.defensive_share import defended
+from pemviz.proposals.offset_logistic import (
+    PolynomialBasis,
+    StateFeatures,
+    acting,
+    shift,
+)
+from pemviz.simulators.latched import VIOLATED
+from pemviz.types import RolloutBatch, ScoredRollouts
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """The steps of N rollouts at which a proposal may differ from the error model.
+
+    Attributes:
+        rollout: Index of the rollout, ascending, ``[M]``.
+        basis: ``[M, B]``.
+        missed: ``[M]``.
+        offset: The error model's logit of a miss, ``[M]``.
+    """
+
+    rollout: IntArray
+    basis: FloatArray
+    missed: BoolArray
+    offset: FloatArray
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Everything drawn so far.
+
+    Attributes:
+        decisions: Of all rollouts but the final ones.
+        component: Which proposal each rollout was drawn from, ``[N]``.
+        coefficients: Of each proposal, K arrays ``[B]``.
+        log_ratio: Log q_k / p of each rollout under each proposal, ``[N, K]``.
+        robustness: ``[N]``.
+        violated: ``[N]``.
+        log_p: Log likelihood under the error model, ``[N]``.
+    """
+
+    decisions: Decisions
+    component: IntArray
+    coefficients: tuple[FloatArray, ...]
+    log_ratio: FloatArray
+    robustness: FloatArray
+    violated: BoolArray
+    log_p: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of rollouts N."""
+        return int(self.violated.size)
+
+    @property
+    def log_weight(self) -> FloatArray:
+        """Log weights ``[N]`` by the balance heuristic: log p / sum_k (n_k / N) q_k.
+
+        Veach & Guibas 1995; every rollout counts as a draw from the mixture.
+        """
+        return balance_weights(self.log_ratio, self.component)
+
+
+def balance_weights(log_ratio: FloatArray, component: IntArray) -> FloatArray:
+    """-log sum_k (n_k / N) exp(log_ratio_k) for ratios ``[N, K]`` and components ``[N]``."""
+    drawn = np.bincount(component, minlength=log_ratio.shape[1])
+    with np.errstate(divide="ignore"):  # a proposal that nothing was drawn from does not count
+        log_share = np.log(drawn / component.size)
+    return -np.asarray(logsumexp(log_ratio + log_share, axis=1))
+
+
+def decisions_of(
+    rollouts: RolloutBatch, *, features: StateFeatures, basis: PolynomialBasis
+) -> Decisions:
+    """The decisions of N rollouts."""
+    states = rollouts.decision_states()
+    shape = rollouts.detected.shape
+    acts = acting(features, states, shape, violated=VIOLATED)
+    values = np.broadcast_to(features.values(states), (*shape, basis.mean.size))[acts]
+    return Decisions(
+        rollout=np.nonzero(acts)[0].astype(np.int64),
+        basis=basis.evaluate(values),
+        missed=~rollouts.detected[acts],
+        offset=-rollouts.pem_logit[acts],
+    )
+
+
+def log_ratios(
+    decisions: Decisions, coefficients: Sequence[FloatArray], *, count: int, defensive: float
+) -> FloatArray:
+    """Log q_k / p ``[N, K]`` of N rollouts."""
+    columns = [_log_ratio(decisions, chosen, count, defensive) for chosen in coefficients]
+    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
+
+
+def _log_ratio(
+    decisions: Decisions, coefficients: FloatArray, count: int, defensive: float
+) -> FloatArray:
+    raised = decisions.offset + shift(decisions.basis, coefficients)
+    raised = defended(raised, decisions.offset, share=defensive)
+    sign = np.where(decisions.missed, -1.0, 1.0)
+    step = np.logaddexp(0.0, sign * decisions.offset) - np.logaddexp(0.0, sign * raised)
+    return np.bincount(decisions.rollout, weights=step, minlength=count).astype(np.float64)
+
+
+def extended(
+    pool: Pool | None,
+    scored: ScoredRollouts,
+    *,
+    drawn_from: IntArray,
+    new: Sequence[FloatArray],
+    optimism: FloatArray | None,
+    defensive: float,
+    features: StateFeatures,
+    basis: PolynomialBasis,
+    last: bool = False,
+) -> Pool:
+    """The pool with more rollouts.
+
+    Args:
+        pool: What was drawn before, or ``None``.
+        scored: n more rollouts.
+        drawn_from: Index of each one's proposal in the extended list, ``[n]``.
+        new: Coefficients of proposals that the pool does not know yet.
+        optimism: By how much the new proposal overstates the log likelihood of the pool's
+            rollouts, which it was fitted to, ``[N]``; ``None`` without a pool.
+        defensive: Share of the error model in every outcome's probability.
+        features: What proposals look at.
+        basis: Its monomials.
+        last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
+    """
+    fresh = decisions_of(scored.rollouts, features=features, basis=basis)
+    count = scored.rollouts.count
+    log_p = row_sums(scored.rollouts.log_p)
+    if pool is None:
+        return Pool(
+            decisions=fresh,
+            component=drawn_from,
+            coefficients=tuple(new),
+            log_ratio=log_ratios(fresh, new, count=count, defensive=defensive),
+            robustness=scored.robustness,
+            violated=scored.violated,
+            log_p=log_p,
+        )
+    coefficients = (*pool.coefficients, *new)
+    before = pool.log_ratio
+    if new:
+        added = log_ratios(pool.decisions, new, count=pool.count, defensive=defensive)
+        if optimism is not None:
+            added = added - optimism[:, None]
+        before = np.hstack([before, added])
+    after = log_ratios(fresh, coefficients, count=count, defensive=defensive)
+    return Pool(
+        decisions=pool.decisions if last else _joined(pool.decisions, fresh, first=pool.count),
+        component=np.concatenate([pool.component, drawn_from]),
+        coefficients=coefficients,
+        log_ratio=np.vstack([before, after]),
+        robustness=np.concatenate([pool.robustness, scored.robustness]),
+        violated=np.concatenate([pool.violated, scored.violated]),
+        log_p=np.concatenate([pool.log_p, log_p]),
+    )
+
+
+def _joined(before: Decisions, fresh: Decisions, *, first: int) -> Decisions:
+    return Decisions(
+        rollout=np.concatenate([before.rollout, fresh.rollout + first]),
+        basis=np.concatenate([before.basis, fresh.basis]),
+        missed=np.concatenate([before.missed, fresh.missed]),
+        offset=np.concatenate([before.offset, fresh.offset]),
+    )

@@ -1,0 +1,1 @@
+"""How rollouts are drawn: here, on a device, or by worker processes."""

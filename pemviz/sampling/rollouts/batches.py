@@ -1,0 +1,86 @@
+"""Batches of rollouts, and who simulates them: this thread, or workers elsewhere."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pemviz.arrays import FloatArray
+from pemviz.errors import RunError
+from pemviz.sampling.rollouts.draw import LogitFunction, simulate
+from pemviz.types import Proposal, RolloutBatch, Simulator
+
+
+class SimulationError(RunError):
+    """A simulator or model gave what is no number, or gave nothing in time."""
+
+
+@dataclass(frozen=True)
+class BatchTask:
+    """One batch of rollouts to be simulated.
+
+    Attributes:
+        proposal: What outcomes are drawn from.
+        uniforms: ``[N, T-1]``; see :func:`pemviz.sampling.rollouts.draw.simulate`.
+    """
+
+    proposal: Proposal
+    uniforms: FloatArray
+
+
+class BatchRunner(Protocol):
+    """Simulates batches, here or elsewhere; what comes back does not depend on where."""
+
+    def __call__(
+        self, simulator: Simulator, pem_logit: LogitFunction, tasks: Iterable[BatchTask]
+    ) -> Iterator[RolloutBatch]:
+        """The batches of ``tasks``, in their order, as they are done."""
+        ...
+
+
+def run_here(
+    simulator: Simulator, pem_logit: LogitFunction, tasks: Iterable[BatchTask]
+) -> Iterator[RolloutBatch]:
+    """One batch after the other, in the thread that asks for it."""
+    for task in tasks:
+        yield simulate(
+            simulator=simulator,
+            pem_logit=pem_logit,
+            proposal=task.proposal,
+            uniforms=task.uniforms,
+        )
+
+
+def check_numbers(rollouts: RolloutBatch, *, first_rollout: int, simulator: str) -> None:
+    """Refuse rollouts in which something is no finite number.
+
+    Args:
+        rollouts: A batch of a stage's rollouts.
+        first_rollout: Index in the stage of the batch's first.
+        simulator: Its name, for the message.
+
+    Raises:
+        SimulationError: Names what, in which rollout and at which step, earliest step first.
+    """
+    named = [
+        *((f"simulator {simulator}: {n}", v, np.isfinite) for n, v in rollouts.signals.items()),
+        ("error model: logit", rollouts.pem_logit, _is_number),
+        ("proposal: logit", rollouts.proposal_logit, _is_number),
+    ]
+    worst: tuple[int, int, str] | None = None
+    for what, values, allowed in named:
+        if allowed(values).all():
+            continue
+        by_step = np.argwhere(~allowed(values.T))
+        step, rollout = int(by_step[0, 0]), int(by_step[0, 1])
+        found = f"{what} is {values[rollout, step]} in rollout {first_rollout + rollout}"
+        if worst is None or step < worst[0]:
+            worst = (step, rollout, found)
+    if worst is not None:
+        raise SimulationError(f"{worst[2]}, step {worst[0]}: must be a finite number")
+
+
+def _is_number(values: FloatArray) -> np.ndarray:
+    """Where a logit means a probability: anything but NaN."""
+    return ~np.isnan(values)

@@ -1,0 +1,90 @@
+"""Batches of rollouts simulated by processes elsewhere, for simulators that are slow."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import BrokenExecutor, Future
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pemviz.sampling.rollouts.batches import BatchTask, SimulationError
+from pemviz.sampling.rollouts.draw import LogitFunction, simulate
+from pemviz.types import RolloutBatch, Simulator
+
+BATCHES_AHEAD = 1  # so that workers need not wait until a batch is scored
+
+Pieces = list[Future[RolloutBatch]]
+
+
+@dataclass(frozen=True)
+class PooledRunner:
+    """Cuts every batch into pieces, one for each worker; see :class:`BatchRunner`.
+
+    A rollout does not depend on the others of its batch: the pieces, put together in their
+    order, are to the last bit what one process would have simulated.
+
+    Attributes:
+        submit: Takes a function and its arguments, all of which can be pickled, to a worker,
+            as :meth:`concurrent.futures.Executor.submit` does.
+        workers: How many there are.
+    """
+
+    submit: Callable[..., Future[Any]]
+    workers: int
+
+    def __call__(
+        self, simulator: Simulator, pem_logit: LogitFunction, tasks: Iterable[BatchTask]
+    ) -> Iterator[RolloutBatch]:
+        """The batches of ``tasks``, in their order, as they are done.
+
+        Raises:
+            SimulationError: A worker died.
+        """
+        ahead: deque[Pieces] = deque()
+        try:
+            for task in tasks:
+                ahead.append(self._handed_in(simulator, pem_logit, task))
+                if len(ahead) > BATCHES_AHEAD:
+                    yield _joined(ahead[0])
+                    ahead.popleft()
+            while ahead:
+                yield _joined(ahead[0])
+                ahead.popleft()
+        except BrokenExecutor as error:
+            message = "a worker process died: killed, or the machine is out of memory"
+            raise SimulationError(message) from error
+        finally:
+            for piece in (piece for pieces in ahead for piece in pieces):
+                piece.cancel()
+
+    def _handed_in(self, simulator: Simulator, pem_logit: LogitFunction, task: BatchTask) -> Pieces:
+        count = min(self.workers, task.uniforms.shape[0])
+        return [
+            self.submit(simulate_piece, simulator, pem_logit, BatchTask(task.proposal, uniforms))
+            for uniforms in np.array_split(task.uniforms, count)
+        ]
+
+
+def simulate_piece(simulator: Simulator, pem_logit: LogitFunction, task: BatchTask) -> RolloutBatch:
+    """A piece's rollouts, in the process that this is called in."""
+    return simulate(
+        simulator=simulator,
+        pem_logit=pem_logit,
+        proposal=task.proposal,
+        uniforms=task.uniforms,
+    )
+
+
+def _joined(pieces: Pieces) -> RolloutBatch:
+    parts = [piece.result() for piece in pieces]
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    return RolloutBatch(
+        signals={n: np.concatenate([p.signals[n] for p in parts]) for n in first.signals},
+        memory={n: np.concatenate([p.memory[n] for p in parts]) for n in first.memory},
+        detected=np.concatenate([part.detected for part in parts]),
+        pem_logit=np.concatenate([part.pem_logit for part in parts]),
+        proposal_logit=np.concatenate([part.proposal_logit for part in parts]),
+    )

@@ -1,0 +1,1 @@
+"""Method ``value-twisted`` and the reference: exact values of the reachable states."""

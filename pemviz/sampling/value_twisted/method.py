@@ -1,0 +1,169 @@
+"""Importance sampling with the proposal that a twin's value function gives."""
+
+from dataclasses import dataclass, replace
+
+from pemviz.errors import InputError
+from pemviz.proposals.twisted import TwistedProposal
+from pemviz.sampling.estimates.estimate import importance_sampling_estimate
+from pemviz.sampling.method import final_stage, sample_stage
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.rollouts.draw import LogitFunction
+from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.value_twisted.reachable_states import Pause, Unsafe
+from pemviz.sampling.value_twisted.tables import (
+    DEFENSIVE_STEPS,
+    LARGEST_LAYER,
+    build_twisted_proposal,
+    with_defence,
+)
+from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
+from pemviz.types import Estimate, Simulator, StageResult
+
+
+@dataclass(frozen=True)
+class ValueTwistedState:
+    """The repetition, its proposal, and how far its rollouts are drawn."""
+
+    repetition: int
+    proposal: TwistedProposal
+    batch: FinalBatch
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValueTwistedSampling:
+    """Rollouts that are steered towards violation by the twin's values; stage k draws part k.
+
+    Unbiased on any simulator; the closer the twin, the less the weights vary.
+
+    Attributes:
+        twin: The scenario that the value function is computed on.
+        rollouts: How many.
+        seed: Root of all randomness.
+        largest_layer: Above so many states a step, the value function is approximate.
+        defensive_steps: How many of a rollout's steps are drawn from the error model itself, on
+            average.
+        largest_part: How many rollouts are drawn at once.
+    """
+
+    twin: Simulator
+    rollouts: int
+    seed: int
+    largest_layer: int = LARGEST_LAYER
+    defensive_steps: float = DEFENSIVE_STEPS
+    largest_part: int = LARGEST_PART
+    name: str = "value-twisted"
+
+    @property
+    def stages(self) -> int:
+        """How many parts there are."""
+        return len(part_sizes(self.rollouts, largest=self.largest_part))
+
+    def init(self, problem: Problem, *, repetition: int) -> ValueTwistedState:
+        """Compute the value function; repetitions share it.
+
+        Raises:
+            InputError: Single states do not decide the specification.
+        """
+        wanted = _Wanted(self.twin, problem.pem_logit, require_unsafe(problem), self.largest_layer)
+        proposal = _last_built.get(wanted, pause=problem.pause)
+        proposal = with_defence(
+            proposal, defensive_steps=self.defensive_steps, steps=self.twin.states - 1
+        )
+        batch = FinalBatch(part_sizes(self.rollouts, largest=self.largest_part))
+        return ValueTwistedState(repetition=repetition, proposal=proposal, batch=batch)
+
+    def step(
+        self, problem: Problem, state: ValueTwistedState
+    ) -> tuple[ValueTwistedState, StageResult]:
+        """Draw and score the next part."""
+        stage = len(state.batch.drawn)
+        scored = sample_stage(
+            with_latch(problem),
+            proposal=state.proposal,
+            count=state.batch.next_size,
+            seed=self.seed,
+            repetition=state.repetition,
+            stage=stage,
+        )
+        result = final_stage(
+            repetition=state.repetition, stage=stage, scored=scored, sampled_from=state.proposal
+        )
+        return replace(state, batch=state.batch.extended(scored)), result
+
+    def is_done(self, state: ValueTwistedState) -> bool:
+        """Whether all is drawn."""
+        return state.batch.is_done
+
+    def estimate(self, state: ValueTwistedState) -> Estimate:
+        """The estimate from all rollouts.
+
+        Raises:
+            ValueError: They are not drawn yet.
+        """
+        return importance_sampling_estimate(
+            state.batch.weighed(), method=self.name, rollouts_simulated=self.rollouts
+        )
+
+
+def require_unsafe(problem: Problem) -> Unsafe:
+    """What single states violate the specification.
+
+    Raises:
+        InputError: There is no such answer for it.
+    """
+    if problem.unsafe is None:
+        message = (
+            "method value-twisted: the specification must be 'always' over a condition on single "
+            "states, such as always[0,99] (gap >= 2.0); use mixture or adaptive for others"
+        )
+        raise InputError(message)
+    return problem.unsafe
+
+
+def with_latch(problem: Problem) -> Problem:
+    """The problem on a simulator that remembers violations, if the problem says what they are."""
+    if problem.unsafe is not None:
+        return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
+    if problem.monitor is not None:
+        return replace(problem, simulator=MonitoredSimulator(problem.simulator, problem.monitor))
+    return problem
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What a value function follows from.
+
+    Two that are equal give the same one.
+    """
+
+    twin: Simulator
+    pem_logit: LogitFunction
+    unsafe: Unsafe
+    largest_layer: int
+
+
+class _LastBuilt:
+    """Holds the proposal built last: large, and the same for all repetitions and the reference.
+
+    A build that is stopped leaves what was there before.
+    """
+
+    def __init__(self) -> None:
+        self._held: tuple[_Wanted, TwistedProposal] | None = None
+
+    def get(self, wanted: _Wanted, *, pause: Pause) -> TwistedProposal:
+        held = self._held
+        if held is not None and held[0] == wanted:
+            return held[1]
+        built = build_twisted_proposal(
+            twin=wanted.twin,
+            pem_logit=wanted.pem_logit,
+            unsafe=wanted.unsafe,
+            largest_layer=wanted.largest_layer,
+            pause=pause,
+        )
+        self._held = (wanted, built)
+        return built
+
+
+_last_built = _LastBuilt()

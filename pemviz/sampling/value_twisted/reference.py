@@ -1,0 +1,102 @@
+"""The reference: the answer to compare other estimates with."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pemviz.sampling.problem import Problem, nothing_finished
+from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
+from pemviz.sampling.value_twisted.reachable_states import explore, solve
+from pemviz.types import Estimate, Simulator
+
+REFERENCE_ROLLOUTS = 20_000
+REFERENCE_SEED = 2**62 + 5
+REFERENCE_LAYER = 1_000_000
+REFERENCE_DEFENSIVE_STEPS = 0.2
+AGREEMENT_ERRORS = 3.0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The failure probability, as near as it can be had.
+
+    Attributes:
+        probability: The failure probability.
+        std_error: Its standard error.
+        log10_probability: Its decimal logarithm; ``None`` if it is 0.
+    """
+
+    probability: float
+    std_error: float
+    log10_probability: float | None
+
+
+def reference(
+    problem: Problem, *, twin: Simulator, rollouts: int = REFERENCE_ROLLOUTS
+) -> Reference:
+    """Importance sampling with the twin's value function, on the problem's own simulator.
+
+    Unbiased even where the twin is wrong, which a recursion on the twin would not notice;
+    where the twin is right its standard error is some thousandths of a per cent. The seed
+    is its own, so that nothing else depends on whether a reference was asked for.
+
+    Raises:
+        InputError: Single states do not decide the specification.
+    """
+    method = ValueTwistedSampling(
+        twin=twin,
+        rollouts=rollouts,
+        seed=REFERENCE_SEED,
+        defensive_steps=REFERENCE_DEFENSIVE_STEPS,
+    )
+    # what an interrupted run left is its own method's, not the reference's
+    problem = replace(problem, finished=nothing_finished)
+    state = method.init(problem, repetition=0)
+    while not method.is_done(state):
+        state, _ = method.step(problem, state)
+    found = method.estimate(state)
+    return Reference(
+        probability=found.probability,
+        std_error=found.std_error or 0.0,
+        log10_probability=found.log10_probability,
+    )
+
+
+def exact_log_probability(problem: Problem, *, twin: Simulator) -> float | None:
+    """Log of the twin's failure probability by recursion; ``None`` if it has too many states.
+
+    Exact up to rounding where a miss never helps (see :func:`explore`); -inf if nothing fails.
+
+    Raises:
+        InputError: Single states do not decide the specification.
+    """
+    layers = explore(
+        twin=twin,
+        pem_logit=problem.pem_logit,
+        unsafe=require_unsafe(problem),
+        largest_layer=REFERENCE_LAYER,
+        pause=problem.pause,
+    )
+    if not all(layer.exact for layer in layers):
+        return None
+    return solve(layers, pause=problem.pause).log_probability
+
+
+def agreement_warning(estimate: Estimate, known: Reference) -> str | None:
+    """What to say where an estimate and the reference disagree; ``None`` where they agree.
+
+    They agree if the reference lies in the estimate's interval, or within three of their
+    joint standard errors.
+    """
+    low, high = estimate.ci_low, estimate.ci_high
+    if low is not None and high is not None and low <= known.probability <= high:
+        return None
+    joint = math.hypot(estimate.std_error or 0.0, known.std_error)
+    if abs(estimate.probability - known.probability) <= AGREEMENT_ERRORS * joint:
+        return None
+    ratio = estimate.probability / known.probability if known.probability else np.inf
+    return (
+        f"the estimate is {ratio:.2g} times the reference {known.probability:.3g} and its interval "
+        "does not contain it: trust the reference"
+    )

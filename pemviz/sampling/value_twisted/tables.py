@@ -1,0 +1,131 @@
+"""From the reachable states' values to the tables that the twisted proposal looks up."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.proposals.defensive_share import share_for
+from pemviz.proposals.twisted import TwistedProposal, TwistedTables
+from pemviz.proposals.twisted_cells import CellTable, cell_keys
+from pemviz.sampling.rollouts.draw import LogitFunction
+from pemviz.sampling.value_twisted.reachable_states import (
+    MERGE_DISTANCE,
+    Layer,
+    Pause,
+    Unsafe,
+    Values,
+    explore,
+    log_sum_by,
+    no_pause,
+    solve,
+    state_columns,
+    state_names,
+)
+from pemviz.simulators.latched import VIOLATED
+from pemviz.types import Signal, Simulator, outcome_log_likelihood
+
+COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
+NEGLIGIBLE_SHARE = 1e-12
+DEFENSIVE_STEPS = 2.0
+APPROXIMATE_DEFENCE = 2.5
+LARGEST_LAYER = 300_000
+
+
+def build_twisted_proposal(
+    *,
+    twin: Simulator,
+    pem_logit: LogitFunction,
+    unsafe: Unsafe,
+    largest_layer: int = LARGEST_LAYER,
+    pause: Pause = no_pause,
+) -> TwistedProposal:
+    """Explore the twin, solve for the probability of violation, tabulate the proposal.
+
+    Args:
+        twin: A scenario whose ``step`` is cheap for many states.
+        pem_logit: The error model.
+        unsafe: What violates the specification.
+        largest_layer: Above so many states a step, neighbours are taken for one.
+        pause: Called every few tenths of a second; may raise to stop.
+    """
+    layers = explore(
+        twin=twin, pem_logit=pem_logit, unsafe=unsafe, largest_layer=largest_layer, pause=pause
+    )
+    values = solve(layers, pause=pause)
+    cells = tuple(
+        tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
+        for share in COARSE_SHARES
+    )
+    return TwistedProposal(
+        tables=tuple(
+            _tables(layer, values, index, cells=cells, pause=pause)
+            for index, layer in enumerate(layers)
+        ),
+        names=state_names(twin.initial(count=1)),
+        signal_names=tuple(signal.name for signal in _sorted_signals(twin)),
+        distance=MERGE_DISTANCE,
+        coarse_cells=cells,
+        violated=VIOLATED,
+        defensive=share_for(drawn_steps=DEFENSIVE_STEPS, steps=twin.states - 1),
+        log_probability=values.log_probability,
+        exact=all(layer.exact for layer in layers),
+    )
+
+
+def with_defence(
+    proposal: TwistedProposal, *, defensive_steps: float, steps: int
+) -> TwistedProposal:
+    """The proposal with so many of a rollout's ``steps`` drawn from the error model, on average.
+
+    That is the price of bounded weights where the twin is wrong; it is raised where states
+    had to be merged.
+    """
+    drawn = defensive_steps * (1.0 if proposal.exact else APPROXIMATE_DEFENCE)
+    return replace(proposal, defensive=share_for(drawn_steps=drawn, steps=steps))
+
+
+def _sorted_signals(twin: Simulator) -> Sequence[Signal]:
+    return sorted(twin.signals, key=lambda signal: signal.name)
+
+
+def _tables(
+    layer: Layer,
+    values: Values,
+    index: int,
+    *,
+    cells: tuple[tuple[float, ...], ...],
+    pause: Pause,
+) -> TwistedTables:
+    logit = values.proposal_logit[index]
+    log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
+    kept = log_share > np.log(NEGLIGIBLE_SHARE)
+    columns = [column[kept] for column in state_columns(layer.states)]
+    keys = cell_keys(columns, [MERGE_DISTANCE] * len(columns))
+    signals = columns[: len(layer.states.signals)]
+    coarse: list[CellTable] = []
+    for sizes in cells:
+        pause()
+        coarse.append(averaged(cell_keys(signals, sizes), logit[kept], log_share[kept]))
+    return TwistedTables(states=_sorted(keys, logit[kept]), coarse=tuple(coarse))
+
+
+def averaged(keys: IntArray, logit: FloatArray, log_share: FloatArray) -> CellTable:
+    """One logit for each distinct key: that of the mean probability under ``exp(log_share)``.
+
+    The mean is the constant with the least cross-entropy from the states' own probabilities.
+    """
+    distinct, group = np.unique(keys, return_inverse=True)
+    hit = log_sum_by(group, log_share + _outcome(logit, hit=True), distinct.size)
+    miss = log_sum_by(group, log_share + _outcome(logit, hit=False), distinct.size)
+    return CellTable(keys=distinct, logit=hit - miss)
+
+
+def _outcome(logit: FloatArray, *, hit: bool) -> FloatArray:
+    return outcome_log_likelihood(logit, np.full(logit.shape, hit))
+
+
+def _sorted(keys: IntArray, logit: FloatArray) -> CellTable:
+    order = np.argsort(keys, kind="stable")
+    return CellTable(keys=keys[order], logit=logit[order])

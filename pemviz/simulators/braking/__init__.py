@@ -1,0 +1,1 @@
+"""The braking scenario on two back ends: vectorized, and highway-env."""

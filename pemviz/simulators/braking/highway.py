@@ -1,0 +1,106 @@
+"""The braking scenario on highway-env, and films of its rollouts.
+
+highway-env itself is imported when the first scene is built, not with this module.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from threading import get_ident
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pemviz.arrays import BoolArray
+from pemviz.config import ScenarioConfig
+from pemviz.simulators.braking.scenario import (
+    EGO_SPEED,
+    GAP,
+    LEAD_SPEED,
+    SPEED_ERROR_INTEGRAL,
+    BrakingScenario,
+)
+from pemviz.types import StateBatch
+
+if TYPE_CHECKING:
+    from pemviz.simulators.braking.highway_env_scenario import BrakingEnv
+
+SCENES_KEPT = 8
+
+
+@dataclass(frozen=True)
+class HighwaySimulator(BrakingScenario):
+    """Each rollout of a batch in turn is loaded into a highway-env scene, stepped, read back."""
+
+    @property
+    def name(self) -> str:
+        """Back end's name."""
+        return "highway-env"
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The states one time step on, for outcomes ``[N]``."""
+        from pemviz.simulators.braking.highway_env_scenario import BrakingState  # noqa: PLC0415  pygame
+
+        scene = _scene(self.config, get_ident())
+        reached: list[BrakingState] = []
+        columns = (
+            np.full(detected.shape, states.step),
+            states.signals[GAP],
+            states.signals[EGO_SPEED],
+            states.signals[LEAD_SPEED],
+            states.memory[SPEED_ERROR_INTEGRAL],
+            detected,
+        )
+        for *state, is_detected in zip(*(column.tolist() for column in columns), strict=True):
+            scene.load(BrakingState(*state))
+            scene.advance(detected=is_detected)
+            reached.append(scene.state)
+        table = np.array(reached, dtype=np.float64).reshape(-1, len(BrakingState._fields))
+        _, gap_m, ego_mps, lead_mps, integral_m = table.T
+        return StateBatch(
+            step=states.step + 1,
+            signals={GAP: gap_m, EGO_SPEED: ego_mps, LEAD_SPEED: lead_mps},
+            memory={SPEED_ERROR_INTEGRAL: integral_m},
+        )
+
+
+def frames(config: ScenarioConfig, *, detected: BoolArray) -> Iterator[NDArray[np.uint8]]:
+    """Film a rollout with given outcomes; needs no display.
+
+    Args:
+        config: The scenario.
+        detected: Perception's outcomes ``[T-1]``.
+
+    Returns:
+        T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, the ego blue at
+        the left and the lead car orange.
+
+    Raises:
+        ValueError: ``detected`` has another shape.
+    """
+    if detected.shape != (config.states - 1,):
+        message = f"detected has shape {detected.shape}, expected ({config.states - 1},)"
+        raise ValueError(message)
+    return _film(config, detected)
+
+
+def _film(config: ScenarioConfig, detected: BoolArray) -> Iterator[NDArray[np.uint8]]:
+    from pemviz.simulators.braking.highway_env_scenario import BrakingEnv  # noqa: PLC0415  pygame
+
+    environment = BrakingEnv(config, render_mode="rgb_array")
+    try:
+        yield environment.render()
+        for is_detected in detected.tolist():
+            environment.advance(detected=is_detected)
+            yield environment.render()
+    finally:
+        environment.close()
+
+
+@lru_cache(maxsize=SCENES_KEPT)
+def _scene(config: ScenarioConfig, thread: int) -> "BrakingEnv":  # noqa: ARG001
+    """A scene to work in. Its content outlives no call, so sharing is safe within a thread."""
+    from pemviz.simulators.braking.highway_env_scenario import BrakingEnv  # noqa: PLC0415  pygame
+
+    return BrakingEnv(config)

@@ -1,0 +1,99 @@
+"""Other models' answers from the same rollouts, against binomial tails."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from pemviz.analysis.model_uncertainty import (
+    ENOUGH_FAILURES,
+    extrapolation_warnings,
+    member_estimates,
+    model_interval,
+)
+from pemviz.config import ExperimentConfig
+from pemviz.proposals.fixed import ConstantProposal
+from pemviz.runs.engine import run_experiment
+from pemviz.sampling.problem import sample
+from tests.toy import ConstantPem, MissCounter, exact_failure_probability
+
+
+@dataclass(frozen=True)
+class Models:
+    members: tuple[ConstantPem, ...]
+    name: str = "constants"
+
+
+@dataclass(frozen=True)
+class SalientMissCounter(MissCounter):
+    """Shows the eleven salient variables that reweighting expects."""
+
+    def salient(self, signals):
+        return np.zeros((*signals["gap"].shape, 11))
+
+
+MISS = (0.02, 0.05, 0.1, 0.2)
+
+
+@pytest.fixture
+def scored(toy_problem):
+    return sample(
+        toy_problem, proposal=ConstantProposal(0.5), count=50_000, seeds=np.random.SeedSequence(3)
+    )
+
+
+def test_every_member_gets_its_own_answer(scored):
+    """Four z-tests at 4 standard errors: false alarm 3e-4 together; the seed is fixed."""
+    ensemble = Models(members=tuple(ConstantPem(miss) for miss in MISS))
+    estimates = member_estimates(scored, simulator=SalientMissCounter(states=7), ensemble=ensemble)
+    enough = math.ceil(scored.violated.size * ENOUGH_FAILURES / scored.violated.sum())
+    assert enough < scored.violated.size
+    misses = (~scored.rollouts.detected).sum(axis=1)[:enough]
+    for log_mu, miss in zip(estimates.log_mu, MISS, strict=True):
+        weight = (2 * miss) ** misses * (2 * (1 - miss)) ** (6 - misses) * scored.violated[:enough]
+        assert math.exp(log_mu) == pytest.approx(weight.mean(), rel=1e-9)
+        error = weight.std() / math.sqrt(weight.size)
+        truth = exact_failure_probability(steps=6, miss_probability=miss)
+        assert abs(math.exp(log_mu) - truth) < 4 * error
+
+
+def test_repetitions_are_pooled_by_their_mean(scored):
+    ensemble = Models(members=tuple(ConstantPem(miss) for miss in MISS))
+    simulator = SalientMissCounter(states=7)
+    once = member_estimates(scored, simulator=simulator, ensemble=ensemble)
+    assert model_interval([once, once]).low == pytest.approx(model_interval([once]).low)
+    interval = model_interval([once])
+    assert interval.members == 4
+    assert interval.low is not None
+    assert interval.high is not None
+    assert math.exp(once.log_mu.min()) <= interval.low < interval.high
+    assert interval.high <= math.exp(once.log_mu.max()) * (1 + 1e-9)
+
+
+def test_the_default_scenario_is_told_to_extrapolate():
+    result = run_experiment(ExperimentConfig(method="naive", final_rollouts=50))
+    text = " ".join(result.warnings)
+    assert "no training obstacle" in text
+    assert "132 training obstacles" in text
+    assert "2 of 27" in text
+    assert result.data_bound is not None
+    # by recursion over all reachable states the bounding model gives 6.98e-5
+    assert 6.98e-5 < result.data_bound.probability < 2e-3
+    assert f"up to {result.data_bound.probability:.1g}" in text
+
+
+def test_the_reference_stands_beside_the_estimate():
+    result = run_experiment(ExperimentConfig(method="naive", final_rollouts=50, reference=True))
+    assert result.reference is not None
+    # exact recursion over the reachable states: log mu = -32.3785
+    assert math.log(result.reference.probability) == pytest.approx(-32.3785, abs=0.002)
+    assert any("trust the reference" in warning for warning in result.warnings)
+
+
+def test_a_model_without_counts_is_said_to_have_none(scored):
+    warnings = extrapolation_warnings(
+        scored, simulator=SalientMissCounter(states=7), pem=ConstantPem(0.1)
+    )
+    assert len(warnings) == 1
+    assert "no counts" in warnings[0]

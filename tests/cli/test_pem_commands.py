@@ -1,0 +1,149 @@
+"""The commands of `pemviz pem` end to end on made-up data, and their one-line refusals."""
+
+import json
+from pathlib import Path
+
+import pytest
+import tyro
+
+from pemviz.cli.pem import collect, evaluate, fit, show
+from pemviz.files.shipped import asset_path
+from pemviz.pem import PemError, load_pem
+from tests.pem.test_collect import LABEL, RESULT
+
+SYNTHETIC = asset_path("pem", "synthetic-obstacles.csv")
+
+
+def test_collect_fit_evaluate_show(tmp_path, capsys):
+    for folder, line in (("labels", LABEL), ("detections", RESULT)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "000000.txt").write_text(f"{line}\nbroken\n")
+    arguments = collect.CollectArguments(
+        labels=tmp_path / "labels",
+        detections=tmp_path / "detections",
+        out=tmp_path / "table.csv",
+        skip_bad=True,
+    )
+    assert collect.run(arguments) == 0
+    printed = capsys.readouterr()
+    assert "1 frames, 1 obstacles, 0 missed" in printed.out
+    assert "warning: 2 malformed lines skipped" in printed.err
+
+    out = tmp_path / "own.safetensors"
+    fitted = fit.FitArguments(table=SYNTHETIC, out=out, model="lr", members=3, folds=3, seed=4)
+    assert fit.run(fitted) == 0
+    assert "roc_auc, 3-fold" in capsys.readouterr().out
+    metadata = json.loads(out.with_suffix(".json").read_text())
+    assert metadata["inputs"][-1] == "rotation_y_rad"
+    assert len(metadata["normalisation_mean"]) == 4
+    assert metadata["digest"] == load_pem(str(out)).digest
+    assert "bce, 3-fold" in out.with_suffix(".md").read_text()
+
+    shown = show.ShowArguments(pem=str(out), out=tmp_path / "curve.png")
+    assert show.run(shown) == 0
+    printed = capsys.readouterr().out
+    assert "z from 13 to 15 m" in printed
+    assert "ensemble 95 %" in printed
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+    told = evaluate.EvaluateArguments(
+        table=SYNTHETIC, out=tmp_path / "report", models=("guess-mu", "lr"), folds=2, json=True
+    )
+    assert evaluate.run(told) == 0
+    assert json.loads(capsys.readouterr().out)["models"][0]["model"] == "guess-mu"
+    assert evaluate.run(evaluate.EvaluateArguments(SYNTHETIC, tmp_path / "r", ("lr",), 2)) == 0
+    assert "written:" in capsys.readouterr().out
+
+
+def test_show_warns_about_the_default_scenarios_thin_data(capsys):
+    assert show.run(show.ShowArguments()) == 0
+    printed = capsys.readouterr().out
+    assert "warning: extrapolation: no training obstacle" in printed
+    assert "CC BY-NC-SA 3.0" in printed
+
+
+@pytest.mark.parametrize(
+    ("run", "arguments", "words"),
+    [
+        (
+            collect.run,
+            collect.CollectArguments(labels=Path("none"), detections=Path("none")),
+            "none: no folder with KITTI label files",
+        ),
+        (
+            collect.run,
+            collect.CollectArguments(labels=Path("l"), detections=Path("d"), iou_above=1.0),
+            "iou_above is 1, allowed: 0 to below 1",
+        ),
+        (
+            fit.run,
+            fit.FitArguments(table=SYNTHETIC, out=Path("model.pkl")),
+            "out is 'model.pkl', must end in .safetensors",
+        ),
+        (
+            fit.run,
+            fit.FitArguments(table=Path("nothing.csv"), out=Path("m.safetensors")),
+            "nothing.csv: no table",
+        ),
+        (
+            fit.run,
+            fit.FitArguments(table=SYNTHETIC, out=Path("m.safetensors"), members=1),
+            "members is 1, allowed: 0, or 2 or more",
+        ),
+        (
+            evaluate.run,
+            evaluate.EvaluateArguments(table=SYNTHETIC, folds=1),
+            "folds is 1, allowed: 2 to",
+        ),
+        (show.run, show.ShowArguments(pem="yolo"), "no perception error model 'yolo'"),
+        (show.run, show.ShowArguments(z_from_m=9.0, z_to_m=3.0), "increasing"),
+    ],
+)
+def test_bad_arguments_are_refused_in_one_line(run, arguments, words):
+    with pytest.raises(PemError) as caught:
+        run(arguments)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "line"),
+    [
+        (collect.CollectArguments, "--labels l --detections d --format yolo --skip-bad"),
+        (fit.FitArguments, "--table t.csv --out m.safetensors --model gb-raw --members 20"),
+        (evaluate.EvaluateArguments, "--table t.csv --models lr ml-nn"),
+        (show.ShowArguments, "--pem ml-nn --class-name Van"),
+    ],
+)
+def test_tyro_makes_flags_of_every_field(kind, line, capsys):
+    assert isinstance(tyro.cli(kind, args=line.split()), kind)
+    with pytest.raises(SystemExit):
+        tyro.cli(kind, args=["--help"])
+    printed = capsys.readouterr().out
+    for name in kind.__dataclass_fields__:
+        assert f"--{name.replace('_', '-')}" in printed
+
+
+TABLE = """class_id,truncation,occlusion,alpha_rad,height_m,width_m,length_m,x_m,y_m,z_m,\
+rotation_y_rad,detected
+0,0,0,0,1.5,1.6,4,0,1.6,20,1.5,1
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (TABLE.replace("20,1.5", "far,1.5"), r"2: column 10 \(z_m\) is 'far', not a number"),
+        (TABLE.replace(",detected", ""), "1: the header lacks detected"),
+        (TABLE.replace("1.5,1\n", "1.5\n"), "2: 11 columns where 12 are needed"),
+        (TABLE.replace("1.5,1\n", "1.5,2\n"), "column 'detected' must hold 0 or 1"),
+        (TABLE.replace("0,0,0,0,1.5", "7,0,0,0,1.5"), "class_id is 7, allowed: 0 Car"),
+        (TABLE.splitlines()[0] + "\n", "the table has no rows"),
+    ],
+)
+def test_a_bad_table_is_refused(tmp_path, text, words):
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    arguments = fit.FitArguments(table=path, out=tmp_path / "m.safetensors", folds=0)
+    with pytest.raises(PemError, match=words):
+        fit.run(arguments)

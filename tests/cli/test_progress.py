@@ -1,0 +1,57 @@
+"""What a person sees of a run's progress: from nothing to the whole, never back, never beyond."""
+
+import io
+import itertools
+
+import pytest
+from rich.console import Console
+from rich.progress import Progress
+
+from pemviz.cli.progress import ProgressBar, counted_in_words
+from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.panel.run_observer import Watcher
+from pemviz.runs.engine import run_experiment
+
+EASY = ScenarioConfig(states=45, emergency_gap_m=12.0)
+
+
+class Displays:
+    """The terminal's bar and the panel's, after every event."""
+
+    def __init__(self):
+        self._rich = Progress(console=Console(file=io.StringIO()))
+        self._bar = ProgressBar(self._rich)
+        self._watcher = Watcher(
+            pem_logit=lambda salient: salient[..., 9], folder=None, publish=lambda *_: None
+        )
+        self.shares = []
+
+    def notify(self, event):
+        self._bar.notify(event)
+        self._watcher.notify(event)
+        task = self._rich.tasks[0]
+        self.shares.append((task.completed / task.total, self._watcher.progress.share))
+
+
+@pytest.mark.parametrize("method", ["mixture", "splitting", "monte-carlo"])
+def test_both_displays_go_from_nothing_to_the_whole(method):
+    config = ExperimentConfig(
+        method=method,
+        scenario=EASY,
+        spec="always[0,44] (gap >= 7.0)",
+        stages=2,
+        rollouts=20,
+        final_rollouts=30,
+        repetitions=2,
+    )
+    displays = Displays()
+    run_experiment(config, observers=[displays])
+    for shares in zip(*displays.shares, strict=True):
+        assert shares[0] == 0.0
+        assert shares[-1] == 1.0
+        assert all(later >= earlier for earlier, later in itertools.pairwise(shares))
+
+
+def test_what_is_counted_is_said():
+    assert counted_in_words(1200, 3400, by_level=False) == "1,200 of 3,400 rollouts"
+    assert counted_in_words(50, 200, by_level=True) == "25% of the way to violations"
