@@ -1,6 +1,8 @@
-"""Array type names used in signatures; shapes stand in the docstrings."""
+"""Array type names used in signatures, whose docstrings give the shapes; and batches of rows."""
 
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import Field, fields
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,59 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 AnyArray = NDArray[Any]
+Rows = slice | BoolArray | IntArray
+"""Which of N rows: a slice, a mask ``[N]``, or indices ``[M]`` in any order."""
+
+Merge = Callable[[Sequence[AnyArray]], AnyArray]
+
+
+class Batch:
+    """Base of frozen dataclasses that hold arrays with a row for each of N things.
+
+    Their fields are arrays ``[N, ...]``, mappings of such arrays, or batches themselves: a
+    field that is added takes part in all operations.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    def map(self, function: Callable[[AnyArray], AnyArray]) -> Self:
+        """The batch with ``function`` applied to every array."""
+        return self._merged([self], lambda arrays: function(arrays[0]))
+
+    def take(self, rows: Rows) -> Self:
+        """The chosen rows, in the order of choice: views for a slice, otherwise copies."""
+        return self.map(lambda values: values[rows])
+
+    @classmethod
+    def concatenate(cls, batches: Sequence[Self]) -> Self:
+        """All rows of at least one batch, in order."""
+        return batches[0] if len(batches) == 1 else cls._merged(batches, np.concatenate)
+
+    @classmethod
+    def _merged(cls, batches: Sequence[Self], merge: Merge) -> Self:
+        """``merge`` of the arrays that stand in the same place of all batches, for each place."""
+        beside = cls._beside_rows(batches)
+        places = {
+            f.name: [getattr(batch, f.name) for batch in batches]
+            for f in fields(cls)
+            if f.name not in beside
+        }
+        return cls(**beside, **{name: cls._merged_place(p, merge) for name, p in places.items()})
+
+    @staticmethod
+    def _merged_place(place: Sequence[Any], merge: Merge) -> Any:
+        first = place[0]
+        if isinstance(first, Batch):
+            return first._merged(place, merge)
+        if isinstance(first, Mapping):
+            names = cast(Mapping[str, AnyArray], first)
+            return {name: merge([arrays[name] for arrays in place]) for name in names}
+        return merge(place)
+
+    @classmethod
+    def _beside_rows(cls, batches: Sequence[Any]) -> Mapping[str, Any]:  # noqa: ARG003
+        """Values of the fields without rows, for a batch that is made of ``batches``."""
+        return {}
 
 
 def read_only(array: AnyArray) -> AnyArray:

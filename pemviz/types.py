@@ -1,13 +1,22 @@
 """What flows between the parts: states, rollouts, stages, estimates. All frozen."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, read_only, row_sums
+from pemviz.arrays import (
+    AnyArray,
+    Batch,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Rows,
+    read_only,
+    row_sums,
+)
 
 StageKind = Literal["pretrain", "learn", "final"]
 
@@ -44,6 +53,46 @@ class StateBatch:
     step: IntArray
     signals: Mapping[str, FloatArray]
     memory: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape ``[...]`` of signals and memory."""
+        arrays = (*self.signals.values(), *self.memory.values())
+        return np.shape(arrays[0] if arrays else self.step)
+
+    def map(self, function: Callable[[AnyArray], AnyArray]) -> "StateBatch":
+        """The states with ``function`` applied to every array, ``step`` among them."""
+        return self._changed(function(self.step), function)
+
+    def take(self, rows: Rows) -> "StateBatch":
+        """The chosen rows, in the order of choice: views for a slice, otherwise copies."""
+        step = self.step[rows] if self._steps_by_row else self.step
+        return self._changed(step, lambda values: values[rows])
+
+    @staticmethod
+    def concatenate(batches: "Sequence[StateBatch]") -> "StateBatch":
+        """All rows of at least one batch, in order."""
+        step = batches[0].step
+        alike = all(np.array_equal(batch.step, step) for batch in batches)
+        if not alike or any(batch._steps_by_row for batch in batches):
+            step = np.concatenate([np.broadcast_to(b.step, b.shape) for b in batches])
+        first = batches[0]
+        return StateBatch(
+            step=step,
+            signals={n: np.concatenate([b.signals[n] for b in batches]) for n in first.signals},
+            memory={n: np.concatenate([b.memory[n] for b in batches]) for n in first.memory},
+        )
+
+    @property
+    def _steps_by_row(self) -> bool:
+        return np.ndim(self.step) == len(self.shape) > 0 and len(self.step) > 1
+
+    def _changed(self, step: IntArray, function: Callable[[AnyArray], AnyArray]) -> "StateBatch":
+        return StateBatch(
+            step=step,
+            signals={name: function(values) for name, values in self.signals.items()},
+            memory={name: function(values) for name, values in self.memory.items()},
+        )
 
 
 @runtime_checkable
@@ -105,7 +154,7 @@ class Proposal(Protocol):
 
 
 @dataclass(frozen=True)
-class RolloutBatch:
+class RolloutBatch(Batch):
     """N rollouts of T states and T - 1 outcomes.
 
     Attributes:
@@ -160,20 +209,26 @@ def outcome_log_likelihood(logit: FloatArray, detected: BoolArray) -> FloatArray
 
 
 @dataclass(frozen=True)
-class ScoredRollouts:
+class ScoredRollouts(Batch):
     """Rollouts with their scores.
 
     Attributes:
         rollouts: The N rollouts.
         robustness: ``[N]`` under the chosen metric.
         violated: ``[N]`` whether the classical semantics is violated.
-        timings_s: Wall time by part of the work [s].
+        timings_s: Wall time by part of the work [s]: of the batch that rows were taken from;
+            of batches put together the sum.
     """
 
     rollouts: RolloutBatch
     robustness: FloatArray
     violated: BoolArray
     timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    @classmethod
+    def _beside_rows(cls, batches: Sequence[Any]) -> Mapping[str, Any]:
+        parts = batches[0].timings_s
+        return {"timings_s": {part: sum(b.timings_s[part] for b in batches) for part in parts}}
 
 
 @dataclass(frozen=True)

@@ -82,14 +82,7 @@ def failures_of(
     chosen = np.flatnonzero(scored.violated)
     if chosen.size == 0:
         return None
-    old = scored.rollouts
-    rollouts = RolloutBatch(
-        signals={name: values[chosen] for name, values in old.signals.items()},
-        memory={name: values[chosen] for name, values in old.memory.items()},
-        detected=old.detected[chosen],
-        pem_logit=old.pem_logit[chosen],
-        proposal_logit=old.proposal_logit[chosen],
-    )
+    rollouts = scored.rollouts.take(chosen)
     states = rollouts.decision_states()
     deciding = np.ones(rollouts.detected.shape, dtype=np.bool_)
     if features is not None:

@@ -92,14 +92,9 @@ def _needs_gap_alone(simulator: Simulator, proposal: Proposal, rollouts: Rollout
     some = slice(0, PROBED_ROLLOUTS)
     states = rollouts.decision_states()
     gaps = states.signals[GAP][some]
-    probed = StateBatch(
-        step=states.step,
-        signals={name: values[some] for name, values in states.signals.items()},
-        memory={name: values[some] for name, values in states.memory.items()},
-    )
     else_initial = initial_states(simulator, gap_m=gaps.ravel())
     pem_logits = rollouts.pem_logit[some]
-    here = proposal.logit(probed, pem_logits)
+    here = proposal.logit(states.take(some), pem_logits)
     there = proposal.logit(else_initial, pem_logits.ravel()).reshape(gaps.shape)
     return bool(np.array_equal(here, there))
 

@@ -22,8 +22,8 @@ from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.rollouts.final_batch import pooled, weighed
-from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
+from pemviz.sampling.rollouts.final_batch import WeighedRollouts, weighed
+from pemviz.types import ScoredRollouts, Simulator
 
 DATA_BOUND_ROLLOUTS = 10_000
 ENOUGH_FAILURES = 2_000
@@ -62,13 +62,12 @@ def member_estimates(
     Of many rollouts the first are enough: as many as hold ENOUGH_FAILURES violations.
     """
     count = _enough(scored.violated)
-    rollouts, violated = _first(scored.rollouts, count), scored.violated[:count]
-    states = rollouts.decision_states()
-    failing = {name: values[violated] for name, values in states.signals.items()}
+    rollouts, violated = scored.rollouts.take(slice(count)), scored.violated[:count]
+    failing = rollouts.take(violated)
     return reweight(
-        detected=rollouts.detected[violated],
-        salient=simulator.salient(failing),
-        log_q=rollouts.log_q[violated],
+        detected=failing.detected,
+        salient=simulator.salient(failing.decision_states().signals),
+        log_q=failing.log_q,
         violated=violated[violated],
         members=ensemble.members,
         rollouts=rollouts.count,
@@ -79,16 +78,6 @@ def _enough(violated: BoolArray) -> int:
     """How many rollouts hold ENOUGH_FAILURES violations, if violations come evenly."""
     share = ENOUGH_FAILURES / max(int(violated.sum()), 1)
     return violated.size if share >= 1.0 else math.ceil(share * violated.size)
-
-
-def _first(rollouts: RolloutBatch, count: int) -> RolloutBatch:
-    return RolloutBatch(
-        signals={name: values[:count] for name, values in rollouts.signals.items()},
-        memory={name: values[:count] for name, values in rollouts.memory.items()},
-        detected=rollouts.detected[:count],
-        pem_logit=rollouts.pem_logit[:count],
-        proposal_logit=rollouts.proposal_logit[:count],
-    )
 
 
 def model_interval(repetitions: Sequence[MemberEstimates]) -> ModelInterval:
@@ -150,7 +139,7 @@ def data_bound(problem: Problem, *, pem: Pem, seed: int) -> DataBound | None:
         count=DATA_BOUND_ROLLOUTS,
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
     )
-    drawn = pooled([weighed(batch) for batch in batches])
+    drawn = WeighedRollouts.concatenate([weighed(batch) for batch in batches])
     found = monte_carlo_estimate(drawn, method="monte-carlo")
     return DataBound(
         probability=1.0 if found.ci_high is None else found.ci_high,
@@ -173,7 +162,7 @@ def extrapolation_warnings(
             f"error model {pem.name}: carries no counts of its training data, so where it "
             "extrapolates cannot be told",
         )
-    shown = _first(scored.rollouts, min(scored.rollouts.count, SHOWN_ROLLOUTS))
+    shown = scored.rollouts.take(slice(SHOWN_ROLLOUTS))
     salient = simulator.salient(shown.decision_states().signals)
     return support_check(salient, support=support, pem=pem).warnings
 

@@ -57,20 +57,20 @@ def find_least_safe(
         seeds=stage_seeds(seed=config.seed, repetition=0, stage=0),
     )
     holding = np.flatnonzero(~scored.violated)
-    signals = {name: values[holding] for name, values in scored.rollouts.signals.items()}
+    held = scored.rollouts.take(holding)
     found: list[LeastSafe] = []
     for metric in metrics if holding.size else ():
         ranking = build_metric(replace(config, metric=metric), problem.simulator)
-        robustness = stl.robustness(experiment.formula, signals, ranking)
-        classical = stl.robustness(experiment.formula, signals, stl.Classical())
+        robustness = stl.robustness(experiment.formula, held.signals, ranking)
+        classical = stl.robustness(experiment.formula, held.signals, stl.Classical())
         place = int(np.argmin(robustness))
         found.append(
             LeastSafe(
                 metric=metric,
                 rollout=int(holding[place]),
                 robustness=float(robustness[place]),
-                gap_m=np.array(signals["gap"][place]),
-                detected=np.array(scored.rollouts.detected[holding[place]]),
+                gap_m=np.array(held.signals["gap"][place]),
+                detected=np.array(held.detected[place]),
                 margin_m=float(classical[place]),
             )
         )

@@ -7,8 +7,6 @@ from dataclasses import replace
 from importlib import metadata
 from typing import Any
 
-import numpy as np
-
 from pemviz import __version__
 from pemviz.analysis.explanation import explain
 from pemviz.analysis.model_uncertainty import (
@@ -38,7 +36,7 @@ from pemviz.runs.result import PemInfo, RunResult, with_stage
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.value_twisted.reference import agreement_warning, reference
-from pemviz.types import RolloutBatch, StageResult
+from pemviz.types import StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
 
@@ -277,15 +275,7 @@ class _Runner:
             raise _StopRequested
 
     def _tell_stage(self, stage: StageResult) -> None:
-        frozen = replace(
-            stage,
-            scored=replace(
-                stage.scored,
-                rollouts=_read_only_rollouts(stage.scored.rollouts),
-                robustness=read_only(stage.scored.robustness),
-                violated=read_only(stage.scored.violated),
-            ),
-        )
+        frozen = replace(stage, scored=stage.scored.map(read_only))
         self._result = with_stage(self._result, frozen)
         self._time()
         notify_all(self._observers, StageDone(stage=frozen, result=self._result))
@@ -317,13 +307,3 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return found
-
-
-def _read_only_rollouts(rollouts: RolloutBatch) -> RolloutBatch:
-    return RolloutBatch(
-        signals={name: read_only(values) for name, values in rollouts.signals.items()},
-        memory={name: read_only(np.asarray(v)) for name, v in rollouts.memory.items()},
-        detected=read_only(rollouts.detected),
-        pem_logit=read_only(rollouts.pem_logit),
-        proposal_logit=read_only(rollouts.proposal_logit),
-    )

@@ -13,9 +13,9 @@ from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem.judging.reweight import FEW_EFFECTIVE, RatioInterval, compare_pems, reweight
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.sampling.problem import concatenated, sample
+from pemviz.sampling.problem import sample
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, with_latch
-from pemviz.types import Proposal, RolloutBatch, outcome_log_likelihood
+from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, outcome_log_likelihood
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def compare_models(
     ]
     proposals = [_proposal(experiment) for experiment in experiments]
     seeds = np.random.SeedSequence(config.seed).spawn(len(names))
-    scored = concatenated(
+    scored = ScoredRollouts.concatenate(
         [
             sample(with_latch(one.problem), proposal=proposal, count=rollouts, seeds=seed)
             for one, proposal, seed in zip(experiments, proposals, seeds, strict=True)

@@ -1,7 +1,7 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -89,7 +89,9 @@ def sample(
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
     """
-    return concatenated(list(sample_batches(problem, proposal=proposal, count=count, seeds=seeds)))
+    return ScoredRollouts.concatenate(
+        list(sample_batches(problem, proposal=proposal, count=count, seeds=seeds))
+    )
 
 
 def sample_batches(
@@ -151,25 +153,4 @@ def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
         rollouts=rollouts,
         robustness=problem.robustness(rollouts.signals),
         violated=problem.violated(rollouts.signals),
-    )
-
-
-def concatenated(batches: Sequence[ScoredRollouts]) -> ScoredRollouts:
-    """One batch of at least one, in order; timings add up."""
-    if len(batches) == 1:
-        return batches[0]
-    parts = [batch.rollouts for batch in batches]
-    return ScoredRollouts(
-        rollouts=RolloutBatch(
-            signals={n: np.concatenate([p.signals[n] for p in parts]) for n in parts[0].signals},
-            memory={n: np.concatenate([p.memory[n] for p in parts]) for n in parts[0].memory},
-            detected=np.concatenate([part.detected for part in parts]),
-            pem_logit=np.concatenate([part.pem_logit for part in parts]),
-            proposal_logit=np.concatenate([part.proposal_logit for part in parts]),
-        ),
-        robustness=np.concatenate([batch.robustness for batch in batches]),
-        violated=np.concatenate([batch.violated for batch in batches]),
-        timings_s={
-            part: sum(batch.timings_s[part] for batch in batches) for part in batches[0].timings_s
-        },
     )

@@ -16,6 +16,7 @@ MEMBERS = ("name", "states", "dt_s", "signals", "initial", "step", "salient")
 TAKEN_KEYS = ("repetition", "stage", "detected", "log_p", "log_q", "robustness", "violated")
 COUNT = 3
 OUTCOMES = np.array([True, False, True])
+SECOND = slice(1, 2)
 
 
 def check_simulator(simulator: Simulator) -> None:
@@ -33,13 +34,13 @@ def check_simulator(simulator: Simulator) -> None:
     _check_facts(simulator, where)
     first = _call(where, "initial", lambda: simulator.initial(count=COUNT))
     _check_states(first, simulator, f"{where}: initial(count={COUNT})", step=0)
-    before = _copied(first)
+    before = first.map(np.array)
     second = _call(where, "step", lambda: simulator.step(first, OUTCOMES))
     _check_states(second, simulator, f"{where}: step", step=1)
     if not _same(first, before):
         _refuse(f"{where}: step writes to the states it is given; it must return new ones")
-    alone = _call(where, "step", lambda: simulator.step(_row(first, 1), OUTCOMES[1:2]))
-    if not _same(_row(second, 1), alone):
+    alone = _call(where, "step", lambda: simulator.step(first.take(SECOND), OUTCOMES[SECOND]))
+    if not _same(second.take(SECOND), alone):
         _refuse(f"{where}: step must give a rollout the same again, whatever is beside it")
     _check_salient(simulator, second.signals, where)
 
@@ -102,23 +103,6 @@ def _call(where: str, what: str, call: Callable[[], Value]) -> Value:
     except Exception as error:  # the user's code may raise anything
         message = f"{where}: {what} raises {type(error).__name__}: {error}"
         raise ConfigError(" ".join(message.split())) from error
-
-
-def _copied(states: StateBatch) -> StateBatch:
-    return StateBatch(
-        step=np.array(states.step),
-        signals={name: np.array(values) for name, values in states.signals.items()},
-        memory={name: np.array(values) for name, values in states.memory.items()},
-    )
-
-
-def _row(states: StateBatch, row: int) -> StateBatch:
-    chosen = slice(row, row + 1)
-    return StateBatch(
-        step=states.step,
-        signals={name: values[chosen] for name, values in states.signals.items()},
-        memory={name: values[chosen] for name, values in states.memory.items()},
-    )
 
 
 def _same(one: StateBatch, other: StateBatch) -> bool:

@@ -1,12 +1,12 @@
 """All rollouts of all stages, weighted as draws from the mixture of all proposals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
+from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.offset_logistic import (
     PolynomialBasis,
@@ -19,7 +19,7 @@ from pemviz.types import RolloutBatch, ScoredRollouts
 
 
 @dataclass(frozen=True)
-class Decisions:
+class Decisions(Batch):
     """The steps of N rollouts at which a proposal may differ from the error model.
 
     Attributes:
@@ -172,9 +172,4 @@ def extended(
 
 
 def _joined(before: Decisions, fresh: Decisions, *, first: int) -> Decisions:
-    return Decisions(
-        rollout=np.concatenate([before.rollout, fresh.rollout + first]),
-        basis=np.concatenate([before.basis, fresh.basis]),
-        missed=np.concatenate([before.missed, fresh.missed]),
-        offset=np.concatenate([before.offset, fresh.offset]),
-    )
+    return Decisions.concatenate([before, replace(fresh, rollout=fresh.rollout + first)])

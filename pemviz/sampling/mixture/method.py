@@ -23,7 +23,7 @@ from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights, extended
 from pemviz.sampling.mixture.fit import Fit, FitSettings, fit_next
-from pemviz.sampling.problem import Problem, concatenated, sample
+from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.sampling.value_twisted.method import with_latch
 from pemviz.simulators.latched import VIOLATED
@@ -245,7 +245,7 @@ def _draw(
             told = replace(problem, progress=_after(problem, done, total))
             parts.append(sample(told, proposal=proposal, count=count, seeds=child))
             done += count
-    return concatenated(parts)
+    return ScoredRollouts.concatenate(parts)
 
 
 def _after(problem: Problem, before: int, total: int) -> Callable[[int, int], None]:

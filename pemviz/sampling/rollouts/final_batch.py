@@ -1,12 +1,9 @@
 """The final batch: drawn in parts if it is large, of which only the weights are kept."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-import numpy as np
-
-from pemviz.arrays import BoolArray, FloatArray, row_sums
+from pemviz.arrays import Batch, BoolArray, FloatArray, row_sums
 from pemviz.types import ScoredRollouts
 
 LARGEST_PART = 20_000
@@ -14,7 +11,7 @@ LARGEST_PART = 20_000
 
 
 @dataclass(frozen=True)
-class WeighedRollouts:
+class WeighedRollouts(Batch):
     """What an estimate needs of N rollouts.
 
     Attributes:
@@ -39,15 +36,6 @@ def weighed(scored: ScoredRollouts) -> WeighedRollouts:
         log_weight=scored.rollouts.log_weight,
         log_p=row_sums(scored.rollouts.log_p),
         violated=scored.violated,
-    )
-
-
-def pooled(parts: Sequence[WeighedRollouts]) -> WeighedRollouts:
-    """At least one part, in order."""
-    return WeighedRollouts(
-        log_weight=np.concatenate([part.log_weight for part in parts]),
-        log_p=np.concatenate([part.log_p for part in parts]),
-        violated=np.concatenate([part.violated for part in parts]),
     )
 
 
@@ -98,4 +86,4 @@ class FinalBatch:
         if not self.is_done:
             message = "the final rollouts have not been drawn yet"
             raise ValueError(message)
-        return pooled(self.drawn)
+        return WeighedRollouts.concatenate(self.drawn)

@@ -77,14 +77,4 @@ def simulate_piece(simulator: Simulator, pem_logit: LogitFunction, task: BatchTa
 
 
 def _joined(pieces: Pieces) -> RolloutBatch:
-    parts = [piece.result() for piece in pieces]
-    if len(parts) == 1:
-        return parts[0]
-    first = parts[0]
-    return RolloutBatch(
-        signals={n: np.concatenate([p.signals[n] for p in parts]) for n in first.signals},
-        memory={n: np.concatenate([p.memory[n] for p in parts]) for n in first.memory},
-        detected=np.concatenate([part.detected for part in parts]),
-        pem_logit=np.concatenate([part.pem_logit for part in parts]),
-        proposal_logit=np.concatenate([part.proposal_logit for part in parts]),
-    )
+    return RolloutBatch.concatenate([piece.result() for piece in pieces])

@@ -22,9 +22,7 @@ from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.splitting.particles import (
     Particles,
     draw_particles,
-    joined,
     restarted,
-    taken,
 )
 from pemviz.types import Estimate, FinishedStage, ScoredRollouts, StageResult
 
@@ -182,11 +180,12 @@ def _replaced(
     generator: np.random.Generator,
 ) -> Particles:
     """Survivors, and continuations of survivors from where they first came below the level."""
-    survivors = taken(particles, np.flatnonzero(~killed))
+    survivors = particles.take(~killed)
     parents = generator.integers(0, survivors.score.shape[0], size=int(killed.sum()))
-    chosen = taken(survivors, parents)
+    chosen = survivors.take(parents)
     cut = np.argmax(chosen.score < level, axis=1).astype(np.int64)
-    return joined([survivors, restarted(problem, chosen, cut=cut, generator=generator)])
+    continued = restarted(problem, chosen, cut=cut, generator=generator)
+    return Particles.concatenate([survivors, continued])
 
 
 def _estimate(state: SplittingState, *, name: str) -> Estimate:

@@ -1,18 +1,17 @@
 """Particles of multilevel splitting: rollouts that can be cut and continued."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import AnyArray, FloatArray, IntArray
+from pemviz.arrays import Batch, FloatArray, IntArray
 from pemviz.sampling.problem import Problem
 from pemviz.types import RolloutBatch, StateBatch
 
 
 @dataclass(frozen=True)
-class Particles:
+class Particles(Batch):
     """N rollouts under the error model.
 
     Attributes:
@@ -53,37 +52,6 @@ def restarted(
 ) -> Particles:
     """New rollouts that share the states up to ``cut [N]`` and go on independently."""
     return _continued(problem, particles.rollouts, cut, generator)
-
-
-def taken(particles: Particles, index: AnyArray) -> Particles:
-    """The particles at ``index``."""
-    old = particles.rollouts
-    return Particles(
-        rollouts=RolloutBatch(
-            signals={name: values[index] for name, values in old.signals.items()},
-            memory={name: values[index] for name, values in old.memory.items()},
-            detected=old.detected[index],
-            pem_logit=old.pem_logit[index],
-            proposal_logit=old.proposal_logit[index],
-        ),
-        score=particles.score[index],
-    )
-
-
-def joined(parts: Sequence[Particles]) -> Particles:
-    """All particles, in order."""
-    first = parts[0].rollouts
-    every = [part.rollouts for part in parts]
-    return Particles(
-        rollouts=RolloutBatch(
-            signals={n: np.concatenate([p.signals[n] for p in every]) for n in first.signals},
-            memory={n: np.concatenate([p.memory[n] for p in every]) for n in first.memory},
-            detected=np.concatenate([p.detected for p in every]),
-            pem_logit=np.concatenate([p.pem_logit for p in every]),
-            proposal_logit=np.concatenate([p.proposal_logit for p in every]),
-        ),
-        score=np.concatenate([part.score for part in parts]),
-    )
 
 
 def _continued(

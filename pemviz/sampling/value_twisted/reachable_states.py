@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.proposals.twisted_cells import cell_keys
 from pemviz.sampling.rollouts.draw import LogitFunction
 from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
@@ -111,11 +111,11 @@ def explore(
         pause()
         merged, node = walk.children(states)
         if step + 1 == steps:
-            alive = np.zeros(_count(merged), dtype=np.bool_)
+            alive = np.zeros(merged.shape[0], dtype=np.bool_)
         elif step % stride == 0:
             alive = walk.alive(merged)
         else:
-            alive = np.ones(_count(merged), dtype=np.bool_)
+            alive = np.ones(merged.shape[0], dtype=np.bool_)
         renumbered = np.where(alive, np.cumsum(alive) - 1, SAFE_NODE)
         node = np.where(node >= 0, renumbered[np.maximum(node, 0)], node) if alive.size else node
         miss, hit = np.split(node, 2)
@@ -124,7 +124,7 @@ def explore(
         )
         if not alive.any():
             break
-        states = _taken(merged, np.flatnonzero(alive))
+        states = merged.take(np.flatnonzero(alive))
     return tuple(layers)
 
 
@@ -221,10 +221,10 @@ class _Walk:
 
     def alive(self, states: StateBatch) -> BoolArray:
         """Whether missing or detecting all the time leads from states ``[n]`` to an unsafe one."""
-        alive = np.zeros(_count(states), dtype=np.bool_)
+        alive = np.zeros(states.shape[0], dtype=np.bool_)
         for hit in (False, True):
             open_ = np.flatnonzero(~alive)
-            current = _taken(states, open_)
+            current = states.take(open_)
             for _ in range(int(states.step), self.twin.states - 1):
                 if open_.size == 0:
                     break
@@ -232,21 +232,21 @@ class _Walk:
                 bad = self.unsafe(current)
                 if bad.any():
                     alive[open_[bad]] = True
-                    current, open_ = _taken(current, np.flatnonzero(~bad)), open_[~bad]
+                    current, open_ = current.take(np.flatnonzero(~bad)), open_[~bad]
         return alive
 
     def children(self, states: StateBatch) -> tuple[StateBatch, IntArray]:
         """Distinct states after states ``[n]``; where a miss, then a hit leads ``[2n]``."""
-        count = _count(states)
-        both = _joined([self._after(states, hit=hit) for hit in (False, True)])
+        count = states.shape[0]
+        both = StateBatch.concatenate([self._after(states, hit=hit) for hit in (False, True)])
         open_ = np.flatnonzero(~self.unsafe(both))
-        merged, index = self.merger.merge(_taken(both, open_))
+        merged, index = self.merger.merge(both.take(open_))
         node = np.full(2 * count, UNSAFE_NODE, dtype=np.int64)
         node[open_] = index
         return merged, node
 
     def _after(self, states: StateBatch, *, hit: bool) -> StateBatch:
-        result = self.twin.step(states, np.full(_count(states), hit))
+        result = self.twin.step(states, np.full(states.shape[0], hit))
         self.pause()
         return result
 
@@ -271,7 +271,7 @@ class _Merger:
         self._pause()
         self.exact = first.size <= self._largest
         if self.exact:
-            return _taken(states, first), index
+            return states.take(first), index
         spans = [float(np.ptp(column)) for column in columns]
         self._share /= COARSENING
         while first.size > self._largest * COARSE_LAYER_SHARE and self._share < 1.0:
@@ -279,33 +279,9 @@ class _Merger:
             self._share *= COARSENING
             cells = [max(span * self._share, MERGE_DISTANCE) for span in spans]
             first, index = _representatives(cell_keys(columns, cells))
-        return _taken(states, first), index
+        return states.take(first), index
 
 
 def _representatives(keys: IntArray) -> tuple[IntArray, IntArray]:
     _, first, index = np.unique(keys, return_index=True, return_inverse=True)
     return first.astype(np.int64), index.astype(np.int64)
-
-
-def _count(states: StateBatch) -> int:
-    return int(next(iter(states.signals.values())).size)
-
-
-def _taken(states: StateBatch, index: IntArray) -> StateBatch:
-    def take(values: AnyArray) -> AnyArray:
-        return values[index]
-
-    return StateBatch(
-        step=states.step,
-        signals={name: take(values) for name, values in states.signals.items()},
-        memory={name: take(values) for name, values in states.memory.items()},
-    )
-
-
-def _joined(parts: Sequence[StateBatch]) -> StateBatch:
-    first = parts[0]
-    return StateBatch(
-        step=first.step,
-        signals={n: np.concatenate([p.signals[n] for p in parts]) for n in first.signals},
-        memory={n: np.concatenate([p.memory[n] for p in parts]) for n in first.memory},
-    )
