@@ -20,7 +20,7 @@ from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
 from pemviz.stl.bounds import Interval, check_interval, margin_range
 from pemviz.stl.errors import shorten
-from pemviz.stl.formulas import Predicate
+from pemviz.stl.expressions import Predicate
 from pemviz.stl.numpy_base import NumpySemantics
 from pemviz.stl.windows import fold, sliding
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 from pemviz.errors import InputError
 from pemviz.stl import expressions as ex
 from pemviz.stl.errors import shorten
-from pemviz.stl.formulas import Predicate
+from pemviz.stl.expressions import Predicate
 
 Interval: TypeAlias = tuple[float, float]
 

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from pemviz.stl.expressions import (
-    Expression,
-    Maximum,
-    Minimum,
-    Number,
-    Signal,
-    as_expression,
-)
-from pemviz.stl.formulas import Always, Eventually, Formula, Truth, Until
+from pemviz.stl.expressions import Expression, Maximum, Minimum, Number, Signal, as_expression
+from pemviz.stl.formulas import Formula, Truth
+from pemviz.stl.temporal import Always, Eventually, Until
 
 TRUE = Truth()
 

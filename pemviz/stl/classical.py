@@ -15,7 +15,7 @@ from functools import reduce
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.stl.formulas import Predicate
+from pemviz.stl.expressions import Predicate
 from pemviz.stl.numpy_base import NumpySemantics
 from pemviz.stl.windows import fold, sliding_idempotent
 

@@ -14,10 +14,11 @@ from pemviz.stl.agm import Agm, AgmSemantics
 from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical, ClassicalSemantics
 from pemviz.stl.errors import shorten
-from pemviz.stl.expressions import Product, Quotient
-from pemviz.stl.formulas import Formula, Implies, Not, Predicate, Truth, Until
+from pemviz.stl.expressions import Predicate, Product, Quotient
+from pemviz.stl.formulas import Formula, Implies, Not, Truth
 from pemviz.stl.semantics import Semantics, evaluate, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulative, SmoothCumulativeSemantics
+from pemviz.stl.temporal import Until
 
 Metric: TypeAlias = Classical | Agm | SmoothCumulative
 Signals: TypeAlias = Mapping[str, FloatArray]

@@ -1,28 +1,19 @@
-"""Numeric expressions over signals: the two sides of a predicate.
+"""Predicates of Signal Temporal Logic, and the numeric expressions over signals that they compare.
 
-Python's operators build them (``signal("gap") - 2.5``); the four order
-comparisons turn two of them into a predicate.
+Python's operators build both: ``signal("gap") - 2.5`` is an expression, and one of the four order
+comparisons turns two expressions into a predicate.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from dataclasses import dataclass
+from typing import ClassVar, Literal, TypeAlias
 
 from pemviz.stl.errors import FormulaError, shorten
-
-if TYPE_CHECKING:
-    from pemviz.stl.formulas import Comparison, Predicate
-
-MAX_DEPTH = 100
-"""Most levels of nesting a formula may have, so that no walk over it runs out of stack."""
-
-MAX_NODES = 10_000
-"""Most parts (operators, signals, numbers) a formula may have."""
+from pemviz.stl.formulas import Formula
+from pemviz.stl.nodes import Node
 
 RESERVED_WORDS = frozenset(
     {"true", "false", "not", "and", "or", "always", "eventually", "until"}
@@ -32,46 +23,8 @@ RESERVED_WORDS = frozenset(
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 
 
-@dataclass(frozen=True)
-class Node(ABC):
-    """What formulas and expressions share: parts, and limits on how many."""
-
-    _depth: int = field(init=False, repr=False, compare=False)
-    _nodes: int = field(init=False, repr=False, compare=False)
-
-    @abstractmethod
-    def __str__(self) -> str:
-        """The text form."""
-
-    def children(self) -> tuple[Node, ...]:
-        """The direct parts, left to right."""
-        return ()
-
-    def __post_init__(self) -> None:
-        parts = self.children()
-        depth = 1 + max((part._depth for part in parts), default=0)
-        nodes = 1 + sum(part._nodes for part in parts)
-        if depth > MAX_DEPTH:
-            raise FormulaError(f"formula is nested too deeply; at most {MAX_DEPTH} levels")
-        if nodes > MAX_NODES:
-            raise FormulaError(f"formula is too long; at most {MAX_NODES} parts")
-        object.__setattr__(self, "_depth", depth)
-        object.__setattr__(self, "_nodes", nodes)
-
-    def walk(self) -> Iterator[Node]:
-        """This node and everything below it, parents first, left to right."""
-        pending: list[Node] = [self]
-        while pending:
-            node = pending.pop()
-            yield node
-            pending.extend(reversed(node.children()))
-
-    def signals(self) -> frozenset[str]:
-        """Names of all signals used."""
-        return frozenset(node.name for node in self.walk() if isinstance(node, Signal))
-
-
 Number: TypeAlias = int | float
+Comparison: TypeAlias = Literal[">=", ">", "<=", "<"]
 
 
 @dataclass(frozen=True)
@@ -124,8 +77,6 @@ class Expression(Node):
 
 
 def _compare(left: Expression, comparison: Comparison, right: Expression | Number) -> Predicate:
-    from pemviz.stl.formulas import Predicate  # noqa: PLC0415 (formulas are built on expressions)
-
     return Predicate(left, comparison, as_expression(right))
 
 
@@ -160,6 +111,9 @@ class Signal(Expression):
             )
         if self.name in RESERVED_WORDS:
             raise FormulaError(f"signal name {self.name!r} is a word of the language")
+
+    def own_signals(self) -> frozenset[str]:  # noqa: D102
+        return frozenset({self.name})
 
     def __str__(self) -> str:
         return self.name
@@ -276,6 +230,33 @@ class Maximum(_Extreme):
     word: ClassVar[str] = "max"
 
 
+@dataclass(frozen=True)
+class Predicate(Formula):
+    """``left >= right`` and its kin: an order comparison of two numbers."""
+
+    left: Expression
+    comparison: Comparison
+    right: Expression
+
+    strength: ClassVar[int] = 6
+
+    def __post_init__(self) -> None:
+        if self.comparison not in (">=", ">", "<=", "<"):
+            raise FormulaError(f"comparison {self.comparison!r}: allowed are >= > <= <")
+        super().__post_init__()
+
+    def children(self) -> tuple[Node, ...]:  # noqa: D102
+        return (_expression(self.left), _expression(self.right))
+
+    @property
+    def is_lower_bound(self) -> bool:
+        """Whether more of ``left`` is better (``>=``, ``>``)."""
+        return self.comparison in (">=", ">")
+
+    def __str__(self) -> str:
+        return f"{self.left} {self.comparison} {self.right}"
+
+
 def as_expression(value: Expression | Number) -> Expression:
     """``value`` itself, or the constant of that number.
 
@@ -289,6 +270,12 @@ def as_expression(value: Expression | Number) -> Expression:
             f"{shorten(repr(value))} is no number; allowed: signals, numbers, arithmetic on them"
         )
     return Constant(float(value))
+
+
+def _expression(value: object) -> Expression:
+    if isinstance(value, Expression):
+        return value
+    raise FormulaError(f"{shorten(value)} is no number and cannot be compared")
 
 
 def _text(operand: Expression, strength: int) -> str:

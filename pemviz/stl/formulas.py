@@ -1,23 +1,17 @@
-"""The syntax tree of Signal Temporal Logic over discrete steps.
+"""Formulas of Signal Temporal Logic over discrete steps, and the connectives between them.
 
-The language is that of Innes & Ramamoorthy (arXiv 2209.09674): true, predicates,
-not, and, or, implies, and always, eventually, until over closed intervals of steps.
-``str(formula)`` is text that parses back to an equal formula.
+The language is that of Innes & Ramamoorthy (arXiv 2209.09674): true, not, and, or, implies stand
+here; predicates in ``expressions.py``; always, eventually, until over closed intervals of steps in
+``temporal.py``. ``str(formula)`` is text that parses back to an equal formula.
 """
 
 from __future__ import annotations
 
-import operator
 from dataclasses import dataclass
-from typing import ClassVar, Literal, NoReturn, TypeAlias
+from typing import ClassVar, NoReturn
 
 from pemviz.stl.errors import FormulaError, shorten
-from pemviz.stl.expressions import Expression, Node
-
-Comparison: TypeAlias = Literal[">=", ">", "<=", "<"]
-
-MAX_BOUND = 1_000_000_000
-"""Largest interval bound in steps."""
+from pemviz.stl.nodes import Node
 
 
 @dataclass(frozen=True)
@@ -72,33 +66,6 @@ class Truth(Formula):
 
 
 @dataclass(frozen=True)
-class Predicate(Formula):
-    """``left >= right`` and its kin: an order comparison of two numbers."""
-
-    left: Expression
-    comparison: Comparison
-    right: Expression
-
-    strength: ClassVar[int] = 6
-
-    def __post_init__(self) -> None:
-        if self.comparison not in (">=", ">", "<=", "<"):
-            raise FormulaError(f"comparison {self.comparison!r}: allowed are >= > <= <")
-        super().__post_init__()
-
-    def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (_expression(self.left), _expression(self.right))
-
-    @property
-    def is_lower_bound(self) -> bool:
-        """Whether more of ``left`` is better (``>=``, ``>``)."""
-        return self.comparison in (">=", ">")
-
-    def __str__(self) -> str:
-        return f"{self.left} {self.comparison} {self.right}"
-
-
-@dataclass(frozen=True)
 class Not(Formula):
     """``not operand``."""
 
@@ -107,7 +74,7 @@ class Not(Formula):
     strength: ClassVar[int] = 5
 
     def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (_formula(self.operand),)
+        return (as_formula(self.operand),)
 
     def __str__(self) -> str:
         return f"not {_text(self.operand, Truth.strength)}"
@@ -126,7 +93,7 @@ class _Junction(Formula):
         super().__post_init__()
 
     def children(self) -> tuple[Node, ...]:
-        return tuple(_formula(part) for part in self.parts)
+        return tuple(as_formula(part) for part in self.parts)
 
     def __str__(self) -> str:
         return f" {self.word} ".join(_text(part, self.strength + 1) for part in self.parts)
@@ -158,118 +125,23 @@ class Implies(Formula):
     strength: ClassVar[int] = 1
 
     def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (_formula(self.premise), _formula(self.conclusion))
+        return (as_formula(self.premise), as_formula(self.conclusion))
 
     def __str__(self) -> str:
         return f"{_text(self.premise, 2)} -> {_text(self.conclusion, 2)}"
 
 
-@dataclass(frozen=True)
-class _Timed(Formula):
-    first: int
-    last: int
+def as_formula(value: object) -> Formula:
+    """``value`` itself.
 
-    word: ClassVar[str]
-
-    def __post_init__(self) -> None:
-        first, last = _bound(self.word, self.first), _bound(self.word, self.last)
-        if first > last:
-            raise FormulaError(
-                f"interval [{first},{last}] of '{self.word}' is reversed; did you mean"
-                f" [{last},{first}]?"
-            )
-        object.__setattr__(self, "first", first)
-        object.__setattr__(self, "last", last)
-        super().__post_init__()
-
-    @property
-    def width(self) -> int:
-        """Number of steps in the interval."""
-        return self.last - self.first + 1
-
-    @property
-    def head(self) -> str:
-        """The operator with its interval, as in ``always[0,99]``."""
-        return f"{self.word}[{self.first},{self.last}]"
-
-    def horizon_steps(self) -> int:
-        return self.last + super().horizon_steps()
-
-
-@dataclass(frozen=True)
-class _Window(_Timed):
-    operand: Formula
-
-    strength: ClassVar[int] = 5
-
-    def children(self) -> tuple[Node, ...]:
-        return (_formula(self.operand),)
-
-    def __str__(self) -> str:
-        return f"{self.head} ({self.operand})"
-
-
-@dataclass(frozen=True)
-class Always(_Window):
-    """``always[first,last] (operand)``."""
-
-    word: ClassVar[str] = "always"
-
-
-@dataclass(frozen=True)
-class Eventually(_Window):
-    """``eventually[first,last] (operand)``."""
-
-    word: ClassVar[str] = "eventually"
-
-
-@dataclass(frozen=True)
-class Until(_Timed):
-    """``(left) until[first,last] (right)``, inclusive.
-
-    At t: ``right`` holds at some t' in [t + first, t + last], and ``left`` at every
-    step of [t, t'], both ends included.
+    Raises:
+        FormulaError: ``value`` is no formula.
     """
-
-    left: Formula
-    right: Formula
-
-    word: ClassVar[str] = "until"
-    strength: ClassVar[int] = 4
-
-    def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (_formula(self.left), _formula(self.right))
-
-    def __str__(self) -> str:
-        return f"({self.left}) {self.head} ({self.right})"
-
-
-def _bound(word: str, bound: object) -> int:
-    try:
-        steps = operator.index(bound)  # pyright: ignore[reportArgumentType]
-    except TypeError:
-        raise FormulaError(
-            f"interval bound {bound!r} of '{word}' must be a whole number of steps"
-        ) from None
-    if not 0 <= steps <= MAX_BOUND:
-        raise FormulaError(
-            f"interval bound {steps} of '{word}' must be between 0 and {MAX_BOUND} steps"
-        )
-    return steps
-
-
-def _formula(value: object) -> Formula:
     if isinstance(value, Formula):
         return value
     raise FormulaError(
         f"{shorten(value)} is no formula; compare it with something, as in (gap >= 2.0)"
     )
-
-
-def _expression(value: object) -> Expression:
-    if isinstance(value, Expression):
-        return value
-    raise FormulaError(f"{shorten(value)} is no number and cannot be compared")
 
 
 def _text(operand: Formula, strength: int) -> str:

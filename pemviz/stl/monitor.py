@@ -15,19 +15,10 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.stl.classical import ClassicalSemantics
-from pemviz.stl.formulas import (
-    Always,
-    And,
-    Eventually,
-    Formula,
-    Implies,
-    Not,
-    Or,
-    Predicate,
-    Truth,
-    Until,
-)
+from pemviz.stl.expressions import Predicate
+from pemviz.stl.formulas import And, Formula, Implies, Not, Or, Truth
 from pemviz.stl.semantics import margin
+from pemviz.stl.temporal import Always, Eventually, Until
 
 FAILS, HOLDS = -1, 1
 SEMANTICS = ClassicalSemantics()

@@ -13,18 +13,9 @@ from functools import reduce
 from typing import Any, Protocol, TypeVar
 
 from pemviz.stl import expressions as ex
-from pemviz.stl.formulas import (
-    Always,
-    And,
-    Eventually,
-    Formula,
-    Implies,
-    Not,
-    Or,
-    Predicate,
-    Truth,
-    Until,
-)
+from pemviz.stl.expressions import Predicate
+from pemviz.stl.formulas import And, Formula, Implies, Not, Or, Truth
+from pemviz.stl.temporal import Always, Eventually, Until
 
 ArrayT = TypeVar("ArrayT")
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
-from pemviz.stl.formulas import Predicate
+from pemviz.stl.expressions import Predicate
 from pemviz.stl.numpy_base import NumpySemantics
 from pemviz.stl.windows import fold, sliding
 

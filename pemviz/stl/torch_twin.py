@@ -23,7 +23,8 @@ from pemviz.stl.checks import check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical
 from pemviz.stl.errors import shorten
 from pemviz.stl.evaluation import Metric, check_signal, predicates_to_check
-from pemviz.stl.formulas import Formula, Predicate
+from pemviz.stl.expressions import Predicate
+from pemviz.stl.formulas import Formula
 from pemviz.stl.semantics import Semantics, evaluate, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulative
 from pemviz.stl.windows import sliding, sliding_idempotent

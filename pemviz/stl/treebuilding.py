@@ -10,19 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from pemviz.stl import expressions as ex
 from pemviz.stl.errors import FormulaError, shorten
-from pemviz.stl.formulas import (
-    MAX_BOUND,
-    Always,
-    And,
-    Eventually,
-    Formula,
-    Implies,
-    Not,
-    Or,
-    Predicate,
-    Truth,
-    Until,
-)
+from pemviz.stl.expressions import Predicate
+from pemviz.stl.formulas import And, Formula, Implies, Not, Or, Truth
+from pemviz.stl.temporal import MAX_BOUND, Always, Eventually, Until
 
 if TYPE_CHECKING:
     from lark import Token

@@ -9,6 +9,7 @@ from functools import cache
 
 from pemviz.stl import expressions as ex
 from pemviz.stl import formulas as fo
+from pemviz.stl import temporal as te
 
 
 def number(node, signals, t):
@@ -47,7 +48,7 @@ def classical(formula, signals, t=0):
         match f:
             case fo.Truth():
                 return math.inf
-            case fo.Predicate():
+            case ex.Predicate():
                 return predicate_margin(f, signals, t)
             case fo.Not(operand=a):
                 return -r(a, t)
@@ -57,11 +58,11 @@ def classical(formula, signals, t=0):
                 return max(r(a, t) for a in parts)
             case fo.Implies(premise=a, conclusion=b):
                 return max(-r(a, t), r(b, t))
-            case fo.Always(first=first, last=last, operand=a):
+            case te.Always(first=first, last=last, operand=a):
                 return min(r(a, u) for u in range(t + first, t + last + 1))
-            case fo.Eventually(first=first, last=last, operand=a):
+            case te.Eventually(first=first, last=last, operand=a):
                 return max(r(a, u) for u in range(t + first, t + last + 1))
-            case fo.Until(first=first, last=last, left=a, right=b):
+            case te.Until(first=first, last=last, left=a, right=b):
                 return max(
                     min(r(b, u), *(r(a, v) for v in range(t, u + 1)))
                     for u in range(t + first, t + last + 1)
@@ -76,7 +77,7 @@ def holds(formula, signals, t=0):
     match formula:
         case fo.Truth():
             return True
-        case fo.Predicate():
+        case ex.Predicate():
             margin = predicate_margin(formula, signals, t)
             return margin >= 0 if formula.comparison in (">=", "<=") else margin > 0
         case fo.Not(operand=a):
@@ -87,11 +88,11 @@ def holds(formula, signals, t=0):
             return any(holds(a, signals, t) for a in parts)
         case fo.Implies(premise=a, conclusion=b):
             return not holds(a, signals, t) or holds(b, signals, t)
-        case fo.Always(first=first, last=last, operand=a):
+        case te.Always(first=first, last=last, operand=a):
             return all(holds(a, signals, u) for u in range(t + first, t + last + 1))
-        case fo.Eventually(first=first, last=last, operand=a):
+        case te.Eventually(first=first, last=last, operand=a):
             return any(holds(a, signals, u) for u in range(t + first, t + last + 1))
-        case fo.Until(first=first, last=last, left=a, right=b):
+        case te.Until(first=first, last=last, left=a, right=b):
             return any(
                 holds(b, signals, u) and all(holds(a, signals, v) for v in range(t, u + 1))
                 for u in range(t + first, t + last + 1)
@@ -152,7 +153,7 @@ def agm(formula, signals, bounds, t=0):
         match f:
             case fo.Truth():
                 return 1.0
-            case fo.Predicate():
+            case ex.Predicate():
                 (a, b), (c, d) = interval(f.left, bounds), interval(f.right, bounds)
                 width = (b - a) + (d - c)
                 margin = predicate_margin(f, signals, t)
@@ -167,11 +168,11 @@ def agm(formula, signals, bounds, t=0):
                 return agm_or([r(a, t) for a in parts])
             case fo.Implies(premise=a, conclusion=b):
                 return agm_or([-r(a, t), r(b, t)])
-            case fo.Always(first=first, last=last, operand=a):
+            case te.Always(first=first, last=last, operand=a):
                 return agm_and([r(a, u) for u in range(t + first, t + last + 1)])
-            case fo.Eventually(first=first, last=last, operand=a):
+            case te.Eventually(first=first, last=last, operand=a):
                 return agm_or([r(a, u) for u in range(t + first, t + last + 1)])
-            case fo.Until(first=first, last=last, left=a, right=b):
+            case te.Until(first=first, last=last, left=a, right=b):
                 return agm_or(
                     [
                         agm_and([r(b, u), agm_and([r(a, v) for v in range(t, u + 1)])])
@@ -208,7 +209,7 @@ def smooth(formula, signals, beta, positive, t=0):
         match f:
             case fo.Truth():
                 return math.inf if positive else 0.0
-            case fo.Predicate():
+            case ex.Predicate():
                 scaled = beta * predicate_margin(f, signals, t)
                 return log1p_exp(scaled) / beta if positive else -log1p_exp(-scaled) / beta
             case fo.Not(operand=a):
@@ -219,13 +220,13 @@ def smooth(formula, signals, beta, positive, t=0):
                 return soft_max([r(a, t, positive) for a in parts], beta)
             case fo.Implies(premise=a, conclusion=b):
                 return soft_max([-r(a, t, not positive), r(b, t, positive)], beta)
-            case fo.Always(first=first, last=last, operand=a):
+            case te.Always(first=first, last=last, operand=a):
                 window = range(t + first, t + last + 1)
                 return soft_min([r(a, u, positive) for u in window], beta)
-            case fo.Eventually(first=first, last=last, operand=a):
+            case te.Eventually(first=first, last=last, operand=a):
                 window = range(t + first, t + last + 1)
                 return sum(r(a, u, positive) for u in window)
-            case fo.Until(first=first, last=last, left=a, right=b):
+            case te.Until(first=first, last=last, left=a, right=b):
                 return sum(
                     soft_min(
                         [

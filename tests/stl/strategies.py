@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from pemviz.stl import expressions as ex
 from pemviz.stl import formulas as fo
+from pemviz.stl import temporal as te
 
 NAMES = ("gap", "ego_speed", "x_1")
 BOUNDS = {"gap": (-25.0, 25.0), "ego_speed": (0.0, 40.0), "x_1": (-3.0, 8.0)}
@@ -34,8 +35,8 @@ def _larger(parts):
 expressions = st.one_of(signals, signals, _larger(st.one_of(constants, signals)))
 deep_expressions = st.recursive(st.one_of(constants, signals), _larger, max_leaves=8)
 comparisons = st.sampled_from((">=", ">", "<=", "<"))
-predicates = st.builds(fo.Predicate, expressions, comparisons, st.one_of(constants, expressions))
-deep_predicates = st.builds(fo.Predicate, deep_expressions, comparisons, deep_expressions)
+predicates = st.builds(ex.Predicate, expressions, comparisons, st.one_of(constants, expressions))
+deep_predicates = st.builds(ex.Predicate, deep_expressions, comparisons, deep_expressions)
 
 
 @st.composite
@@ -53,9 +54,9 @@ def formulas(depth=4, atoms=predicates, *, truth=True):
     few = st.lists(parts, min_size=2, max_size=3).map(tuple)
     timed = st.tuples(intervals(), parts)
     return st.one_of(
-        timed.map(lambda p: fo.Always(*p[0], p[1])),
-        timed.map(lambda p: fo.Eventually(*p[0], p[1])),
-        st.tuples(intervals(), parts, parts).map(lambda p: fo.Until(*p[0], p[1], p[2])),
+        timed.map(lambda p: te.Always(*p[0], p[1])),
+        timed.map(lambda p: te.Eventually(*p[0], p[1])),
+        st.tuples(intervals(), parts, parts).map(lambda p: te.Until(*p[0], p[1], p[2])),
         few.map(fo.And),
         few.map(fo.Or),
         st.builds(fo.Implies, parts, parts),

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from pemviz.stl import Classical, robustness
 from pemviz.stl import expressions as ex
 from pemviz.stl import formulas as fo
+from pemviz.stl import temporal as te
 
 from .strategies import formulas, rollouts, row
 
@@ -42,8 +43,8 @@ def dialect(formula, library):
     tidystl's until is the inclusive one. rtamt's and sentil's ask the left side only
     before t', so their right side must ask for both.
     """
-    word = {"tidystl": {fo.Always: "G", fo.Eventually: "F"}}.get(
-        library, {fo.Always: "always", fo.Eventually: "eventually"}
+    word = {"tidystl": {te.Always: "G", te.Eventually: "F"}}.get(
+        library, {te.Always: "always", te.Eventually: "eventually"}
     )
 
     def interval(node):
@@ -51,7 +52,7 @@ def dialect(formula, library):
 
     def text(node):
         match node:
-            case fo.Predicate(left=left, right=right, comparison=comparison):
+            case ex.Predicate(left=left, right=right, comparison=comparison):
                 return f"({left} {comparison} {right})"
             case fo.Not(operand=a):
                 return f"(not {text(a)})"
@@ -59,9 +60,9 @@ def dialect(formula, library):
                 return f"({f' {node.word} '.join(text(part) for part in parts)})"
             case fo.Implies(premise=a, conclusion=b):
                 return f"((not {text(a)}) or {text(b)})"
-            case fo.Always(operand=a) | fo.Eventually(operand=a):
+            case te.Always(operand=a) | te.Eventually(operand=a):
                 return f"({word[type(node)]}{interval(node)} {text(a)})"
-            case fo.Until(left=a, right=b):
+            case te.Until(left=a, right=b):
                 a, b = text(a), text(b)
                 if library == "tidystl":
                     return f"({a} U{interval(node)} {b})"
@@ -79,7 +80,7 @@ simple = st.one_of(
     signals.map(ex.Absolute),
 )
 positive = st.integers(1, 80).map(lambda value: ex.Constant(value / 4))
-atoms = st.builds(fo.Predicate, simple, st.sampled_from((">=", ">", "<=", "<")), positive)
+atoms = st.builds(ex.Predicate, simple, st.sampled_from((">=", ">", "<=", "<")), positive)
 
 
 @pytest.fixture(scope="module")

@@ -67,7 +67,7 @@ def test_print_parses_back(formula):
         ("gap - (v - 1) > -gap", (gap - (v - 1)) > -gap),
         ("abs(gap - v) <= 1e-3", abs(gap - v) <= 1e-3),
         ("min(gap, v, 3) > max(1, v)", minimum(gap, v, 3) > maximum(1, v)),
-        ("2 < gap", fo.Predicate(ex.Constant(2), "<", gap)),
+        ("2 < gap", ex.Predicate(ex.Constant(2), "<", gap)),
         ("false", fo.Not(TRUE)),
         ("orbit > 1 and nothing < 2", (signal("orbit") > 1) & (signal("nothing") < 2)),
         (" \n gap\t>= .5", gap >= 0.5),
@@ -220,7 +220,7 @@ def test_the_builder_rejects_what_the_text_form_rejects():
         (lambda: always(0, 1.5, gap > 1), "whole number"),
         (lambda: always(0, 1, gap), "is no formula"),
         (lambda: until(gap > 1, 0, 1, gap), "is no formula"),
-        (lambda: fo.Predicate(gap > 1, ">", gap), "is no number"),
+        (lambda: ex.Predicate(gap > 1, ">", gap), "is no number"),
         (lambda: gap > "x", "is no number"),
         (lambda: (gap > 1) & gap, "is no formula"),
         (lambda: 1 < gap < 3, "has no truth value"),
@@ -231,7 +231,7 @@ def test_the_builder_rejects_what_the_text_form_rejects():
         (lambda: signal("G"), "word of the language"),
         (lambda: minimum(gap), "two or more"),
         (lambda: fo.And((gap > 1,)), "two or more"),
-        (lambda: fo.Predicate(gap, "==", gap), "allowed are"),
+        (lambda: ex.Predicate(gap, "==", gap), "allowed are"),
         (lambda: parse(3), "must be text"),
     ):
         with pytest.raises(FormulaError, match=message):

@@ -22,7 +22,9 @@ from pemviz.stl import (
     subformula_traces,
     until,
 )
+from pemviz.stl import expressions as ex
 from pemviz.stl import formulas as fo
+from pemviz.stl import temporal as te
 
 from . import naive
 from .strategies import BOUNDS, NAMES, formula_and_rollouts, formulas, rollouts, row
@@ -35,7 +37,7 @@ METRICS = (Classical(), Agm(BOUNDS), POSITIVE, NEGATIVE)
 
 
 def no_margin_is_zero(formula, batch):
-    predicates = [node for node in formula.walk() if isinstance(node, fo.Predicate)]
+    predicates = [node for node in formula.walk() if isinstance(node, ex.Predicate)]
     return all(
         (np.abs(robustness_trace(p, batch, Classical())) > 1e-9).all()
         for p in predicates
@@ -54,10 +56,10 @@ def dual(formula):
             return fo.And(tuple(dual(a) for a in parts))
         case fo.Implies(premise=a, conclusion=b):
             return fo.And((a, dual(b)))
-        case fo.Always(first=first, last=last, operand=a):
-            return fo.Eventually(first, last, dual(a))
-        case fo.Eventually(first=first, last=last, operand=a):
-            return fo.Always(first, last, dual(a))
+        case te.Always(first=first, last=last, operand=a):
+            return te.Eventually(first, last, dual(a))
+        case te.Eventually(first=first, last=last, operand=a):
+            return te.Always(first, last, dual(a))
     return fo.Not(formula)
 
 
@@ -151,7 +153,7 @@ def test_smooth_minimum_and_maximum_enclose_the_sharp_ones(case, metric):
     inner = robustness_trace(part, batch, metric)
     finite = np.isfinite(inner)
     for formula, count, sign in (
-        (fo.Always(0, 0, part), 1, 1),
+        (te.Always(0, 0, part), 1, 1),
         (fo.And((part, part)), 2, 1),
         (fo.Or((part, part)), 2, -1),
     ):

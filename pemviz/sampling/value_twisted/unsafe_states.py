@@ -6,7 +6,8 @@ import numpy as np
 
 from pemviz import stl
 from pemviz.arrays import BoolArray
-from pemviz.stl.formulas import Always, And, Formula
+from pemviz.stl.formulas import And, Formula
+from pemviz.stl.temporal import Always
 from pemviz.types import StateBatch
 
 
