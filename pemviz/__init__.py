@@ -7,6 +7,8 @@ them at work. They are imported when first used, so that ``import pemviz`` takes
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pemviz._version import __version__
+
 if TYPE_CHECKING:
     from pemviz.arrays import BoolArray, FloatArray
     from pemviz.config import ExperimentConfig, ScenarioConfig
@@ -20,8 +22,6 @@ if TYPE_CHECKING:
     from pemviz.runs.store import RunStore
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator
     from pemviz.types import Estimate, Signal, Simulator, StateBatch
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "BoolArray": "arrays",

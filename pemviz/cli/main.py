@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 
-from pemviz import __version__
+from pemviz._version import __version__
 from pemviz.cli.exit_codes import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED
 from pemviz.errors import InputError, PemvizError
 

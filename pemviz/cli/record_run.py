@@ -10,7 +10,7 @@ from pemviz.cli.exit_codes import EXIT_DONE, EXIT_FAILED
 from pemviz.cli.gate import gate_exit_code
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.progress import progress_observer
-from pemviz.cli.record import RecordArguments
+from pemviz.cli.record_arguments import RecordArguments
 from pemviz.cli.summary import print_summary
 from pemviz.cli.workers import check_workers, with_workers
 from pemviz.reports.writer import ReportWriter

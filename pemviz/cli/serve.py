@@ -67,8 +67,8 @@ def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
 
     share_arenas()
     from pemviz.panel.app import App  # noqa: PLC0415  viser is slow to import
+    from pemviz.panel.browser import Hub  # noqa: PLC0415
     from pemviz.panel.controller import Controller  # noqa: PLC0415
-    from pemviz.panel.hub import Hub  # noqa: PLC0415
     from pemviz.panel.recordings import RecordingsFolder  # noqa: PLC0415
     from pemviz.panel.server import is_loopback  # noqa: PLC0415
     from pemviz.panel.start import show_something  # noqa: PLC0415

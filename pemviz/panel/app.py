@@ -5,7 +5,7 @@ import threading
 
 import viser
 
-from pemviz.panel.hub import Hub
+from pemviz.panel.browser import Hub
 from pemviz.panel.memory import give_back
 from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
 from pemviz.panel.server import guarded_server

@@ -4,7 +4,7 @@ import platform
 from collections.abc import Sequence
 from importlib import metadata
 
-from pemviz import __version__
+from pemviz._version import __version__
 from pemviz.pem import Pem
 from pemviz.reports.escape import markdown_code, markdown_table, markdown_text
 from pemviz.reproduce.published import AUTHORS_PEM_DIGEST

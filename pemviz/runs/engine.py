@@ -7,7 +7,7 @@ from dataclasses import replace
 from importlib import metadata
 from typing import Any
 
-from pemviz import __version__
+from pemviz._version import __version__
 from pemviz.analysis.explanation import explain
 from pemviz.analysis.model_uncertainty import (
     ENOUGH_FAILURES,

@@ -11,7 +11,7 @@ from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Any, Self
 
-from pemviz import __version__
+from pemviz._version import __version__
 from pemviz.errors import ConfigError, RunError
 from pemviz.sweep.runs import RunOutcome, RunTask, carry_out, one_line
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 from threadpoolctl import threadpool_limits
 
-from pemviz import __version__
+from pemviz._version import __version__
 from pemviz.config.toml_files import config_from_table, config_text
 from pemviz.errors import RunError
 from pemviz.runs.engine import run

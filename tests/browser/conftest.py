@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from pemviz.panel.app import App
+from pemviz.panel.browser import Hub
 from pemviz.panel.controller import Controller
-from pemviz.panel.hub import Hub
 from pemviz.panel.loading import load_run
 from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.start import show_something

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.cli.record import parse
+from pemviz.cli.record_arguments import parse
 from pemviz.runs.experiment import build_experiment
 
 yaml = pytest.importorskip("yaml", reason="pyyaml is among the test extras")

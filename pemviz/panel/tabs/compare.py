@@ -1,16 +1,10 @@
 """The Compare tab: metrics against each other, and two runs."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from pemviz.panel.browser import Browser
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.compare import metrics_page, runs_page
 from pemviz.panel.widgets import set_html
-
-if TYPE_CHECKING:
-    from pemviz.panel.session import Session
 
 NONE = "none"
 
@@ -18,15 +12,15 @@ NONE = "none"
 class CompareTab:
     """This browser's choice of a second run."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    def __init__(self, browser: Browser) -> None:
+        self._browser = browser
         self._run: RunData | None = None
         self._second: RunData | None = None
         self._finished = -1
-        gui = session.client.gui
+        gui = browser.client.gui
         self.other = gui.add_dropdown("Compare with", list[str]([NONE]), initial_value=NONE,
             hint="A run of the recordings folder, shown as B beside the run shown, A.")  # fmt: skip
-        self.other.on_update(session.on(self._choose))
+        self.other.on_update(browser.on(self._choose))
         self._runs = gui.add_html("")
         self._metrics = gui.add_html("")
 
@@ -35,17 +29,17 @@ class CompareTab:
         self._run = run
         if state.finished_runs != self._finished:
             self._finished = state.finished_runs
-            names = (NONE, *self._session.hub.recordings.names())
+            names = (NONE, *self._browser.hub.recordings.names())
             if tuple(self.other.options) != names:
                 self.other.options = names
-        self._session.later("compare", self._show)
+        self._browser.later("compare", self._show)
 
     def _choose(self) -> None:
         name = self.other.value
         if name == NONE:
             self._second = None
         else:
-            self._second = self._session.hub.loaded.get(self._session.hub.recordings.folder(name))
+            self._second = self._browser.hub.loaded.get(self._browser.hub.recordings.folder(name))
         self._show()
 
     def _show(self) -> None:

@@ -1,15 +1,14 @@
 """The Experiment tab: what to run, Run and Stop."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast, get_args
+from typing import cast, get_args
 
 import viser
 
 from pemviz.config import ExperimentConfig, MethodName, MetricName
 from pemviz.config.toml_files import load_preset, preset_names
 from pemviz.errors import InputError
+from pemviz.panel.browser import Browser
 from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import USED_FIELDS, hint, limits
 from pemviz.panel.views.experiment import scenario_text, spec_verdict
@@ -17,9 +16,6 @@ from pemviz.panel.widgets import set_html
 from pemviz.pem import shipped_pems
 from pemviz.runs.experiment import build_formula, build_simulator
 from pemviz.simulators.registry import simulator_names
-
-if TYPE_CHECKING:
-    from pemviz.panel.session import Session
 
 FIRST_PRESET = "paper"
 PRESET_HINT = (
@@ -35,8 +31,8 @@ LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
 class ExperimentTab:
     """Controls of an experiment; this browser's own."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    def __init__(self, browser: Browser) -> None:
+        self._browser = browser
         self._scenario = load_preset(FIRST_PRESET).scenario
         self._base = load_preset(FIRST_PRESET)
         self._add_buttons()
@@ -81,23 +77,23 @@ class ExperimentTab:
         self._fill(config)
 
     def _add_buttons(self) -> None:
-        gui, session = self._session.client.gui, self._session
+        gui, browser = self._browser.client.gui, self._browser
         self.run = gui.add_button("Run", icon=viser.Icon.PLAYER_PLAY, color="blue", hint=RUN_HINT)
         self.stop = gui.add_button(
             "Stop", icon=viser.Icon.PLAYER_STOP, color="red", disabled=True, hint=STOP_HINT
         )
-        self.run.on_click(session.on(self._run))
-        self.stop.on_click(session.on(session.hub.controller.stop))
+        self.run.on_click(browser.on(self._run))
+        self.stop.on_click(browser.on(browser.hub.controller.stop))
 
     def _add_choices(self) -> None:
-        gui, session = self._session.client.gui, self._session
+        gui, browser = self._browser.client.gui, self._browser
         self.preset = gui.add_dropdown(
             "Preset", preset_names(), initial_value=FIRST_PRESET, hint=PRESET_HINT
         )
         self.method = gui.add_dropdown("Method", get_args(MethodName), hint=hint("method"))
         self.metric = gui.add_dropdown("Metric", get_args(MetricName), hint=hint("metric"))
-        self.preset.on_update(session.on(self._choose_preset))
-        self.method.on_update(session.on(self._enable))
+        self.preset.on_update(browser.on(self._choose_preset))
+        self.method.on_update(browser.on(self._enable))
 
     def _add_numbers(self) -> None:
         self.alpha = self._float("alpha", "alpha", step=ALPHA_STEP)
@@ -108,23 +104,23 @@ class ExperimentTab:
         self.seed = self._count("Seed", "seed")
 
     def _add_specification(self) -> None:
-        gui, session = self._session.client.gui, self._session
+        gui, browser = self._browser.client.gui, self._browser
         self.pem = gui.add_dropdown("Error model", tuple(shipped_pems()), hint=hint("pem"))
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
         self._verdict = gui.add_html("")
         self._facts = gui.add_html("")
-        self.spec.on_update(session.on(self._check_spec))
+        self.spec.on_update(browser.on(self._check_spec))
 
     def _float(self, label: str, name: str, *, step: float) -> viser.GuiSliderHandle[float]:
         low, high = limits(name, step=step)
         initial = float(getattr(self._base, name))
-        return self._session.client.gui.add_slider(label, low, high, step, initial, hint=hint(name))
+        return self._browser.client.gui.add_slider(label, low, high, step, initial, hint=hint(name))
 
     def _count(self, label: str, name: str) -> viser.GuiNumberHandle[int]:
         low, high = limits(name, step=1)
-        return self._session.client.gui.add_number(
+        return self._browser.client.gui.add_number(
             label,
             int(getattr(self._base, name)),
             min=int(low),
@@ -175,10 +171,10 @@ class ExperimentTab:
             set_html(self._verdict, spec_verdict(None, spec=self.spec.value))
 
     def _run(self) -> None:
-        session = self._session
+        browser = self._browser
         config = self.config
         config.validate()
-        if not session.hub.controller.start(config):
-            session.tell("Not started", "Another experiment is running; stop it first.")
+        if not browser.hub.controller.start(config):
+            browser.tell("Not started", "Another experiment is running; stop it first.")
             return
-        session.look_at(None)
+        browser.look_at(None)

@@ -1,23 +1,17 @@
 """Above all tabs: the answer, what runs, how far it is."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from pemviz.panel.browser import Browser
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.headline import headline, status
 from pemviz.panel.widgets import set_html
 
-if TYPE_CHECKING:
-    from pemviz.panel.session import Session
-
 
 class Head:
     """The answer, the state, the progress bar."""
 
-    def __init__(self, session: Session) -> None:
-        gui = session.client.gui
+    def __init__(self, browser: Browser) -> None:
+        gui = browser.client.gui
         self._headline = gui.add_html("")
         self._status = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, visible=False, color="blue")

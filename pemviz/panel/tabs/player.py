@@ -1,22 +1,18 @@
 """The Rollout panel beneath the scene: play, pause, speed, scrub, follow, plots against time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import viser
 
+from pemviz.panel.browser import Browser
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData
 from pemviz.panel.scene import LIMIT_M, Scene
 from pemviz.panel.views.rollout import Track, track, track_plots, with_cursor
 from pemviz.panel.widgets import TABS_WIDTH_PX, set_html
-
-if TYPE_CHECKING:
-    from pemviz.panel.session import Session
 
 Key = Literal["space", "arrowleft", "arrowright"]
 
@@ -37,8 +33,8 @@ NOT_WIDER = (
 class Player:
     """Plays one rollout in this browser's scene."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    def __init__(self, browser: Browser) -> None:
+        self._browser = browser
         self.playing = False
         self._key: object = None
         self.track: Track | None = None
@@ -48,30 +44,26 @@ class Player:
         self._plotted_s = 0.0
         self._width_px = 0
         self._speed = 1.0
-        self.scene = Scene(session.client.scene)
-        self._panel = session.client.gui.add_panel()
+        self.scene = Scene(browser.client.scene)
+        self._panel = browser.client.gui.add_panel()
         with self._panel.add_tab("Rollout", viser.Icon.MOVIE):
             self._add_controls()
         self._fit()
-        session.client.camera.on_update(lambda _: session.post(self._fit))
+        browser.client.camera.on_update(lambda _: browser.post(self._fit))
 
     def show(self, run: RunData, entry: RankedRow) -> None:
         """Show a rollout; nothing changes if it is the one shown."""
-        key = (run.name, entry.repetition, entry.stage, entry.rollout)
+        key = (self._browser.selections, run.name, entry.repetition, entry.stage, entry.rollout)
         chosen = track(run, entry)
         if key == self._key:
             return
         self._key, self.track = key, chosen
         self._pieces = track_plots(chosen)
         self.playing = False
-        with self._session.client.atomic():
+        with self._browser.client.atomic():
             self.slider.max = chosen.states - 1
             self.scene.show(chosen)
             self._go_to(interesting_step(chosen))
-
-    def forget(self) -> None:
-        """The next rollout shown is another one, whatever its numbers."""
-        self._key = None
 
     def advance(self) -> None:
         """Move on with the time that has passed, while playing."""
@@ -87,28 +79,28 @@ class Player:
             self._pause()
 
     def _add_controls(self) -> None:
-        gui, session = self._session.client.gui, self._session
+        gui, browser = self._browser.client.gui, self._browser
         gui.add_html(NOT_WIDER)
         self._plots = gui.add_html("")
         self.slider = gui.add_slider("Step", 0, 99, 1, 0, hint=STEP_HINT)
         buttons = ("Play", "Pause", "Restart", *SPEEDS)
         self.play = gui.add_button_group("Playback", buttons, hint=PLAY_HINT)
-        self.slider.on_update(session.on(self._scrub))
-        self.play.on_click(session.on(self._play_clicked))
+        self.slider.on_update(browser.on(self._scrub))
+        self.play.on_click(browser.on(self._play_clicked))
         self._key_for("Play or pause", "space", self._toggle)
         self._key_for("Step back", "arrowleft", lambda: self._nudge(-1))
         self._key_for("Step ahead", "arrowright", lambda: self._nudge(1))
 
     def _key_for(self, label: str, key: Key, work: Callable[[], None]) -> None:
-        command = self._session.client.gui.add_command(label, hotkey=key)
-        command.on_trigger(self._session.on(work))
+        command = self._browser.client.gui.add_command(label, hotkey=key)
+        command.on_trigger(self._browser.on(work))
 
     def _go_to(self, step: int) -> None:
         chosen = self.track
         if chosen is None:
             return
         self._step = min(max(step, 0), chosen.states - 1)
-        with self._session.client.atomic():
+        with self._browser.client.atomic():
             self.scene.at(self._step)
             self.slider.value = self._step
             now_s = time.monotonic()
@@ -168,7 +160,7 @@ class Player:
 
     def _fit(self) -> None:
         """Lay the panel along the lower edge of the scene, as wide as the scene is."""
-        width_px = int(self._session.client.camera.image_width) - 2 * MARGIN_PX
+        width_px = int(self._browser.client.camera.image_width) - 2 * MARGIN_PX
         if width_px == self._width_px:
             return
         self._width_px = width_px

@@ -1,22 +1,19 @@
 """The Trajectories tab: the ranking, and how a rollout is picked."""
 
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING, cast, get_args
+from typing import cast, get_args
 
 import viser
 
 from pemviz.config import MetricName
 from pemviz.errors import InputError
+from pemviz.panel.browser import Browser
 from pemviz.panel.ranking import Ranking, rank, row
 from pemviz.panel.run_data import RunData
+from pemviz.panel.tabs.player import Player
 from pemviz.panel.views.ranking_table import ranking_table
 from pemviz.panel.views.words import block, quiet
 from pemviz.panel.widgets import element_id, set_html
-
-if TYPE_CHECKING:
-    from pemviz.panel.session import Session
 
 METRIC_HINT = (
     "Metric that ranks the rollouts shown; re-ranks what is stored at once, without a new run. "
@@ -30,18 +27,19 @@ LIVE_PAUSE_S = 0.6
 class TrajectoriesTab:
     """The ranking; this browser's own choice of metric and rollout."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        gui = session.client.gui
+    def __init__(self, browser: Browser, player: Player) -> None:
+        self._browser = browser
+        self._player = player
+        gui = browser.client.gui
         self.metric = gui.add_dropdown(
             "Ranked by", get_args(MetricName), initial_value="classical", hint=METRIC_HINT
         )
         self.place = gui.add_number("Rank", 1, min=1, max=1_000_000, step=1, hint=RANK_HINT)
         self._table = gui.add_html("")
         self.follow = gui.add_checkbox("Follow ego", True, hint=FOLLOW_HINT)
-        self.follow.on_update(session.on(lambda: session.player.follow(self.follow.value)))
-        self.metric.on_update(session.on(self._re_rank))
-        self.place.on_update(session.on(self._pick))
+        self.follow.on_update(browser.on(lambda: player.follow(self.follow.value)))
+        self.metric.on_update(browser.on(self._re_rank))
+        self.place.on_update(browser.on(self._pick))
         self._add_keys()
         self._run: RunData | None = None
         self._ranking: Ranking | None = None
@@ -54,7 +52,7 @@ class TrajectoriesTab:
             return
         same = self._run is not None and run.name == self._run.name
         if same and run.running and time.monotonic() - self._shown_s < LIVE_PAUSE_S:
-            self._session.post_refresh()
+            self._browser.refresh()
             return
         self._shown_s = time.monotonic()
         if self._run is None or run.name != self._run.name:
@@ -72,11 +70,11 @@ class TrajectoriesTab:
         self._pick()
 
     def _add_keys(self) -> None:
-        gui, session = self._session.client.gui, self._session
+        gui, browser = self._browser.client.gui, self._browser
         down = gui.add_command("Next rollout", hotkey="arrowdown", icon=viser.Icon.ARROW_DOWN)
         up = gui.add_command("Previous rollout", hotkey="arrowup", icon=viser.Icon.ARROW_UP)
-        down.on_trigger(session.on(lambda: self.step(1)))
-        up.on_trigger(session.on(lambda: self.step(-1)))
+        down.on_trigger(browser.on(lambda: self.step(1)))
+        up.on_trigger(browser.on(lambda: self.step(-1)))
 
     def _re_rank(self) -> None:
         self._show(place=0)
@@ -108,7 +106,7 @@ class TrajectoriesTab:
             self._table,
             ranking_table(run, ranking, selected=place, target=element_id(self.place)),
         )
-        self._session.player.show(run, entry)
+        self._player.show(run, entry)
 
     def _metric(self) -> MetricName:
         metric = self.metric.value

@@ -1,0 +1,129 @@
+"""Options of ``pemviz record``, and the configuration that they start from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from pemviz.cli.parsing import Processes, parse_arguments
+from pemviz.config import ExperimentConfig
+from pemviz.config.ranges import Range, check_value
+from pemviz.config.toml_files import load_config, load_preset
+from pemviz.errors import ConfigError
+
+FailAbove = Annotated[float, Range(low=0.0, low_open=True, high=1.0)]
+Port = Annotated[int, Range(low=1, high=65535)]
+
+DESCRIPTION = (
+    "Estimate the probability that the scenario violates the specification. "
+    "Writes a run folder with config.toml, result.json, rollouts.npz, proposals.safetensors "
+    "and run.rrd. Exit codes: 0 done, 1 --fail-above tripped, 2 bad input, 3 failed or "
+    "interrupted, 4 --fail-above cannot be decided."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Where the configuration starts from; every other option overrides it."""
+
+    preset: str | None = None
+    """Shipped configuration: paper or town01. Without --config, paper."""
+    config: Path | None = None
+    """Configuration file (TOML), for instance the config.toml of an earlier run."""
+    resume: Path | None = None
+    """Run folder of a run that was killed, stopped or failed: goes on after its last finished
+    stage, with its own configuration, and ends as if nothing had happened."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordArguments:
+    """Options of ``pemviz record``."""
+
+    source: Annotated[Source, tyro.conf.arg(name="")] = field(default_factory=Source)
+    experiment: Annotated[ExperimentConfig, tyro.conf.arg(name="")] = field(
+        default_factory=ExperimentConfig
+    )
+    out: Path = Path("recordings")
+    """Folder in which the run folder is made."""
+    fail_above: FailAbove | None = None
+    """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1."""
+    summary: Path | None = None
+    """Add the result as markdown to the end of this file, for instance $GITHUB_STEP_SUMMARY."""
+    junit: Path | None = None
+    """Write the result as JUnit XML to this file: one test case, which fails if --fail-above
+    tripped and is an error if that cannot be decided."""
+    json: bool = False
+    """Print the result as one JSON object and nothing else."""
+    no_recording: bool = False
+    """Leave out run.rrd."""
+    no_frames: bool = False
+    """Leave highway-env's pictures of the least robust rollout out of run.rrd."""
+    allow_python: bool = False
+    """Allow --pem module:attribute, a model of your own in Python, whose code then runs."""
+    workers: Processes | None = None
+    """Processes that simulate the rollouts of a slow back end, such as highway-env; 1 to 1024.
+    The results do not depend on it."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler whose workers do that instead."""
+    live: Port | None = None
+    """Also serve the recording, while the run goes on, to live rerun viewers on this port of
+    the loopback interface; 1 to 65535."""
+
+
+def parse(words: Sequence[str]) -> RecordArguments:
+    """The command's arguments: preset or file first, then what the words override.
+
+    Raises:
+        InputError: An option is unknown, or a value is not allowed.
+    """
+    source = _source(words)
+    start = RecordArguments(source=source, experiment=_start(source))
+    arguments = parse_arguments(
+        RecordArguments, words, command="record", default=start, description=DESCRIPTION
+    )
+    for name, value, annotation in (
+        ("fail-above", arguments.fail_above, FailAbove),
+        ("live", arguments.live, Port),
+        ("workers", arguments.workers, Processes),
+    ):
+        if value is not None:
+            check_value(name=name, value=value, annotation=annotation)
+    if source.resume is not None and arguments.experiment != start.experiment:
+        message = (
+            f"resume = {source.resume}: the run goes on with its own configuration; leave out "
+            "the options that differ from it"
+        )
+        raise ConfigError(message)
+    return arguments
+
+
+def _source(words: Sequence[str]) -> Source:
+    known = [
+        part
+        for index, word in enumerate(words)
+        for part in words[index : index + (1 if "=" in word else 2)]
+        if word.split("=", 1)[0] in ("--preset", "--config", "--resume")
+    ]
+    return parse_arguments(Source, known, command="record", default=Source())
+
+
+def _start(source: Source) -> ExperimentConfig:
+    given = {
+        name: value
+        for name in ("preset", "config", "resume")
+        if (value := getattr(source, name)) is not None
+    }
+    if len(given) > 1:
+        named = " and ".join(f"{name} = {str(value)!r}" for name, value in given.items())
+        message = f"{named}: give only one of them"
+        raise ConfigError(message)
+    if source.resume is not None:
+        if not (source.resume / "config.toml").is_file():
+            message = f"resume = {source.resume}: must be a run folder, has no config.toml"
+            raise ConfigError(message)
+        return load_config(source.resume / "config.toml")
+    if source.config is not None:
+        return load_config(source.config)
+    return load_preset("paper" if source.preset is None else source.preset)

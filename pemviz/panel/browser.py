@@ -1,0 +1,117 @@
+"""A connected browser as the tabs see it, and what all browsers share.
+
+Callbacks of controls run on viser's threads and only put work into the browser's queue; the
+session's thread does it.
+"""
+
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from pemviz.panel.controller import Controller
+from pemviz.panel.loading import LoadedRuns
+from pemviz.panel.recordings import RecordingsFolder
+from pemviz.panel.run_data import RunData
+
+OpenRecording = Callable[[Path], str]
+
+
+@dataclass(frozen=True)
+class Hub:
+    """What all browsers share.
+
+    Attributes:
+        controller: Runs experiments.
+        recordings: The runs kept.
+        open_recording: Serves a recording to a viewer and returns the viewer's address;
+            ``None`` where there is no viewer.
+        loaded: Runs that browsers have loaded.
+    """
+
+    controller: Controller
+    recordings: RecordingsFolder
+    open_recording: OpenRecording | None = None
+    loaded: LoadedRuns = field(default_factory=LoadedRuns)
+
+
+class Browser:
+    """A connected browser: its own selection, and the queue of what it asks for.
+
+    Attributes:
+        client: The connection.
+        hub: What it shares with others.
+        loaded: The run that it loaded; ``None`` while it looks at the one that all share.
+        selections: How often it has chosen which run to look at.
+        shown_version: The version of the shared state that its page shows; -1 if the page is to
+            be refreshed whatever the version.
+    """
+
+    def __init__(self, client: viser.ClientHandle, hub: Hub) -> None:
+        self.client = client
+        self.hub = hub
+        self.loaded: RunData | None = None
+        self.selections = 0
+        self.shown_version = -1
+        self._closed = threading.Event()
+        self._work: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._later: dict[str, Callable[[], None]] = {}
+
+    @property
+    def closed(self) -> bool:
+        """Whether the browser is gone."""
+        return self._closed.is_set()
+
+    def close(self) -> None:
+        """The browser is gone."""
+        self._closed.set()
+        self.post(_nothing)
+
+    def post(self, work: Callable[[], None]) -> None:
+        """Have the session's thread do something."""
+        self._work.put(work)
+
+    def later(self, name: str, work: Callable[[], None]) -> None:
+        """Have the session's thread do something once it has nothing else to do.
+
+        Work of the same name replaces what still waits; only for the session's own thread.
+        """
+        self._later[name] = work
+
+    def next_work(self, *, pause_s: float) -> Callable[[], None]:
+        """What to do next; nothing if ``pause_s`` seconds pass without a request."""
+        try:
+            return self._work.get(timeout=0.0 if self._later else pause_s)
+        except queue.Empty:
+            return self._later.pop(next(iter(self._later))) if self._later else _nothing
+
+    def on(self, work: Callable[[], None]) -> Callable[[Any], None]:
+        """A callback for a control: does ``work`` if a person moved it, not the program."""
+
+        def callback(event: Any) -> None:
+            if event.client_id is not None:
+                self.post(work)
+
+        return callback
+
+    def tell(self, title: str, message: str, *, color: Any = "red") -> None:
+        """Show a notification in this browser."""
+        self.client.add_notification(title, message, color=color, auto_close_seconds=8.0)
+
+    def look_at(self, run: RunData | None) -> None:
+        """Look at a loaded run, or with ``None`` at the one that all share."""
+        self.loaded = run
+        self.selections += 1
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Look again at the shared state at the next turn."""
+        self.shown_version = -1
+
+
+def _nothing() -> None:
+    """Time passes."""
