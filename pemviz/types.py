@@ -244,6 +244,39 @@ class FinishedStage:
     kept: Mapping[str, AnyArray]
 
 
+DiagnosticKind = Literal[
+    "no-failure",
+    "few-failures",
+    "large-weight",
+    "few-effective-samples",
+    "heavy-tail",
+    "below-doubles",
+    "died-out",
+    "single-run",
+    "unlatched",
+    "reference-disagrees",
+    "unclassified",
+]
+"""What can be wrong with an estimate; ``sampling/estimates/diagnostics.py`` says what it means."""
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """One thing that is wrong with an estimate.
+
+    Attributes:
+        kind: What.
+        value: The figure that tells; ``None`` where no figure does.
+        limit: What that figure was compared with; ``None`` likewise.
+        text: A warning in words.
+    """
+
+    kind: DiagnosticKind
+    value: float | None
+    limit: float | None
+    text: str
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A failure probability with what is needed to judge it.
@@ -268,8 +301,13 @@ class Estimate:
     max_weight_share: float | None
     unbiased_probability: float | None
     unbiased_std_error: float | None
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     confidence: float = 0.95
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with it, in words."""
+        return tuple(diagnostic.text for diagnostic in self.diagnostics)
 
 
 @dataclass(frozen=True)

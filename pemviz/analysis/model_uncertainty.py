@@ -18,6 +18,7 @@ from pemviz.pem import (
 )
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.proposals.fixed import PemProposal
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.problem import Problem, sample_batches
@@ -89,7 +90,7 @@ def model_interval(repetitions: Sequence[MemberEstimates]) -> ModelInterval:
         relative_std_error=repetitions[0].relative_std_error,
         effective_failures=np.sum([e.effective_failures for e in repetitions], axis=0),
     )
-    interval = pem_interval(pooled)
+    interval = pem_interval(pooled, few_effective=SMALL_ESS)
     return ModelInterval(
         low=_power(interval.log10_low),
         high=_power(interval.log10_high),

@@ -16,10 +16,10 @@ from scipy.special import expit
 
 from pemviz.analysis.causes import Failures
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 
 SMALLEST_FACTOR = 1e-6
-SMALL_ESS = 10.0
 
 
 @dataclass(frozen=True)

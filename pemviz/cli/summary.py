@@ -9,6 +9,7 @@ from rich.table import Table
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.reports.words import (
+    RELIABLE_TAIL,
     interval_text,
     model_range_text,
     number_text,
@@ -52,7 +53,7 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     table.add_row("violations", violations_text(estimate))
     table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))
     table.add_row("effective sample size", number_text(estimate.ess))
-    table.add_row("Pareto k-hat", number_text(estimate.pareto_k, unit="(reliable up to 0.7)"))
+    table.add_row("Pareto k-hat", number_text(estimate.pareto_k, unit=RELIABLE_TAIL))
     table.add_row("largest weight's share", share_text(estimate.max_weight_share))
     worst = result.least_robust[0] if result.least_robust else None
     if worst is not None:

@@ -9,6 +9,7 @@ from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
+from pemviz.reports.words import RELIABLE_TAIL
 from pemviz.runs.result import RunResult, result_document
 from pemviz.types import Estimate
 
@@ -93,7 +94,7 @@ def _diagnostics(estimate: Estimate) -> str:
         ("of these, violations", f"{estimate.failures}"),
         ("effective sample size of their weights", number(estimate.ess)),
         ("largest weight's share", number(estimate.max_weight_share)),
-        ("Pareto k-hat (reliable up to 0.7)", number(estimate.pareto_k)),
+        (f"Pareto k-hat {RELIABLE_TAIL}", number(estimate.pareto_k)),
         ("mean NLL of the violations [nats]", number(estimate.nll_mean, 4)),
         ("NLL of their mean likelihood [nats]", number(estimate.nll_log_mean, 4)),
     ]

@@ -10,6 +10,7 @@ from pemviz.reports.escape import markdown_block, markdown_code, markdown_table,
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.reports.words import (
+    RELIABLE_TAIL,
     interval_text,
     model_range_text,
     number_text,
@@ -69,7 +70,7 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
         ("violations", violations_text(estimate)),
         ("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)")),
         ("effective sample size", number_text(estimate.ess)),
-        ("Pareto k-hat", number_text(estimate.pareto_k, unit="(reliable up to 0.7)")),
+        ("Pareto k-hat", number_text(estimate.pareto_k, unit=RELIABLE_TAIL)),
         ("largest weight's share", share_text(estimate.max_weight_share)),
     ]
     return markdown_table(("answer", ""), rows)

@@ -1,7 +1,11 @@
 """Figures of an estimate in words, the same on the terminal and in reports."""
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K
 from pemviz.types import Estimate
+
+RELIABLE_TAIL = f"(reliable up to {RELIABLE_PARETO_K:g})"
+"""What stands beside Pareto k-hat."""
 
 
 def probability_text(estimate: Estimate) -> str:

@@ -11,8 +11,9 @@ from scipy.special import logsumexp
 from pemviz.arrays import FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.pem.judging.reweight import FEW_EFFECTIVE, RatioInterval, compare_pems, reweight
+from pemviz.pem.judging.reweight import RatioInterval, compare_pems, reweight
 from pemviz.runs.experiment import Experiment, build_experiment
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.problem import sample
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, with_latch
 from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, outcome_log_likelihood
@@ -44,7 +45,7 @@ class ModelFigures:
     @property
     def is_reliable(self) -> bool:
         """Whether enough rollouts carry it."""
-        return self.effective_failures >= FEW_EFFECTIVE
+        return self.effective_failures >= SMALL_ESS
 
 
 def compare_models(

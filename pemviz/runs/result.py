@@ -13,8 +13,9 @@ from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import config_table
 from pemviz.errors import InputError
+from pemviz.sampling.estimates.diagnostics import MEANINGS, classified
 from pemviz.sampling.value_twisted.reference import Reference
-from pemviz.types import Estimate, StageKind, StageResult
+from pemviz.types import Diagnostic, Estimate, StageKind, StageResult
 
 SCHEMA = 1
 LEAST_ROBUST = 20
@@ -219,11 +220,42 @@ def estimate_from_document(document: Mapping[str, Any]) -> Estimate:
         unbiased = table.pop("unbiased")
         table["unbiased_probability"] = unbiased["probability"]
         table["unbiased_std_error"] = unbiased["std_error"]
-        table["warnings"] = tuple(table["warnings"])
-        return Estimate(**table)
+        warnings, diagnostics = table.pop("warnings"), table.pop("diagnostics", None)
+        found = Estimate(**table)
+        return replace(found, diagnostics=diagnostics_read(diagnostics, warnings, of=found))
     except (KeyError, TypeError) as error:
         message = f"estimate: not as pemviz writes it ({error})"
         raise InputError(message) from error
+
+
+def diagnostics_read(
+    diagnostics: Sequence[Any] | None, warnings: Sequence[Any], *, of: Estimate
+) -> tuple[Diagnostic, ...]:
+    """The diagnostics of an estimate in a document.
+
+    Args:
+        diagnostics: As the document has them; ``None`` in one of an older version.
+        warnings: Their texts.
+        of: The estimate's figures.
+
+    Raises:
+        InputError: They are not as pemviz writes them.
+    """
+    if not all(isinstance(text, str) for text in warnings):
+        message = "estimate.warnings: must be texts"
+        raise InputError(message)
+    if diagnostics is None:
+        return classified(warnings, of)
+    found = tuple(Diagnostic(**entry) for entry in diagnostics)
+    for one in found:
+        figures = [figure for figure in (one.value, one.limit) if figure is not None]
+        if one.kind not in MEANINGS or not all(type(f) in (int, float) for f in figures):
+            message = f"estimate.diagnostics: {str(one.kind)[:60]!r} is none that pemviz writes"
+            raise InputError(message)
+    if [one.text for one in found] != list(warnings):
+        message = "estimate.warnings: must be the texts of its diagnostics"
+        raise InputError(message)
+    return found
 
 
 def _explanation_document(explanation: Explanation | None) -> dict[str, Any]:

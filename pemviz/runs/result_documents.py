@@ -33,7 +33,7 @@ ESTIMATE = {
     **dict.fromkeys(("probability", "log10_probability", "std_error", "ci_low", "ci_high"), NUMBER),
     "confidence": NUMBER,
     **dict.fromkeys(("nll_mean", "nll_log_mean", "ess", "pareto_k", "max_weight_share"), NUMBER),
-    "warnings": LIST,
+    **dict.fromkeys(("warnings", "diagnostics"), LIST),
 }
 STAGE = {
     **dict.fromkeys(("repetition", "stage", "rollouts", "elites", "failures"), WHOLE),

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pemviz.reports.escape import markdown_table, markdown_text
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.fields import Setting
 from pemviz.sweep.folders import RunFigures
@@ -48,8 +49,8 @@ def summary_markdown(plan: Plan, states: Sequence[RunState]) -> str:
         f"{count['not run']} not run.",
         settings_table(plan, states),
         "Probability: median over the seeds, and the least and greatest estimate. A seed whose "
-        "rollouts held no violation counts as 0. Effective sample size: median; below 10, do "
-        "not quote an estimate.",
+        "rollouts held no violation counts as 0. Effective sample size: median; below "
+        f"{SMALL_ESS:g}, do not quote an estimate.",
     ]
     failed = [s for s in states if s.status == "failed"]
     if failed:

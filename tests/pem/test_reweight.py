@@ -85,7 +85,7 @@ def test_the_violating_rollouts_alone_suffice_with_the_number_drawn():
 
 def test_the_interval_lies_between_the_members_and_knows_when_few_rollouts_carry_it():
     estimates = reweight(**all_chains(), members=[FixedPem(p) for p in MODELS])
-    interval = pem_interval(estimates)
+    interval = pem_interval(estimates, few_effective=10.0)
     log10_mu = np.log10([exact(p) for p in MODELS])
     assert interval.log10_median == pytest.approx(np.median(log10_mu))
     assert log10_mu.min() < interval.log10_low < interval.log10_high < log10_mu.max()
@@ -131,7 +131,9 @@ def test_the_interval_of_a_ratio_covers_as_often_as_it_says():
 
 def test_without_a_violation_nothing_is_made_up():
     rollouts = {**all_chains(), "violated": np.zeros(8, dtype=bool)}
-    interval = pem_interval(reweight(**rollouts, members=[FixedPem(p) for p in MODELS]))
+    interval = pem_interval(
+        reweight(**rollouts, members=[FixedPem(p) for p in MODELS]), few_effective=10.0
+    )
     assert interval.log10_high == -np.inf
     assert any("no rollout violates" in text for text in interval.warnings)
     with pytest.raises(PemError, match="the ratio of two models is unknown"):
@@ -143,11 +145,11 @@ def test_shapes_that_do_not_fit_are_refused():
     with pytest.raises(PemError, match=r"log_q \[8, 2\]"):
         reweight(**rollouts, members=[FixedPem(MODELS[0])])
     with pytest.raises(PemError, match="at least 2 members, got 1"):
-        pem_interval(reweight(**all_chains(), members=[FixedPem(MODELS[0])]))
+        pem_interval(reweight(**all_chains(), members=[FixedPem(MODELS[0])]), few_effective=10.0)
 
 
 def test_the_shipped_ensemble_reweights():
     members = load_ensemble("ml-nn-ensemble").members
-    interval = pem_interval(reweight(**all_chains(), members=members))
+    interval = pem_interval(reweight(**all_chains(), members=members), few_effective=10.0)
     assert interval.members == 20
     assert interval.log10_low < interval.log10_median < interval.log10_high < -2

@@ -6,7 +6,7 @@ from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.config import ExperimentConfig
 from pemviz.runs.result import PemInfo, RankedRollout, RunResult
 from pemviz.sampling.value_twisted.reference import Reference
-from pemviz.types import Estimate
+from pemviz.types import Diagnostic, Estimate
 
 NASTY = (
     "a|b `c` ``d`` <script>alert(1)</script> & \"q\" 'r' ]]> --> **bold** _em_ [x](javascript:1) "
@@ -33,9 +33,13 @@ def estimate(**changes):
         "max_weight_share": 0.1,
         "unbiased_probability": 2e-15,
         "unbiased_std_error": 1e-15,
-        "warnings": (),
+        "diagnostics": (),
     }
     return Estimate(**{**values, **changes})
+
+
+def warned(text, kind="few-failures", value=None):
+    return Diagnostic(kind=kind, value=value, limit=None, text=text)
 
 
 def result(one=None, *, repetitions=1, **changes):
@@ -68,7 +72,7 @@ def result(one=None, *, repetitions=1, **changes):
 
 
 def nasty_result():
-    one = estimate(warnings=(NASTY, "second"))
+    one = estimate(diagnostics=(warned(NASTY), warned("second")))
     return result(
         one,
         config=ExperimentConfig(spec=NASTY, pem=NASTY),

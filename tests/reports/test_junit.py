@@ -4,7 +4,9 @@ import pytest
 
 from pemviz.reports.gate import decide_gate, decide_run
 from pemviz.reports.junit import junit_xml
-from tests.reports.runs import estimate, nasty_result, result
+from tests.reports.runs import estimate, nasty_result, result, warned
+
+FEW = warned("a few weights carry it", "few-effective-samples", 3.0)
 
 
 def case_of(text):
@@ -23,7 +25,7 @@ def case_of(text):
     [
         (estimate(), 1e-9, "passed", None),
         (estimate(), 4e-15, "tripped", "failure"),
-        (estimate(ess=3.0), 1e-9, "undecided", "error"),
+        (estimate(diagnostics=(FEW,)), 1e-9, "undecided", "error"),
         (estimate(failures=0, ci_high=None), 1e-9, "undecided", "error"),
     ],
 )

@@ -13,7 +13,7 @@ from pemviz.reports.escape import (
 )
 from pemviz.reports.gate import decide_gate, decide_run
 from pemviz.reports.markdown import summary_markdown
-from tests.reports.runs import NASTY, estimate, nasty_result, result
+from tests.reports.runs import NASTY, estimate, nasty_result, result, warned
 
 
 def github() -> MarkdownIt:
@@ -74,8 +74,8 @@ def test_a_nasty_run_leaves_no_markup_of_its_own():
 
 
 def test_the_page_tells_the_whole_story():
-    warned = estimate(warnings=("one rollout carries 27% of the weight",))
-    page = summary_markdown(result(warned), gate=decide_gate(warned, limit=1e-9))
+    one = estimate(diagnostics=(warned("only 9 failures were seen"),))
+    page = summary_markdown(result(one), gate=decide_gate(one, limit=1e-9))
     html = github().render(page)
     for part in (
         "failure probability 2e-15 +- 1e-15",
@@ -83,7 +83,7 @@ def test_the_page_tells_the_whole_story():
         "always[0,99] (gap &gt;= 2.0)",
         "8e-16 to 5e-15",
         "52 of 100 rollouts (1200 simulated in all)",
-        "one rollout carries 27% of the weight",
+        "only 9 failures were seen",
         "-3.25 (classical)",
         "9 of 99 steps",
         "ab" * 32,

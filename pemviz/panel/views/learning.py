@@ -10,6 +10,7 @@ from pemviz.panel.palette import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMI
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.words import block, number, quiet, rows, table
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 
 SPLITTING = "splitting"
 FOLLOWS_MODEL = ("monte-carlo", SPLITTING)
@@ -150,14 +151,14 @@ def ess_plot(stages: Sequence[Mapping[str, Any]]) -> str:
     kept = [s for s in stages if is_number(s.get("ess"))]
     xs = [float(s["stage"]) for s in kept]
     ys = [float(s["ess"]) for s in kept]
-    top = max([12.0, *ys]) * 1.1
+    top = max([1.2 * SMALL_ESS, *ys]) * 1.1
     plot = Plot(
         title="Effective sample size of the violations",
         x=_stage_axis(stages),
         y=Axis(0.0, top, "rollouts"),
         height=118,
     )
-    plot.hline(10.0, color=GREY, label="below 10: do not quote")
+    plot.hline(SMALL_ESS, color=GREY, label=f"below {SMALL_ESS:g}: do not quote")
     plot.line(np.array(xs), np.array(ys), color=GREEN)
     tips = [f"stage {s['stage']}: {number(s['ess'])}" for s in kept]
     plot.points(xs, ys, color=GREEN, tips=tips)

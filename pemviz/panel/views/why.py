@@ -26,6 +26,7 @@ from pemviz.panel.views.words import (
     table,
     warning,
 )
+from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 
 BAND_M = 1.0
 UNWEIGHTED = (
@@ -231,8 +232,8 @@ def diagnostics_table(estimate: Mapping[str, Any]) -> str:
     """The weights' diagnostics beside what they should be."""
     size, tail = number(estimate.get("ess")), number(estimate.get("pareto_k"), 2)
     lines = [
-        ["effective sample size of the violations", size, "10 or more"],
-        ["Pareto k-hat, the weights' tail", tail, "0.7 or less"],
+        ["effective sample size of the violations", size, f"{SMALL_ESS:g} or more"],
+        ["Pareto k-hat, the weights' tail", tail, f"{RELIABLE_PARETO_K:g} or less"],
         ["largest weight's share", percent(estimate.get("max_weight_share")), "a few per cent"],
     ]
     return grid(["diagnostic", "found", "wanted"], lines, name="Diagnostics")

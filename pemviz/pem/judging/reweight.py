@@ -15,9 +15,6 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem.errors import PemError
 from pemviz.pem.models.protocol import Pem
 
-FEW_EFFECTIVE = 10.0
-"""Effective failing rollouts below which a member's mu is not to be trusted."""
-
 
 @dataclass(frozen=True, eq=False)
 class MemberEstimates:
@@ -130,11 +127,15 @@ def reweight(
     return MemberEstimates(tuple(member.name for member in members), log_mu, relative, effective)
 
 
-def pem_interval(estimates: MemberEstimates, *, confidence: float = 0.95) -> PemInterval:
+def pem_interval(
+    estimates: MemberEstimates, *, few_effective: float, confidence: float = 0.95
+) -> PemInterval:
     """The central interval of mu over the members, with what limits it.
 
     Args:
         estimates: of at least two members.
+        few_effective: effective violating rollouts below which a member's mu is not to be
+            trusted.
         confidence: share of members between the ends.
 
     Raises:
@@ -157,7 +158,7 @@ def pem_interval(estimates: MemberEstimates, *, confidence: float = 0.95) -> Pem
         confidence=confidence,
         members=members,
         worst_effective_failures=worst,
-        warnings=tuple(_interval_warnings(estimates, confidence=confidence)),
+        warnings=tuple(_interval_warnings(estimates, few_effective, confidence)),
     )
 
 
@@ -237,15 +238,17 @@ def _summary(log_weight: FloatArray, *, rollouts: int) -> tuple[float, float, fl
     return log_sum - float(np.log(rollouts)), float(np.sqrt(variance)), effective
 
 
-def _interval_warnings(estimates: MemberEstimates, *, confidence: float) -> list[str]:
+def _interval_warnings(
+    estimates: MemberEstimates, few_effective: float, confidence: float
+) -> list[str]:
     warnings: list[str] = []
     members = len(estimates.log_mu)
     if not np.isfinite(estimates.log_mu).all():
         warnings.append("no rollout violates under some models: the interval has no lower end")
-    weak = int((estimates.effective_failures < FEW_EFFECTIVE).sum())
+    weak = int((estimates.effective_failures < few_effective).sum())
     if weak:
         warnings.append(
-            f"under {weak} of {members} models fewer than {FEW_EFFECTIVE:g} effective rollouts "
+            f"under {weak} of {members} models fewer than {few_effective:g} effective rollouts "
             "carry the estimate: sample more before trusting the interval over models"
         )
     if members < 2.0 / (1.0 - confidence):

@@ -1,109 +1,296 @@
-"""What tells whether an estimate can be trusted."""
+"""What is wrong with an estimate: every diagnostic is made here, with its limit and its words."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
-import numpy as np
+from pemviz.sampling.estimates.importance_weights import WeightFigures
+from pemviz.types import Diagnostic, DiagnosticKind, Estimate
 
-from pemviz.arrays import FloatArray
-from pemviz.sampling.estimates.importance_weights import (
-    effective_sample_size,
-    largest_share,
-    log_sum,
-)
-from pemviz.types import Estimate
-
-MINIMUM_TAIL = 5
 RELIABLE_PARETO_K = 0.7
+"""Above it an average of weights is not to be trusted (Vehtari et al. 2024)."""
 LARGE_SHARE = 0.2
 SMALL_ESS = 10.0
+FEW_FAILURES = 10
+SMALLEST_LOG10 = math.log10(sys.float_info.min)
+AGREEMENT_ERRORS = 3.0
+"""Joint standard errors within which an estimate and the reference agree."""
+
+IntervalBasis = Literal["counts", "weights", "runs"]
+"""What an interval rests on: a count of failures and the exact binomial, the spread of importance
+weights, or how far independent runs differ."""
+UNWEIGHTED: Mapping[str, IntervalBasis] = {"monte-carlo": "counts", "splitting": "runs"}
+
+
+def interval_basis(method: str) -> IntervalBasis:
+    """What the intervals of a method rest on."""
+    return UNWEIGHTED.get(method, "weights")
 
 
 @dataclass(frozen=True)
-class WeightDiagnostics:
-    """Diagnostics of the failing rollouts' weights; ``None`` where undefined."""
+class Meaning:
+    """What a kind of diagnostic means.
 
-    ess: float | None
-    pareto_k: float | None
-    max_weight_share: float | None
-
-
-def diagnose(failing_log_weight: FloatArray) -> WeightDiagnostics:
-    """Diagnose the log weights ``[M]`` of the failing rollouts; M may be 0."""
-    if failing_log_weight.size == 0:
-        return WeightDiagnostics(ess=None, pareto_k=None, max_weight_share=None)
-    return WeightDiagnostics(
-        ess=effective_sample_size(failing_log_weight),
-        pareto_k=pareto_k_hat(failing_log_weight),
-        max_weight_share=largest_share(failing_log_weight),
-    )
-
-
-def pareto_k_hat(log_weight: FloatArray) -> float | None:
-    """Shape of the generalised Pareto fitted to the largest weights of ``[M]``.
-
-    Pareto smoothed importance sampling (Vehtari, Simpson, Gelman, Yao, Gabry 2024), by
-    arviz-stats. Above 0.7 an average of the weights is not to be trusted. ``None`` where
-    the tail has fewer than five weights, no spread, or more spread than doubles hold.
+    Attributes:
+        phrase: In every text of this kind and in none of another.
+        undermines: The intervals that it makes unreliable.
+        in_repetitions: What is told of how many repetitions; ``None`` where it does not concern
+            their mean.
+        reason: Why nothing may be decided by the estimate, with its ``value``; ``None``: the text.
+        worst: The least favourable of several values.
     """
-    tail = int(min(log_weight.size // 5, np.ceil(3 * np.sqrt(log_weight.size))))
-    if tail < MINIMUM_TAIL or np.ptp(np.sort(log_weight)[-tail:]) == 0.0:
-        return None
-    from arviz_stats.base.array import array_stats  # noqa: PLC0415  slow to import
 
-    # weights that span more than double precision break the fit: no figure, no warning
-    with np.errstate(all="ignore"):
-        # psislw takes log likelihoods, whose negatives are its log weights
-        try:
-            _, k_hat = array_stats.psislw(-log_weight)
-        except ValueError:  # it finds no spread in a tail that it cuts off elsewhere
-            return None
-    value = float(np.asarray(k_hat))
-    return value if np.isfinite(value) else None
+    phrase: str
+    undermines: frozenset[IntervalBasis]
+    in_repetitions: str | None = None
+    reason: str | None = None
+    worst: Callable[[Iterable[float]], float] = max
 
 
-def negative_log_likelihood(log_p: FloatArray) -> tuple[float | None, float | None]:
-    """NLL of failing rollouts with log likelihoods ``[M]`` under the error model [nats].
+NOTHING: frozenset[IntervalBasis] = frozenset()
+ALL: frozenset[IntervalBasis] = frozenset(("counts", "weights", "runs"))
+# a count's interval is exact, however few were counted
+ALL_BUT_COUNTS = ALL - {"counts"}
 
-    Returns:
-        The mean of the negative log likelihoods, and the negative log of the mean
-        likelihood: the paper states the first, its code computes the second.
-    """
-    if log_p.size == 0:
-        return None, None
-    return float(-np.mean(log_p)), float(np.log(log_p.size)) - log_sum(log_p)
+MEANINGS: Mapping[DiagnosticKind, Meaning] = {
+    "no-failure": Meaning(
+        phrase="no failure",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions="no failure was seen",
+        worst=min,
+    ),
+    "few-failures": Meaning(
+        phrase="failures were seen: the interval is wide", undermines=NOTHING, worst=min
+    ),
+    "large-weight": Meaning(
+        phrase="one rollout carries",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions=f"one rollout carries over {LARGE_SHARE:.0%} of the weight",
+        reason="one rollout carries {:.0%} of the weight",
+    ),
+    "few-effective-samples": Meaning(
+        phrase="a few weights carry the estimate",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions=(
+            f"a few weights carry the estimate (effective sample size below {SMALL_ESS:g})"
+        ),
+        reason="the effective sample size is {:.1f}",
+        worst=min,
+    ),
+    "heavy-tail": Meaning(
+        phrase="the weights' tail is too heavy",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions=f"the weights' tail is too heavy (Pareto k-hat above {RELIABLE_PARETO_K})",
+        reason="Pareto k-hat is {:.2f}",
+    ),
+    "died-out": Meaning(
+        phrase="no particle reached a violation",
+        undermines=ALL,
+        in_repetitions="there was a run in which no particle reached a violation",
+    ),
+    "unlatched": Meaning(
+        phrase="nothing tells during a rollout whether it has violated",
+        undermines=ALL,
+        in_repetitions="nothing tells during a rollout whether it has violated",
+    ),
+    # its repetitions differ, which gives a standard error
+    "single-run": Meaning(phrase="gives no standard error", undermines=ALL),
+    # the logarithm is as good as any
+    "below-doubles": Meaning(
+        phrase="too small for a floating-point number", undermines=NOTHING, worst=min
+    ),
+    "reference-disagrees": Meaning(phrase="trust the reference", undermines=ALL),
+    # of a file that an older version wrote: what is not known may be serious
+    "unclassified": Meaning(phrase="", undermines=ALL),
+}
 
 
-def weight_warnings(diagnostics: WeightDiagnostics, *, failures: int) -> Sequence[str]:
-    """Warnings in words about an importance sampling estimate with at least one failure."""
-    warnings: list[str] = []
-    share, ess, k_hat = diagnostics.max_weight_share, diagnostics.ess, diagnostics.pareto_k
+def count_diagnostics(
+    *, failures: int, rollouts: int, upper: float, confidence: float
+) -> tuple[Diagnostic, ...]:
+    """Of plain Monte Carlo, whose upper bound holds even without a failure."""
+    if failures == 0:
+        text = (
+            f"no failure in {rollouts} rollouts: the probability is below {upper:.2g} "
+            f"with {confidence:.0%} confidence, and nothing more is known"
+        )
+        return (Diagnostic("no-failure", 0.0, 1.0, text),)
+    if failures < FEW_FAILURES:
+        text = f"only {failures} failures were seen: the interval is wide"
+        return (Diagnostic("few-failures", float(failures), float(FEW_FAILURES), text),)
+    return ()
+
+
+def weight_diagnostics(
+    figures: WeightFigures, *, failures: int, rollouts: int, log10_probability: float | None
+) -> tuple[Diagnostic, ...]:
+    """Of an average of importance weights, most serious first."""
+    if failures == 0 or log10_probability is None:
+        text = (
+            f"no failure in {rollouts} rollouts: importance sampling then says nothing about the "
+            "probability, not even an upper bound"
+        )
+        return (Diagnostic("no-failure", 0.0, 1.0, text),)
+    return (*_uneven_weights(figures, failures=failures), *_below_doubles(log10_probability))
+
+
+def _uneven_weights(figures: WeightFigures, *, failures: int) -> Sequence[Diagnostic]:
+    share, ess, k_hat = figures.max_weight_share, figures.ess, figures.pareto_k
+    found: list[Diagnostic] = []
     if share is not None and share > LARGE_SHARE:
-        warnings.append(f"one rollout carries {share:.0%} of the weight: do not quote this number")
+        text = f"one rollout carries {share:.0%} of the weight: do not quote this number"
+        found.append(Diagnostic("large-weight", share, LARGE_SHARE, text))
     if ess is not None and ess < SMALL_ESS:
-        warnings.append(
+        text = (
             f"a few weights carry the estimate: the {failures} failures count as {ess:.1f} "
             f"(effective sample size)"
         )
+        found.append(Diagnostic("few-effective-samples", ess, SMALL_ESS, text))
     if k_hat is not None and k_hat > RELIABLE_PARETO_K:
-        warnings.append(
+        text = (
             f"the weights' tail is too heavy (Pareto k-hat {k_hat:.2f}, reliable up to "
             f"{RELIABLE_PARETO_K}): the true value may lie outside the interval"
         )
-    return warnings
+        found.append(Diagnostic("heavy-tail", k_hat, RELIABLE_PARETO_K, text))
+    return found
 
 
-def unreliable_because(estimate: Estimate) -> Sequence[str]:
-    """Why an estimate must not decide anything; empty if nothing speaks against it."""
-    if estimate.method == "monte-carlo":
+def _below_doubles(log10_probability: float) -> Sequence[Diagnostic]:
+    if log10_probability >= SMALLEST_LOG10:
         return ()
-    reasons: list[str] = []
-    if estimate.failures == 0:
-        reasons.append("no failure was seen")
-    if (estimate.max_weight_share or 0.0) > LARGE_SHARE:
-        reasons.append(f"one rollout carries {estimate.max_weight_share:.0%} of the weight")
-    if estimate.ess is not None and estimate.ess < SMALL_ESS:
-        reasons.append(f"the effective sample size is {estimate.ess:.1f}")
-    if (estimate.pareto_k or 0.0) > RELIABLE_PARETO_K:
-        reasons.append(f"Pareto k-hat is {estimate.pareto_k:.2f}")
-    return reasons
+    text = (
+        f"the probability, 10^{log10_probability:.2f}, is too small for a floating-point number "
+        "and shows as 0: read log10_probability"
+    )
+    return (Diagnostic("below-doubles", log10_probability, SMALLEST_LOG10, text),)
+
+
+def run_diagnostics(*, died: int, runs: int) -> tuple[Diagnostic, ...]:
+    """Of independent runs of splitting, in some of which all particles died out."""
+    if died:
+        text = f"in {died} of {runs} runs no particle reached a violation"
+        return (Diagnostic("died-out", float(died), 0.0, text),)
+    if runs < 2:
+        text = "one run of splitting gives no standard error: ask for at least two"
+        return (Diagnostic("single-run", float(runs), 2.0, text),)
+    return ()
+
+
+def unlatched() -> Diagnostic:
+    """Of importance sampling whose rollouts do not know when they have violated."""
+    text = (
+        "nothing tells during a rollout whether it has violated, so proposals are wasted on what "
+        "comes after: on an exactly solved example such estimates were too low by 59 % on average "
+        "at 20 rollouts a stage, by 30 % at 50, by 10 % at 100 and by 0.6 % at 218; give it a "
+        "monitor"
+    )
+    return Diagnostic("unlatched", None, None, text)
+
+
+def reference_disagreement(
+    estimate: Estimate, *, probability: float, std_error: float
+) -> Sequence[Diagnostic]:
+    """Of an estimate beside the reference, with the reference's own standard error.
+
+    They agree if the reference lies in the estimate's interval, or within three of their
+    joint standard errors.
+    """
+    low, high = estimate.ci_low, estimate.ci_high
+    if low is not None and high is not None and low <= probability <= high:
+        return ()
+    joint = math.hypot(estimate.std_error or 0.0, std_error)
+    apart = abs(estimate.probability - probability)
+    if apart <= AGREEMENT_ERRORS * joint:
+        return ()
+    ratio = estimate.probability / probability if probability else math.inf
+    text = (
+        f"the estimate is {ratio:.2g} times the reference {probability:.3g} and its interval "
+        "does not contain it: trust the reference"
+    )
+    errors = apart / joint if joint else math.inf
+    return (Diagnostic("reference-disagrees", errors, AGREEMENT_ERRORS, text),)
+
+
+def repetition_diagnostics(
+    estimates: Sequence[Estimate], *, log10_probability: float | None
+) -> tuple[Diagnostic, ...]:
+    """Of the mean of repetitions: what is wrong with how many of them.
+
+    Values are the least favourable among the repetitions.
+
+    Args:
+        estimates: Several repetitions.
+        log10_probability: Of their mean; ``None`` if nothing failed.
+    """
+    each = [_of_repetition(estimate) for estimate in estimates]
+    found: list[Diagnostic] = []
+    for kind, meaning in MEANINGS.items():
+        alike = [one for diagnostics in each for one in diagnostics if one.kind == kind]
+        if alike and meaning.in_repetitions is not None:
+            values = [one.value for one in alike if one.value is not None]
+            text = f"in {len(alike)} of {len(each)} repetitions {meaning.in_repetitions}"
+            worst = meaning.worst(values) if values else None
+            found.append(replace(alike[0], value=worst, text=text))
+    tiny = () if log10_probability is None else _below_doubles(log10_probability)
+    return (*found, *tiny)
+
+
+def _of_repetition(estimate: Estimate) -> Sequence[Diagnostic]:
+    """A repetition's diagnostics by its figures, whatever its method; then the method's own."""
+    none = Diagnostic("no-failure", 0.0, 1.0, "no failure was seen")
+    figures = WeightFigures(estimate.ess, estimate.pareto_k, estimate.max_weight_share)
+    by_figures = [
+        *([] if estimate.failures else [none]),
+        *_uneven_weights(figures, failures=estimate.failures),
+    ]
+    known = {one.kind for one in by_figures}
+    return (*by_figures, *(one for one in estimate.diagnostics if one.kind not in known))
+
+
+def classified(texts: Sequence[str], estimate: Estimate) -> tuple[Diagnostic, ...]:
+    """The diagnostics of an estimate of which only the warnings' texts were kept.
+
+    Args:
+        texts: Its warnings.
+        estimate: Its figures.
+    """
+    return tuple(_of_text(text, estimate) for text in texts)
+
+
+def _of_text(text: str, estimate: Estimate) -> Diagnostic:
+    values: Mapping[DiagnosticKind, tuple[float | None, float]] = {
+        "no-failure": (0.0, 1.0),
+        "few-failures": (float(estimate.failures), float(FEW_FAILURES)),
+        "large-weight": (estimate.max_weight_share, LARGE_SHARE),
+        "few-effective-samples": (estimate.ess, SMALL_ESS),
+        "heavy-tail": (estimate.pareto_k, RELIABLE_PARETO_K),
+        "below-doubles": (estimate.log10_probability, SMALLEST_LOG10),
+    }
+    for kind, meaning in MEANINGS.items():
+        if meaning.phrase and meaning.phrase in text:
+            value, limit = values.get(kind, (None, None))
+            return Diagnostic(kind, value, limit, text)
+    return Diagnostic("unclassified", None, None, text)
+
+
+def undermining(
+    diagnostics: Iterable[Diagnostic], *, basis: IntervalBasis
+) -> tuple[Diagnostic, ...]:
+    """Those that make an interval unreliable."""
+    return tuple(one for one in diagnostics if basis in MEANINGS[one.kind].undermines)
+
+
+def reason(diagnostic: Diagnostic) -> str:
+    """Why nothing may be decided by an estimate, in a few words."""
+    words = MEANINGS[diagnostic.kind].reason
+    if words is None or diagnostic.value is None:
+        return diagnostic.text
+    return words.format(diagnostic.value)
+
+
+def unreliable_because(estimate: Estimate) -> tuple[str, ...]:
+    """Why an estimate must not decide anything; empty if nothing speaks against it."""
+    found = undermining(estimate.diagnostics, basis=interval_basis(estimate.method))
+    return tuple(map(reason, found))

@@ -1,17 +1,21 @@
 """Failure probabilities from scored rollouts."""
 
 import math
-import sys
-from collections.abc import Sequence
 
 import numpy as np
 from scipy import stats
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.sampling.estimates.diagnostics import diagnose, negative_log_likelihood, weight_warnings
-from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_std_error
+from pemviz.sampling.estimates.diagnostics import count_diagnostics, weight_diagnostics
+from pemviz.sampling.estimates.importance_weights import (
+    WeightFigures,
+    log_mean_failing_weight,
+    log_std_error,
+    log_sum,
+    weight_figures,
+)
 from pemviz.sampling.rollouts.final_batch import WeighedRollouts
-from pemviz.types import Estimate
+from pemviz.types import Diagnostic, Estimate
 
 CONFIDENCE = 0.95
 ROUNDING = 1e-9
@@ -21,7 +25,6 @@ ADAPTATION = math.sqrt(2.0)
 The strata's own spread leaves out that the proposals are random too; the two are taken to
 contribute alike. ``pemviz bench accuracy`` measures whether the intervals hold.
 """
-SMALLEST_LOG = math.log(sys.float_info.min)
 
 
 def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
@@ -29,14 +32,6 @@ def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
     count, failures = rollouts.count, int(rollouts.violated.sum())
     probability = failures / count
     interval = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")
-    warnings: list[str] = []
-    if failures == 0:
-        warnings.append(
-            f"no failure in {count} rollouts: the probability is below {interval.high:.2g} "
-            f"with {CONFIDENCE:.0%} confidence, and nothing more is known"
-        )
-    elif failures < 10:
-        warnings.append(f"only {failures} failures were seen: the interval is wide")
     return _estimate(
         rollouts,
         method=method,
@@ -44,7 +39,10 @@ def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
         log10_probability=math.log10(probability) if failures else None,
         std_error=math.sqrt(probability * (1.0 - probability) / count) if failures else None,
         interval=(float(interval.low), float(interval.high)),
-        warnings=warnings,
+        figures=weight_figures(rollouts.log_weight[rollouts.violated]),
+        diagnostics=count_diagnostics(
+            failures=failures, rollouts=count, upper=float(interval.high), confidence=CONFIDENCE
+        ),
     )
 
 
@@ -54,36 +52,30 @@ def importance_sampling_estimate(
     """The average weight of violations, with a log-normal interval."""
     log_weight, violated = rollouts.log_weight, rollouts.violated
     failures = int(violated.sum())
-    if failures == 0:
-        message = (
-            f"no failure in {rollouts.count} rollouts: importance sampling then says "
-            "nothing about the probability, not even an upper bound"
-        )
-        return _estimate(
-            rollouts,
-            method=method,
-            probability=0.0,
-            log10_probability=None,
-            std_error=None,
-            interval=(None, None),
-            warnings=[message],
-            rollouts_simulated=rollouts_simulated,
-        )
+    figures = weight_figures(log_weight[violated])
     log_probability = log_mean_failing_weight(log_weight, violated)
+    log10_probability = log_probability / math.log(10.0) if failures else None
     log_error = log_std_error(log_weight, violated)
     return _estimate(
         rollouts,
         method=method,
         probability=math.exp(log_probability),
-        log10_probability=log_probability / math.log(10.0),
-        std_error=math.exp(log_error),
-        interval=log_normal_interval(
-            log_probability, relative_error=math.exp(log_error - log_probability)
+        log10_probability=log10_probability,
+        std_error=math.exp(log_error) if failures else None,
+        interval=(
+            log_normal_interval(
+                log_probability, relative_error=math.exp(log_error - log_probability)
+            )
+            if failures
+            else (None, None)
         ),
-        warnings=[
-            *weight_warnings(diagnose(log_weight[violated]), failures=failures),
-            *magnitude_warnings(log_probability),
-        ],
+        figures=figures,
+        diagnostics=weight_diagnostics(
+            figures,
+            failures=failures,
+            rollouts=rollouts.count,
+            log10_probability=log10_probability,
+        ),
         rollouts_simulated=rollouts_simulated,
     )
 
@@ -115,28 +107,20 @@ def mixture_estimate(
     final_component = component[frozen]
     unbiased = log_mean_failing_weight(frozen_log_weight, violated[frozen])
     unbiased_error = log_stratified_error(frozen_log_weight, violated[frozen], final_component)
-    if failures == 0:
-        message = (
-            f"no failure in {violated.size} rollouts: importance sampling then says nothing about "
-            "the probability, not even an upper bound"
-        )
-        warnings, interval, log_probability, log_error = [message], (None, None), -math.inf, None
-    else:
-        log_probability = log_mean_failing_weight(log_weight, violated)
+    figures = weight_figures(log_weight[violated])
+    log_probability = log_mean_failing_weight(log_weight, violated)
+    log10_probability = log_probability / math.log(10.0) if failures else None
+    interval, log_error = (None, None), None
+    if failures:
         log_error = log_stratified_error(log_weight, violated, component) + math.log(ADAPTATION)
         interval = log_normal_interval(
             log_probability, relative_error=math.exp(log_error - log_probability)
         )
-        warnings = [
-            *weight_warnings(diagnose(log_weight[violated]), failures=failures),
-            *magnitude_warnings(log_probability),
-        ]
-    diagnostics = diagnose(log_weight[violated])
     nll_mean, nll_log_mean = negative_log_likelihood(log_p[violated])
     return Estimate(
         method=method,
         probability=math.exp(log_probability),
-        log10_probability=log_probability / math.log(10.0) if failures else None,
+        log10_probability=log10_probability,
         std_error=None if log_error is None else math.exp(log_error),
         ci_low=interval[0],
         ci_high=interval[1],
@@ -145,12 +129,17 @@ def mixture_estimate(
         failures=failures,
         nll_mean=nll_mean,
         nll_log_mean=nll_log_mean,
-        ess=diagnostics.ess,
-        pareto_k=diagnostics.pareto_k,
-        max_weight_share=diagnostics.max_weight_share,
+        ess=figures.ess,
+        pareto_k=figures.pareto_k,
+        max_weight_share=figures.max_weight_share,
         unbiased_probability=math.exp(unbiased),
         unbiased_std_error=math.exp(unbiased_error) if violated[frozen].any() else None,
-        warnings=tuple(warnings),
+        diagnostics=weight_diagnostics(
+            figures,
+            failures=failures,
+            rollouts=violated.size,
+            log10_probability=log10_probability,
+        ),
     )
 
 
@@ -192,15 +181,16 @@ def log_normal_interval(
     return math.exp(low), min(math.exp(min(high, 0.0)), 1.0)
 
 
-def magnitude_warnings(log_probability: float) -> Sequence[str]:
-    """What to say of a probability that no double can hold; nothing otherwise."""
-    if log_probability >= SMALLEST_LOG:
-        return ()
-    exponent = log_probability / math.log(10.0)
-    return (
-        f"the probability, 10^{exponent:.2f}, is too small for a floating-point number and shows "
-        "as 0: read log10_probability",
-    )
+def negative_log_likelihood(log_p: FloatArray) -> tuple[float | None, float | None]:
+    """NLL of failing rollouts with log likelihoods ``[M]`` under the error model [nats].
+
+    Returns:
+        The mean of the negative log likelihoods, and the negative log of the mean
+        likelihood: the paper states the first, its code computes the second.
+    """
+    if log_p.size == 0:
+        return None, None
+    return float(-np.mean(log_p)), float(np.log(log_p.size)) - log_sum(log_p)
 
 
 def _estimate(
@@ -211,11 +201,11 @@ def _estimate(
     log10_probability: float | None,
     std_error: float | None,
     interval: tuple[float | None, float | None],
-    warnings: Sequence[str],
+    figures: WeightFigures,
+    diagnostics: tuple[Diagnostic, ...],
     rollouts_simulated: int | None = None,
 ) -> Estimate:
     violated = rollouts.violated
-    diagnostics = diagnose(rollouts.log_weight[violated])
     nll_mean, nll_log_mean = negative_log_likelihood(rollouts.log_p[violated])
     return Estimate(
         method=method,
@@ -229,10 +219,10 @@ def _estimate(
         failures=int(violated.sum()),
         nll_mean=nll_mean,
         nll_log_mean=nll_log_mean,
-        ess=diagnostics.ess,
-        pareto_k=diagnostics.pareto_k,
-        max_weight_share=diagnostics.max_weight_share,
+        ess=figures.ess,
+        pareto_k=figures.pareto_k,
+        max_weight_share=figures.max_weight_share,
         unbiased_probability=probability,
         unbiased_std_error=std_error,
-        warnings=tuple(warnings),
+        diagnostics=diagnostics,
     )

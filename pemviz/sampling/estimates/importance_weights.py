@@ -1,11 +1,29 @@
 """Importance weights in log space; a weight that underflows stays in every average as 0."""
 
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from scipy.special import logsumexp
 
 from pemviz.arrays import BoolArray, FloatArray
+
+MINIMUM_TAIL = 5
+
+
+@dataclass(frozen=True)
+class WeightFigures:
+    """How evenly the failing rollouts' weights are spread; ``None`` where undefined.
+
+    Attributes:
+        ess: See :func:`effective_sample_size`.
+        pareto_k: See :func:`pareto_k_hat`.
+        max_weight_share: See :func:`largest_share`.
+    """
+
+    ess: float | None
+    pareto_k: float | None
+    max_weight_share: float | None
 
 
 def log_sum(log_values: FloatArray) -> float:
@@ -52,3 +70,37 @@ def effective_sample_size(log_weight: FloatArray) -> float:
 def largest_share(log_weight: FloatArray) -> float:
     """Share of the total weight that the largest of ``[M]`` carries, M at least 1."""
     return float(np.exp(np.max(log_weight) - log_sum(log_weight)))
+
+
+def weight_figures(failing_log_weight: FloatArray) -> WeightFigures:
+    """Figures of the log weights ``[M]`` of the failing rollouts; M may be 0."""
+    if failing_log_weight.size == 0:
+        return WeightFigures(ess=None, pareto_k=None, max_weight_share=None)
+    return WeightFigures(
+        ess=effective_sample_size(failing_log_weight),
+        pareto_k=pareto_k_hat(failing_log_weight),
+        max_weight_share=largest_share(failing_log_weight),
+    )
+
+
+def pareto_k_hat(log_weight: FloatArray) -> float | None:
+    """Shape of the generalised Pareto fitted to the largest weights of ``[M]``.
+
+    Pareto smoothed importance sampling (Vehtari, Simpson, Gelman, Yao, Gabry 2024), by
+    arviz-stats. ``None`` where the tail has fewer than five weights, no spread, or more
+    spread than doubles hold.
+    """
+    tail = int(min(log_weight.size // 5, np.ceil(3 * np.sqrt(log_weight.size))))
+    if tail < MINIMUM_TAIL or np.ptp(np.sort(log_weight)[-tail:]) == 0.0:
+        return None
+    from arviz_stats.base.array import array_stats  # noqa: PLC0415  slow to import
+
+    # weights that span more than double precision break the fit: no figure, no warning
+    with np.errstate(all="ignore"):
+        # psislw takes log likelihoods, whose negatives are its log weights
+        try:
+            _, k_hat = array_stats.psislw(-log_weight)
+        except ValueError:  # it finds no spread in a tail that it cuts off elsewhere
+            return None
+    value = float(np.asarray(k_hat))
+    return value if np.isfinite(value) else None

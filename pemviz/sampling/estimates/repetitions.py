@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import stats
 
-from pemviz.sampling.estimates.diagnostics import LARGE_SHARE, RELIABLE_PARETO_K, SMALL_ESS
+from pemviz.sampling.estimates.diagnostics import repetition_diagnostics
 from pemviz.sampling.estimates.estimate import CONFIDENCE, log_normal_interval
 from pemviz.types import Estimate
 
@@ -25,11 +25,12 @@ def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
     error = float(np.std(probabilities, ddof=1)) / math.sqrt(count)
     unbiased, unbiased_error = _unbiased(estimates)
     failures = sum(estimate.failures for estimate in estimates)
+    log10_probability = _mean_log10(estimates)
     low, high = _repetition_interval(estimates, mean=mean, error=error)
     return Estimate(
         method=estimates[0].method,
         probability=mean,
-        log10_probability=_mean_log10(estimates),
+        log10_probability=log10_probability,
         std_error=error if failures else None,
         ci_low=low,
         ci_high=high,
@@ -43,7 +44,7 @@ def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
         max_weight_share=_extreme(max, [e.max_weight_share for e in estimates]),
         unbiased_probability=unbiased,
         unbiased_std_error=unbiased_error if failures else None,
-        warnings=repetition_warnings(estimates),
+        diagnostics=repetition_diagnostics(estimates, log10_probability=log10_probability),
     )
 
 
@@ -103,26 +104,3 @@ def _extreme(
 ) -> float | None:
     known = [value for value in values if value is not None]
     return choose(known) if known else None
-
-
-def repetition_warnings(estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """What is wrong with how many of the repetitions, most serious first."""
-    total = len(estimates)
-    counted = (
-        ("no failure was seen", sum(e.failures == 0 for e in estimates)),
-        (
-            f"one rollout carries over {LARGE_SHARE:.0%} of the weight",
-            sum((e.max_weight_share or 0.0) > LARGE_SHARE for e in estimates),
-        ),
-        (
-            f"a few weights carry the estimate (effective sample size below {SMALL_ESS:g})",
-            sum(e.ess is not None and e.ess < SMALL_ESS for e in estimates),
-        ),
-        (
-            f"the weights' tail is too heavy (Pareto k-hat above {RELIABLE_PARETO_K})",
-            sum((e.pareto_k or 0.0) > RELIABLE_PARETO_K for e in estimates),
-        ),
-    )
-    return tuple(
-        f"in {count} of {total} repetitions {finding}" for finding, count in counted if count
-    )

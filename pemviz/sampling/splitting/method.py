@@ -14,8 +14,8 @@ import numpy as np
 from pemviz.arrays import BoolArray, row_sums
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
-from pemviz.sampling.estimates.diagnostics import negative_log_likelihood
-from pemviz.sampling.estimates.estimate import log_normal_interval
+from pemviz.sampling.estimates.diagnostics import run_diagnostics
+from pemviz.sampling.estimates.estimate import log_normal_interval, negative_log_likelihood
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import Problem, in_time, score
@@ -193,16 +193,11 @@ def _estimate(state: SplittingState, *, name: str) -> Estimate:
     failing = [row_sums(run.scored.rollouts.log_p[run.scored.violated]) for run in state.runs]
     log_p = np.concatenate(failing)
     nll_mean, nll_log_mean = negative_log_likelihood(log_p)
-    warnings: list[str] = []
     died = int(np.isneginf(logs).sum())
-    if died:
-        warnings.append(f"in {died} of {logs.size} runs no particle reached a violation")
     known = died < logs.size
     log_mean = log_sum(logs) - math.log(logs.size) if known else -math.inf
     relative = np.exp(logs - log_mean) if known else np.zeros(logs.size)
     error = float(np.std(relative, ddof=1)) / math.sqrt(logs.size) if logs.size > 1 else None
-    if known and error is None:
-        warnings.append("one run of splitting gives no standard error: ask for at least two")
     interval = (
         log_normal_interval(log_mean, relative_error=error, degrees_of_freedom=logs.size - 1)
         if known and error is not None
@@ -225,5 +220,5 @@ def _estimate(state: SplittingState, *, name: str) -> Estimate:
         max_weight_share=None,
         unbiased_probability=math.exp(log_mean),
         unbiased_std_error=error * math.exp(log_mean) if known and error is not None else None,
-        warnings=tuple(warnings),
+        diagnostics=run_diagnostics(died=died, runs=logs.size),
     )

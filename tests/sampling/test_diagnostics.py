@@ -1,0 +1,296 @@
+"""Diagnostics: what makes each, what it says, and what it makes unreliable."""
+
+import ast
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
+from pemviz.sampling.direct.method import DirectSampling
+from pemviz.sampling.estimates.diagnostics import (
+    FEW_FAILURES,
+    LARGE_SHARE,
+    MEANINGS,
+    RELIABLE_PARETO_K,
+    SMALL_ESS,
+    classified,
+    count_diagnostics,
+    reference_disagreement,
+    run_diagnostics,
+    unlatched,
+    unreliable_because,
+    weight_diagnostics,
+)
+from pemviz.sampling.estimates.estimate import importance_sampling_estimate
+from pemviz.sampling.estimates.importance_weights import WeightFigures
+from pemviz.sampling.estimates.repetitions import summarise_repetitions
+from pemviz.sampling.rollouts.final_batch import WeighedRollouts
+from pemviz.sampling.splitting.method import SplittingSampling
+from pemviz.types import DiagnosticKind
+
+PACKAGE = Path(__file__).resolve().parents[2] / "pemviz"
+
+
+def kinds(estimate):
+    return [one.kind for one in estimate.diagnostics]
+
+
+def weighted(weights, *, rollouts=100, log_scale=0.0):
+    """An estimate from failures with these weights among ``rollouts``."""
+    log_weight = np.full(rollouts, -3.0)
+    log_weight[: len(weights)] = np.log(weights) + log_scale
+    violated = np.arange(rollouts) < len(weights)
+    batch = WeighedRollouts(log_weight=log_weight, log_p=np.full(rollouts, -5.0), violated=violated)
+    return importance_sampling_estimate(batch, method="naive", rollouts_simulated=rollouts)
+
+
+def counted(problem, *, rollouts, seed=0, repetition=0):
+    method = DirectSampling(
+        name="monte-carlo", proposal=PemProposal(), rollouts=rollouts, seed=seed
+    )
+    return _estimate(method, problem, repetition=repetition)
+
+
+def split(problem, *, stages, rollouts=20, repetition=0):
+    method = SplittingSampling(stages=stages, rollouts=rollouts, seed=3)
+    return _estimate(method, problem, repetition=repetition)
+
+
+def _estimate(method, problem, *, repetition):
+    state = method.init(problem, repetition=repetition)
+    while not method.is_done(state):
+        state, _ = method.step(problem, state)
+    return method.estimate(state)
+
+
+def impossible(problem):
+    """No rollout violates, whatever is missed."""
+    return replace(
+        problem,
+        robustness=lambda signals: np.min(signals["gap"], axis=1) + 100.0,
+        violated=lambda signals: np.zeros(signals["gap"].shape[0], dtype=np.bool_),
+    )
+
+
+def test_equal_weights_and_many_failures_are_no_diagnosis(toy_problem):
+    assert kinds(weighted(np.ones(30))) == []
+    assert kinds(counted(toy_problem, rollouts=20_000)) == []
+    assert kinds(split(toy_problem, stages=2, rollouts=200)) == []
+
+
+def test_uneven_weights_with_figures_known_by_hand():
+    """Weights 1 and 29 x 0.01: share 1 / 1.29, effective size 1.29^2 / 1.0029."""
+    found = weighted([1.0, *[0.01] * 29])
+    assert kinds(found) == ["large-weight", "few-effective-samples"]
+    share, ess = found.diagnostics
+    assert (share.value, share.limit) == (pytest.approx(1 / 1.29), 0.2)
+    assert (ess.value, ess.limit) == (pytest.approx(1.29**2 / 1.0029), 10.0)
+    assert share.text == "one rollout carries 78% of the weight: do not quote this number"
+    assert ess.text == (
+        "a few weights carry the estimate: the 30 failures count as 1.7 (effective sample size)"
+    )
+    assert unreliable_because(found) == (
+        "one rollout carries 78% of the weight",
+        "the effective sample size is 1.7",
+    )
+
+
+def test_a_heavy_tail():
+    """4,000 weights from a Pareto tail of index 1.5, whose mean does not exist."""
+    generator = np.random.default_rng(1)
+    weight = 1.0 + stats.genpareto.rvs(1.5, size=4_000, random_state=generator)
+    found = weighted(weight, rollouts=5_000)
+    tail = found.diagnostics[-1]
+    assert (tail.kind, tail.value, tail.limit) == ("heavy-tail", found.pareto_k, 0.7)
+    assert unreliable_because(found)[-1] == f"Pareto k-hat is {found.pareto_k:.2f}"
+
+
+@pytest.mark.parametrize(
+    ("figures", "kind"),
+    [
+        ({"max_weight_share": math.nextafter(LARGE_SHARE, 1.0)}, "large-weight"),
+        ({"ess": math.nextafter(SMALL_ESS, 0.0)}, "few-effective-samples"),
+        ({"pareto_k": math.nextafter(RELIABLE_PARETO_K, 1.0)}, "heavy-tail"),
+    ],
+)
+def test_limits_themselves_are_allowed(figures, kind):
+    at_the_limits = WeightFigures(
+        ess=SMALL_ESS, pareto_k=RELIABLE_PARETO_K, max_weight_share=LARGE_SHARE
+    )
+    asked = {"failures": 40, "rollouts": 100, "log10_probability": -15.0}
+    assert weight_diagnostics(at_the_limits, **asked) == ()
+    (found,) = weight_diagnostics(replace(at_the_limits, **figures), **asked)
+    assert found.kind == kind
+    assert found.value != found.limit
+
+
+def test_limits_are_those_of_the_literature_and_of_the_readme():
+    readme = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+    assert (RELIABLE_PARETO_K, SMALL_ESS, LARGE_SHARE, FEW_FAILURES) == (0.7, 10.0, 0.2, 10)
+    assert f"(below {SMALL_ESS:g}: do not quote it)" in readme
+    assert f"*Pareto k-hat* above {RELIABLE_PARETO_K:g}" in readme
+
+
+def test_a_count_is_reliable_however_few_were_counted(toy_problem):
+    """Its interval is exact; without a failure it is an upper bound."""
+    none, few = counted(toy_problem, rollouts=20), counted(toy_problem, rollouts=3_000)
+    assert (kinds(none), none.failures) == (["no-failure"], 0)
+    assert (kinds(few), 0 < few.failures < 10) == (["few-failures"], True)
+    assert few.warnings == (f"only {few.failures} failures were seen: the interval is wide",)
+    assert unreliable_because(none) == unreliable_because(few) == ()
+    assert none.ci_high is not None
+
+
+def test_nothing_seen_under_weights_says_nothing():
+    found = weighted([])
+    assert kinds(found) == ["no-failure"]
+    assert found.ci_high is None
+    assert unreliable_because(found) == found.warnings
+
+
+def test_runs_of_splitting_that_die_out_or_stand_alone(toy_problem):
+    dead = split(impossible(toy_problem), stages=3)
+    assert kinds(dead) == ["died-out"]
+    assert dead.warnings == ("in 3 of 3 runs no particle reached a violation",)
+    assert dead.diagnostics[0].value == 3.0
+    alone = split(toy_problem, stages=1, rollouts=200)
+    assert kinds(alone) == ["single-run"]
+    assert alone.std_error is None
+    assert unreliable_because(dead)
+    assert unreliable_because(alone)
+
+
+def test_a_probability_below_doubles_is_no_doubt_about_it():
+    found = weighted(np.ones(30), log_scale=-1000.0)
+    assert kinds(found) == ["below-doubles"]
+    assert found.probability == 0.0
+    assert found.diagnostics[0].value == found.log10_probability
+    assert unreliable_because(found) == ()
+
+
+def test_repetitions_count_what_is_wrong_with_how_many():
+    """By hand: the first is even, the second has one large weight, the third no failure."""
+    found = summarise_repetitions(
+        [weighted(np.ones(30)), weighted([1.0, *[0.01] * 20]), weighted([])]
+    )
+    assert found.warnings == (
+        "in 1 of 3 repetitions no failure was seen",
+        "in 1 of 3 repetitions one rollout carries over 20% of the weight",
+        "in 1 of 3 repetitions a few weights carry the estimate (effective sample size below 10)",
+    )
+    assert [one.value for one in found.diagnostics] == [
+        0.0, pytest.approx(1 / 1.2), pytest.approx(1.2**2 / 1.002)
+    ]  # fmt: skip
+    assert unreliable_because(found) == (
+        "in 1 of 3 repetitions no failure was seen",
+        "one rollout carries 83% of the weight",
+        "the effective sample size is 1.4",
+    )
+
+
+def test_repetitions_keep_their_values_the_least_favourable():
+    heavy, heavier = weighted([1.0, *[0.02] * 29]), weighted([1.0, *[0.01] * 29])
+    together = {one.kind: one.value for one in summarise_repetitions([heavy, heavier]).diagnostics}
+    worse = {one.kind: one.value for one in heavier.diagnostics}
+    assert together["large-weight"] == worse["large-weight"]
+    assert together["few-effective-samples"] == worse["few-effective-samples"]
+
+
+def test_repetitions_of_splitting_tell_of_runs_that_died(toy_problem):
+    sound, dead = (split(p, stages=2) for p in (toy_problem, impossible(toy_problem)))
+    found = summarise_repetitions([sound, dead, sound])
+    assert "no particle reached a violation" in " ".join(found.warnings)
+    assert unreliable_because(found)
+
+
+def test_repetitions_of_single_runs_give_the_error_that_one_lacks(toy_problem):
+    found = summarise_repetitions(
+        [split(toy_problem, stages=1, rollouts=200, repetition=r) for r in range(3)]
+    )
+    assert found.std_error is not None
+    assert kinds(found) == []
+
+
+def test_a_mean_below_doubles_says_so():
+    found = summarise_repetitions([weighted(np.ones(30), log_scale=-1000.0)] * 2)
+    assert kinds(found) == ["below-doubles"]
+
+
+def one_of_each_kind():
+    """Kind to its diagnostics, made where methods make them."""
+    figures = WeightFigures(ess=2.0, pareto_k=1.0, max_weight_share=0.5)
+    asked = {"rollouts": 100, "upper": 0.03, "confidence": 0.95}
+    estimate = weighted(np.ones(30))
+    every = [
+        *count_diagnostics(failures=0, **asked),
+        *count_diagnostics(failures=3, **asked),
+        *weight_diagnostics(figures, failures=5, rollouts=100, log10_probability=-400.0),
+        *weight_diagnostics(figures, failures=0, rollouts=100, log10_probability=None),
+        *run_diagnostics(died=1, runs=2),
+        *run_diagnostics(died=0, runs=1),
+        unlatched(),
+        *reference_disagreement(estimate, probability=1e-20, std_error=0.0),
+        *summarise_repetitions([weighted([]), weighted([1.0, *[0.01] * 29])]).diagnostics,
+    ]
+    made = {kind: [one for one in every if one.kind == kind] for kind in get_args(DiagnosticKind)}
+    return {kind: found for kind, found in made.items() if kind != "unclassified"}
+
+
+def test_every_kind_is_made_and_has_a_meaning():
+    assert set(MEANINGS) == set(get_args(DiagnosticKind))
+    assert all(one_of_each_kind().values())
+
+
+def test_older_files_kept_the_texts_alone():
+    """Each text leads to its kind, with the value that the estimate's figures have."""
+    for kind, made in one_of_each_kind().items():
+        for one in made:
+            (found,) = classified([one.text], weighted(np.ones(30)))
+            assert (found.kind, found.text) == (kind, one.text)
+    uneven = weighted([1.0, *[0.01] * 29])
+    assert classified(uneven.warnings, uneven) == uneven.diagnostics
+    (strange,) = classified(["what nobody wrote"], uneven)
+    assert strange.kind == "unclassified"
+
+
+def test_agreement_with_the_reference_within_the_interval_or_three_errors():
+    """30 equal weights of 100: p = 0.3, standard error sqrt(0.3 x 0.7 / 99)."""
+    found = weighted(np.ones(30))
+    error = math.sqrt(0.3 * 0.7 / 99)
+    inside, near, far = 0.3 + error, 0.3 - 2.9 * error, 0.3 + 3.1 * error
+    assert reference_disagreement(found, probability=inside, std_error=0.0) == ()
+    assert found.ci_low > near
+    assert reference_disagreement(found, probability=near, std_error=0.0) == ()
+    (one,) = reference_disagreement(found, probability=far, std_error=0.0)
+    assert (one.value, one.limit) == (pytest.approx(3.1), 3.0)
+    assert reference_disagreement(found, probability=far, std_error=error) == ()
+
+
+def test_no_text_of_the_package_retypes_a_limit():
+    """Outside of the one file, limits in texts are filled in from it."""
+    spoken = re.compile(r"k-hat|effective (sample|rollout)|do not quote|reliable", re.I)
+    limits = re.compile(r"\b(0\.7|10)\b")
+    retyped = [
+        f"{path.relative_to(PACKAGE)}:{node.lineno}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and spoken.search(node.value)
+        and limits.search(node.value)
+    ]
+    assert retyped == []
+
+
+def test_a_proposal_that_never_fails_is_no_count(toy_problem):
+    """The same rollouts without a failure: an upper bound from a count, none from weights."""
+    method = DirectSampling(name="naive", proposal=ConstantProposal(0.9), rollouts=20, seed=0)
+    found = _estimate(method, toy_problem, repetition=0)
+    assert (found.failures, found.ci_high) == (0, None)
+    assert unreliable_because(found)
