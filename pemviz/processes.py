@@ -1,4 +1,4 @@
-"""What processes that work for this one need: one thread each, no signals of the terminal's."""
+"""Processes that work for this one: one pool, with what every user of it needs."""
 
 import contextlib
 import multiprocessing
@@ -6,14 +6,29 @@ import os
 import shutil
 import signal
 import threading
-from collections.abc import Callable, Generator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import ParamSpec, Self, TypeVar
 
+from pemviz.errors import RunError
+
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+DIED = "worker process died: killed, or the machine is out of memory"
+POLL_S = 0.2
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-INTERRUPT = (signal.SIGINT,)
-ALL_STOPS = (signal.SIGINT, signal.SIGTERM)
+STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
 def usable_cpus() -> int:
@@ -39,9 +54,7 @@ def one_thread_each() -> Generator[None, None, None]:
 
 
 @contextlib.contextmanager
-def signals_held_back(
-    numbers: tuple[signal.Signals, ...] = INTERRUPT,
-) -> Generator[None, None, None]:
+def signals_held_back() -> Generator[None, None, None]:
     """Ctrl-C reaches all processes of a terminal, but the parent alone shall act on it.
 
     Processes that are started meanwhile hold the signals back for good, from their first
@@ -50,7 +63,7 @@ def signals_held_back(
     if not hasattr(signal, "pthread_sigmask"):  # as on Windows
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     try:
         yield
     finally:
@@ -76,25 +89,109 @@ def end_with_parent(scratch: Path | None = None) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-@contextlib.contextmanager
-def process_pool(count: int) -> Generator[Callable[..., Future[Any]], None, None]:
-    """Yield what takes a function and its arguments to one of ``count`` processes.
+class ProcessPool:
+    """Processes that work for this one: what every part that wants more than one core uses.
 
-    They are started when they are first needed, ended when the context is left, and end by
-    themselves if this process dies.
+    They are spawned when they are first needed, so that threads and locks of this process are not
+    copied. Each has one thread for linear algebra, holds back the terminal's signals, and ends
+    with the pool, or by itself when this process dies. One that is killed makes what was handed in
+    raise :class:`concurrent.futures.BrokenExecutor`; the pool is of no use then.
     """
-    before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(
-        count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
-    )
 
-    def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        with one_thread_each(), signals_held_back(ALL_STOPS):
-            return pool.submit(function, *arguments)
+    def __init__(self, count: int, *, scratch: Path | None = None) -> None:
+        """Plan for ``count`` processes; none is started yet.
 
-    try:
-        yield submit
-    finally:
-        for child in set(multiprocessing.active_children()) - before:
-            child.kill()
-        pool.shutdown(wait=True, cancel_futures=True)
+        Args:
+            count: How many; at least 1.
+            scratch: A folder to remove if this process dies.
+        """
+        self._processes: list[BaseProcess] = []
+        self._executor = ProcessPoolExecutor(
+            count,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=end_with_parent,
+            initargs=(scratch,),
+        )
+
+    def __enter__(self) -> Self:
+        """The pool itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End all processes."""
+        self.close()
+
+    def submit(
+        self, function: Callable[Given, Returned], *arguments: Given.args, **named: Given.kwargs
+    ) -> Future[Returned]:
+        """Have a process call a module's function; it and its arguments can be pickled."""
+        before = set(multiprocessing.active_children())
+        # a process that stops at the terminal's signals would look like one that died
+        with one_thread_each(), signals_held_back():
+            future = self._executor.submit(function, *arguments, **named)
+        self._processes += set(multiprocessing.active_children()) - before
+        return future
+
+    def close(self) -> None:
+        """End all processes at once, whatever they are at."""
+        for process in self._processes:
+            process.kill()
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+def map_in_processes(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    *,
+    workers: int,
+    on_done: Callable[[int], None] | None = None,
+    check_stop: Callable[[], None] | None = None,
+) -> list[Result]:
+    """The results for all items, in their order, whatever the number of processes.
+
+    Args:
+        function: A module's function; it, items and results can be pickled.
+        items: What it is called with, one after the other.
+        workers: How many processes call it; with 1 this one does.
+        on_done: Told the index of an item when its result is there.
+        check_stop: Called several times a second; what it raises ends all processes at once.
+
+    Raises:
+        RunError: A process died.
+        Exception: What a call raised.
+    """
+    pause = check_stop or _nothing
+    tell = on_done or _nothing
+    if workers == 1 or len(items) <= 1:
+        return [_in_turn(function, i, item, tell, pause) for i, item in enumerate(items)]
+    with ProcessPool(min(workers, len(items))) as pool:
+        futures = {pool.submit(function, item): index for index, item in enumerate(items)}
+        results: dict[int, Result] = {}
+        pending = set(futures)
+        while pending:
+            pause()
+            done, pending = wait(pending, timeout=POLL_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                try:
+                    results[futures[future]] = future.result()
+                except BrokenExecutor as error:
+                    raise RunError(f"a {DIED}") from error
+                tell(futures[future])
+    return [results[index] for index in range(len(items))]
+
+
+def _in_turn(
+    function: Callable[[Item], Result],
+    index: int,
+    item: Item,
+    tell: Callable[[int], None],
+    pause: Callable[[], None],
+) -> Result:
+    pause()
+    result = function(item)
+    tell(index)
+    return result
+
+
+def _nothing(*_: object) -> None:
+    """Nobody asked to be told."""

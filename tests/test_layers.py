@@ -35,6 +35,7 @@ ONLY_IN = {
     "dask": "sweep",
     "distributed": "sweep",
     "pyarrow": "sweep",
+    "multiprocessing": "processes",
 }
 
 
@@ -85,7 +86,7 @@ def test_imports_point_one_way(path):
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_optional_libraries_are_imported_in_one_place(path):
+def test_some_libraries_are_imported_in_one_place(path):
     for name in imported(path):
         home = ONLY_IN.get(name.split(".")[0])
         assert home is None or part_of(path) == home, f"{name} belongs in {home}"

@@ -3,9 +3,7 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from scipy import stats
 
 from pemviz.config import ExperimentConfig, MethodName
 from pemviz.errors import InputError
+from pemviz.processes import map_in_processes
 from pemviz.runs.experiment import build_experiment, build_method
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
@@ -134,19 +133,18 @@ def measure(
     """Run every case with ``seeds`` seeds, in ``workers`` processes.
 
     The outcomes do not depend on the number of workers.
+
+    Raises:
+        RunError: A process died.
     """
     jobs = [
         (case, tuple(range(start, min(start + SEEDS_PER_JOB, first_seed + seeds))))
         for case in cases
         for start in range(first_seed, first_seed + seeds, SEEDS_PER_JOB)
     ]
-    if workers == 1:
-        found = [_run_job(job) for job in jobs]
-    else:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            found = list(pool.map(_run_job, jobs))
+    parts = map_in_processes(_run_job, jobs, workers=workers)
     outcomes: dict[Case, list[Outcome]] = {case: [] for case in cases}
-    for (case, _), part in zip(jobs, found, strict=True):
+    for (case, _), part in zip(jobs, parts, strict=True):
         outcomes[case].extend(part)
     return outcomes
 

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from pemviz.errors import ConfigError
-from pemviz.processes import process_pool
+from pemviz.processes import ProcessPool
 from pemviz.runs.experiment import Experiment
 from pemviz.sampling.rollouts.worker_batches import PooledRunner
 from pemviz.sweep.cluster import cluster_pool
@@ -54,8 +54,8 @@ def with_workers(
         with cluster_pool(scheduler) as (submit, count):
             yield _simulated_by(experiment, PooledRunner(submit, count))
     elif workers is not None and workers > 1:
-        with process_pool(workers) as submit:
-            yield _simulated_by(experiment, PooledRunner(submit, workers))
+        with ProcessPool(workers) as pool:
+            yield _simulated_by(experiment, PooledRunner(pool.submit, workers))
     else:
         yield experiment
 

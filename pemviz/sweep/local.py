@@ -1,41 +1,31 @@
 """Runs on a few processes of this machine."""
 
-import multiprocessing
 import shutil
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
-from multiprocessing.process import BaseProcess
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from pemviz.errors import RunError
-from pemviz.processes import ALL_STOPS, end_with_parent, one_thread_each, signals_held_back
+from pemviz.processes import DIED, ProcessPool
 from pemviz.sweep.runs import RunOutcome, RunTask, carry_out
 
-DIED = "its worker process died: killed, or the machine is out of memory"
 SCRATCH_PREFIX = "pemviz-sweep-"
 
 
-@dataclass
-class _Slot:
-    """One process, so that it is known whose death failed which run."""
-
-    pool: ProcessPoolExecutor
-    processes: list[BaseProcess] = field(default_factory=list[BaseProcess])
-
-
 class LocalWorkers:
-    """Processes that are started when they are first needed, and anew if they die."""
+    """Processes that are started when they are first needed, and anew if they die.
+
+    Each is a pool of its own, so that it is known whose death failed which run.
+    """
 
     def __init__(self, count: int) -> None:
         """Plan for ``count`` processes; none is started yet."""
         self._count = count
-        self._idle: list[_Slot] = []
-        self._busy: dict[Future[RunOutcome], tuple[_Slot, RunTask]] = {}
+        self._idle: list[ProcessPool] = []
+        self._busy: dict[Future[RunOutcome], tuple[ProcessPool, RunTask]] = {}
         self._scratch: Path | None = None
 
     def __enter__(self) -> Self:
@@ -54,9 +44,8 @@ class LocalWorkers:
         traceback: TracebackType | None,
     ) -> None:
         """Kill the processes and remove the folder."""
-        slots = [*self._idle, *(slot for slot, _ in self._busy.values())]
-        for slot in slots:
-            _end(slot)
+        for pool in [*self._idle, *(pool for pool, _ in self._busy.values())]:
+            pool.close()
         self._idle, self._busy = [], {}
         if self._scratch is not None:
             shutil.rmtree(self._scratch, ignore_errors=True)
@@ -68,13 +57,8 @@ class LocalWorkers:
 
     def submit(self, task: RunTask) -> None:
         """Give the run to a process that has none."""
-        slot = self._idle.pop() if self._idle else self._new_slot()
-        before = set(multiprocessing.active_children())
-        # a process that stops at the terminal's signals would look like one that died
-        with one_thread_each(), signals_held_back(ALL_STOPS):
-            future = slot.pool.submit(carry_out, task, scratch=self._scratch)
-        slot.processes += set(multiprocessing.active_children()) - before
-        self._busy[future] = (slot, task)
+        pool = self._idle.pop() if self._idle else ProcessPool(1, scratch=self._scratch)
+        self._busy[pool.submit(carry_out, task, scratch=self._scratch)] = (pool, task)
 
     def finished(self, *, timeout_s: float) -> Sequence[RunOutcome]:
         """The outcomes since the last call, waiting for one if need be."""
@@ -82,26 +66,11 @@ class LocalWorkers:
         return [self._outcome(future) for future in done]
 
     def _outcome(self, future: Future[RunOutcome]) -> RunOutcome:
-        slot, task = self._busy.pop(future)
+        pool, task = self._busy.pop(future)
         try:
             outcome = future.result()
-        except BrokenProcessPool:
-            _end(slot)
-            return RunOutcome(task.name, message=DIED)
-        self._idle.append(slot)
+        except BrokenExecutor:
+            pool.close()
+            return RunOutcome(task.name, message=f"its {DIED}")
+        self._idle.append(pool)
         return outcome
-
-    def _new_slot(self) -> _Slot:
-        pool = ProcessPoolExecutor(
-            1,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=end_with_parent,
-            initargs=(self._scratch,),
-        )
-        return _Slot(pool)
-
-
-def _end(slot: _Slot) -> None:
-    for process in slot.processes:
-        process.kill()
-    slot.pool.shutdown(wait=True, cancel_futures=True)

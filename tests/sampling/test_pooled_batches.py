@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.processes import process_pool
+from pemviz.processes import ProcessPool
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.batches import SimulationError
@@ -48,8 +48,8 @@ def test_pieces_put_together_are_the_serial_rollouts(toy_problem, workers, batch
 
 def test_real_processes_give_the_serial_rollouts_and_end(toy_problem):
     problem = replace(toy_problem, batch_rollouts=10, pem_logit=ConstantPem(0.1).logit)
-    with process_pool(2) as submit:
-        pooled = drawn(replace(problem, run_batches=PooledRunner(submit, 2)))
+    with ProcessPool(2) as pool:
+        pooled = drawn(replace(problem, run_batches=PooledRunner(pool.submit, 2)))
     assert_same(pooled, drawn(problem))
     assert multiprocessing.active_children() == []
 
@@ -77,8 +77,8 @@ def test_stopping_calls_back_what_was_handed_in(toy_problem):
 
 def test_a_worker_that_is_killed_fails_the_batch_in_one_line(toy_problem):
     problem = replace(toy_problem, pem_logit=ConstantPem(0.1).logit)
-    with process_pool(1) as submit:
-        runner = PooledRunner(lambda function, *rest: submit(time.sleep, 60), 1)
+    with ProcessPool(1) as pool:
+        runner = PooledRunner(lambda function, *rest: pool.submit(time.sleep, 60), 1)
         killer = threading.Thread(target=kill_first_child)
         killer.start()
         with pytest.raises(SimulationError, match="a worker process died"):

@@ -10,10 +10,11 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import RunError
+from pemviz.processes import DIED
 from pemviz.sweep.carry_out import ATTEMPTS, carry_out_runs, finished_before
 from pemviz.sweep.fields import parse_variation
 from pemviz.sweep.folders import write_folder
-from pemviz.sweep.local import DIED, LocalWorkers
+from pemviz.sweep.local import LocalWorkers
 from pemviz.sweep.model_files import ModelFiles
 from pemviz.sweep.plan import make_plan
 from pemviz.sweep.runs import RunOutcome, carry_out, task_of
@@ -144,7 +145,7 @@ def test_a_process_that_is_killed_costs_one_attempt_of_its_own_run(tmp_path):
         killer.start()
         states = driven(tmp_path, plan, workers, reports=reports)
         killer.join()
-    assert [report.state.message for report in reports if report.again] == [DIED]
+    assert [report.state.message for report in reports if report.again] == [f"its {DIED}"]
     assert {state.status for state in states.values()} == {"done"}
     for run in plan.runs:
         alone = carry_out(task_of(run, model=ModelFiles(), keep="results"))

@@ -1,9 +1,8 @@
 """Cross-validated scores of every kind of model: the paper's Table I and beyond."""
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
+from itertools import count
 from time import perf_counter
 
 import numpy as np
@@ -16,6 +15,7 @@ from pemviz.pem.fitting.fit import ModelKind, fit_pem
 from pemviz.pem.judging.scores import ReliabilityBin, Scores, calibration_error, reliability, score
 from pemviz.pem.judging.support import DISTANCE_EDGES_M, band_in_words
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN
+from pemviz.processes import map_in_processes
 
 PAPER_TABLE_1: dict[ModelKind, tuple[float, float]] = {
     "guess-mu": (0.260, 0.5),
@@ -95,21 +95,30 @@ def cross_validate(
         workers: how many folds are fitted at once, each in a process of its own if above 1;
             the result is the same.
         on_progress: told (folds done, folds in all).
+
+    Raises:
+        PemError: fewer obstacles of one outcome than folds.
+        RunError: a process died.
     """
     splits = split_folds(table, folds=folds)
     tasks = [
         _Fold(table, train, held_out, model, seed + index)
         for index, (train, held_out) in enumerate(splits)
     ]
+    done = count(1)
+
+    def tell(index: int) -> None:  # noqa: ARG001
+        if on_progress is not None:
+            on_progress(next(done), folds)
+
     logit = np.empty(len(table))
     scores: list[Scores] = []
     fit_s = 0.0
-    for (_, held_out), (of_fold, fold_s) in zip(splits, _answers(tasks, workers), strict=True):
+    answers = map_in_processes(_Fold.answer, tasks, workers=workers, on_done=tell)
+    for (_, held_out), (of_fold, fold_s) in zip(splits, answers, strict=True):
         logit[held_out] = of_fold
         scores.append(score(of_fold, table.detected[held_out]))
         fit_s += fold_s / folds
-        if on_progress is not None:
-            on_progress(len(scores), folds)
     bins = reliability(logit, table.detected)
     return ModelEvaluation(
         model=model,
@@ -140,15 +149,6 @@ class _Fold:
         pem = fit_pem(self.table.take(self.train), model=self.model, seed=self.seed)
         fit_s = perf_counter() - started
         return pem.logit(self.table.salient[self.held_out]), fit_s
-
-
-def _answers(tasks: Sequence[_Fold], workers: int) -> Iterator[tuple[FloatArray, float]]:
-    """The folds' answers in order; fresh processes, because torch does not survive a fork."""
-    if workers == 1:
-        yield from (task.answer() for task in tasks)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_Fold.answer, tasks)
 
 
 def card_scores(evaluation: ModelEvaluation) -> dict[str, float]:

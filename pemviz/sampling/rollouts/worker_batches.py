@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pemviz.processes import DIED
 from pemviz.sampling.rollouts.batches import BatchTask, SimulationError
 from pemviz.sampling.rollouts.draw import LogitFunction, simulate
 from pemviz.types import RolloutBatch, Simulator
@@ -52,8 +53,7 @@ class PooledRunner:
                 yield _joined(ahead[0])
                 ahead.popleft()
         except BrokenExecutor as error:
-            message = "a worker process died: killed, or the machine is out of memory"
-            raise SimulationError(message) from error
+            raise SimulationError(f"a {DIED}") from error
         finally:
             for piece in (piece for pieces in ahead for piece in pieces):
                 piece.cancel()

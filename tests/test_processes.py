@@ -1,0 +1,104 @@
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import BrokenExecutor
+
+import pytest
+
+from pemviz.errors import RunError
+from pemviz.processes import ONE_THREAD, STOPS, ProcessPool, map_in_processes
+
+
+def slowest_first(value):
+    time.sleep(0.2 if value == 0 else 0.0)
+    return -value
+
+
+def surroundings(_):
+    """What a process sees: signals held back, threads for linear algebra."""
+    held_back = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    return set(STOPS) <= held_back, {os.environ.get(name) for name in ONE_THREAD}
+
+
+def leave(value):
+    os._exit(value)
+
+
+def sleep_after_telling(seconds):
+    print("working", flush=True)
+    time.sleep(seconds)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_results_are_in_the_items_order_and_each_is_told_once(workers):
+    told = []
+    results = map_in_processes(slowest_first, range(4), workers=workers, on_done=told.append)
+    assert results == [0, -1, -2, -3]
+    assert sorted(told) == [0, 1, 2, 3]
+    assert multiprocessing.active_children() == []
+
+
+def test_processes_hold_signals_back_and_have_one_thread_while_the_parent_keeps_its_own():
+    before = surroundings(None)
+    assert map_in_processes(surroundings, range(2), workers=2) == [(True, {"1"})] * 2
+    assert surroundings(None) == before
+
+
+def test_a_process_that_dies_is_one_line():
+    with pytest.raises(RunError, match="a worker process died") as caught:
+        map_in_processes(leave, (3, 4), workers=2)
+    assert "\n" not in str(caught.value)
+    assert multiprocessing.active_children() == []
+
+
+def test_a_request_to_stop_ends_processes_at_once():
+    """Long before they would be done: they are killed, not waited for."""
+    began_s = time.monotonic()
+
+    def check_stop():
+        if len(multiprocessing.active_children()) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        map_in_processes(time.sleep, (600.0, 600.0), workers=2, check_stop=check_stop)
+    assert time.monotonic() - began_s < 300.0
+    assert multiprocessing.active_children() == []
+
+
+def test_the_death_of_one_pools_process_leaves_the_others_alone():
+    with ProcessPool(1) as one, ProcessPool(1) as other:
+        dying, living = one.submit(leave, 3), other.submit(slowest_first, 0)
+        with pytest.raises(BrokenExecutor):
+            dying.result()
+        assert living.result() == 0
+        one.close()
+        assert other.submit(slowest_first, 1).result() == -1
+
+
+PARENT = """
+import time
+from pemviz.processes import ProcessPool
+from tests.test_processes import sleep_after_telling
+if __name__ == "__main__":
+    with ProcessPool(1) as pool:
+        pool.submit(sleep_after_telling, 600).result()
+"""
+
+
+def test_processes_end_when_their_parent_is_killed(tmp_path, request):
+    began_s = time.monotonic()
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT, encoding="utf-8")
+    with subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        env={**os.environ, "PYTHONPATH": str(request.config.rootpath)},
+    ) as parent:  # fmt: skip
+        assert parent.stdout is not None
+        assert parent.stdout.readline().strip() == "working"
+        parent.kill()
+        # The child holds the pipe's other end too: the pipe is at its end once both have ended.
+        assert parent.stdout.read() == ""
+    assert time.monotonic() - began_s < 300.0
