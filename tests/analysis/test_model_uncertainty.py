@@ -15,6 +15,7 @@ from pemviz.analysis.model_uncertainty import (
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.runs.engine import run_experiment
+from pemviz.runs.judge import run_diagnostics
 from pemviz.sampling.problem import sample
 from tests.toy import ConstantPem, MissCounter, exact_failure_probability
 
@@ -88,7 +89,8 @@ def test_the_reference_stands_beside_the_estimate():
     assert result.reference is not None
     # exact recursion over the reachable states: log mu = -32.3785
     assert math.log(result.reference.probability) == pytest.approx(-32.3785, abs=0.002)
-    assert any("trust the reference" in warning for warning in result.warnings)
+    assert "trust the reference" in result.warnings[-1]
+    assert run_diagnostics(result)[-1].text == result.warnings[-1]
 
 
 def test_a_model_without_counts_is_said_to_have_none(scored):

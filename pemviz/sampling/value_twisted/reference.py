@@ -1,20 +1,16 @@
 """The reference: the answer to compare other estimates with."""
 
-import math
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
 from pemviz.sampling.value_twisted.reachable_states import explore, solve
-from pemviz.types import Estimate, Simulator
+from pemviz.types import Simulator
 
 REFERENCE_ROLLOUTS = 20_000
 REFERENCE_SEED = 2**62 + 5
 REFERENCE_LAYER = 1_000_000
 REFERENCE_DEFENSIVE_STEPS = 0.2
-AGREEMENT_ERRORS = 3.0
 
 
 @dataclass(frozen=True)
@@ -81,22 +77,3 @@ def exact_log_probability(problem: Problem, *, twin: Simulator) -> float | None:
     if not all(layer.exact for layer in layers):
         return None
     return solve(layers, pause=problem.pause).log_probability
-
-
-def agreement_warning(estimate: Estimate, known: Reference) -> str | None:
-    """What to say where an estimate and the reference disagree; ``None`` where they agree.
-
-    They agree if the reference lies in the estimate's interval, or within three of their
-    joint standard errors.
-    """
-    low, high = estimate.ci_low, estimate.ci_high
-    if low is not None and high is not None and low <= known.probability <= high:
-        return None
-    joint = math.hypot(estimate.std_error or 0.0, known.std_error)
-    if abs(estimate.probability - known.probability) <= AGREEMENT_ERRORS * joint:
-        return None
-    ratio = estimate.probability / known.probability if known.probability else np.inf
-    return (
-        f"the estimate is {ratio:.2g} times the reference {known.probability:.3g} and its interval "
-        "does not contain it: trust the reference"
-    )

@@ -1,0 +1,142 @@
+"""What a run's result means: causes, other models' answers, thin data, the reference.
+
+Nothing here changes what it is given: a run hands over what it has found so far and keeps what
+comes back.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from pemviz.analysis.explanation import explain
+from pemviz.analysis.model_uncertainty import (
+    ENOUGH_FAILURES,
+    data_bound,
+    extrapolation_warnings,
+    member_estimates,
+    model_interval,
+)
+from pemviz.pem.judging.reweight import MemberEstimates
+from pemviz.runs.experiment import Experiment
+from pemviz.runs.result import RunResult, StageSummary
+from pemviz.sampling.estimates.diagnostics import reference_disagreement
+from pemviz.sampling.value_twisted.reference import reference
+from pemviz.types import Diagnostic, StageResult
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A result with what it means, as far as a run has come.
+
+    Attributes:
+        result: The result.
+        members: The answers of the error model's ensemble on which ``result.pem_interval``
+            rests, one for each part of a final batch that was asked.
+    """
+
+    result: RunResult
+    members: tuple[MemberEstimates, ...] = ()
+
+
+def judge(judged: Judged, *, experiment: Experiment, stage: StageResult) -> Iterator[Judged]:
+    """Judge a finished stage; only final rollouts that carry weights say something.
+
+    Yields what is known after each step, so that a run that is stopped within a long one keeps
+    those before.
+
+    Args:
+        judged: All before; its result has the stage's summary already.
+        experiment: What is run; its problem's ``pause`` may raise to stop.
+        stage: The stage with its rollouts.
+    """
+    if stage.kind != "final" or not experiment.has_likelihood_ratios:
+        return
+    for step in (_explained, _asked_of_members, _compared_with_data):
+        judged = step(judged, experiment, stage)
+        yield judged
+
+
+def _explained(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
+    """Of a final batch in parts, the part with most failures explains best."""
+    if any(part.failures >= stage.failures for part in _parts_before(judged.result, stage)):
+        return judged
+    explanation = explain(
+        stage,
+        features=experiment.features,
+        farthest_m=experiment.back_end.farthest_m,
+        target=experiment.config.target,
+    )
+    if explanation is None:
+        return judged
+    return replace(judged, result=replace(judged.result, explanation=explanation))
+
+
+def _asked_of_members(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
+    """The answers of the ensemble's models, from as many failures as are enough."""
+    result, ensemble = judged.result, experiment.ensemble
+    before = sum(part.failures for part in _parts_before(result, stage))
+    if ensemble is None or before >= ENOUGH_FAILURES:
+        return judged
+    simulator = experiment.problem.simulator
+    found = member_estimates(stage.scored, simulator=simulator, ensemble=ensemble)
+    members = (*judged.members, found)
+    if any(part.failures for part in result.stages if part.kind == "final"):
+        result = replace(result, pem_interval=model_interval(members))
+    return Judged(result=result, members=members)
+
+
+def _compared_with_data(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
+    """Once a run: where the model extrapolates, and what its data alone allow."""
+    if judged.result.warnings:
+        return judged
+    problem, pem = experiment.problem, experiment.pem
+    warnings = extrapolation_warnings(stage.scored, simulator=problem.simulator, pem=pem)
+    bound = None
+    if experiment.twin is not None:
+        twin = replace(problem, simulator=experiment.twin)
+        bound = data_bound(twin, pem=pem, seed=experiment.config.seed)
+    if bound is not None:
+        warnings = (
+            *warnings,
+            "the training data alone, without the model's guesses, allow a failure "
+            f"probability up to {bound.probability:.1g} ({bound.confidence:.0%})",
+        )
+    return replace(judged, result=replace(judged.result, warnings=warnings, data_bound=bound))
+
+
+def _parts_before(result: RunResult, stage: StageResult) -> list[StageSummary]:
+    """Earlier parts of the same repetition's final batch."""
+    return [
+        part
+        for part in result.stages
+        if (part.repetition, part.kind) == (stage.repetition, "final") and part.stage < stage.stage
+    ]
+
+
+def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A finished result with the reference, if it is asked for; a warning if they disagree.
+
+    Args:
+        result: With the estimate of all repetitions.
+        experiment: What was run; its problem's ``pause`` may raise to stop.
+    """
+    twin = experiment.twin
+    if not experiment.config.reference or result.estimate is None or twin is None:
+        return result
+    compared = replace(result, reference=reference(experiment.problem, twin=twin))
+    disagreement = tuple(one.text for one in _disagreement(compared))
+    return replace(compared, warnings=(*result.warnings, *disagreement))
+
+
+def run_diagnostics(result: RunResult) -> tuple[Diagnostic, ...]:
+    """What is wrong with a run's answer: with its estimate, and beside the reference."""
+    own = () if result.estimate is None else result.estimate.diagnostics
+    return (*own, *_disagreement(result))
+
+
+def _disagreement(result: RunResult) -> tuple[Diagnostic, ...]:
+    estimate, known = result.estimate, result.reference
+    if estimate is None or known is None:
+        return ()
+    return tuple(
+        reference_disagreement(estimate, probability=known.probability, std_error=known.std_error)
+    )

@@ -1,0 +1,170 @@
+"""What a result means, from stages that are handed over one by one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.analysis.explanation import explain
+from pemviz.analysis.model_uncertainty import member_estimates, model_interval
+from pemviz.config import ExperimentConfig
+from pemviz.runs.engine import run, run_experiment
+from pemviz.runs.events import StageDone
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.judge import Judged, beside_reference, judge, run_diagnostics
+from pemviz.runs.result import with_stage
+from pemviz.sampling.method import final_stage
+from pemviz.sampling.value_twisted.reference import Reference
+
+CONFIG = ExperimentConfig(method="naive", final_rollouts=60)
+
+
+class Stages:
+    """Keeps the stages of a run, and the result before the first."""
+
+    def __init__(self):
+        self.done, self.empty = [], None
+
+    def notify(self, event):
+        if self.empty is None:
+            self.empty = event.result
+        if isinstance(event, StageDone):
+            self.done.append(event.stage)
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return build_experiment(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def heard(experiment):
+    stages = Stages()
+    run(experiment, observers=[stages])
+    return stages
+
+
+@pytest.fixture(scope="module")
+def part(heard):
+    """Makes a part of a final batch, with so many violations, of 40 rollouts."""
+    (whole,) = heard.done
+    violating = np.flatnonzero(whole.scored.violated)
+
+    def make(*, failures, stage, repetition=0):
+        # rollouts may stand twice: a part of its own has 40 of the whole's 60
+        rollouts = np.r_[violating[stage : stage + failures], [0] * (40 - failures)]
+        scored = whole.scored.take(rollouts)
+        violated = np.arange(40) < failures
+        return final_stage(
+            repetition=repetition,
+            stage=stage,
+            scored=replace(scored, violated=violated),
+            sampled_from=whole.sampled_from,
+        )
+
+    return make
+
+
+def judged_after(stages, *, experiment, empty):
+    judged = Judged(empty)
+    for stage in stages:
+        judged = replace(judged, result=with_stage(judged.result, stage))
+        for found in judge(judged, experiment=experiment, stage=stage):
+            judged = found
+    return judged
+
+
+def explanation_of(stage, experiment):
+    return explain(
+        stage,
+        features=experiment.features,
+        farthest_m=experiment.back_end.farthest_m,
+        target=None,
+    )
+
+
+@pytest.mark.parametrize(
+    ("failures", "best"), [((2, 9, 5), 1), ((9, 9, 2), 0), ((0, 0, 3), 2), ((7, 0, 0), 0)]
+)
+def test_the_part_with_most_failures_explains_the_first_of_equals(
+    experiment, heard, part, failures, best
+):
+    stages = [part(failures=count, stage=stage) for stage, count in enumerate(failures)]
+    found = judged_after(stages, experiment=experiment, empty=heard.empty).result
+    assert found.explanation == explanation_of(stages[best], experiment)
+    assert found.explanation is not None
+
+
+def test_the_last_repetition_with_a_failure_explains(experiment, heard, part):
+    stages = [
+        part(failures=9, stage=0),
+        part(failures=2, stage=0, repetition=1),
+        part(failures=0, stage=0, repetition=2),
+    ]
+    found = judged_after(stages, experiment=experiment, empty=heard.empty).result
+    assert found.explanation == explanation_of(stages[1], experiment)
+    assert found.explanation.repetition == 1
+
+
+def test_other_models_answer_for_all_parts_together(experiment, heard, part):
+    stages = [part(failures=4, stage=0), part(failures=9, stage=1)]
+    judged = judged_after(stages, experiment=experiment, empty=heard.empty)
+    simulator, ensemble = experiment.problem.simulator, experiment.ensemble
+    each = [
+        member_estimates(stage.scored, simulator=simulator, ensemble=ensemble) for stage in stages
+    ]
+    assert judged.result.pem_interval == model_interval(each)
+    for found, expected in zip(judged.members, each, strict=True):
+        np.testing.assert_array_equal(found.log_mu, expected.log_mu)
+
+
+def test_a_step_changes_nothing_that_it_was_given(experiment, heard, part):
+    stage = part(failures=5, stage=0)
+    before = Judged(with_stage(heard.empty, stage))
+    first, second = (list(judge(before, experiment=experiment, stage=stage)) for _ in range(2))
+    assert before.result.explanation is None
+    assert before.members == ()
+    assert first[-1].result == second[-1].result
+    assert [found.result.explanation is not None for found in first] == [True] * 3
+    assert [found.result.pem_interval is not None for found in first] == [False, True, True]
+    assert [bool(found.result.warnings) for found in first] == [False, False, True]
+
+
+def test_what_learns_or_carries_no_weights_says_nothing(experiment, heard, part):
+    stage, splitting = part(failures=5, stage=0), replace(CONFIG, method="splitting")
+    judged = Judged(with_stage(heard.empty, stage))
+    learned = replace(stage, kind="learn")
+    unweighted = build_experiment(splitting)
+    assert list(judge(judged, experiment=experiment, stage=learned)) == []
+    assert list(judge(judged, experiment=unweighted, stage=stage)) == []
+
+
+def test_a_stop_keeps_the_steps_before(experiment):
+    """The third pause after the stage is within the data's bound."""
+    stages, asked = Stages(), []
+
+    def should_stop():
+        asked.extend([True] * bool(stages.done))
+        return len(asked) == 3
+
+    found = run(experiment, observers=[stages], should_stop=should_stop)
+    assert found.status == "stopped"
+    assert found.explanation is not None
+    assert found.pem_interval is not None
+    assert found.warnings == ()
+    assert found.data_bound is None
+
+
+def test_disagreement_with_the_reference_is_a_diagnostic_of_the_run():
+    result = run_experiment(CONFIG)
+    assert run_diagnostics(result) == result.estimate.diagnostics
+    far = Reference(1e-9, std_error=1e-12, log10_probability=-9.0)
+    *own, last = run_diagnostics(replace(result, reference=far))
+    assert tuple(own) == result.estimate.diagnostics
+    assert last.kind == "reference-disagrees"
+    agreeing = Reference(result.estimate.probability, 0.0, result.estimate.log10_probability)
+    assert run_diagnostics(replace(result, reference=agreeing)) == result.estimate.diagnostics
+
+
+def test_no_reference_is_computed_unasked(experiment, heard):
+    assert beside_reference(heard.empty, experiment=experiment) is heard.empty
