@@ -48,7 +48,7 @@ def toy_problem() -> Problem:
     """Six steps, a miss with probability 0.1 each; four misses or more violate."""
     return Problem(
         simulator=MissCounter(states=7),
-        pem_logit=constant_pem(detection_probability=0.9),
+        pem=constant_pem(detection_probability=0.9),
         robustness=lambda signals: np.min(signals["gap"], axis=1),
         violated=lambda signals: np.min(signals["gap"], axis=1) < 0.0,
     )

@@ -1,7 +1,7 @@
 """A scenario whose failure probability is a binomial tail."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,9 +35,20 @@ class MissCounter:
         return signals["gap"][..., None]
 
 
+@dataclass(frozen=True)
+class FunctionPem:
+    """An error model that is nothing but its logit."""
+
+    logit: Callable[[np.ndarray], np.ndarray]
+    name: str = "function"
+    digest: str = ""
+    data: str = "nothing"
+    licence: str = "none"
+
+
 def constant_pem(*, detection_probability: float):
     logit = np.log(detection_probability) - np.log1p(-detection_probability)
-    return lambda salient: np.full(salient.shape[:-1], logit)
+    return FunctionPem(lambda salient: np.full(salient.shape[:-1], logit))
 
 
 def exact_failure_probability(*, steps: int, miss_probability: float) -> float:

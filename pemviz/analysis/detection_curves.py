@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, FloatArray
-from pemviz.sampling.rollouts.draw import LogitFunction
+from pemviz.pem import Pem
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
 GAP = "gap"
@@ -42,16 +42,16 @@ def gap_grid(simulator: Simulator) -> FloatArray:
     return np.linspace(0.0, end_m, round(end_m / STEP_M) + 1)
 
 
-def pem_curve(*, simulator: Simulator, pem_logit: LogitFunction, gap_m: FloatArray) -> FloatArray:
+def pem_curve(*, simulator: Simulator, pem: Pem, gap_m: FloatArray) -> FloatArray:
     """P(detected) ``[G]`` of the perception error model at gaps ``[G]``, else as at the start."""
     states = initial_states(simulator, gap_m=gap_m)
-    return np.asarray(expit(pem_logit(simulator.salient(states.signals))), dtype=np.float64)
+    return np.asarray(expit(pem.logit(simulator.salient(states.signals))), dtype=np.float64)
 
 
 def detection_curves(
     *,
     simulator: Simulator,
-    pem_logit: LogitFunction,
+    pem: Pem,
     proposal: Proposal,
     gap_m: FloatArray,
     rollouts: RolloutBatch | None = None,
@@ -61,7 +61,7 @@ def detection_curves(
 
     Args:
         simulator: Gives salient variables and the states' layout.
-        pem_logit: The perception error model.
+        pem: The perception error model.
         proposal: The proposal.
         gap_m: Ascending gaps ``[G]`` [m].
         rollouts: Whose states a proposal of more than the gap is averaged over; without any,
@@ -69,7 +69,7 @@ def detection_curves(
         rollout_weight: Weights ``[N]`` of the rollouts in that average; equal if ``None``.
     """
     states = initial_states(simulator, gap_m=gap_m)
-    pem_logits = np.asarray(pem_logit(simulator.salient(states.signals)), dtype=np.float64)
+    pem_logits = np.asarray(pem.logit(simulator.salient(states.signals)), dtype=np.float64)
     probability = _probability(proposal, states, pem_logits)
     if rollouts is not None and not _needs_gap_alone(simulator, proposal, rollouts):
         probability = mean_near_gaps(

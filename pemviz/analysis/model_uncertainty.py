@@ -119,14 +119,14 @@ class DataBound:
     confidence: float
 
 
-def data_bound(problem: Problem, *, pem: Pem, seed: int) -> DataBound | None:
+def data_bound(problem: Problem, *, seed: int) -> DataBound | None:
     """Bound the failure probability by the training data's counts alone.
 
     The exact (Clopper-Pearson) upper bound of P(missed) in each distance band, and certain
     misses where there is no data, make a model of their own; plain Monte Carlo carries it to
     the failure probability. ``None`` for a model without counts.
     """
-    support = support_of(pem)
+    support = support_of(problem.pem)
     if support is None:
         return None
     simulator = problem.simulator
@@ -135,7 +135,7 @@ def data_bound(problem: Problem, *, pem: Pem, seed: int) -> DataBound | None:
     visited = simulator.salient(replay(simulator=simulator, detected=outcomes))
     bound = data_bound_pem(visited, support=support, confidence=CONFIDENCE)
     batches = sample_batches(
-        replace(problem, pem_logit=bound.logit),
+        replace(problem, pem=bound),
         proposal=PemProposal(),
         count=DATA_BOUND_ROLLOUTS,
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),

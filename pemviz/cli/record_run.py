@@ -83,7 +83,6 @@ def _recorder(
     yield (
         Recorder(
             written,
-            pem_logit=experiment.pem.logit,
             frames=not arguments.no_frames and not experiment.is_own_system,
             live_port=arguments.live,
         ),

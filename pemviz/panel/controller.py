@@ -167,9 +167,7 @@ class Controller:
                 message = str(error).replace("out =", "recordings =", 1)
                 raise InputError(message) from error
             observers += self._observers(folder)
-        watcher = Watcher(
-            pem_logit=experiment.problem.pem_logit, folder=folder, publish=self._publish
-        )
+        watcher = Watcher(folder=folder, publish=self._publish)
         if folder is None:
             run_engine(
                 experiment,

@@ -7,8 +7,9 @@ from pathlib import Path
 from weakref import WeakValueDictionary
 
 import numpy as np
+from scipy.special import expit
 
-from pemviz.analysis.detection_curves import detection_curves, gap_grid, pem_curve
+from pemviz.analysis.detection_curves import gap_grid, initial_states, pem_curve
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import load_config
@@ -72,7 +73,7 @@ def load_run(folder: Path) -> RunData:
     gap_m = gap_grid(simulator)
     try:
         pem = load_pem(config.pem)
-        pem_detection = pem_curve(simulator=simulator, pem_logit=pem.logit, gap_m=gap_m)
+        pem_detection = pem_curve(simulator=simulator, pem=pem, gap_m=gap_m)
         curves = _learned_curves(folder, config, gap_m=gap_m)
     except InputError:  # the error model's file may be elsewhere by now: the rollouts tell too
         pem_detection = _visited_curve(table, "log_p", gap_m=gap_m)
@@ -123,12 +124,8 @@ def _learned_curves(
     for (repetition, stage), arrays in sorted(groups.items()):
         try:
             proposal = gap_network_from_arrays(arrays)
-            detection = detection_curves(
-                simulator=simulator,
-                pem_logit=lambda salient: np.zeros(salient.shape[:-1]),
-                proposal=proposal,
-                gap_m=gap_m,
-            ).proposal
+            logit = proposal.logit(initial_states(simulator, gap_m=gap_m), np.zeros(gap_m.size))
+            detection = np.asarray(expit(logit), dtype=np.float64)
         except (KeyError, ValueError):
             return ()
         kind: StageKind = "learn" if stage else "pretrain"

@@ -14,8 +14,7 @@ from pemviz.runs.events import Event, RepetitionDone, RolloutsDone, RunDone, Run
 from pemviz.runs.events import StageDone as StageDoneEvent
 from pemviz.runs.result import RunResult, result_document
 from pemviz.runs.rollout_files import stage_arrays
-from pemviz.sampling.rollouts.draw import LogitFunction
-from pemviz.types import Signal, Simulator, StageResult
+from pemviz.types import StageResult
 
 
 @dataclass(frozen=True)
@@ -60,13 +59,11 @@ Publish = Callable[[RunData, Progress], None]
 class Watcher:
     """Observer that publishes a run's state after every event worth showing."""
 
-    def __init__(self, *, pem_logit: LogitFunction, folder: Path | None, publish: Publish) -> None:
-        self._pem_logit = pem_logit
+    def __init__(self, *, folder: Path | None, publish: Publish) -> None:
+        self._started: RunStarted | None = None
         self._folder = folder
         self._publish = publish
         self._began_s = time.monotonic()
-        self._signals: tuple[Signal, ...] = ()
-        self._simulator: Simulator | None = None
         self._gap_m: FloatArray = np.empty(0)
         self._done_before = 0
         self.run: RunData | None = None
@@ -99,13 +96,10 @@ class Watcher:
             self._publish(self.run, self.progress)
 
     def _start(self, event: RunStarted) -> None:
-        self._signals = event.signals
-        self._simulator = event.simulator
+        self._started = event
         if any(signal.name == GAP for signal in event.signals):
             self._gap_m = gap_grid(event.simulator)
-            detection = pem_curve(
-                simulator=event.simulator, pem_logit=self._pem_logit, gap_m=self._gap_m
-            )
+            detection = pem_curve(simulator=event.simulator, pem=event.pem, gap_m=self._gap_m)
         else:
             detection = np.empty(0)
         self.progress = replace(
@@ -130,14 +124,14 @@ class Watcher:
             self.run = replace(self.run, read_document=lambda: result_document(result))
 
     def _add_stage(self, stage: StageResult) -> None:
-        run = self.run
-        if run is None:
+        run, started = self.run, self._started
+        if run is None or started is None:
             return
         count = stage.scored.rollouts.count
         self._done_before += count
         self.progress = replace(self.progress, done=self._done_before, stage=stage.stage + 1)
-        part = numbered(stage_arrays(stage, self._signals))
-        curve = self._curve(stage)
+        part = numbered(stage_arrays(stage, started.signals))
+        curve = self._curve(stage, started)
         self.run = replace(
             run,
             curves=run.curves if curve is None else (*run.curves, curve),
@@ -145,14 +139,14 @@ class Watcher:
             simulated=run.simulated + count,
         )
 
-    def _curve(self, stage: StageResult) -> ProposalCurve | None:
+    def _curve(self, stage: StageResult, started: RunStarted) -> ProposalCurve | None:
         proposal = stage.sampled_from if stage.learned is None else stage.learned
         last = stage.kind == "final" and stage.stage > 0
-        if self._simulator is None or not self._gap_m.size or last:
+        if not self._gap_m.size or last:
             return None
         curves = detection_curves(
-            simulator=self._simulator,
-            pem_logit=self._pem_logit,
+            simulator=started.simulator,
+            pem=started.pem,
             proposal=proposal,
             gap_m=self._gap_m,
             rollouts=stage.scored.rollouts,

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
 from pemviz.arrays import FloatArray
-from pemviz.pem import load_pem
 from pemviz.recording import learning, paths, scene, text, worst
 from pemviz.recording.blueprint import blueprint, views_with_data
 from pemviz.recording.compact import compact
@@ -25,7 +24,6 @@ from pemviz.runs.events import (
     StageDone,
 )
 from pemviz.runs.result import RunResult
-from pemviz.sampling.rollouts.draw import LogitFunction
 from pemviz.simulators.braking.scenario import EGO_SPEED
 from pemviz.types import StageResult
 
@@ -43,7 +41,6 @@ class _Run:
         quota: How many rollouts are kept.
         gap_m: Grid of the curves against gap; ``None`` if the scenario has no gap.
         has_scene: Whether the scenario has what the 3D scene draws.
-        pem_logit: The perception error model.
     """
 
     started: RunStarted
@@ -51,7 +48,6 @@ class _Run:
     quota: Quota
     gap_m: FloatArray | None
     has_scene: bool
-    pem_logit: LogitFunction
 
 
 class Recorder:
@@ -69,7 +65,6 @@ class Recorder:
         self,
         path: Path,
         *,
-        pem_logit: LogitFunction | None = None,
         frames: bool = False,
         live_port: int | None = None,
         rollout_limit: int = ROLLOUT_LIMIT,
@@ -79,8 +74,6 @@ class Recorder:
 
         Args:
             path: Where to; overwritten if it exists.
-            pem_logit: The perception error model; by default the one that the run's
-                configuration names.
             frames: Let highway-env draw the least robust rollout from above at the end; needs
                 highway-env.
             live_port: Also serve the recording to live viewers on this port of the loopback
@@ -89,7 +82,6 @@ class Recorder:
             compacted: Make the file smaller once the run is done.
         """
         self.path = path
-        self._pem_logit = pem_logit
         self._frames = frames
         self._live_port = live_port
         self._rollout_limit = rollout_limit
@@ -124,7 +116,6 @@ class Recorder:
     def _start(self, event: RunStarted) -> None:
         run = self._run = _prepare(
             event,
-            pem_logit=self._pem_logit,
             rollout_limit=self._rollout_limit,
             frames=self._frames,
         )
@@ -142,7 +133,7 @@ class Recorder:
         file.markdown(paths.CONTENTS, text.contents_text(run.quota, repetitions=config.repetitions))
         self._write_texts(file, event.result, running=True)
         if run.gap_m is not None:
-            curve = pem_curve(simulator=event.simulator, pem_logit=run.pem_logit, gap_m=run.gap_m)
+            curve = pem_curve(simulator=event.simulator, pem=event.pem, gap_m=run.gap_m)
             learning.log_pem_curve(file, run.gap_m, curve)
         if run.has_scene:
             scene.log_scene_setting(file, config.scenario)
@@ -180,7 +171,7 @@ class Recorder:
             return
         curves = detection_curves(
             simulator=run.started.simulator,
-            pem_logit=run.pem_logit,
+            pem=run.started.pem,
             proposal=stage.sampled_from,
             gap_m=run.gap_m,
             rollouts=stage.scored.rollouts,
@@ -242,9 +233,7 @@ class Recorder:
             )
 
 
-def _prepare(
-    event: RunStarted, *, pem_logit: LogitFunction | None, rollout_limit: int, frames: bool
-) -> _Run:
+def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
     config = event.config
     names = {signal.name for signal in event.signals}
     return _Run(
@@ -266,7 +255,6 @@ def _prepare(
         ),
         gap_m=gap_grid(event.simulator) if GAP in names else None,
         has_scene={GAP, EGO_SPEED} <= names,
-        pem_logit=load_pem(config.pem).logit if pem_logit is None else pem_logit,
     )
 
 

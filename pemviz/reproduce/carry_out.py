@@ -138,7 +138,7 @@ def _artefacts(settings: Settings, experiment: Experiment, results: Results) -> 
 def _figures(settings: Settings, experiment: Experiment, results: Results) -> Sequence[Artefact]:
     problem = experiment.problem
     gap_m = gap_grid(problem.simulator)
-    pem = pem_curve(simulator=problem.simulator, pem_logit=problem.pem_logit, gap_m=gap_m)
+    pem = pem_curve(simulator=problem.simulator, pem=problem.pem, gap_m=gap_m)
     axis = DetectionAxis(gap_m=gap_m, pem=pem)
     scenario = settings.experiment.scenario
     outcomes = _outcomes(settings, metric_experiments(settings), results)

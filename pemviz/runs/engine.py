@@ -120,6 +120,7 @@ class _Runner:
                 config=experiment.config,
                 signals=experiment.problem.simulator.signals,
                 simulator=experiment.problem.simulator,
+                pem=experiment.pem,
                 stages=experiment.method.stages,
                 planned_rollouts=experiment.planned_rollouts,
                 result=self._judged.result,

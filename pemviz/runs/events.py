@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from pemviz.config import ExperimentConfig
+from pemviz.pem import Pem
 from pemviz.runs.result import RunResult
 from pemviz.types import Estimate, Signal, Simulator, StageResult
 
@@ -17,6 +18,7 @@ class RunStarted:
         config: What was asked.
         signals: The scenario's signals.
         simulator: The back end, for views that need its time step or salient variables.
+        pem: The perception error model.
         stages: How many stages a repetition has.
         planned_rollouts: How many rollouts the run will simulate; with splitting, how many
             particles, each of which is cut and continued as often as it takes.
@@ -26,6 +28,7 @@ class RunStarted:
     config: ExperimentConfig
     signals: tuple[Signal, ...]
     simulator: Simulator
+    pem: Pem
     stages: int
     planned_rollouts: int
     result: RunResult

@@ -41,7 +41,6 @@ class Experiment:
 
     Attributes:
         config: What was asked, validated.
-        pem: The perception error model.
         ensemble: Models that its training data could as well have produced, if there are any.
         formula: The specification.
         problem: What is to be estimated.
@@ -52,13 +51,17 @@ class Experiment:
     """
 
     config: ExperimentConfig
-    pem: Pem
     ensemble: PemEnsemble | None
     formula: stl.Formula
     problem: Problem
     back_end: BackEnd
     method: Method[Any]
     planned_rollouts: int
+
+    @property
+    def pem(self) -> Pem:
+        """The perception error model."""
+        return self.problem.pem
 
     @property
     def twin(self) -> Simulator | None:
@@ -117,7 +120,6 @@ def build_experiment(
         require_unsafe(problem)
     return Experiment(
         config=config,
-        pem=model,
         ensemble=ensemble_of(config.pem) if pem is None else None,
         formula=formula,
         problem=problem,
@@ -164,7 +166,7 @@ def _problem(
 
     return Problem(
         simulator=back_end.simulator,
-        pem_logit=pem.logit,
+        pem=pem,
         robustness=robustness,
         violated=violated,
         batch_rollouts=back_end.batch_rollouts,

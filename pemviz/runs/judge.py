@@ -88,12 +88,12 @@ def _compared_with_data(judged: Judged, experiment: Experiment, stage: StageResu
     """Once a run: where the model extrapolates, and what its data alone allow."""
     if judged.result.warnings:
         return judged
-    problem, pem = experiment.problem, experiment.pem
-    warnings = extrapolation_warnings(stage.scored, simulator=problem.simulator, pem=pem)
+    problem = experiment.problem
+    warnings = extrapolation_warnings(stage.scored, simulator=problem.simulator, pem=problem.pem)
     bound = None
     if experiment.twin is not None:
         twin = replace(problem, simulator=experiment.twin)
-        bound = data_bound(twin, pem=pem, seed=experiment.config.seed)
+        bound = data_bound(twin, seed=experiment.config.seed)
     if bound is not None:
         warnings = (
             *warnings,

@@ -135,7 +135,7 @@ def _log_mixture(
     states = drawn.decision_states()
     salient = experiments[0].problem.simulator.salient(states.signals)
     logits = [
-        proposal.logit(states, experiment.problem.pem_logit(salient))
+        proposal.logit(states, experiment.problem.pem.logit(salient))
         for experiment, proposal in zip(experiments, proposals, strict=True)
     ]
     densities = [row_sums(outcome_log_likelihood(logit, drawn.detected)) for logit in logits]

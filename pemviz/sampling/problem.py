@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.batches import (
     BatchRunner,
     BatchTask,
@@ -15,7 +16,6 @@ from pemviz.sampling.rollouts.batches import (
     check_numbers,
     run_here,
 )
-from pemviz.sampling.rollouts.draw import LogitFunction
 from pemviz.sampling.rollouts.time_limit import call_within
 from pemviz.simulators.latched import Monitor
 from pemviz.types import (
@@ -51,7 +51,7 @@ class Problem:
 
     Attributes:
         simulator: The scenario.
-        pem_logit: The perception error model.
+        pem: The perception error model.
         robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
         violated: Signals ``[N, T]`` to the classical verdict ``[N]``.
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
@@ -68,7 +68,7 @@ class Problem:
     """
 
     simulator: Simulator
-    pem_logit: LogitFunction
+    pem: Pem
     robustness: Callable[[Signals], FloatArray]
     violated: Callable[[Signals], BoolArray]
     batch_rollouts: int = BATCH_ROLLOUTS
@@ -109,7 +109,7 @@ def sample_batches(
     generator = np.random.default_rng(seeds)
     steps = problem.simulator.states - 1
     tasks = (BatchTask(proposal, generator.random((size, steps))) for size in sizes)
-    simulated = problem.run_batches(problem.simulator, problem.pem_logit, tasks)
+    simulated = problem.run_batches(problem.simulator, problem.pem, tasks)
     done = 0
     for size in sizes:
         began = time.perf_counter()

@@ -106,7 +106,7 @@ def _carry_out(task: RunTask, temporary: Path) -> RunOutcome:
     _use_one_thread()
     message = None
     try:
-        run(experiment, run_id=task.name, observers=_observers(task, experiment, folder))
+        run(experiment, run_id=task.name, observers=_observers(task, folder))
     except RunError as error:
         message = one_line(error)
     return RunOutcome(task.name, message=message, files=tuple(_files(folder, task.keep)))
@@ -121,12 +121,12 @@ def _experiment(task: RunTask, temporary: Path) -> Experiment:
     return replace(build_experiment(replace(config, pem=str(here))), config=config)
 
 
-def _observers(task: RunTask, experiment: Experiment, folder: Path) -> list[Observer]:
+def _observers(task: RunTask, folder: Path) -> list[Observer]:
     observers: list[Observer] = [RunStore(folder)]
     if task.keep == "all":
         from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
 
-        observers.append(Recorder(folder / "run.rrd", pem_logit=experiment.pem.logit))
+        observers.append(Recorder(folder / "run.rrd"))
     return observers
 
 

@@ -51,7 +51,7 @@ class Improved:
 def failures():
     problem = Problem(
         simulator=SIMULATOR,
-        pem_logit=PEM.logit,
+        pem=PEM,
         robustness=toy_robustness,
         violated=toy_violated,
         unsafe=toy_unsafe,
@@ -123,7 +123,7 @@ def test_likeliest_chain_is_four_misses_at_once(failures):
 
 def test_no_failures_no_causes(failures):
     problem = Problem(
-        simulator=SIMULATOR, pem_logit=PEM.logit, robustness=toy_robustness, violated=toy_violated
+        simulator=SIMULATOR, pem=PEM, robustness=toy_robustness, violated=toy_violated
     )
     scored = sample(problem, proposal=PemProposal(), count=3, seeds=np.random.SeedSequence(1))
     assert failures_of(scored) is None

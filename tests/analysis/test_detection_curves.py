@@ -12,6 +12,7 @@ from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.gap_network_fit import initial_gap_network
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import RolloutBatch, StateBatch
+from tests.toy import FunctionPem
 
 SIMULATOR = VectorizedSimulator(ScenarioConfig())
 
@@ -27,6 +28,7 @@ class ClosingSpeedProposal:
         return {}
 
 
+@FunctionPem
 def sloping_pem(salient):
     return 5.0 - 0.1 * salient[..., 9]
 
@@ -58,11 +60,11 @@ def test_curves_of_proposals_that_need_no_path():
     grid = gap_grid(SIMULATOR)
     expected = expit(5.0 - 0.1 * (grid + 2.5))
     np.testing.assert_allclose(
-        pem_curve(simulator=SIMULATOR, pem_logit=sloping_pem, gap_m=grid), expected
+        pem_curve(simulator=SIMULATOR, pem=sloping_pem, gap_m=grid), expected
     )
     for proposal, curve in ((PemProposal(), expected), (ConstantProposal(0.3), 0.3)):
         curves = detection_curves(
-            simulator=SIMULATOR, pem_logit=sloping_pem, proposal=proposal, gap_m=grid
+            simulator=SIMULATOR, pem=sloping_pem, proposal=proposal, gap_m=grid
         )
         np.testing.assert_allclose(curves.pem, expected)
         np.testing.assert_allclose(curves.proposal, curve)
@@ -72,7 +74,7 @@ def test_a_proposal_of_more_than_the_gap_is_averaged_over_the_states_near_it():
     rollouts = batch([[10.0, 5.0, 0.0], [10.0, 5.0, 0.0]], [[8.0, 2.0, 0.0], [4.0, 6.0, 0.0]])
     curves = detection_curves(
         simulator=SIMULATOR,
-        pem_logit=sloping_pem,
+        pem=sloping_pem,
         proposal=ClosingSpeedProposal(),
         gap_m=np.array([0.0, 5.0, 7.5, 10.0, 20.0]),
         rollouts=rollouts,
@@ -90,7 +92,7 @@ def test_a_proposal_of_the_gap_alone_needs_no_states_near_it():
     network = initial_gap_network(seed=3)
     curves = detection_curves(
         simulator=SIMULATOR,
-        pem_logit=sloping_pem,
+        pem=sloping_pem,
         proposal=network,
         gap_m=grid,
         rollouts=batch([[10.0, 5.0, 0.0]], [[8.0, 2.0, 0.0]]),

@@ -21,9 +21,7 @@ class Displays:
     def __init__(self):
         self._rich = Progress(console=Console(file=io.StringIO()))
         self._bar = ProgressBar(self._rich)
-        self._watcher = Watcher(
-            pem_logit=lambda salient: salient[..., 9], folder=None, publish=lambda *_: None
-        )
+        self._watcher = Watcher(folder=None, publish=lambda *_: None)
         self.shares = []
 
     def notify(self, event):

@@ -88,8 +88,8 @@ def test_stopping_while_it_reads_back_loses_nothing(stop_after, tmp_path):
 def test_finished_stages_are_not_simulated_again(tmp_path):
     drawn = []
 
-    def counting(simulator, pem_logit, tasks):
-        for batch in run_here(simulator, pem_logit, tasks):
+    def counting(simulator, pem, tasks):
+        for batch in run_here(simulator, pem, tasks):
             drawn.append(batch.count)
             yield batch
 
@@ -109,11 +109,11 @@ def test_a_run_that_failed_goes_on_once_the_fault_is_gone(tmp_path):
     carry_out(experiment, whole)
     calls = []
 
-    def failing(simulator, pem_logit, tasks):
+    def failing(simulator, pem, tasks):
         calls.append(0)
         if len(calls) > 6:
             raise ConnectionError("the cable was pulled")
-        return run_here(simulator, pem_logit, tasks)
+        return run_here(simulator, pem, tasks)
 
     parts = folder_of(tmp_path, "parts")
     broken = replace(experiment, problem=replace(experiment.problem, run_batches=failing))

@@ -181,9 +181,9 @@ class ValidFiles:
         config = replace(CONFIGS[2], final_rollouts=6)
         experiment = build_experiment(config)
         pem = constant_pem(detection_probability=0.5)
-        problem = replace(experiment.problem, pem_logit=pem)
+        problem = replace(experiment.problem, pem=pem)
         path = self.folder / "run.rrd"
-        recorder = Recorder(path, pem_logit=pem, frames=False)
+        recorder = Recorder(path, frames=False)
         run(replace(experiment, problem=problem), run_id="run", observers=[recorder])
         return path.read_bytes()
 

@@ -49,12 +49,12 @@ def with_blind_pem(config: ExperimentConfig) -> Experiment:
     """The experiment with an error model that misses half of the time: violations are common."""
     experiment = build_experiment(config)
     pem = constant_pem(detection_probability=0.5)
-    return replace(experiment, problem=replace(experiment.problem, pem_logit=pem))
+    return replace(experiment, problem=replace(experiment.problem, pem=pem))
 
 
 def record(experiment: Experiment, folder: Path, **options) -> Recorded:
     listener = Listener()
-    recorder = Recorder(folder / "run.rrd", pem_logit=experiment.problem.pem_logit, **options)
+    recorder = Recorder(folder / "run.rrd", **options)
     result = run(experiment, run_id="a-run", observers=[RunStore(folder), listener, recorder])
     return Recorded(folder, result, listener.events, listener.stages)
 

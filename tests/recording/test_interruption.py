@@ -19,7 +19,7 @@ from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
 from tests.recording.conftest import LEARNING, chunks, texts, with_blind_pem
 from tests.recording.test_values import verify
-from tests.toy import ConstantPem, MissCounter, constant_pem
+from tests.toy import MissCounter, constant_pem
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -70,7 +70,7 @@ def test_a_failed_run_leaves_a_whole_file_that_says_why(tmp_path):
     broken = replace(experiment, problem=replace(experiment.problem, robustness=robustness))
     path = tmp_path / "run.rrd"
     with pytest.raises(RunError):
-        run(broken, observers=[Recorder(path, pem_logit=broken.problem.pem_logit)])
+        run(broken, observers=[Recorder(path)])
     assert verify(path).returncode == 0
     assert sorted(read_stages(path)) == [0, 1]
     assert "the metric broke" in texts(path)[paths.WARNINGS]
@@ -97,14 +97,14 @@ def test_another_simulator_is_recorded_without_the_scene(tmp_path):
     problem = replace(
         experiment.problem,
         simulator=MissCounter(states=7),
-        pem_logit=constant_pem(detection_probability=0.9),
+        pem=constant_pem(detection_probability=0.9),
         robustness=lambda signals: np.min(signals["gap"], axis=1),
         violated=lambda signals: np.min(signals["gap"], axis=1) < 0.0,
     )
     path = tmp_path / "run.rrd"
     run(
-        replace(experiment, problem=problem, pem=ConstantPem(0.1), ensemble=None),
-        observers=[Recorder(path, pem_logit=problem.pem_logit)],
+        replace(experiment, problem=problem, ensemble=None),
+        observers=[Recorder(path)],
     )
     assert verify(path).returncode == 0
     assert read_stages(path)[0].series["gap_m"].shape == (40, 7)

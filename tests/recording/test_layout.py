@@ -152,7 +152,7 @@ def test_a_stopped_run_has_no_views_of_what_it_did_not_reach(tmp_path):
     path = tmp_path / "run.rrd"
     result = run(
         experiment,
-        observers=[Recorder(path, pem_logit=experiment.problem.pem_logit), watcher],
+        observers=[Recorder(path), watcher],
         should_stop=lambda: watcher.stop,
     )
     assert result.status == "stopped"

@@ -133,7 +133,7 @@ def test_curves_against_gap_are_those_of_the_proposal_sampled_from(learned):
     for stage in learned.stages:
         expected = detection_curves(
             simulator=simulator,
-            pem_logit=experiment.problem.pem_logit,
+            pem=experiment.problem.pem,
             proposal=stage.sampled_from,
             gap_m=gap_grid(simulator),
             rollouts=stage.scored.rollouts,

@@ -21,6 +21,7 @@ from pemviz.runs.events import (
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import result_document
 from pemviz.runs.store import RunStore
+from tests.toy import FunctionPem
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ExperimentConfig(stages=2, rollouts=30, final_rollouts=30, epochs=5)
@@ -177,7 +178,7 @@ def test_a_simulator_that_fails_fails_the_run():
         message = "the model is gone"
         raise ValueError(message)
 
-    problem = replace(experiment.problem, pem_logit=broken)
+    problem = replace(experiment.problem, pem=FunctionPem(broken))
     with pytest.raises(RunError, match="the model is gone"):
         run(replace(experiment, problem=problem), observers=[listener])
     assert isinstance(listener.events[-1], RunFailed)

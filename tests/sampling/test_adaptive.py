@@ -35,7 +35,7 @@ def carry_out(adaptive, problem, *, repetition=0):
 def braking() -> Problem:
     return Problem(
         simulator=VectorizedSimulator(ScenarioConfig()),
-        pem_logit=load_pem("ml-nn").logit,
+        pem=load_pem("ml-nn"),
         robustness=lambda signals: np.min(signals["gap"], axis=1) - 2.0,
         violated=lambda signals: np.min(signals["gap"], axis=1) < 2.0,
     )
@@ -94,7 +94,7 @@ def test_it_finds_a_known_rare_probability():
     """
     problem = Problem(
         simulator=MissCounter(states=13),
-        pem_logit=constant_pem(detection_probability=0.98),
+        pem=constant_pem(detection_probability=0.98),
         robustness=lambda signals: np.min(signals["gap"], axis=1),
         violated=lambda signals: np.min(signals["gap"], axis=1) < 0.0,
     )

@@ -112,7 +112,7 @@ def test_rollouts_agree_with_numpy(device, proposal, latched, pem):
     simulator = with_latch(problem).simulator if latched else problem.simulator
     parts = {
         "simulator": simulator,
-        "pem_logit": problem.pem_logit,
+        "pem": problem.pem,
         "proposal": proposal,
         "uniforms": np.random.default_rng(1).random((300, 59)) ** 3,  # many misses
     }
@@ -131,7 +131,7 @@ def test_dynamics_agree_to_the_last_bit(config, seed):
     simulator = VectorizedSimulator(config)
     parts = {
         "simulator": simulator,
-        "pem_logit": ConstantPem(miss_probability=0.5).logit,
+        "pem": ConstantPem(miss_probability=0.5),
         "proposal": PemProposal(),
         "uniforms": np.random.default_rng(seed).random((8, config.states - 1)),
     }
@@ -190,7 +190,7 @@ def test_estimates_agree(device, method, budget):
 def test_a_simulator_without_a_twin_is_stepped_by_numpy(device, toy_problem):
     parts = {
         "simulator": toy_problem.simulator,
-        "pem_logit": toy_problem.pem_logit,
+        "pem": toy_problem.pem,
         "proposal": PemProposal(),
         "uniforms": np.random.default_rng(0).random((50, 6)),
     }
@@ -228,7 +228,7 @@ def test_a_twin_of_ones_own_is_used(device):
 
     parts = {
         "simulator": CountedMisses(states=7),
-        "pem_logit": ConstantPem(miss_probability=0.3).logit,
+        "pem": ConstantPem(miss_probability=0.3),
         "proposal": PemProposal(),
         "uniforms": np.random.default_rng(0).random((50, 6)),
     }

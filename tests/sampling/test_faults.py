@@ -10,7 +10,7 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.batches import SimulationError
 from pemviz.sampling.splitting.method import SplittingSampling
-from tests.toy import MissCounter, constant_pem
+from tests.toy import FunctionPem, MissCounter, constant_pem
 
 STATES = 12
 
@@ -33,7 +33,7 @@ class Faulty(MissCounter):
 def problem_of(fault, **options):
     return Problem(
         simulator=Faulty(fault=fault),
-        pem_logit=constant_pem(detection_probability=0.9),
+        pem=constant_pem(detection_probability=0.9),
         robustness=lambda signals: signals["gap"].min(axis=1),
         violated=lambda signals: signals["gap"].min(axis=1) < 0.0,
         **options,
@@ -59,13 +59,17 @@ def test_a_value_that_is_no_number_is_told_with_rollout_and_step(value):
 
 
 def test_an_error_model_without_a_number_is_told():
-    problem = replace(problem_of(lambda gap: gap), pem_logit=lambda x: np.full(x.shape[0], np.nan))
+    problem = replace(
+        problem_of(lambda gap: gap), pem=FunctionPem(lambda x: np.full(x.shape[0], np.nan))
+    )
     with pytest.raises(SimulationError, match="error model: logit is nan in rollout 0, step 0"):
         draw(problem)
 
 
 def test_infinite_logits_are_certainties():
-    problem = replace(problem_of(lambda gap: gap), pem_logit=lambda x: np.full(x.shape[0], np.inf))
+    problem = replace(
+        problem_of(lambda gap: gap), pem=FunctionPem(lambda x: np.full(x.shape[0], np.inf))
+    )
     assert draw(problem).rollouts.detected.all()
 
 

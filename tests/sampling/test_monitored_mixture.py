@@ -32,7 +32,7 @@ def problem_of(text, *, monitored=True):
     formula = stl.parse(text, signals=["gap"])
     return Problem(
         simulator=SIMULATOR,
-        pem_logit=PEM.logit,
+        pem=PEM,
         robustness=lambda signals: stl.robustness(formula, signals, stl.Classical()),
         violated=lambda signals: stl.violated(formula, signals),
         unsafe=None,

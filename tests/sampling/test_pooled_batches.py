@@ -47,7 +47,7 @@ def test_pieces_put_together_are_the_serial_rollouts(toy_problem, workers, batch
 
 
 def test_real_processes_give_the_serial_rollouts_and_end(toy_problem):
-    problem = replace(toy_problem, batch_rollouts=10, pem_logit=ConstantPem(0.1).logit)
+    problem = replace(toy_problem, batch_rollouts=10, pem=ConstantPem(0.1))
     with ProcessPool(2) as pool:
         pooled = drawn(replace(problem, run_batches=PooledRunner(pool.submit, 2)))
     assert_same(pooled, drawn(problem))
@@ -76,7 +76,7 @@ def test_stopping_calls_back_what_was_handed_in(toy_problem):
 
 
 def test_a_worker_that_is_killed_fails_the_batch_in_one_line(toy_problem):
-    problem = replace(toy_problem, pem_logit=ConstantPem(0.1).logit)
+    problem = replace(toy_problem, pem=ConstantPem(0.1))
     with ProcessPool(1) as pool:
         runner = PooledRunner(lambda function, *rest: pool.submit(time.sleep, 60), 1)
         killer = threading.Thread(target=kill_first_child)

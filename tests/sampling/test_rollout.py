@@ -28,7 +28,7 @@ def random_network(seed: int) -> GapNetwork:
 def braking() -> Problem:
     return Problem(
         simulator=VectorizedSimulator(ScenarioConfig()),
-        pem_logit=load_pem("ml-nn").logit,
+        pem=load_pem("ml-nn"),
         robustness=lambda signals: np.min(signals["gap"], axis=1) - 2.0,
         violated=lambda signals: np.min(signals["gap"], axis=1) < 2.0,
     )
@@ -65,7 +65,7 @@ def test_weights_agree_with_a_naive_product(braking):
         weight = 1.0
         for step in range(99):
             gap_m = rollouts.signals["gap"][row, step : step + 1]
-            p = 1 / (1 + np.exp(-braking.pem_logit(braking.simulator.salient({"gap": gap_m}))[0]))
+            p = 1 / (1 + np.exp(-braking.pem.logit(braking.simulator.salient({"gap": gap_m}))[0]))
             q = 1 / (1 + np.exp(-proposal.logit_at(gap_m)[0]))
             hit = rollouts.detected[row, step]
             weight *= (p / q) if hit else (1 - p) / (1 - q)
@@ -85,7 +85,7 @@ def test_a_draw_on_the_boundary_detects(toy_problem):
     """P(miss) = 0.1: draws below it miss, draws at or above it detect."""
     uniforms = np.array([[0.0, 0.0999, 0.1001, 0.5, 0.9999, 0.0]])
     rollouts = simulate(
-        simulator=toy_problem.simulator, pem_logit=toy_problem.pem_logit,
+        simulator=toy_problem.simulator, pem=toy_problem.pem,
         proposal=PemProposal(), uniforms=uniforms,
     )  # fmt: skip
     assert rollouts.detected.tolist() == [[False, False, True, True, True, False]]

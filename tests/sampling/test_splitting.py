@@ -21,7 +21,7 @@ from pemviz.simulators.toy import (
 def problem_of(simulator, pem):
     return Problem(
         simulator=simulator,
-        pem_logit=pem.logit,
+        pem=pem,
         robustness=toy_robustness,
         violated=toy_violated,
     )

@@ -30,7 +30,7 @@ SIMULATOR = ToySimulator(initial_gap=3, largest_gap=3, states=1000)
 def run(method, pem, *, unsafe=toy_unsafe):
     problem = Problem(
         simulator=SIMULATOR,
-        pem_logit=pem.logit,
+        pem=pem,
         robustness=toy_robustness,
         violated=toy_violated,
         unsafe=unsafe,

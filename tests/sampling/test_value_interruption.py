@@ -37,7 +37,7 @@ class Pause:
 def problem_of(pem, pause):
     return Problem(
         simulator=SIMULATOR,
-        pem_logit=pem.logit,
+        pem=pem,
         robustness=toy_robustness,
         violated=toy_violated,
         unsafe=toy_unsafe,
@@ -68,7 +68,7 @@ def assert_same(found: TwistedProposal, expected: TwistedProposal):
 def test_a_pause_that_raises_stops_the_build_wherever_it_is():
     """At every single call, from the first to the last; the next build is whole."""
     pem = ToyPem()
-    whole = build_twisted_proposal(twin=SIMULATOR, pem_logit=pem.logit, unsafe=toy_unsafe)
+    whole = build_twisted_proposal(twin=SIMULATOR, pem=pem, unsafe=toy_unsafe)
     counting = Pause()
     assert_same(build(ToyPem(), counting), whole)
     # each of 19 steps has two moves, a merge, and two directions of the recursion

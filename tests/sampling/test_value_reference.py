@@ -31,7 +31,7 @@ SIMULATOR, PEM = ToySimulator(initial_gap=5, states=20), ToyPem(at_zero=2.5)
 TRUTH = toy_probability_by_recursion(SIMULATOR, PEM)
 PROBLEM = Problem(
     simulator=SIMULATOR,
-    pem_logit=PEM.logit,
+    pem=PEM,
     robustness=toy_robustness,
     violated=toy_violated,
     unsafe=toy_unsafe,

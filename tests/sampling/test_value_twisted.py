@@ -29,12 +29,13 @@ from pemviz.simulators.toy import (
     toy_violated,
 )
 from pemviz.types import StateBatch, outcome_log_likelihood
+from tests.toy import FunctionPem
 
 
 def toy_problem(simulator, pem):
     return Problem(
         simulator=simulator,
-        pem_logit=pem.logit,
+        pem=pem,
         robustness=toy_robustness,
         violated=toy_violated,
         unsafe=toy_unsafe,
@@ -42,9 +43,7 @@ def toy_problem(simulator, pem):
 
 
 def value_of(simulator, pem, *, largest_layer=1000):
-    layers = explore(
-        twin=simulator, pem_logit=pem.logit, unsafe=toy_unsafe, largest_layer=largest_layer
-    )
+    layers = explore(twin=simulator, pem=pem, unsafe=toy_unsafe, largest_layer=largest_layer)
     return layers, solve(layers)
 
 
@@ -88,16 +87,13 @@ BRAKING = replace(ScenarioConfig(), states=50)
 def braking_problem(config, *, at_least_m=6.5):
     """A short braking scenario with an error model that misses one time in fifty or so."""
 
-    def pem_logit(salient):
-        return 5.0 - 0.1 * salient[..., 9]
-
     def unsafe(states):
         return states.signals["gap"] < at_least_m
 
     simulator = VectorizedSimulator(config)
     return Problem(
         simulator=simulator,
-        pem_logit=pem_logit,
+        pem=FunctionPem(lambda salient: 5.0 - 0.1 * salient[..., 9]),
         robustness=lambda signals: np.min(signals["gap"], axis=1) - at_least_m,
         violated=lambda signals: np.min(signals["gap"], axis=1) < at_least_m,
         unsafe=unsafe,
@@ -107,7 +103,7 @@ def braking_problem(config, *, at_least_m=6.5):
 def exact_value(problem):
     layers = explore(
         twin=problem.simulator,
-        pem_logit=problem.pem_logit,
+        pem=problem.pem,
         unsafe=problem.unsafe,
         largest_layer=1_000_000,
     )
@@ -123,7 +119,7 @@ def test_the_recursion_agrees_with_all_chains_of_outcomes():
     detected = np.concatenate([first, chains], axis=1)
     signals = replay(simulator=problem.simulator, detected=detected)
     assert (signals["gap"][:, 37] > 10.0).all()
-    logit = problem.pem_logit(problem.simulator.salient(signals))[:, 38:49]
+    logit = problem.pem.logit(problem.simulator.salient(signals))[:, 38:49]
     likelihood = np.exp(outcome_log_likelihood(logit, chains).sum(axis=1))
     expected = likelihood[problem.violated(signals)].sum()
     assert 0.0 < expected < 0.1
@@ -202,7 +198,7 @@ def test_states_that_violated_already_are_left_to_the_error_model():
 
 def test_states_unknown_to_the_tables_take_the_error_model():
     simulator, pem = ToySimulator(), ToyPem()
-    proposal = build_twisted_proposal(twin=simulator, pem_logit=pem.logit, unsafe=toy_unsafe)
+    proposal = build_twisted_proposal(twin=simulator, pem=pem, unsafe=toy_unsafe)
     logit = np.array([1.5, -2.0])
     far = StateBatch(step=np.array(3), signals={"gap": np.array([1e6, -40.0])})
     np.testing.assert_array_equal(proposal.logit(far, logit), logit)
@@ -264,7 +260,10 @@ def test_dynamics_of_the_twin_are_those_of_the_simulator():
         return states.signals["gap"] < 8.0
 
     layers = explore(
-        twin=simulator, pem_logit=lambda s: np.ones(s.shape[:-1]), unsafe=unsafe, largest_layer=9999
+        twin=simulator,
+        pem=FunctionPem(lambda s: np.ones(s.shape[:-1])),
+        unsafe=unsafe,
+        largest_layer=9999,
     )
     for layer, after in itertools.pairwise(layers):
         for hit, node in ((False, layer.after_miss), (True, layer.after_hit)):

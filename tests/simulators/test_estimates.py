@@ -26,7 +26,7 @@ def estimate(simulator: Simulator, *, method: str, limit_m: float) -> Estimate:
 
     problem = Problem(
         simulator=simulator,
-        pem_logit=load_pem("ml-nn").logit,
+        pem=load_pem("ml-nn"),
         robustness=robustness,
         violated=lambda signals: robustness(signals) < 0,
         batch_rollouts=25,

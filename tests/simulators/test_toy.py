@@ -43,7 +43,7 @@ def test_monte_carlo_finds_the_exact_answer():
     simulator, pem = ToySimulator(initial_gap=4), ToyPem(at_zero=0.5)
     problem = Problem(
         simulator=simulator,
-        pem_logit=pem.logit,
+        pem=pem,
         robustness=toy_robustness,
         violated=toy_violated,
     )

@@ -8,7 +8,8 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import RunError
-from pemviz.sampling.rollouts.draw import LogitFunction, simulate
+from pemviz.pem.models.protocol import Pem
+from pemviz.sampling.rollouts.draw import simulate
 from pemviz.types import Proposal, RolloutBatch, Simulator
 
 
@@ -33,20 +34,18 @@ class BatchRunner(Protocol):
     """Simulates batches, here or elsewhere; what comes back does not depend on where."""
 
     def __call__(
-        self, simulator: Simulator, pem_logit: LogitFunction, tasks: Iterable[BatchTask]
+        self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
     ) -> Iterator[RolloutBatch]:
         """The batches of ``tasks``, in their order, as they are done."""
         ...
 
 
-def run_here(
-    simulator: Simulator, pem_logit: LogitFunction, tasks: Iterable[BatchTask]
-) -> Iterator[RolloutBatch]:
+def run_here(simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]) -> Iterator[RolloutBatch]:
     """One batch after the other, in the thread that asks for it."""
     for task in tasks:
         yield simulate(
             simulator=simulator,
-            pem_logit=pem_logit,
+            pem=pem,
             proposal=task.proposal,
             uniforms=task.uniforms,
         )

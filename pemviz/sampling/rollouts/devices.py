@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import ConfigError
+from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.batches import BatchRunner, BatchTask, run_here
-from pemviz.sampling.rollouts.draw import LogitFunction, simulate
+from pemviz.sampling.rollouts.draw import simulate
 from pemviz.types import Proposal, RolloutBatch, Simulator
 
 NUMPY = "cpu"
@@ -21,13 +22,13 @@ class DeviceRunner:
     device: str
 
     def __call__(
-        self, simulator: Simulator, pem_logit: LogitFunction, tasks: Iterable[BatchTask]
+        self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
     ) -> Iterator[RolloutBatch]:
         """The batches of ``tasks``, in order."""
         for task in tasks:
             yield simulate_on_device(
                 simulator=simulator,
-                pem_logit=pem_logit,
+                pem=pem,
                 proposal=task.proposal,
                 uniforms=task.uniforms,
                 device=self.device,
@@ -47,7 +48,7 @@ def is_gpu(device: str) -> bool:
 def simulate_on_device(
     *,
     simulator: Simulator,
-    pem_logit: LogitFunction,
+    pem: Pem,
     proposal: Proposal,
     uniforms: FloatArray,
     device: str,
@@ -60,7 +61,7 @@ def simulate_on_device(
 
     Args:
         simulator: The scenario.
-        pem_logit: The perception error model.
+        pem: The perception error model.
         proposal: What outcomes are drawn from.
         uniforms: ``[N, T-1]`` independent draws from [0, 1).
         device: ``cpu`` (numpy), ``torch-cpu``, ``cuda`` or ``cuda:N``.
@@ -73,14 +74,14 @@ def simulate_on_device(
 
         rollouts = tensor_draw.simulate(
             simulator=simulator,
-            pem_logit=pem_logit,
+            pem=pem,
             proposal=proposal,
             uniforms=uniforms,
             device=torch_name(device),
         )
         if rollouts is not None:
             return rollouts
-    return simulate(simulator=simulator, pem_logit=pem_logit, proposal=proposal, uniforms=uniforms)
+    return simulate(simulator=simulator, pem=pem, proposal=proposal, uniforms=uniforms)
 
 
 def has_tensors(part: object) -> bool:

@@ -1,25 +1,23 @@
 """Rollouts: the scenario stepped with outcomes drawn from a proposal."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.pem.models.protocol import Pem
 from pemviz.types import Proposal, RolloutBatch, Simulator
-
-LogitFunction = Callable[[FloatArray], FloatArray]
-"""Salient variables ``[..., D]`` to the logit ``[...]`` of 'detected'."""
 
 
 def simulate(
-    *, simulator: Simulator, pem_logit: LogitFunction, proposal: Proposal, uniforms: FloatArray
+    *, simulator: Simulator, pem: Pem, proposal: Proposal, uniforms: FloatArray
 ) -> RolloutBatch:
     """Roll out the scenario once for each row of ``uniforms``.
 
     Args:
         simulator: The scenario.
-        pem_logit: The perception error model.
+        pem: The perception error model.
         proposal: What outcomes are drawn from.
         uniforms: ``[N, T-1]`` independent draws from [0, 1); a step misses where its draw
             is below the probability of a miss.
@@ -36,7 +34,7 @@ def simulate(
     signals = _Track(states.signals, simulator.states)
     memory = _Track(states.memory, simulator.states)
     for step in range(steps):
-        under_pem[step] = pem_logit(simulator.salient(states.signals))
+        under_pem[step] = pem.logit(simulator.salient(states.signals))
         under_proposal[step] = proposal.logit(states, under_pem[step])
         detected[step] = uniforms[:, step] >= expit(-under_proposal[step])
         states = simulator.step(states, detected[step])

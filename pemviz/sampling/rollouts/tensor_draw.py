@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from pemviz.arrays import AnyArray, FloatArray
+from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.gap_network_fit import one_thread
-from pemviz.sampling.rollouts.draw import LogitFunction
 from pemviz.sampling.rollouts.tensor_twins import (
     PemTwin,
     ProposalTwin,
@@ -28,7 +28,7 @@ from pemviz.types import Proposal, RolloutBatch, Simulator
 def simulate(
     *,
     simulator: Simulator,
-    pem_logit: LogitFunction,
+    pem: Pem,
     proposal: Proposal,
     uniforms: FloatArray,
     device: str,
@@ -37,7 +37,7 @@ def simulate(
 
     Args:
         simulator: The scenario.
-        pem_logit: The perception error model.
+        pem: The perception error model.
         proposal: What outcomes are drawn from.
         uniforms: Independent draws from [0, 1).
         device: As torch calls it.
@@ -51,8 +51,8 @@ def simulate(
     with torch.inference_mode(), one_thread():
         return _rolled_out(
             scenario,
-            error_model=_error_model(pem_logit, device),
-            sampled_from=twin(proposal, device) or _through_numpy(proposal, device),
+            error_model=twin(pem, device) or _pem_through_numpy(pem, device),
+            sampled_from=twin(proposal, device) or _proposal_through_numpy(proposal, device),
             draws=as_tensor(uniforms.T, device),
         )
 
@@ -82,18 +82,13 @@ def _rolled_out(
     )
 
 
-def _error_model(pem_logit: LogitFunction, device: str) -> PemTwin:
-    model = getattr(pem_logit, "__self__", None)
-    if model is not None and getattr(model, "logit", None) == pem_logit:
-        known = cast(PemTwin | None, twin(model, device))
-        if known is not None:
-            return known
+def _pem_through_numpy(pem: Pem, device: str) -> PemTwin:
     return lambda salient: as_tensor(
-        pem_logit(np.ascontiguousarray(salient.cpu().numpy().T)), device
+        pem.logit(np.ascontiguousarray(salient.cpu().numpy().T)), device
     )
 
 
-def _through_numpy(proposal: Proposal, device: str) -> ProposalTwin:
+def _proposal_through_numpy(proposal: Proposal, device: str) -> ProposalTwin:
     def logit(states: TensorStates, pem_logit: Tensor) -> Tensor:
         return as_tensor(proposal.logit(states.to_numpy(), pem_logit.cpu().numpy()), device)
 

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED
 from pemviz.sampling.rollouts.batches import BatchTask, SimulationError
-from pemviz.sampling.rollouts.draw import LogitFunction, simulate
+from pemviz.sampling.rollouts.draw import simulate
 from pemviz.types import RolloutBatch, Simulator
 
 BATCHES_AHEAD = 1  # so that workers need not wait until a batch is scored
@@ -35,7 +36,7 @@ class PooledRunner:
     workers: int
 
     def __call__(
-        self, simulator: Simulator, pem_logit: LogitFunction, tasks: Iterable[BatchTask]
+        self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
     ) -> Iterator[RolloutBatch]:
         """The batches of ``tasks``, in their order, as they are done.
 
@@ -45,7 +46,7 @@ class PooledRunner:
         ahead: deque[Pieces] = deque()
         try:
             for task in tasks:
-                ahead.append(self._handed_in(simulator, pem_logit, task))
+                ahead.append(self._handed_in(simulator, pem, task))
                 if len(ahead) > BATCHES_AHEAD:
                     yield _joined(ahead[0])
                     ahead.popleft()
@@ -58,19 +59,19 @@ class PooledRunner:
             for piece in (piece for pieces in ahead for piece in pieces):
                 piece.cancel()
 
-    def _handed_in(self, simulator: Simulator, pem_logit: LogitFunction, task: BatchTask) -> Pieces:
+    def _handed_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> Pieces:
         count = min(self.workers, task.uniforms.shape[0])
         return [
-            self.submit(simulate_piece, simulator, pem_logit, BatchTask(task.proposal, uniforms))
+            self.submit(simulate_piece, simulator, pem, BatchTask(task.proposal, uniforms))
             for uniforms in np.array_split(task.uniforms, count)
         ]
 
 
-def simulate_piece(simulator: Simulator, pem_logit: LogitFunction, task: BatchTask) -> RolloutBatch:
+def simulate_piece(simulator: Simulator, pem: Pem, task: BatchTask) -> RolloutBatch:
     """A piece's rollouts, in the process that this is called in."""
     return simulate(
         simulator=simulator,
-        pem_logit=pem_logit,
+        pem=pem,
         proposal=task.proposal,
         uniforms=task.uniforms,
     )

@@ -75,7 +75,7 @@ def _continued(
         score[:, step] = problem.robustness(_if_detected(problem, signals, states, step))
         if step == steps:
             break
-        logit[:, step] = problem.pem_logit(simulator.salient(states.signals))
+        logit[:, step] = problem.pem.logit(simulator.salient(states.signals))
         fresh = uniforms[:, step] >= expit(-logit[:, step])
         detected[:, step] = np.where(step >= cut, fresh, detected[:, step])
         states = simulator.step(states, detected[:, step])

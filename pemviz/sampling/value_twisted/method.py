@@ -1,13 +1,13 @@
 """Importance sampling with the proposal that a twin's value function gives."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from pemviz.errors import InputError
+from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.twisted import TwistedProposal
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.draw import LogitFunction
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
 from pemviz.sampling.value_twisted.reachable_states import Pause, Unsafe
 from pemviz.sampling.value_twisted.tables import (
@@ -64,7 +64,7 @@ class ValueTwistedSampling:
         Raises:
             InputError: Single states do not decide the specification.
         """
-        wanted = _Wanted(self.twin, problem.pem_logit, require_unsafe(problem), self.largest_layer)
+        wanted = _Wanted(self.twin, problem.pem, require_unsafe(problem), self.largest_layer)
         proposal = _last_built.get(wanted, pause=problem.pause)
         proposal = with_defence(
             proposal, defensive_steps=self.defensive_steps, steps=self.twin.states - 1
@@ -131,15 +131,17 @@ def with_latch(problem: Problem) -> Problem:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What a value function follows from.
-
-    Two that are equal give the same one.
-    """
+    """What a value function follows from."""
 
     twin: Simulator
-    pem_logit: LogitFunction
+    pem: Pem = field(compare=False)
     unsafe: Unsafe
     largest_layer: int
+
+    def is_same_as(self, other: "_Wanted") -> bool:
+        """Whether both give the same value function."""
+        # a model of the user's own need not know how to compare
+        return self.pem is other.pem and self == other
 
 
 class _LastBuilt:
@@ -153,11 +155,11 @@ class _LastBuilt:
 
     def get(self, wanted: _Wanted, *, pause: Pause) -> TwistedProposal:
         held = self._held
-        if held is not None and held[0] == wanted:
+        if held is not None and held[0].is_same_as(wanted):
             return held[1]
         built = build_twisted_proposal(
             twin=wanted.twin,
-            pem_logit=wanted.pem_logit,
+            pem=wanted.pem,
             unsafe=wanted.unsafe,
             largest_layer=wanted.largest_layer,
             pause=pause,

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.twisted_cells import cell_keys
-from pemviz.sampling.rollouts.draw import LogitFunction
 from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
 
 Unsafe = Callable[[StateBatch], BoolArray]
@@ -80,7 +80,7 @@ def no_pause() -> None:
 def explore(
     *,
     twin: Simulator,
-    pem_logit: LogitFunction,
+    pem: Pem,
     unsafe: Unsafe,
     largest_layer: int,
     pause: Pause = no_pause,
@@ -93,7 +93,7 @@ def explore(
 
     Args:
         twin: A scenario whose ``step`` is cheap for many states.
-        pem_logit: The error model.
+        pem: The error model.
         unsafe: What violates the specification.
         largest_layer: Above so many states a step, neighbouring states are taken for one.
         pause: Called several times a step.
@@ -106,7 +106,7 @@ def explore(
     if unsafe(states)[0] or not walk.alive(states)[0]:
         return ()
     for step in range(steps):
-        logit = pem_logit(twin.salient(states.signals))
+        logit = pem.logit(twin.salient(states.signals))
         exact = walk.merger.exact
         pause()
         merged, node = walk.children(states)

@@ -69,7 +69,7 @@ def exact_log_probability(problem: Problem, *, twin: Simulator) -> float | None:
     """
     layers = explore(
         twin=twin,
-        pem_logit=problem.pem_logit,
+        pem=problem.pem,
         unsafe=require_unsafe(problem),
         largest_layer=REFERENCE_LAYER,
         pause=problem.pause,

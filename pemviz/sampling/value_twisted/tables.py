@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.twisted import TwistedProposal, TwistedTables
 from pemviz.proposals.twisted_cells import CellTable, cell_keys
-from pemviz.sampling.rollouts.draw import LogitFunction
 from pemviz.sampling.value_twisted.reachable_states import (
     MERGE_DISTANCE,
     Layer,
@@ -36,7 +36,7 @@ LARGEST_LAYER = 300_000
 def build_twisted_proposal(
     *,
     twin: Simulator,
-    pem_logit: LogitFunction,
+    pem: Pem,
     unsafe: Unsafe,
     largest_layer: int = LARGEST_LAYER,
     pause: Pause = no_pause,
@@ -45,14 +45,12 @@ def build_twisted_proposal(
 
     Args:
         twin: A scenario whose ``step`` is cheap for many states.
-        pem_logit: The error model.
+        pem: The error model.
         unsafe: What violates the specification.
         largest_layer: Above so many states a step, neighbours are taken for one.
         pause: Called every few tenths of a second; may raise to stop.
     """
-    layers = explore(
-        twin=twin, pem_logit=pem_logit, unsafe=unsafe, largest_layer=largest_layer, pause=pause
-    )
+    layers = explore(twin=twin, pem=pem, unsafe=unsafe, largest_layer=largest_layer, pause=pause)
     values = solve(layers, pause=pause)
     cells = tuple(
         tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
