@@ -141,3 +141,37 @@ def is_there(named):
         node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef | ast.FunctionDef)
     }
     return set(name.split(".")) <= targets | named_parts
+
+
+def test_every_module_and_name_that_a_docstring_points_to_exists():
+    sources = [*files(), *(ROOT / "tests").rglob("*.py"), *(ROOT / "examples").rglob("*.py")]
+    named = {
+        (name, path.relative_to(ROOT).as_posix())
+        for path in sources
+        for name in re.findall(r"`(pemviz(?:\.\w+)+)`", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 5
+    assert {pair for pair in named if not is_defined(pair[0])} == set()
+
+
+def is_defined(dotted):
+    """Whether a dotted name below the package is a module, or a name in one."""
+    place, names = ROOT, dotted.split(".")
+    while names and (place / names[0]).is_dir():
+        place /= names.pop(0)
+    module = place / (f"{names[0]}.py" if names else "__init__.py")
+    if names and module.is_file():
+        names.pop(0)
+    elif names:
+        module = place / "__init__.py"
+    return not names or re.search(rf"\b{names[0]}\b", module.read_text(encoding="utf-8"))
+
+
+def test_no_docstring_points_to_a_document_that_is_not_here():
+    beyond = [
+        path.relative_to(ROOT).as_posix()
+        for path in [*files(), *(ROOT / "tests").rglob("*.py")]
+        if path != Path(__file__).resolve()
+        and re.search(r"\bDESIGN\b", path.read_text(encoding="utf-8"))
+    ]
+    assert beyond == []

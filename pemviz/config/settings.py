@@ -18,7 +18,10 @@ NotNegative = Range(low=0.0, high=1e6)
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioConfig:
-    """An ego car follows a braking lead car on a straight road (DESIGN section 3)."""
+    """An ego car follows a braking lead car on a straight road.
+
+    ``pemviz.simulators.braking`` tells exactly how.
+    """
 
     initial_speed_kmh: Annotated[float, Range(low=0.0, low_open=True, high=144.0)] = 70.0
     """Speed of both cars at the start, and the ego's target speed [km/h]; above 0, at most 144."""

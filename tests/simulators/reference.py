@@ -1,4 +1,4 @@
-"""DESIGN section 3 in plain Python, one rollout at a time: what both back ends must equal."""
+"""The docstring of ``pemviz.simulators.braking`` in plain Python, one rollout at a time."""
 
 from collections.abc import Sequence
 

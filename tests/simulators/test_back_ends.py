@@ -1,4 +1,4 @@
-"""Both back ends give the trajectories of DESIGN section 3, from any state."""
+"""Both back ends give the trajectories that ``pemviz.simulators.braking`` tells, from any state."""
 
 import threading
 

@@ -129,7 +129,7 @@ class EgoCar(ScenarioCar):
         return self.lead_detected and self.gap_m < self.scenario.emergency_gap_m
 
     def act(self, action: Any = None) -> None:  # noqa: ARG002
-        """Choose the acceleration (DESIGN section 3); ``action`` is highway-env's, not used."""
+        """Choose the acceleration; ``action`` is highway-env's and not used."""
         if self.emergency:
             acceleration_mps2 = -self.scenario.emergency_deceleration_mps2
         else:
@@ -187,7 +187,7 @@ class PerceptionOutcome(ActionType):
 
 
 class BrakingEnv(AbstractEnv):
-    """The scenario of DESIGN section 3, stepped with perception's outcomes.
+    """The scenario of ``pemviz.simulators.braking``, stepped with perception's outcomes.
 
     Observations are :class:`GapObservation`, actions :class:`PerceptionOutcome`. The reward is
     always 0: specifications judge whole rollouts. Contact ends nothing; an episode is

@@ -17,7 +17,7 @@ from pemviz.types import StateBatch
 
 @dataclass(frozen=True)
 class VectorizedSimulator(BrakingScenario):
-    """Explicit Euler steps of DESIGN section 3: positions with the old speeds, then speeds.
+    """Explicit Euler steps of ``pemviz.simulators.braking``: positions, then speeds.
 
     The arithmetic works in place on arrays that a step has itself made, since the time goes
     into moving temporaries; the states it is given are never written to.
