@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from pemviz.analysis.explanation import Explanation
 from pemviz.config import ExperimentConfig
+from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range
 from pemviz.runs.result import RankedRollout, RunResult
 
@@ -29,6 +30,8 @@ def anything(annotation):
         return st.one_of(st.none() if a is NoneType else anything(a) for a in get_args(annotation))
     if origin is Annotated:
         base, limits = get_args(annotation)
+        if isinstance(limits, NamedPart):
+            return st.sampled_from(limits.names())
         return numbers(base, limits)
     if origin is Literal:
         return st.sampled_from(get_args(annotation))
