@@ -23,7 +23,7 @@ class NamedPart:
 
     Attributes:
         kind: What it is, as messages and the configuration name it, e.g. ``method``.
-        group: The entry points' group, e.g. ``pemviz.methods``.
+        group: The entry points' group: ``pemviz.`` and the kind in the plural.
         shipped: Names that this package has; they go before registered ones of the same name.
     """
 

@@ -6,12 +6,11 @@ import math
 import os
 import re
 from dataclasses import replace
-from typing import get_args
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from pemviz.config import ExperimentConfig, MethodName, ScenarioConfig
+from pemviz.config import METHODS, ExperimentConfig, ScenarioConfig
 from pemviz.errors import LONGEST_MESSAGE, InputError
 from pemviz.files.atomic import write_json
 from pemviz.files.sample_run import sample_run_path
@@ -134,7 +133,7 @@ def test_the_sample_run_is_read_and_written_to_the_same_bytes(tmp_path):
 @pytest.mark.parametrize(
     "config",
     [
-        *(replace(TINY, method=method) for method in get_args(MethodName)),
+        *(replace(TINY, method=method) for method in METHODS.names()),
         replace(TINY, method="naive", spec="true"),  # infinitely robust
         replace(TINY, method="naive", spec="always[0,9] (gap >= 2.0 and false)"),
         replace(TINY, method="mixture", reference=True, target=1e-20, repetitions=2),
