@@ -17,6 +17,7 @@ from pemviz.arrays import (
     read_only,
     row_sums,
 )
+from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 
 StageKind = Literal["pretrain", "learn", "final"]
 
@@ -282,27 +283,28 @@ class Estimate:
     """A failure probability with what is needed to judge it.
 
     Undefined values are ``None``. ``ci_low`` and ``ci_high`` bound the probability at
-    ``confidence``; with no failure only Monte Carlo has an upper bound.
+    ``confidence``; with no failure only Monte Carlo has an upper bound. Importance weights may
+    carry an estimate, and any bound, above 1.
     """
 
     method: str
-    probability: float
-    log10_probability: float | None
-    std_error: float | None
-    ci_low: float | None
-    ci_high: float | None
-    rollouts_simulated: int
-    rollouts_in_estimate: int
-    failures: int
+    probability: AtLeastZero
+    log10_probability: Log10 | None
+    std_error: AtLeastZero | None
+    ci_low: AtLeastZero | None
+    ci_high: AtLeastZero | None
+    rollouts_simulated: Count
+    rollouts_in_estimate: Count
+    failures: Count
     nll_mean: float | None
     nll_log_mean: float | None
-    ess: float | None
+    ess: AtLeastZero | None
     pareto_k: float | None
-    max_weight_share: float | None
-    unbiased_probability: float | None
-    unbiased_std_error: float | None
+    max_weight_share: Share | None
+    unbiased_probability: AtLeastZero | None
+    unbiased_std_error: AtLeastZero | None
     diagnostics: tuple[Diagnostic, ...] = ()
-    confidence: float = 0.95
+    confidence: Confidence = 0.95
 
     @property
     def warnings(self) -> tuple[str, ...]:

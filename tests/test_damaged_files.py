@@ -13,7 +13,6 @@ from pemviz.errors import LONGEST_MESSAGE, ConfigError, InputError
 from pemviz.files.array_files import load_tensors, read_arrays
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.json_text import parse_json
-from pemviz.runs.result_documents import check_document
 from pemviz.runs.rollout_files import finished_stage
 from pemviz.types import Signal
 
@@ -175,24 +174,6 @@ def test_tensors_that_are_no_numbers_are_refused(tmp_path):
         path.write_bytes(struct.pack("<Q", len(header)) + header + bytes(size))
         with pytest.raises(InputError, match=r"tensors .*a\.safetensors"):
             load_tensors(path)
-
-
-@pytest.mark.parametrize(
-    ("document", "words"),
-    [
-        ({"stages": 3}, r"\.stages is '3', must be a list"),
-        ({"stages": [1]}, r"stages\[0\] is '1', must be a table"),
-        ({"stages": [{"stage": "x"}]}, r"stages\[0\]\.stage is 'x', must be a whole number"),
-        ({"stages": [{"stage": 1}]}, r"stages\[0\]\.repetition is 'None'"),
-        ({"estimate": {"probability": "x"}}, r"estimate\.probability is 'x', must be a number"),
-        ({"estimate": {"failures": -1}}, "must be a whole number"),
-        ({"pem_interval": {"members": True}}, "must be a whole number"),
-        ({"repetitions": [{"warnings": "x"}]}, "must be a list"),
-    ],
-)
-def test_a_result_that_no_run_writes_is_refused(document, words):
-    with pytest.raises(InputError, match=words):
-        check_document(document, where="result.json")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.config.ranges import AtLeastZero, Count, Share, StepIndex
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.simulators.latched import VIOLATED
@@ -48,8 +49,8 @@ class BandMisses:
 
     low: float
     high: float
-    misses: float
-    share: float
+    misses: AtLeastZero
+    share: Share
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,9 @@ class Chain:
         nll: Negative log likelihood of the deciding outcomes under the error model [nats].
     """
 
-    missed_steps: tuple[int, ...]
-    share: float
-    rollouts: int
+    missed_steps: tuple[StepIndex, ...]
+    share: Share
+    rollouts: Count
     nll: float
 
 

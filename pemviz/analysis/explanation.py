@@ -12,6 +12,7 @@ from pemviz.analysis.causes import (
     misses_by_distance,
 )
 from pemviz.analysis.sensitivity import BandSensitivity, band_sensitivities
+from pemviz.config.ranges import Count, Share
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.types import StageResult
 
@@ -30,9 +31,9 @@ class Explanation:
         sensitivity: For all distances together, then by band.
     """
 
-    repetition: int
+    repetition: Count
     misses_by_distance: tuple[BandMisses, ...]
-    miss_probability_by_step: tuple[float, ...]
+    miss_probability_by_step: tuple[Share, ...]
     chains: tuple[Chain, ...]
     sensitivity: tuple[BandSensitivity, ...]
 

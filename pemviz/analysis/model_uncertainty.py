@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.config.ranges import AtLeastZero, Confidence, Count, Share
 from pemviz.pem import (
     Pem,
     PemEnsemble,
@@ -47,11 +48,11 @@ class ModelInterval:
         warnings: What limits the interval.
     """
 
-    low: float | None
-    high: float | None
-    median: float | None
-    members: int
-    confidence: float
+    low: AtLeastZero | None
+    high: AtLeastZero | None
+    median: AtLeastZero | None
+    members: Count
+    confidence: Confidence
     warnings: tuple[str, ...]
 
 
@@ -113,10 +114,10 @@ class DataBound:
         confidence: Of the bands' bounds together, and again of the Monte Carlo bound.
     """
 
-    probability: float
-    rollouts: int
-    failures: int
-    confidence: float
+    probability: Share
+    rollouts: Count
+    failures: Count
+    confidence: Confidence
 
 
 def data_bound(problem: Problem, *, seed: int) -> DataBound | None:

@@ -16,6 +16,7 @@ from scipy.special import expit
 
 from pemviz.analysis.causes import Failures
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.config.ranges import AtLeastZero
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 
@@ -31,6 +32,7 @@ class BandSensitivity:
         high: Upper edge; ``None`` for all distances together.
         elasticity: d log(failure probability) / d log(probability of a miss in the band): ten
             per cent fewer misses bring about ``elasticity`` times ten per cent fewer failures.
+            ``None`` where a failure has a detection that the model holds to be impossible.
         target_factor: Misses in the band must become this many times as likely for the failure
             probability to meet the target; ``None`` without a target, or if even a factor of
             1e-6 does not suffice. 1 where the target is met already.
@@ -41,9 +43,9 @@ class BandSensitivity:
 
     low: float | None
     high: float | None
-    elasticity: float
-    target_factor: float | None
-    target_ess: float | None
+    elasticity: float | None
+    target_factor: AtLeastZero | None
+    target_ess: AtLeastZero | None
     warning: str | None = None
 
 
@@ -81,7 +83,8 @@ def log_change(failures: Failures, inside: BoolArray, *, factor: float) -> Float
     """
     miss = expit(-failures.rollouts.pem_logit)
     missed = ~failures.rollouts.detected
-    hits = np.log1p(-factor * miss) - np.log1p(-miss)
+    with np.errstate(divide="ignore", invalid="ignore"):  # where a miss is certain
+        hits = np.log1p(-factor * miss) - np.log1p(-miss)
     change = np.where(missed, math.log(factor), hits)
     return np.where(inside, change, 0.0).sum(axis=1)
 
@@ -93,9 +96,7 @@ def _sensitivity(
     log_probability: float,
     target: float | None,
 ) -> BandSensitivity:
-    miss = expit(-failures.rollouts.pem_logit)
-    slope = np.where(~failures.rollouts.detected, 1.0, -miss / (1.0 - miss))
-    elasticity = float(failures.share @ np.where(inside, slope, 0.0).sum(axis=1))
+    elasticity = _elasticity(failures, inside)
     if target is None:
         return BandSensitivity(*band, elasticity, None, None)
     log_share = np.log(np.maximum(failures.share, np.finfo(np.float64).tiny))
@@ -116,6 +117,15 @@ def _sensitivity(
         "an extrapolation: few of the failures look like those left" if ess < SMALL_ESS else None
     )
     return BandSensitivity(*band, elasticity, math.exp(log_factor), ess, warning)
+
+
+def _elasticity(failures: Failures, inside: BoolArray) -> float | None:
+    """Mean over the failures of d log(likelihood) / d log(probability of a miss ``inside``)."""
+    miss = expit(-failures.rollouts.pem_logit)
+    with np.errstate(divide="ignore", invalid="ignore"):  # certain misses: no figure, no warning
+        slope = np.where(~failures.rollouts.detected, 1.0, -miss / (1.0 - miss))
+        elasticity = float(failures.share @ np.where(inside, slope, 0.0).sum(axis=1))
+    return elasticity if math.isfinite(elasticity) else None
 
 
 def _root(excess: Callable[[float], float]) -> float | None:

@@ -16,8 +16,10 @@ from pemviz.cli.workers import check_workers, with_workers
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import Experiment, build_experiment, device_notes
-from pemviz.runs.result import estimate_from_document, result_document
-from pemviz.runs.resume import carry_out, read_result
+from pemviz.runs.result import RunResult
+from pemviz.runs.result_file import has_result, result_document
+from pemviz.runs.resume import carry_out
+from pemviz.runs.same_run import read_whole_run
 from pemviz.runs.store import create_run_folder
 
 
@@ -28,17 +30,17 @@ def record(arguments: RecordArguments) -> int:
         InputError: What they name does not fit together; nothing was simulated or written.
         RunError: The run failed.
     """
+    reports = ReportWriter(
+        summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
+    )
     if arguments.source.resume is not None:
-        done = _finished(arguments, arguments.source.resume)
+        done = _done_before(arguments.source.resume)
         if done is not None:
-            return done
+            return _tell_done(arguments, done, reports=reports)
     experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     for note in device_notes(experiment):
         print(f"pemviz: {note}", file=sys.stderr)
     check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
-    reports = ReportWriter(
-        summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
-    )
     folder = arguments.source.resume or create_run_folder(
         arguments.out, label=arguments.experiment.method
     )
@@ -60,9 +62,7 @@ def record(arguments: RecordArguments) -> int:
     if result.status != "done":
         print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
         return EXIT_FAILED
-    if arguments.fail_above is None or result.estimate is None:
-        return EXIT_DONE
-    return gate_exit_code(result.estimate, fail_above=arguments.fail_above)
+    return _gate(arguments, result)
 
 
 @contextmanager
@@ -91,15 +91,31 @@ def _recorder(
         written.replace(path)
 
 
-def _finished(arguments: RecordArguments, folder: Path) -> int | None:
-    """Report a run that is done already and return its exit code; ``None`` if it is not."""
-    document = read_result(folder)
-    if document is None or document.get("status") != "done":
+def _done_before(folder: Path) -> RunResult | None:
+    """The result of a run that is done already; ``None`` if it is not.
+
+    Raises:
+        InputError: The folder's files are damaged, or do not belong together.
+    """
+    if not has_result(folder):
         return None
-    print(f"pemviz: {folder} is done already; nothing was computed", file=sys.stderr)
+    result = read_whole_run(folder)
+    return result if result.status == "done" else None
+
+
+def _tell_done(arguments: RecordArguments, result: RunResult, *, reports: ReportWriter) -> int:
+    """Report a run that is done already and return its exit code; nothing is computed."""
+    print(
+        f"pemviz: {arguments.source.resume} is done already; nothing was computed", file=sys.stderr
+    )
+    reports.write(result)
     if arguments.json:
-        print(json.dumps(document, allow_nan=False))
+        print(json.dumps(result_document(result), allow_nan=False))
+    return _gate(arguments, result)
+
+
+def _gate(arguments: RecordArguments, result: RunResult) -> int:
+    """The exit code of a run that is done."""
     if arguments.fail_above is None:
         return EXIT_DONE
-    estimate = estimate_from_document(document["estimate"])
-    return gate_exit_code(estimate, fail_above=arguments.fail_above)
+    return gate_exit_code(result, fail_above=arguments.fail_above)

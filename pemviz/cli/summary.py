@@ -86,7 +86,8 @@ def _causes(explanation: Explanation, *, target: float | None) -> Table:
 def _band_row(
     name: str, misses: float, band: BandSensitivity, target: float | None
 ) -> tuple[str, ...]:
-    row = (name, f"{misses:.2f}", f"{band.elasticity:.2f}")
+    elasticity = "-" if band.elasticity is None else f"{band.elasticity:.2f}"
+    row = (name, f"{misses:.2f}", elasticity)
     if target is None:
         return row
     return (*row, "not enough alone" if band.target_factor is None else f"{band.target_factor:.3g}")

@@ -66,9 +66,9 @@ def tell_done_before(done: int, total: int) -> None:
 
 def done_text(report: RunReport) -> str:
     """A run that is done, with what it found."""
-    figures = report.state.figures
-    found = "" if figures is None else f": probability {figures.probability:.3g}"
-    return f"{report.state.planned.label}{found}"
+    found = report.state.estimate
+    answer = "" if found is None else f": probability {found.probability:.3g}"
+    return f"{report.state.planned.label}{answer}"
 
 
 def failure_line(report: RunReport) -> str:

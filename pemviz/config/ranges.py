@@ -1,8 +1,9 @@
-"""Allowed ranges of configuration values, declared where the fields are declared."""
+"""Allowed ranges of numbers, declared where the fields are declared."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -38,6 +39,18 @@ class Range:
         return " and ".join(parts) or "any finite number"
 
 
+Count = Annotated[int, Range(low=0, high=2**53)]
+"""How many of something: no more than a float64 tells apart."""
+StepIndex = Annotated[int, Range(low=0, high=2**31 - 1)]
+"""A step of a rollout, from 0; few enough that each has a time of its own in float64."""
+AtLeastZero = Annotated[float, Range(low=0.0)]
+Share = Annotated[float, Range(low=0.0, high=1.0 + 1e-9)]
+"""A part of a whole, or a probability; a sum of many may be rounded to a little above 1."""
+Confidence = Annotated[float, Range(low=0.0, low_open=True, high=1.0, high_open=True)]
+Log10 = Annotated[float, Range(high=300.0)]
+"""Decimal logarithm of what is a probability but for its error, so that its power is a float64."""
+
+
 def is_finite(value: float) -> bool:
     """Whether ``value`` is a finite float64; a whole number may be too large for one."""
     try:
@@ -62,22 +75,36 @@ def allowed_text(annotation: object) -> str:
     return names.get(annotation, str(annotation)) if isinstance(annotation, type) else "a value"
 
 
+@cache
+def checker(annotation: object) -> Callable[[object], bool]:
+    """Tells of a value that is not ``None`` whether a field annotated so may hold it."""
+    kind, limits = _unpack(annotation)
+    if get_origin(kind) is Literal:
+        choices = get_args(kind)
+        return lambda value: value in choices
+    if kind is str:
+        return _is_text
+    types = (int, float) if kind is float else (kind,)
+    numeric = kind in (int, float)
+
+    def fits(value: object) -> bool:
+        if not isinstance(value, types) or (numeric and isinstance(value, bool)):
+            return False
+        return limits is None or limits.contains(_number(value))
+
+    return fits
+
+
 def check_value(*, name: str, value: object, annotation: object) -> object:
     """``value`` converted to the annotated type (only int to float is converted).
 
     Raises:
         ConfigError: The type is wrong or the number lies outside its range.
     """
-    kind, limits = _unpack(annotation)
-    fits = (
-        value in get_args(kind)
-        if get_origin(kind) is Literal
-        else _is_a(value, kind) and (limits is None or limits.contains(_number(value)))
-    )
-    if not fits:
-        message = f"{name} = {_shown(value)}: must be {allowed_text(annotation)}"
+    if not checker(annotation)(value):
+        message = f"{name} = {shown(value)}: must be {allowed_text(annotation)}"
         raise ConfigError(message)
-    return float(_number(value)) if kind is float else value
+    return float(_number(value)) if _unpack(annotation)[0] is float else value
 
 
 def check_fields(instance: Any, *, prefix: str = "") -> None:
@@ -119,18 +146,23 @@ def allows_none(annotation: object) -> bool:
     return type(None) in get_args(annotation)
 
 
-def _is_a(value: object, kind: type) -> bool:
-    if kind in (float, int):
-        accepted = (int, float) if kind is float else (int,)
-        return isinstance(value, accepted) and not isinstance(value, bool)
-    return isinstance(value, kind)
+def _is_text(value: object) -> bool:
+    """Whether ``value`` is a text that files can hold: no half of a surrogate pair alone."""
+    if not isinstance(value, str):
+        return False
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _number(value: Any) -> float:
     return value
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """``value`` in at most sixty characters, whatever it is."""
     try:
         text = repr(value)
     except (RecursionError, ValueError):  # nested deeply, or a number of thousands of digits

@@ -1,19 +1,16 @@
 """Configurations as TOML: presets, the user's files, and the copy in every run folder."""
 
-import difflib
 import tomllib
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_type_hints
+from typing import Any
 
 import tomli_w
 
 from pemviz.config import ExperimentConfig
-from pemviz.config.ranges import allows_none, check_value, optional_value
+from pemviz.config.records import read_record
 from pemviz.errors import ConfigError
 from pemviz.files.shipped import asset_path
-
-Config = TypeVar("Config")
 
 LARGEST_BYTES = 1_000_000
 """A configuration has a kilobyte; no more than this is read of what is given as one."""
@@ -89,7 +86,7 @@ def config_from_table(table: dict[str, Any]) -> ExperimentConfig:
     Raises:
         ConfigError: A field is unknown or of the wrong type.
     """
-    return _build(ExperimentConfig, table, prefix="")
+    return read_record(ExperimentConfig, table)
 
 
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
@@ -102,33 +99,3 @@ def config_text(config: ExperimentConfig) -> str:
     # TOML has no null: what is not set is left out
     set_values = {n: value for n, value in config_table(config).items() if value is not None}
     return tomli_w.dumps(set_values)
-
-
-def _build(kind: type[Config], table: dict[str, Any], *, prefix: str) -> Config:
-    hints = get_type_hints(kind, include_extras=True)
-    known = {field.name for field in fields(cast(Any, kind))}
-    values: dict[str, Any] = {}
-    for name, value in table.items():
-        if name not in known:
-            raise ConfigError(_unknown(f"{prefix}{name}", name, known))
-        annotation = hints[name]
-        if is_dataclass(annotation):
-            if not isinstance(value, dict):
-                message = f"{prefix}{name} = {value!r}: must be a table [{prefix}{name}]"
-                raise ConfigError(message)
-            nested = cast(type[Any], annotation)
-            values[name] = _build(nested, cast(dict[str, Any], value), prefix=f"{name}.")
-        elif value is None and allows_none(annotation):
-            values[name] = None
-        else:
-            values[name] = check_value(
-                name=f"{prefix}{name}", value=value, annotation=optional_value(annotation)
-            )
-    return kind(**values)
-
-
-def _unknown(shown: str, name: str, known: set[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    if near:
-        return f"{shown}: no such field; did you mean {near[0]}?"
-    return f"{shown}: no such field; allowed are {', '.join(sorted(known))}"

@@ -12,7 +12,6 @@ from scipy.special import expit
 from pemviz.analysis.detection_curves import gap_grid, initial_states, pem_curve
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config import ExperimentConfig
-from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
 from pemviz.files.array_files import load_tensors
 from pemviz.panel.run_data import (
@@ -25,8 +24,9 @@ from pemviz.panel.run_data import (
 )
 from pemviz.pem import load_pem
 from pemviz.proposals.gap_network import gap_network_from_arrays
-from pemviz.runs.result_documents import read_document
+from pemviz.runs.result_file import RESULT_FILE
 from pemviz.runs.rollout_files import load_rollouts
+from pemviz.runs.same_run import read_whole_run
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import StageKind
 
@@ -50,7 +50,7 @@ class LoadedRuns:
         """
         with self._lock:
             try:
-                key = (folder, (folder / "result.json").stat().st_mtime_ns)
+                key = (folder, (folder / RESULT_FILE).stat().st_mtime_ns)
             except OSError as error:
                 message = f"run {folder}: cannot be read ({error.strerror or error})"
                 raise InputError(message) from error
@@ -66,8 +66,8 @@ def load_run(folder: Path) -> RunData:
     Raises:
         InputError: Something in it is absent or damaged.
     """
-    config = load_config(folder / "config.toml")
-    document = read_document(folder / "result.json")
+    result = read_whole_run(folder)
+    config = result.config
     table = _rollouts(folder, config)
     simulator = VectorizedSimulator(config.scenario)
     gap_m = gap_grid(simulator)
@@ -81,9 +81,7 @@ def load_run(folder: Path) -> RunData:
     if not curves and table:
         curves = _visited_curves(table, gap_m=gap_m)
     return RunData(
-        name=str(document.get("run_id", folder.name)),
-        config=config,
-        read_document=lambda: document,
+        result=result,
         gap_m=gap_m,
         pem_detection=pem_detection,
         curves=curves,

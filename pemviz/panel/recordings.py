@@ -1,17 +1,17 @@
 """The folder of kept runs: what is there, and safe access to it by name."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Literal
 
-from pemviz.config.toml_files import load_config
+from pemviz.config import MethodName, MetricName
 from pemviz.errors import InputError
 from pemviz.files.shipped import asset_root
-from pemviz.runs.result_documents import read_document
+from pemviz.runs.result import RunResult, RunStatus
+from pemviz.runs.result_file import RESULT_FILE, has_result
+from pemviz.runs.same_run import read_whole_run
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
-RESULT = "result.json"
 SAMPLE = "sample"
 LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
 
@@ -22,7 +22,7 @@ class RunEntry:
 
     Attributes:
         name: The run folder's name.
-        status: As in ``result.json``.
+        status: How it ended.
         method: The method.
         metric: The metric.
         seed: The seed.
@@ -31,9 +31,9 @@ class RunEntry:
     """
 
     name: str
-    status: str
-    method: str
-    metric: str
+    status: RunStatus
+    method: MethodName
+    metric: MetricName
     seed: int
     probability: float | None
     has_recording: bool
@@ -68,7 +68,7 @@ class RecordingsFolder:
         except OSError:
             return []
         return sorted(
-            (f.name for f in folders if not f.is_symlink() and (f / RESULT).is_file()),
+            (f.name for f in folders if not f.is_symlink() and has_result(f)),
             reverse=True,
         )
 
@@ -110,7 +110,7 @@ class RecordingsFolder:
 
     def _entry(self, name: str) -> RunEntry | str:
         """The run's line, or what is wrong with it."""
-        path = self.root / name / RESULT
+        path = self.root / name / RESULT_FILE
         try:
             changed_s = path.stat().st_mtime
         except OSError as error:
@@ -119,8 +119,7 @@ class RecordingsFolder:
             known = self._entries.get(name)
             if known is not None and known[0] == changed_s:
                 return known[1]
-            entry = _entry_of(name, read_document(path), folder=self.root / name)
-            load_config(self.root / name / "config.toml")
+            entry = _entry_of(name, read_whole_run(path.parent), folder=path.parent)
         except InputError as error:
             entry = str(error)
         self._entries[name] = (changed_s, entry)
@@ -131,25 +130,18 @@ def sample_folder() -> Path | None:
     """The sample run that is shipped, if it is there: in the wheel, or in the checkout."""
     root = asset_root()
     for candidate in (root / SAMPLE, root.parent / "_sample", root.parent / "recordings" / SAMPLE):
-        if (candidate / RESULT).is_file():
+        if has_result(candidate):
             return candidate
     return None
 
 
-def _entry_of(name: str, document: Mapping[str, Any], *, folder: Path) -> RunEntry:
-    config = _table(document.get("config"))
-    probability = _table(document.get("estimate")).get("probability")
-    seed = document.get("seed")
+def _entry_of(name: str, result: RunResult, *, folder: Path) -> RunEntry:
     return RunEntry(
         name=name,
-        status=str(document.get("status", "unknown")),
-        method=str(config.get("method", "unknown")),
-        metric=str(config.get("metric", "unknown")),
-        seed=seed if isinstance(seed, int) else 0,
-        probability=float(probability) if isinstance(probability, int | float) else None,
+        status=result.status,
+        method=result.config.method,
+        metric=result.config.metric,
+        seed=result.config.seed,
+        probability=None if result.estimate is None else result.estimate.probability,
         has_recording=(folder / "run.rrd").is_file(),
     )
-
-
-def _table(value: object) -> dict[str, Any]:
-    return cast(dict[str, Any], value) if isinstance(value, dict) else {}

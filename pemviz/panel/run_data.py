@@ -12,6 +12,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
+from pemviz.runs.result import RunResult
 from pemviz.simulators.braking.scenario import scenario_signals
 from pemviz.types import Simulator, StageKind
 
@@ -62,9 +63,7 @@ class RunData:
     """One state of one run; a run that goes on yields a new one after every stage.
 
     Attributes:
-        name: The run's id.
-        config: What was asked.
-        read_document: Gives the contents of ``result.json``.
+        result: What the run tells, as far as it has come.
         gap_m: ``[G]`` gaps of the error model's curve [m].
         pem_detection: ``[G]`` P(detected) under the error model.
         curves: Proposals in the order in which they were learned.
@@ -74,9 +73,7 @@ class RunData:
         running: Whether it goes on.
     """
 
-    name: str
-    config: ExperimentConfig
-    read_document: Callable[[], Mapping[str, Any]]
+    result: RunResult
     gap_m: FloatArray
     pem_detection: FloatArray
     curves: tuple[ProposalCurve, ...] = ()
@@ -86,10 +83,15 @@ class RunData:
     running: bool = False
     memo: Memo = field(default_factory=Memo, init=False)
 
-    @cached_property
-    def document(self) -> Mapping[str, Any]:
-        """The contents of ``result.json``."""
-        return self.read_document()
+    @property
+    def name(self) -> str:
+        """The run's id."""
+        return self.result.run_id
+
+    @property
+    def config(self) -> ExperimentConfig:
+        """What was asked."""
+        return self.result.config
 
     @cached_property
     def rollouts(self) -> Mapping[str, AnyArray]:

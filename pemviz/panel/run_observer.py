@@ -12,7 +12,7 @@ from pemviz.arrays import FloatArray
 from pemviz.panel.run_data import ProposalCurve, RunData, numbered, thinned
 from pemviz.runs.events import Event, RepetitionDone, RolloutsDone, RunDone, RunFailed, RunStarted
 from pemviz.runs.events import StageDone as StageDoneEvent
-from pemviz.runs.result import RunResult, result_document
+from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import stage_arrays
 from pemviz.types import StageResult
 
@@ -110,9 +110,7 @@ class Watcher:
             by_level=event.config.method == "splitting",
         )
         self.run = RunData(
-            name=event.result.run_id,
-            config=event.config,
-            read_document=lambda: result_document(event.result),
+            result=event.result,
             gap_m=self._gap_m,
             pem_detection=detection,
             folder=self._folder,
@@ -121,7 +119,7 @@ class Watcher:
 
     def _set_result(self, result: RunResult) -> None:
         if self.run is not None:
-            self.run = replace(self.run, read_document=lambda: result_document(result))
+            self.run = replace(self.run, result=result)
 
     def _add_stage(self, stage: StageResult) -> None:
         run, started = self.run, self._started

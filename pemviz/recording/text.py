@@ -10,7 +10,8 @@ from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
 from pemviz.reports.words import RELIABLE_TAIL
-from pemviz.runs.result import RunResult, result_document
+from pemviz.runs.result import RunResult
+from pemviz.runs.result_file import result_document
 from pemviz.types import Estimate
 
 NOTHING = "none"

@@ -50,11 +50,19 @@ class ReportWriter:
             RunError: A file cannot be written.
         """
         if isinstance(event, RunDone | RunFailed):
-            try:
-                self._write(event.result)
-            except OSError as error:
-                message = f"the reports cannot be written ({error})"
-                raise RunError(message) from error
+            self.write(event.result)
+
+    def write(self, result: RunResult) -> None:
+        """Write what was asked for, of a run that has come to its end.
+
+        Raises:
+            RunError: A file cannot be written.
+        """
+        try:
+            self._write(result)
+        except OSError as error:
+            message = f"the reports cannot be written ({error})"
+            raise RunError(message) from error
 
     def _write(self, result: RunResult) -> None:
         gate = None if self._limit is None else decide_run(result, limit=self._limit)

@@ -1,9 +1,13 @@
-"""The result of a run, and the JSON document that files and scripts read."""
+"""The result of a run: everything that it tells, but for the rollouts themselves.
+
+:mod:`pemviz.runs.result_file` writes it to ``result.json`` and reads it back; the types and
+ranges of the fields here, and of the types that they name, say what may stand there.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -11,16 +15,11 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
-from pemviz.config.toml_files import config_table
-from pemviz.errors import InputError
-from pemviz.sampling.estimates.diagnostics import MEANINGS, classified
+from pemviz.config.ranges import AtLeastZero, Count, Log10
 from pemviz.sampling.value_twisted.reference import Reference
-from pemviz.types import Diagnostic, Estimate, StageKind, StageResult
+from pemviz.types import Estimate, StageKind, StageResult
 
-SCHEMA = 1
 LEAST_ROBUST = 20
-ALWAYS_KNOWN = ("method", "probability", "rollouts_simulated", "failures", "confidence")
-"""Of an estimate; everything else may be undefined."""
 
 RunStatus = Literal["done", "stopped", "failed"]
 
@@ -42,18 +41,22 @@ class PemInfo:
 
 @dataclass(frozen=True)
 class StageSummary:
-    """A stage without its rollouts; see :class:`pemviz.types.StageResult`."""
+    """A stage without its rollouts; see :class:`pemviz.types.StageResult`.
 
-    repetition: int
-    stage: int
+    ``threshold`` is ``None`` also where it is infinite: where the specification does not depend
+    on the rollout.
+    """
+
+    repetition: Count
+    stage: Count
     kind: StageKind
-    rollouts: int
+    rollouts: Count
     threshold: float | None
-    elites: int
-    failures: int
-    probability: float
-    log10_probability: float | None
-    ess: float | None
+    elites: Count
+    failures: Count
+    probability: AtLeastZero
+    log10_probability: Log10 | None
+    ess: AtLeastZero | None
     loss: float | None
 
 
@@ -65,21 +68,22 @@ class RankedRollout:
         repetition: Zero-based.
         stage: Its stage.
         rollout: Its index in the stage.
-        robustness: Under the run's metric.
+        robustness: Under the run's metric; infinite where the specification does not depend
+            on the rollout, below 0 if it is violated then.
         violated: The classical verdict.
         nll: Its negative log-likelihood under the perception error model [nats].
         log_weight: Its log importance weight [nats].
         misses: How many steps missed.
     """
 
-    repetition: int
-    stage: int
-    rollout: int
+    repetition: Count
+    stage: Count
+    rollout: Count
     robustness: float
     violated: bool
     nll: float
     log_weight: float
-    misses: int
+    misses: Count
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +91,22 @@ class RunResult:
     """Everything a run tells, but for the rollouts themselves.
 
     Attributes:
+        run_id: The run's name, that of its folder.
+        status: ``stopped`` also while it goes on, as that is what a kill would leave.
+        config: What was asked.
+        pem: The perception error model that was asked.
+        versions: Of pemviz and of what the figures may depend on, by package.
+        assumptions: What the answer takes for granted, in words.
+        estimate: The answer; of several repetitions, their mean.
+        repetitions: The estimate of each repetition that is done.
+        stages: Every stage that is done.
+        least_robust: The least robust rollouts of all, least robust first.
         reference: The answer by the value-twisted reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
         data_bound: What the model's training data alone allow.
         explanation: Where and when the detector misses before violations, and what would help.
         warnings: About the model and its data; those about sampling are the estimates' own.
+        timings_s: Wall time by part of the work [s].
         message: Why the run failed, if it did.
     """
 
@@ -110,7 +125,7 @@ class RunResult:
     data_bound: DataBound | None = None
     explanation: Explanation | None = None
     warnings: tuple[str, ...] = ()
-    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
+    timings_s: Mapping[str, AtLeastZero] = field(default_factory=dict[str, float])
     message: str | None = None
 
 
@@ -121,14 +136,18 @@ def summarise_stage(stage: StageResult) -> StageSummary:
         stage=stage.stage,
         kind=stage.kind,
         rollouts=stage.scored.rollouts.count,
-        threshold=stage.threshold,
+        threshold=_finite(stage.threshold),
         elites=stage.elites,
         failures=stage.failures,
         probability=stage.probability,
         log10_probability=stage.log10_probability,
         ess=stage.ess,
-        loss=stage.loss,
+        loss=_finite(stage.loss),
     )
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
 
 
 def with_stage(result: RunResult, stage: StageResult) -> RunResult:
@@ -167,110 +186,3 @@ def rank_rollouts(stage: StageResult, *, count: int = LEAST_ROBUST) -> Sequence[
         )
         for place, index in enumerate(order)
     ]
-
-
-def result_document(result: RunResult) -> dict[str, Any]:
-    """The contents of ``result.json``: strict JSON, null where a figure is undefined."""
-    document: dict[str, Any] = {
-        "schema": SCHEMA,
-        "run_id": result.run_id,
-        "status": result.status,
-        "message": result.message,
-        "seed": result.config.seed,
-        "versions": dict(result.versions),
-        "config": config_table(result.config),
-        "pem": asdict(result.pem),
-        "estimate": None if result.estimate is None else estimate_document(result.estimate),
-        "reference": None if result.reference is None else asdict(result.reference),
-        "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
-        "data_bound": None if result.data_bound is None else asdict(result.data_bound),
-        **_explanation_document(result.explanation),
-        "repetitions": [estimate_document(estimate) for estimate in result.repetitions],
-        "stages": [asdict(stage) for stage in result.stages],
-        "least_robust": [asdict(rollout) for rollout in result.least_robust],
-        "assumptions": list(result.assumptions),
-        "warnings": list(result.warnings),
-        "timings_s": dict(result.timings_s),
-    }
-    return _strict(document)
-
-
-def estimate_document(estimate: Estimate) -> dict[str, Any]:
-    """One estimate as JSON values."""
-    table = asdict(estimate)
-    probability = table.pop("unbiased_probability")
-    std_error = table.pop("unbiased_std_error")
-    table["unbiased"] = {"probability": probability, "std_error": std_error}
-    table["warnings"] = list(estimate.warnings)
-    return table
-
-
-def estimate_from_document(document: Mapping[str, Any]) -> Estimate:
-    """The inverse of :func:`estimate_document`.
-
-    Raises:
-        InputError: A value is missing.
-    """
-    table: dict[str, Any] = dict(document)
-    unknown = [name for name in ALWAYS_KNOWN if table.get(name) is None]
-    if unknown:
-        message = f"estimate: {', '.join(unknown)} is missing"
-        raise InputError(message)
-    try:
-        unbiased = table.pop("unbiased")
-        table["unbiased_probability"] = unbiased["probability"]
-        table["unbiased_std_error"] = unbiased["std_error"]
-        warnings, diagnostics = table.pop("warnings"), table.pop("diagnostics", None)
-        found = Estimate(**table)
-        return replace(found, diagnostics=diagnostics_read(diagnostics, warnings, of=found))
-    except (KeyError, TypeError) as error:
-        message = f"estimate: not as pemviz writes it ({error})"
-        raise InputError(message) from error
-
-
-def diagnostics_read(
-    diagnostics: Sequence[Any] | None, warnings: Sequence[Any], *, of: Estimate
-) -> tuple[Diagnostic, ...]:
-    """The diagnostics of an estimate in a document.
-
-    Args:
-        diagnostics: As the document has them; ``None`` in one of an older version.
-        warnings: Their texts.
-        of: The estimate's figures.
-
-    Raises:
-        InputError: They are not as pemviz writes them.
-    """
-    if not all(isinstance(text, str) for text in warnings):
-        message = "estimate.warnings: must be texts"
-        raise InputError(message)
-    if diagnostics is None:
-        return classified(warnings, of)
-    found = tuple(Diagnostic(**entry) for entry in diagnostics)
-    for one in found:
-        figures = [figure for figure in (one.value, one.limit) if figure is not None]
-        if one.kind not in MEANINGS or not all(type(f) in (int, float) for f in figures):
-            message = f"estimate.diagnostics: {str(one.kind)[:60]!r} is none that pemviz writes"
-            raise InputError(message)
-    if [one.text for one in found] != list(warnings):
-        message = "estimate.warnings: must be the texts of its diagnostics"
-        raise InputError(message)
-    return found
-
-
-def _explanation_document(explanation: Explanation | None) -> dict[str, Any]:
-    if explanation is None:
-        return {"sensitivity": None, "causes": None}
-    causes = asdict(explanation)
-    return {"sensitivity": causes.pop("sensitivity"), "causes": causes}
-
-
-def _strict(value: Any) -> Any:
-    """``value`` with every number that JSON cannot hold replaced by null."""
-    if isinstance(value, dict):
-        return {str(key): _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

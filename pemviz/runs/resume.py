@@ -1,14 +1,11 @@
 """A run that is kept in a folder, and that goes on from what an earlier process left there."""
 
-import json
 import logging
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
 
-from pemviz.config.toml_files import config_table
 from pemviz.errors import InputError
 from pemviz.files.locks import held
 from pemviz.runs.engine import run, versions
@@ -16,7 +13,8 @@ from pemviz.runs.events import Observer
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.finished_stages import Archive
 from pemviz.runs.result import RunResult
-from pemviz.runs.result_documents import read_document
+from pemviz.runs.result_file import has_result, read_result
+from pemviz.runs.same_run import run_differs
 from pemviz.runs.store import RunStore
 
 LOG = logging.getLogger(__name__)
@@ -74,40 +72,18 @@ def run_lock(folder: Path) -> Generator[None, None, None]:
         yield
 
 
-def read_result(folder: Path) -> dict[str, Any] | None:
-    """The contents of a run folder's ``result.json``; ``None`` if there is none.
-
-    Raises:
-        InputError: It is damaged.
-    """
-    path = folder / "result.json"
-    return read_document(path) if path.exists() else None
-
-
 def check_same_run(experiment: Experiment, folder: Path) -> None:
     """Refuse to go on with other settings or another error model; warn of other versions.
 
     Raises:
         InputError: They differ, or ``result.json`` is damaged.
     """
-    document = read_result(folder)
-    if document is None:
+    if not has_result(folder):
         return
-    settings = json.loads(json.dumps(config_table(experiment.config)))
-    if document.get("config") != settings:
-        message = (
-            f"run {folder}: was begun with settings other than those of its config.toml; "
-            "start a new run"
-        )
+    result = read_result(folder)
+    difference = run_differs(result, config=experiment.config, pem_digest=experiment.pem.digest)
+    if difference is not None:
+        message = f"run {folder}: was begun with {difference}; start a new run"
         raise InputError(message)
-    pem = document.get("pem")
-    digest = cast(dict[str, Any], pem).get("digest") if isinstance(pem, dict) else None
-    if digest != experiment.pem.digest:
-        message = (
-            f"run {folder}: was begun with another error model of the name "
-            f"{experiment.config.pem!r} (digest {str(digest)[:12]}, now "
-            f"{experiment.pem.digest[:12]}); start a new run"
-        )
-        raise InputError(message)
-    if document.get("versions") != versions():
+    if result.versions != versions():
         LOG.warning("run %s: was begun with other versions; last digits may differ", folder)

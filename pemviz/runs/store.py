@@ -11,10 +11,11 @@ from safetensors.numpy import save as save_tensors
 from pemviz.arrays import AnyArray
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
-from pemviz.files.atomic import write_bytes, write_json, write_text
+from pemviz.files.atomic import write_bytes, write_text
 from pemviz.runs.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
 from pemviz.runs.finished_stages import Archive
-from pemviz.runs.result import RunResult, result_document
+from pemviz.runs.result import RunResult
+from pemviz.runs.result_file import has_result, write_result
 from pemviz.runs.rollout_files import (
     PART_FOLDER,
     join_parts,
@@ -83,12 +84,12 @@ class RunStore:
             case RunStarted():
                 self._signals = event.signals
                 write_text(self.folder / "config.toml", config_text(event.config))
-                if not (self.folder / "result.json").exists():
-                    self._write_result(event.result)
+                if not has_result(self.folder):
+                    write_result(self.folder, event.result)
             case StageDone():
                 self._keep_stage(event.stage, event.result)
             case RepetitionDone() if not self._is_behind():
-                self._write_result(event.result)
+                write_result(self.folder, event.result)
             case RunDone() | RunFailed():
                 self._end(event.result)
             case _:
@@ -104,19 +105,16 @@ class RunStore:
         if result.status != "done":
             if self._is_behind():  # what the folder says goes further
                 return
-            self._write_result(result)
+            write_result(self.folder, result)
             with contextlib.suppress(OSError):  # a full disk: the stages' files have it all
                 self._join()
             return
         self._join()
-        self._write_result(result)
+        write_result(self.folder, result)
         parts = self.folder / PART_FOLDER
         if parts.exists():
             removed = parts.rename(self.folder / f".{PART_FOLDER}.removed")
             shutil.rmtree(removed, ignore_errors=True)
-
-    def _write_result(self, result: RunResult) -> None:
-        write_json(self.folder / "result.json", result_document(result))
 
     def _keep_stage(self, stage: StageResult, result: RunResult) -> None:
         part = part_path(self.folder, repetition=stage.repetition, stage=stage.stage)
@@ -130,7 +128,7 @@ class RunStore:
         write_part(part, part_arrays(stage, self._signals))
         if stage.learned is not None:
             self._write_proposals()
-        self._write_result(result)
+        write_result(self.folder, result)
 
     def _write_proposals(self) -> None:
         if self._proposals:

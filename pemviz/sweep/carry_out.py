@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pemviz.sweep.folders import RunFigures, read_finished, write_folder
+from pemviz.sweep.folders import read_finished, write_folder
 from pemviz.sweep.model_files import ModelFiles
 from pemviz.sweep.plan import PlannedRun
 from pemviz.sweep.runs import Keep, RunOutcome, task_of
 from pemviz.sweep.workers import Workers
+from pemviz.types import Estimate
 
 POLL_S = 0.2
 ATTEMPTS = 2
@@ -26,13 +27,14 @@ class RunState:
     Attributes:
         planned: The run.
         status: Whether it is done.
-        figures: What it found, if it is done.
+        estimate: What it found, if it is done; a sweep may have more runs than there is room
+            for results.
         message: Why it failed, if it did.
     """
 
     planned: PlannedRun
     status: RunStatus
-    figures: RunFigures | None = None
+    estimate: Estimate | None = None
     message: str | None = None
 
 
@@ -55,7 +57,7 @@ OnReport = Callable[[RunReport], None]
 def finished_before(runs: Path, planned: Sequence[PlannedRun], *, keep: Keep) -> list[RunState]:
     """How every run stands before anything is done."""
     found = [(one, read_finished(runs, one, keep=keep)) for one in planned]
-    return [RunState(one, "not run" if f is None else "done", f) for one, f in found]
+    return [RunState(one, "not run" if e is None else "done", e) for one, e in found]
 
 
 def carry_out_runs(
@@ -112,7 +114,7 @@ def _keep(runs: Path, planned: PlannedRun, outcome: RunOutcome, *, keep: Keep) -
         write_folder(runs, planned.name, outcome.files)
     if outcome.message is not None:
         return RunState(planned, "failed", message=outcome.message)
-    figures = read_finished(runs, planned, keep=keep)
-    if figures is None:
+    estimate = read_finished(runs, planned, keep=keep)
+    if estimate is None:
         return RunState(planned, "failed", message=OTHER_RESULT)
-    return RunState(planned, "done", figures)
+    return RunState(planned, "done", estimate)

@@ -51,17 +51,17 @@ def write_overview(
 
 
 def _estimate(state: RunState) -> SweepEstimate:
-    figures = state.figures
+    found = state.estimate
     seed = state.planned.config.seed
-    if figures is None:
+    if found is None:
         return SweepEstimate(seed, None, note=state.message or state.status)
-    if figures.log10_probability is None:
+    if found.log10_probability is None:
         return SweepEstimate(seed, None, note="no violation seen")
     return SweepEstimate(
         seed,
-        figures.log10_probability,
-        log10_ci_low=_log10(figures.ci_low),
-        log10_ci_high=_log10(figures.ci_high),
+        found.log10_probability,
+        log10_ci_low=_log10(found.ci_low),
+        log10_ci_high=_log10(found.ci_high),
     )
 
 
@@ -78,18 +78,18 @@ def _runs_page(plan: Plan, states: Sequence[RunState]) -> str:
 
 
 def _run_row(state: RunState) -> tuple[str, ...]:
-    planned, figures = state.planned, state.figures
+    planned, found = state.planned, state.estimate
     head = (*(value_text(value) for _, value in planned.setting), str(planned.config.seed))
     status = state.status if state.message is None else f"{state.status}: {state.message}"
-    if figures is None:
+    if found is None:
         return (*map(markdown_text, head), "", "", "", "", markdown_text(status))
-    bounds = [_short(figures.ci_low), _short(figures.ci_high)]
+    bounds = [_short(found.ci_low), _short(found.ci_high)]
     return (
         *map(markdown_text, head),
-        _short(figures.probability),
+        _short(found.probability),
         " to ".join(bounds),
-        str(figures.failures),
-        _short(figures.ess),
+        str(found.failures),
+        _short(found.ess),
         status,
     )
 

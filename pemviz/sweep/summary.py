@@ -8,8 +8,8 @@ from pemviz.reports.escape import markdown_table, markdown_text
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.fields import Setting
-from pemviz.sweep.folders import RunFigures
 from pemviz.sweep.plan import Plan, value_text
+from pemviz.types import Estimate
 
 NOTHING = "-"
 
@@ -27,9 +27,9 @@ class SettingSummary:
     states: tuple[RunState, ...]
 
     @property
-    def figures(self) -> tuple[RunFigures, ...]:
+    def estimates(self) -> tuple[Estimate, ...]:
         """Of its runs that are done."""
-        return tuple(state.figures for state in self.states if state.figures is not None)
+        return tuple(state.estimate for state in self.states if state.estimate is not None)
 
 
 def by_setting(states: Sequence[RunState]) -> list[SettingSummary]:
@@ -77,17 +77,17 @@ def settings_table(plan: Plan, states: Sequence[RunState]) -> str:
 
 
 def _row(one: SettingSummary) -> tuple[str, ...]:
-    figures = one.figures
-    probabilities = [f.probability for f in figures]
+    estimates = one.estimates
+    probabilities = [e.probability for e in estimates]
     return (
         *(markdown_text(value_text(value)) for _, value in one.setting),
-        f"{len(figures)} of {len(one.states)}",
+        f"{len(estimates)} of {len(one.states)}",
         _over(statistics.median, probabilities),
         _over(min, probabilities),
         _over(max, probabilities),
-        str(sum(f.failures == 0 for f in figures)),
-        _over(statistics.median, [f.ess for f in figures]),
-        _over(max, [f.pareto_k for f in figures]),
+        str(sum(e.failures == 0 for e in estimates)),
+        _over(statistics.median, [e.ess for e in estimates]),
+        _over(max, [e.pareto_k for e in estimates]),
     )
 
 

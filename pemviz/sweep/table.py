@@ -2,19 +2,21 @@
 
 import csv
 import io
-import math
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any
 
 from pemviz.reports.escape import printable_line
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.fields import field_annotations, value_type
-from pemviz.sweep.folders import RUNS, RunFigures
+from pemviz.sweep.folders import RUNS
 from pemviz.sweep.plan import Plan
 
+FIGURES = (
+    "probability", "log10_probability", "std_error", "ci_low", "ci_high", "failures", "ess",
+    "pareto_k", "max_weight_share", "rollouts_simulated",
+)  # fmt: skip
+"""Of an :class:`~pemviz.types.Estimate`, those that the table has."""
 WHOLE = ("failures", "rollouts_simulated")
-FIGURES = tuple(one.name for one in fields(RunFigures))
 TEXTS = ("status", "message", "run_folder")
 KINDS: dict[type | None, str] = {bool: "bool", int: "int64", float: "float64"}
 
@@ -40,8 +42,7 @@ def _row(plan: Plan, state: RunState) -> Row:
     row: Row = {name: chosen[name] for name in plan.fields}
     row["seed"] = state.planned.config.seed
     for name in FIGURES:
-        value = None if state.figures is None else getattr(state.figures, name)
-        row[name] = value if value is None or math.isfinite(value) else None
+        row[name] = None if state.estimate is None else getattr(state.estimate, name)
     row["status"] = state.status
     row["message"] = None if state.message is None else printable_line(state.message)
     row["run_folder"] = f"{RUNS}/{state.planned.name}"

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -75,6 +75,21 @@ def test_elasticity_is_the_derivative_of_the_exact_answer(failures):
         expected = (math.log(TRUTH) - math.log(changed)) / -math.log(1.0 - step)
         assert row.elasticity == pytest.approx(expected, rel=0.05, abs=0.03)
     assert rows[0].elasticity == pytest.approx(sum(row.elasticity for row in rows[1:]), rel=1e-9)
+
+
+def test_a_detection_that_the_model_holds_impossible_leaves_no_elasticity(failures):
+    """One failure detects where a miss is certain: its likelihood is 0, and stays so for less."""
+    rollouts = failures.rollouts
+    place = np.argwhere(rollouts.detected & failures.deciding)[0]
+    certain = rollouts.pem_logit.copy()
+    certain[*place] = -1000.0
+    changed = replace(failures, rollouts=replace(rollouts, pem_logit=certain))
+    rows = band_sensitivities(changed, log_probability=math.log(TRUTH), edges=EDGES, target=1e-30)
+    gap = rollouts.signals["gap"][*place]
+    for row in rows:
+        inside = row.low is None or row.low <= gap < row.high
+        assert (row.elasticity is None) == inside
+        assert row.target_factor is None or not inside
 
 
 @pytest.mark.parametrize("share", [0.3, 0.03])

@@ -8,7 +8,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.result import result_document
+from pemviz.runs.result_file import result_document
 from pemviz.sampling.direct.method import DirectSampling
 from tests.toy import exact_failure_probability
 

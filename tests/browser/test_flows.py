@@ -313,7 +313,7 @@ def test_two_browsers_and_a_reload_in_mid_run(open_page, shots, panel):
     second.screenshot(path=shots / "reloaded-in-mid-run.png")
     expect_done(second)
     second.get_by_text(panel.controller.state.run.name).first.wait_for()
-    assert panel.controller.state.run.document["status"] == "done"
+    assert panel.controller.state.run.result.status == "done"
     assert panel.controller.state.error is None
 
 

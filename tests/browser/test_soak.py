@@ -13,7 +13,7 @@ import pytest
 
 from pemviz.config.toml_files import load_preset
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.result import result_document
+from pemviz.runs.result_file import result_document
 from tests.browser.light_client import LightClient
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -61,7 +61,7 @@ def test_config_text_reads_back(tmp_path_factory, alpha, sigma, gap_m, dt_s, see
         ({"metric": "agn"}, "metric = 'agn': must be one of classical, agm, smooth-cumulative"),
         ({"sigam": 0.95}, "sigam: no such field; did you mean sigma?"),
         ({"scenario": {"dt": 1}}, "scenario.dt: no such field; did you mean dt_s?"),
-        ({"scenario": 3}, "scenario = 3: must be a table [scenario]"),
+        ({"scenario": 3}, "scenario = 3: must be a table"),
         ({"spec": 3}, "spec = 3: must be a text"),
     ],
 )  # fmt: skip

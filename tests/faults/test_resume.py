@@ -11,6 +11,7 @@ from pemviz.cli.exit_codes import EXIT_DONE, EXIT_GATE_TRIPPED
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError, RunError
+from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out, run_lock
@@ -227,3 +228,28 @@ def test_a_folder_killed_before_its_first_stage_starts_anew(tmp_path):
     config = replace(SMALL, method="naive")
     (tmp_path / "config.toml").write_text(config_text(config))
     assert record.run(["--resume", str(tmp_path), "--no-recording"]) == EXIT_DONE
+
+
+def test_a_run_that_is_done_already_is_still_reported(tmp_path):
+    """Summary and JUnit file are those that the run itself would have written."""
+    folder = folder_of(tmp_path, "whole")
+    config = replace(SMALL, method="monte-carlo", repetitions=1)
+    first = [tmp_path / name for name in ("first.md", "first.xml")]
+    reports = ReportWriter(summary=first[0], junit=first[1], fail_above=0.5)
+    carry_out(build_experiment(config), folder, observers=[reports])
+    before = contents(folder)
+    again = [tmp_path / name for name in ("again.md", "again.xml")]
+    words = ["--summary", str(again[0]), "--junit", str(again[1]), "--fail-above", "0.5"]
+    assert record.run(["--resume", str(folder), *words]) == EXIT_DONE
+    for one, other in zip(first, again, strict=True):
+        assert other.read_text() == one.read_text()
+    assert contents(folder) == before
+
+
+def test_a_run_that_is_done_but_was_done_with_other_settings_is_refused(tmp_path):
+    folder = folder_of(tmp_path, "whole")
+    carry_out(build_experiment(replace(SMALL, method="naive", repetitions=1)), folder)
+    text = (folder / "config.toml").read_text()
+    (folder / "config.toml").write_text(text.replace("seed = 11", "seed = 12", 1))
+    with pytest.raises(InputError, match=r"other than those of its config\.toml \(seed = 11, not"):
+        record.run(["--resume", str(folder)])

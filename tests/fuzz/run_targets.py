@@ -4,7 +4,7 @@ import io
 import json
 import random
 import shutil
-from contextlib import redirect_stderr
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from safetensors.numpy import load
 
 from pemviz.cli.gate import gate_exit_code
+from pemviz.cli.summary import print_summary
 from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import load_config
 from pemviz.panel.loading import load_run
@@ -27,9 +28,9 @@ from pemviz.panel.views.rollout import track, track_plots
 from pemviz.panel.views.why import why
 from pemviz.recording.open import find_recording
 from pemviz.recording.read import read_stages
-from pemviz.runs.result import estimate_from_document
-from pemviz.runs.result_documents import read_document
-from pemviz.runs.resume import read_result
+from pemviz.reports.junit import junit_xml
+from pemviz.reports.markdown import summary_markdown
+from pemviz.runs.result_file import has_result, read_result, result_document
 from pemviz.runs.rollout_files import PART_FOLDER, finished_stage, load_rollouts
 from pemviz.simulators.braking.scenario import scenario_signals
 from tests.fuzz.containers import archive, damage_npz, damage_safetensors
@@ -120,8 +121,9 @@ def show_result(case: Case) -> None:
     path.write_bytes(_json_bytes(case.rng, case.valid.run / "result.json"))
     recordings = RecordingsFolder(case.folder / "recordings")
     _listed(recordings)
-    document = read_document(path)
-    pages(replace(_shown(case.valid.run), read_document=lambda: document))
+    result = read_result(path.parent)
+    json.dumps(result_document(result), allow_nan=False)
+    pages(replace(_shown(case.valid.run), result=result))
 
 
 def read_rollouts(case: Case) -> None:
@@ -145,10 +147,14 @@ def read_stage(case: Case) -> None:
 def read_begun(case: Case) -> None:
     """A damaged ``result.json`` of a run that is to go on."""
     (case.folder / "result.json").write_bytes(_json_bytes(case.rng, case.valid.run / "result.json"))
-    document = read_result(case.folder)
-    if document is not None and isinstance(document.get("estimate"), dict):
-        with redirect_stderr(io.StringIO()):  # the gate's sentence
-            gate_exit_code(estimate_from_document(document["estimate"]), fail_above=1e-9)
+    assert has_result(case.folder)
+    result = read_result(case.folder)
+    with redirect_stderr(io.StringIO()):  # the gate's sentence
+        gate_exit_code(result, fail_above=1e-9)
+    summary_markdown(result)
+    junit_xml(result)
+    with redirect_stdout(io.StringIO()):
+        print_summary(result, case.folder)
 
 
 @cache

@@ -23,6 +23,7 @@ from pemviz.pem.models.trees import LEAF, TreesPem
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.result_file import write_result
 from pemviz.runs.store import RunStore
 from tests.toy import constant_pem
 
@@ -128,8 +129,10 @@ class ValidFiles:
         config = replace(CONFIGS[0], method="naive", final_rollouts=10, repetitions=2)
         folder = self.folder / "run"
         folder.mkdir()
-        run(build_experiment(config), run_id="run", observers=[RunStore(folder)])
-        (folder / "config.toml").write_text(config_text(replace(config, method="adaptive")))
+        result = run(build_experiment(config), run_id="run", observers=[RunStore(folder)])
+        adaptive = replace(config, method="adaptive")
+        write_result(folder, replace(result, config=adaptive))
+        (folder / "config.toml").write_text(config_text(adaptive))
         tensors = {
             f"repetition.{repetition}.stage.{stage}.{name}": array
             for repetition in range(2)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pemviz.panel.controller import Controller
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.result import result_document
+from pemviz.runs.result_file import result_document
 from tests.panel.conftest import NAIVE, SMALL, wait_until
 
 VARYING = ("run_id", "timings_s")
@@ -22,7 +22,7 @@ def test_a_run_is_kept_and_equals_one_without_a_panel(kept):
     alone = result_document(run_experiment(SMALL))
     on_disk = json.loads((folder / "result.json").read_text())
     assert fixed(on_disk) == fixed(alone)
-    assert fixed(state.run.document) == fixed(alone)
+    assert fixed(result_document(state.run.result)) == fixed(alone)
     assert not state.running
     assert state.finished_runs == 1
 
@@ -58,7 +58,7 @@ def test_stop_keeps_what_was_finished(controller):
     state = wait_until(controller)
     assert time.monotonic() - began_s < 30.0  # a stage of this size takes milliseconds
     assert state.error is None
-    assert state.run.document["status"] == "stopped"
+    assert state.run.result.status == "stopped"
     assert json.loads((state.run.folder / "result.json").read_text())["status"] == "stopped"
     assert (state.run.folder / "rollouts.npz").exists()
 
@@ -66,7 +66,7 @@ def test_stop_keeps_what_was_finished(controller):
 def test_stop_with_nothing_running_stops_nothing_later(controller):
     controller.stop()
     controller.start(NAIVE)
-    assert wait_until(controller).run.document["status"] == "done"
+    assert wait_until(controller).run.result.status == "done"
 
 
 def test_bad_input_is_told_and_the_worker_lives_on(controller):
@@ -77,7 +77,7 @@ def test_bad_input_is_told_and_the_worker_lives_on(controller):
     controller.start(NAIVE)
     state = wait_until(controller)
     assert state.error is None
-    assert state.run.document["status"] == "done"
+    assert state.run.result.status == "done"
 
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path):

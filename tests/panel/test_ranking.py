@@ -87,17 +87,18 @@ def test_weights_of_failures_sum_to_one_and_follow_the_likelihoods(naive_run):
 
 
 def test_splitting_weighs_failures_by_their_runs_estimates(naive_run):
-    stages = [
-        {"repetition": 0, "stage": 0, "kind": "final", "failures": 3, "log10_probability": -9.0},
-        {"repetition": 0, "stage": 1, "kind": "final", "failures": 1, "log10_probability": -10.0},
-    ]
+    (whole,) = naive_run.result.stages
+    stages = (
+        replace(whole, failures=3, log10_probability=-9.0),
+        replace(whole, stage=1, failures=1, log10_probability=-10.0),
+    )
+    config = replace(naive_run.config, method="splitting")
     violated = np.flatnonzero(naive_run.rollouts["violated"])[:4]
     part = {name: values[violated] for name, values in naive_run.rollouts.items()}
     part |= {"stage": np.array([0, 0, 0, 1]), "log_q": part["log_p"]}
     run = replace(
         naive_run,
-        config=replace(naive_run.config, method="splitting"),
-        read_document=lambda: {"stages": stages},
+        result=replace(naive_run.result, config=config, stages=stages),
         parts=(part,),
     )
     failures = failures_of(run)

@@ -108,9 +108,23 @@ def no_config(run: Path):
     (run / "config.toml").unlink()
 
 
+def other_config(run: Path):
+    path = run / "config.toml"
+    path.write_text(path.read_text().replace("seed = 5", "seed = 6", 1))
+
+
 @pytest.mark.parametrize(
     "damage",
-    [damage_json, damage_table, drop_key, wrong_shape, pickled, damage_proposals, no_config],
+    [
+        damage_json,
+        damage_table,
+        drop_key,
+        wrong_shape,
+        pickled,
+        damage_proposals,
+        no_config,
+        other_config,
+    ],
 )
 def test_damage_is_one_line(folder, damage):
     run = folder.root / "run"

@@ -8,6 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pemviz.analysis.causes import BandMisses, Chain
+from pemviz.analysis.explanation import Explanation
+from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.config import ExperimentConfig, MethodName
 from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import USED_FIELDS, field_docs, hint, limits
@@ -22,6 +25,8 @@ from pemviz.panel.views.ranking_table import first_place, ranking_table
 from pemviz.panel.views.rollout import track, track_plots, with_cursor
 from pemviz.panel.views.words import number
 from pemviz.runs.experiment import build_method
+from pemviz.runs.result import PemInfo
+from pemviz.types import Diagnostic
 
 CRAFTED = "<script>alert(1)</script>"
 
@@ -51,7 +56,7 @@ def test_pages_without_a_run_say_so():
 
 
 def test_loaded_run_shows_what_the_live_one_showed(live_run, loaded_run):
-    assert loaded_run.document == live_run.document
+    assert loaded_run.result == live_run.result
     assert len(loaded_run.curves) == len(live_run.curves)
     for live, loaded in zip(live_run.curves, loaded_run.curves, strict=True):
         np.testing.assert_allclose(loaded.detection, live.detection, rtol=0, atol=1e-6)
@@ -60,40 +65,43 @@ def test_loaded_run_shows_what_the_live_one_showed(live_run, loaded_run):
 
 def test_headline_gives_the_estimate(naive_run):
     text = headline.headline(naive_run)
-    estimate = naive_run.document["estimate"]
-    assert number(estimate["probability"]) in text
-    assert f"{estimate['failures']} of 60" in text
+    estimate = naive_run.result.estimate
+    assert number(estimate.probability) in text
+    assert f"{estimate.failures} of 60" in text
 
 
 def test_headline_never_gives_a_bare_zero(naive_run):
-    document = {**naive_run.document}
-    document["estimate"] = {
-        **document["estimate"], "failures": 0, "probability": 0.0, "ci_high": 0.03,
-    }  # fmt: skip
-    text = headline.headline(with_document(naive_run, document))
+    nothing = replace(naive_run.result.estimate, failures=0, probability=0.0, ci_high=0.03)
+    text = headline.headline(with_result(naive_run, estimate=nothing))
     assert "no violation was seen" in text
     assert "0.03" in text
 
 
 def test_a_strangers_recording_cannot_smuggle_markup(naive_run):
-    document = {**naive_run.document}
-    estimate = {**document["estimate"], "warnings": [CRAFTED], "probability": CRAFTED}
-    document |= {
-        "estimate": estimate,
-        "causes": [{CRAFTED: CRAFTED}],
-        "sensitivity": {"bands": [{"band": CRAFTED}]},
-        "assumptions": [CRAFTED],
-        "reference": {"probability": CRAFTED},
-        "stages": [{"stage": CRAFTED}, {"stage": 1, "threshold": CRAFTED}, CRAFTED],
-    }
-    run = replace(with_document(naive_run, document), name=CRAFTED)
+    whole = naive_run.result
+    warned = Diagnostic(kind="large-weight", value=0.5, limit=0.2, text=CRAFTED)
+    sensitivity = tuple(replace(s, warning=CRAFTED) for s in whole.explanation.sensitivity)
+    run = with_result(
+        naive_run,
+        run_id=CRAFTED,
+        message=CRAFTED,
+        config=replace(whole.config, pem=CRAFTED, spec=CRAFTED, simulator=CRAFTED, target=1e-18),
+        pem=PemInfo(name=CRAFTED, digest=CRAFTED, data=CRAFTED),
+        versions={CRAFTED: CRAFTED},
+        assumptions=(CRAFTED,),
+        warnings=(CRAFTED, f"{CRAFTED}, the reference"),
+        estimate=replace(whole.estimate, method=CRAFTED, diagnostics=(warned,)),
+        pem_interval=replace(whole.pem_interval, warnings=(CRAFTED,)),
+        explanation=replace(whole.explanation, sensitivity=sensitivity),
+        timings_s={CRAFTED: 1.0},
+    )
     entry = recordings.RunEntry(CRAFTED, CRAFTED, CRAFTED, CRAFTED, 0, None, False)
     for page in (
         headline.headline(run),
         learning.learning(run),
         why.why(run),
-        compare.runs_page(run, run),
-        compare.metrics_page(run),
+        compare.runs_page(run, naive_run),
+        compare.metrics_page(with_result(run, config=replace(run.config, spec=whole.config.spec))),
         recordings.recordings_table([entry], folder=CRAFTED),
         recordings.viewer_link("http://127.0.0.1:1/", name=CRAFTED),
         headline.status(PanelState(error=CRAFTED)),
@@ -151,25 +159,28 @@ def test_controls_are_enabled_for_exactly_the_methods_that_use_them():
 
 
 def test_causes_are_told_in_words_with_units(naive_run):
-    document = {
-        **naive_run.document,
-        "causes": {
-            "repetition": 0,
-            "misses_by_distance": [
-                {"low": 4.0, "high": 6.0, "misses": 1.6999, "share": 0.16145},
-                {"low": 6.0, "high": 8.0, "misses": 8.83, "share": 0.83855},
-                {"low": 8.0, "high": 10.0, "misses": 0.0, "share": 0.0},
-            ],
-            "chains": [{"missed_steps": [39, 41, 42], "share": 0.2688, "rollouts": 1, "nll": 45.7}],
-        },
-        "sensitivity": [
-            {"low": None, "high": None, "elasticity": 9.93, "target_factor": 0.25},
-            {"low": 6.0, "high": 8.0, "elasticity": -0.123, "target_factor": None},
-        ],
-        "warnings": ["thin data", "the estimate is half the reference 1e-15"],
-    }
-    run = with_document(naive_run, document)
-    run = replace(run, config=replace(run.config, target=1e-18))
+    explanation = Explanation(
+        repetition=0,
+        misses_by_distance=(
+            BandMisses(low=4.0, high=6.0, misses=1.6999, share=0.16145),
+            BandMisses(low=6.0, high=8.0, misses=8.83, share=0.83855),
+            BandMisses(low=8.0, high=10.0, misses=0.0, share=0.0),
+        ),
+        miss_probability_by_step=(),
+        chains=(Chain(missed_steps=(39, 41, 42), share=0.2688, rollouts=1, nll=45.7),),
+        sensitivity=(
+            BandSensitivity(None, None, elasticity=9.93, target_factor=0.25, target_ess=20.0),
+            BandSensitivity(4.0, 6.0, elasticity=None, target_factor=None, target_ess=None),
+            BandSensitivity(6.0, 8.0, elasticity=-0.123, target_factor=None, target_ess=None),
+            BandSensitivity(8.0, 10.0, elasticity=0.0, target_factor=1.0, target_ess=20.0),
+        ),
+    )
+    run = with_result(
+        naive_run,
+        config=replace(naive_run.config, target=1e-18),
+        explanation=explanation,
+        warnings=("thin data", "the estimate is half the reference 1e-15"),
+    )
     page = why.why(run)
     words = ["".join(cell.itertext()) for cell in well_formed(page).iter("td")]
     assert words[:5] == ["4 to 6", "1.70", "16 %", "–", "not enough alone"]
@@ -186,7 +197,7 @@ def test_causes_are_told_in_words_with_units(naive_run):
 
 def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
     def page(method):
-        run = replace(naive_run, config=replace(naive_run.config, method=method))
+        run = with_result(naive_run, config=replace(naive_run.config, method=method))
         text = learning.learning(run)
         well_formed(text)
         return text
@@ -201,11 +212,11 @@ def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
 
 
 def test_without_a_violation_the_upper_bound_is_drawn(naive_run):
-    document = {**naive_run.document, "reference": None}
-    document["estimate"] = {
-        **document["estimate"], "failures": 0, "probability": 0.0, "ci_low": 0.0, "ci_high": 0.03,
-    }  # fmt: skip
-    assert "95 % upper bound" in learning.learning(with_document(naive_run, document))
+    nothing = replace(
+        naive_run.result.estimate, failures=0, probability=0.0, ci_low=0.0, ci_high=0.03
+    )
+    run = with_result(naive_run, reference=None, estimate=nothing)
+    assert "95 % upper bound" in learning.learning(run)
 
 
 def test_track_holds_the_rollout_and_its_probabilities(naive_run):
@@ -255,7 +266,7 @@ def test_settings_that_differ_are_listed(live_run, naive_run):
 def test_numbers():
     assert number(1.824e-15) == "1.82 × 10⁻¹⁵"
     assert number(0.0) == "0"
-    assert number(None) == number(math.nan) == number("x") == "–"
+    assert number(None) == number(math.nan) == "–"
     assert number(-3.25, 3) == "−3.25"
 
 
@@ -286,5 +297,5 @@ def test_brake_lights_and_gap_colour():
     assert gap_color(2.0, wide_m=2.0).tolist() == [120, 130, 140]
 
 
-def with_document(run: RunData, document) -> RunData:
-    return replace(run, read_document=lambda: document)
+def with_result(run: RunData, **changes) -> RunData:
+    return replace(run, result=replace(run.result, **changes))

@@ -19,7 +19,7 @@ from pemviz.runs.events import (
     StageDone,
 )
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.result import result_document
+from pemviz.runs.result_file import result_document
 from pemviz.runs.store import RunStore
 from tests.toy import FunctionPem
 

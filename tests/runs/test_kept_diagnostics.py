@@ -9,20 +9,26 @@ import pytest
 from pemviz.config import ExperimentConfig, MethodName
 from pemviz.errors import InputError
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.result import estimate_document, estimate_from_document
+from pemviz.runs.result_file import read_result, result_document, result_from_document
 from pemviz.sampling.estimates.diagnostics import unreliable_because
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZES = {"stages": 1, "rollouts": 20, "final_rollouts": 20, "epochs": 5}
 
 
-def through_json(estimate):
-    return json.loads(json.dumps(estimate_document(estimate), allow_nan=False))
+def through_json(result):
+    return json.loads(json.dumps(result_document(result), allow_nan=False))
 
 
 def older(document):
     """As written before diagnostics were kept."""
-    return {name: value for name, value in document.items() if name != "diagnostics"}
+    for estimate in (document["estimate"], *document["repetitions"]):
+        del estimate["diagnostics"]
+    return document
+
+
+def estimates_of(result):
+    return (result.estimate, *result.repetitions)
 
 
 # value-twisted takes long to begin, and its estimates have nothing wrong
@@ -33,21 +39,25 @@ def result(request):
 
 def test_what_is_read_back_is_as_reliable_as_it_was(result):
     assert any(estimate.diagnostics for estimate in result.repetitions)
-    for estimate in (result.estimate, *result.repetitions):
-        found = estimate_from_document(through_json(estimate))
+    read = result_from_document(through_json(result))
+    for found, estimate in zip(estimates_of(read), estimates_of(result), strict=True):
         assert found == estimate
         assert unreliable_because(found) == unreliable_because(estimate)
 
 
 def test_older_results_give_the_same_answers(result):
-    for estimate in (result.estimate, *result.repetitions):
-        found = estimate_from_document(older(through_json(estimate)))
+    read = result_from_document(older(through_json(result)))
+    for found, estimate in zip(estimates_of(read), estimates_of(result), strict=True):
         assert found.warnings == estimate.warnings
         assert [one.kind for one in found.diagnostics] == [o.kind for o in estimate.diagnostics]
         assert unreliable_because(found) == unreliable_because(estimate)
 
-    document = json.loads((ROOT / "recordings/sample/result.json").read_text(encoding="utf-8"))
-    found = estimate_from_document(document["estimate"])
+
+def test_the_sample_run_is_judged_by_its_warnings():
+    """It was written before diagnostics were kept."""
+    folder = ROOT / "recordings" / "sample"
+    document = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    found = read_result(folder).estimate
     assert list(found.warnings) == document["estimate"]["warnings"]
     assert unreliable_because(found) == (
         "one rollout carries 51% of the weight",
@@ -60,18 +70,19 @@ def test_older_results_give_the_same_answers(result):
     [
         ({"warnings": ["all is well"]}, "must be the texts"),
         ({"warnings": []}, "must be the texts"),
-        ({"warnings": [3]}, "must be texts"),
+        ({"warnings": [3]}, r"estimate\.warnings\[0\] = 3: must be a text"),
         ({"diagnostics": [{"kind": "fine", "value": 1.0, "limit": 2.0, "text": "x"}]}, "'fine'"),
-        ({"diagnostics": [{"kind": "heavy-tail"}]}, "not as pemviz writes it"),
-        ({"diagnostics": ["heavy-tail"]}, "not as pemviz writes it"),
+        ({"diagnostics": [{"kind": "heavy-tail"}]}, r"diagnostics\[0\]\.value: is missing"),
+        ({"diagnostics": ["heavy-tail"]}, r"diagnostics\[0\] = 'heavy-tail': must be a table"),
         (
             {"diagnostics": [{"kind": "heavy-tail", "value": "x", "limit": 0.7, "text": "x"}]},
-            "none that pemviz writes",
+            r"diagnostics\[0\]\.value = 'x': must be a number",
         ),
     ],
 )
 def test_diagnostics_that_nobody_wrote_are_refused(damage, words):
     config = ExperimentConfig(method="monte-carlo", final_rollouts=20)
-    document = through_json(run_experiment(config).estimate)
+    document = through_json(run_experiment(config))
+    document["estimate"] |= damage
     with pytest.raises(InputError, match=words):
-        estimate_from_document({**document, **damage})
+        result_from_document(document)

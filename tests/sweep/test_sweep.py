@@ -16,11 +16,10 @@ from pemviz.config.toml_files import load_config
 from pemviz.recording import paths
 from pemviz.recording.read import chunks
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.result import result_document
-from pemviz.sweep.folders import RunFigures, sweep_folder
+from pemviz.runs.result_file import result_document
+from pemviz.sweep.folders import sweep_folder
+from pemviz.sweep.table import FIGURES
 from tests.sweep.conftest import ROOT, VARIED, contents
-
-FIGURES = tuple(RunFigures.__dataclass_fields__)
 
 
 def sweep(config, out, *words):

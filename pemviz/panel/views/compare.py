@@ -1,21 +1,19 @@
 """The Compare tab: metrics against each other, and two runs side by side."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from html import escape
-from typing import Any, cast, get_args
+from typing import cast, get_args
 
 import numpy as np
 
 from pemviz.arrays import BoolArray
 from pemviz.config import MetricName
-from pemviz.config.toml_files import config_table
 from pemviz.panel.palette import BLACK, BLUE, METRICS, PEM, VERMILLION
 from pemviz.panel.ranking import elites, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
-from pemviz.panel.views.learning import is_number, logs
-from pemviz.panel.views.words import block, grid, heading, number, quiet, table
+from pemviz.panel.views.learning import logs_of_answer
+from pemviz.panel.views.words import block, grid, heading, number, quiet
+from pemviz.runs.same_run import setting_differences
 
 DASHES = {"classical": "", "agm": "7 3", "smooth-cumulative": "2 3"}
 
@@ -130,23 +128,10 @@ def curves_plot(first: RunData, second: RunData) -> str:
     return plot.text()
 
 
-@dataclass(frozen=True)
-class _Answer:
-    name: str
-    estimate: Mapping[str, Any]
-
-
-def _answers(first: RunData, second: RunData) -> list[_Answer]:
-    return [
-        _Answer(name, table(run.document.get("estimate")))
-        for name, run in (("A", first), ("B", second))
-    ]
-
-
 def estimates_plot(first: RunData, second: RunData) -> str:
     """Both answers with their intervals on a log axis."""
-    answers = _answers(first, second)
-    every = [v for a in answers for v in logs(a.estimate, "probability", "ci_low", "ci_high")]
+    answers = [logs_of_answer(run.result.estimate) for run in (first, second)]
+    every = [value for answer, interval in answers for value in (*answer, *interval)]
     shown = [v for v in every if v > -60.0] or [-20.0, 0.0]
     plot = Plot(
         title="Estimates with 95 % intervals",
@@ -156,14 +141,13 @@ def estimates_plot(first: RunData, second: RunData) -> str:
         height=150,
         left=52,
     )  # fmt: skip
-    for place, answer in enumerate(answers):
+    for place, (answer, interval) in enumerate(answers):
         color = (VERMILLION, BLUE)[place]
-        interval = logs(answer.estimate, "ci_low", "ci_high")
         if len(interval) == 2:
             plot.whisker(place, interval[0], interval[1], color=color)
-        for value in logs(answer.estimate, "probability"):
+        for value in answer:
             plot.points([place], [value], color=color, radius=4.0)
-        plot.note(answer.name, plot.px(place), plot.bottom + 13, anchor="middle")
+        plot.note("AB"[place], plot.px(place), plot.bottom + 13, anchor="middle")
     return plot.text()
 
 
@@ -180,37 +164,27 @@ def estimates_table(first: RunData, second: RunData) -> str:
         ("Pareto k-hat", "pareto_k"),
         ("NLL of violations [nats]", "nll_mean"),
     )
-    answers = _answers(first, second)
-    lines = [[label, *(number(a.estimate.get(key), 3) for a in answers)] for label, key in names]
+    answers = (first.result.estimate, second.result.estimate)
+    lines = [
+        [label, *(number(None if a is None else getattr(a, field), 3) for a in answers)]
+        for label, field in names
+    ]
     return grid(["", "A", "B"], lines, name="Estimates of two runs")
 
 
 def differences_table(first: RunData, second: RunData) -> str:
     """The settings in which two runs differ."""
-    settings = [flat(config_table(run.config)) for run in (first, second)]
-    keys = sorted(set(settings[0]) | set(settings[1]))
-    lines = [
-        [escape(key), *(escape(shown_setting(s.get(key))) for s in settings)]
-        for key in keys
-        if settings[0].get(key) != settings[1].get(key)
-    ]
-    if not lines:
+    differences = setting_differences(first.config, second.config)
+    if not differences:
         return heading("Settings") + quiet("All settings are equal.")
+    lines = [
+        [escape(name), *(escape(shown_setting(value)) for value in values)]
+        for name, values in sorted(differences.items())
+    ]
     return heading("Settings that differ") + grid(["", "A", "B"], lines, name="Settings")
-
-
-def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings with dotted names."""
-    found: dict[str, Any] = {}
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            found |= flat(cast(Mapping[str, Any], value), f"{prefix}{key}.")
-        else:
-            found[prefix + key] = value
-    return found
 
 
 def shown_setting(value: object) -> str:
     """A setting in few characters."""
-    words = f"{value:g}" if is_number(value) and isinstance(value, float) else str(value)
+    words = f"{value:g}" if isinstance(value, float) else str(value)
     return words if len(words) <= 40 else words[:39] + "\N{HORIZONTAL ELLIPSIS}"

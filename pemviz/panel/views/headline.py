@@ -5,7 +5,7 @@ from html import escape
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
-from pemviz.panel.views.words import block, number, quiet, table, warning
+from pemviz.panel.views.words import block, number, quiet, warning
 
 
 def headline(run: RunData | None) -> str:
@@ -22,13 +22,12 @@ def headline(run: RunData | None) -> str:
 
 
 def _answer(run: RunData) -> str:
-    estimate = table(run.document.get("estimate"))
-    if not estimate:
+    estimate = run.result.estimate
+    if estimate is None:
         words = "no estimate yet" if run.running else "no estimate: the run did not come to its end"
         return quiet(words)
-    failures = estimate.get("failures")
-    if not failures:
-        upper = estimate.get("ci_high")
+    if not estimate.failures:
+        upper = estimate.ci_high
         bound = (
             f"; 95 % upper bound {number(upper)}"
             if upper is not None
@@ -37,23 +36,19 @@ def _answer(run: RunData) -> str:
         answer = f"P(violation): no violation was seen{bound}"
     else:
         answer = (
-            f"P(violation) = {number(estimate.get('probability'))}"
-            f" \N{PLUS-MINUS SIGN} {number(estimate.get('std_error'), 2)}"
+            f"P(violation) = {number(estimate.probability)}"
+            f" \N{PLUS-MINUS SIGN} {number(estimate.std_error, 2)}"
         )
-    interval = (
-        f"95 % interval {number(estimate.get('ci_low'), 2)} to {number(estimate.get('ci_high'), 2)}"
-    )
+    interval = f"95 % interval {number(estimate.ci_low, 2)} to {number(estimate.ci_high, 2)}"
     counts = (
-        f"{number(failures, 6)} of {number(estimate.get('rollouts_in_estimate'), 6)} rollouts"
-        f" violate, {number(estimate.get('rollouts_simulated'), 6)} simulated"
+        f"{number(estimate.failures, 6)} of {number(estimate.rollouts_in_estimate, 6)} rollouts"
+        f" violate, {number(estimate.rollouts_simulated, 6)} simulated"
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
-    lines += quiet(f"{interval}; {counts}" if failures else counts)
-    warnings = estimate.get("warnings")
-    words = [str(w) for w in warnings] if isinstance(warnings, list | tuple) else []
-    if words:
-        more = f" (and {len(words) - 1} more in Why)" if len(words) > 1 else ""
-        lines += warning(words[0] + more)
+    lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
+    for first in estimate.warnings[:1]:
+        others = len(estimate.warnings) - 1
+        lines += warning(f"{first} (and {others} more in Why)" if others else first)
     return lines
 
 

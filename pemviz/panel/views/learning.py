@@ -1,16 +1,17 @@
 """The Learning tab: how the proposal forms, and what the estimate makes of it."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from pemviz.panel.palette import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
-from pemviz.panel.views.words import block, number, quiet, rows, table
+from pemviz.panel.views.words import block, number, quiet
+from pemviz.runs.result import StageSummary
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+from pemviz.types import Estimate
 
 SPLITTING = "splitting"
 FOLLOWS_MODEL = ("monte-carlo", SPLITTING)
@@ -50,7 +51,7 @@ def learning(run: RunData | None) -> str:
 
 
 def _learning(run: RunData) -> str:
-    stages = _last_repetition(rows(run.document.get("stages")))
+    stages = _last_repetition(run.result.stages)
     parts = [proposal_plot(run), quiet(WORDS.get(run.config.method, LEARNED))]
     if has_stages(run, stages):
         parts += _stage_plots(run, stages)
@@ -58,12 +59,12 @@ def _learning(run: RunData) -> str:
     return "".join(parts)
 
 
-def has_stages(run: RunData, stages: Sequence[Mapping[str, Any]]) -> bool:
+def has_stages(run: RunData, stages: Sequence[StageSummary]) -> bool:
     """Whether stages differ; those of a method that learns nothing are parts of one batch."""
     return len(stages) > 1 and run.config.method not in DIRECT
 
 
-def _stage_plots(run: RunData, stages: Sequence[Mapping[str, Any]]) -> list[str]:
+def _stage_plots(run: RunData, stages: Sequence[StageSummary]) -> list[str]:
     if run.config.method == SPLITTING:
         return [failure_plot(stages, title="Particles that violate at a run's end", each="run")]
     threshold = threshold_plot(stages, unit=_unit(run))
@@ -105,10 +106,10 @@ def _shown_pem(run: RunData) -> str:
     return name if len(name) <= 18 else name[:17] + "\N{HORIZONTAL ELLIPSIS}"
 
 
-def threshold_plot(stages: Sequence[Mapping[str, Any]], *, unit: str) -> str:
+def threshold_plot(stages: Sequence[StageSummary], *, unit: str) -> str:
     """The level of robustness that each stage learned from."""
-    points = [(s["stage"], s["threshold"]) for s in stages if is_number(s.get("threshold"))]
-    low, high = _range([float(v) for _, v in points], with_zero=True)
+    points = [(s.stage, s.threshold) for s in stages if s.threshold is not None]
+    low, high = _range([v for _, v in points], with_zero=True)
     plot = Plot(
         title="Threshold: rollouts at or below it are learned from",
         x=_stage_axis(stages),
@@ -124,15 +125,15 @@ def threshold_plot(stages: Sequence[Mapping[str, Any]], *, unit: str) -> str:
 
 
 def failure_plot(
-    stages: Sequence[Mapping[str, Any]],
+    stages: Sequence[StageSummary],
     *,
     title: str = "Rollouts that violate",
     each: str = "stage",
 ) -> str:
     """Share of violating rollouts a stage."""
-    kept = [s for s in stages if is_number(s.get("failures")) and s.get("rollouts")]
-    xs = np.array([float(s["stage"]) for s in kept])
-    ys = np.array([100.0 * float(s["failures"]) / float(s["rollouts"]) for s in kept])
+    kept = [s for s in stages if s.rollouts]
+    xs = np.array([float(s.stage) for s in kept])
+    ys = np.array([100.0 * s.failures / s.rollouts for s in kept])
     plot = Plot(
         title=title,
         x=_stage_axis(stages, each),
@@ -140,17 +141,17 @@ def failure_plot(
         height=118,
     )
     for x, y, stage in zip(xs, ys, kept, strict=True):
-        tip = f"{each} {stage['stage']}: {stage['failures']} of {stage['rollouts']}"
+        tip = f"{each} {stage.stage}: {stage.failures} of {stage.rollouts}"
         edges = np.array([x - 0.35, x + 0.35])
         plot.bars(edges, np.array([y]), color=ORANGE, tips=[tip])
     return plot.text()
 
 
-def ess_plot(stages: Sequence[Mapping[str, Any]]) -> str:
+def ess_plot(stages: Sequence[StageSummary]) -> str:
     """Effective sample size of each stage's failing weights."""
-    kept = [s for s in stages if is_number(s.get("ess"))]
-    xs = [float(s["stage"]) for s in kept]
-    ys = [float(s["ess"]) for s in kept]
+    kept = [(s.stage, s.ess) for s in stages if s.ess is not None]
+    xs = [float(stage) for stage, _ in kept]
+    ys = [ess for _, ess in kept]
     top = max([1.2 * SMALL_ESS, *ys]) * 1.1
     plot = Plot(
         title="Effective sample size of the violations",
@@ -160,28 +161,27 @@ def ess_plot(stages: Sequence[Mapping[str, Any]]) -> str:
     )
     plot.hline(SMALL_ESS, color=GREY, label=f"below {SMALL_ESS:g}: do not quote")
     plot.line(np.array(xs), np.array(ys), color=GREEN)
-    tips = [f"stage {s['stage']}: {number(s['ess'])}" for s in kept]
+    tips = [f"stage {stage}: {number(ess)}" for stage, ess in kept]
     plot.points(xs, ys, color=GREEN, tips=tips)
     if not kept:
         plot.note("no violation yet", (plot.left + plot.right) / 2, plot.top + 30, anchor="middle")
     return plot.text()
 
 
-def estimate_plot(run: RunData, stages: Sequence[Mapping[str, Any]]) -> str:
+def estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
     """Estimates a stage, the answer with its interval, and the reference, on a log axis."""
-    estimate = table(run.document.get("estimate"))
-    reference = table(run.document.get("reference"))
+    estimate, reference = run.result.estimate, run.result.reference
     each = "run" if run.config.method == SPLITTING else "stage"
     several = has_stages(run, stages)
     points = [
-        (float(s["stage"]), float(s["log10_probability"]))
+        (float(s.stage), s.log10_probability)
         for s in stages
-        if several and is_number(s.get("log10_probability"))
+        if several and s.log10_probability is not None
     ]
-    answer = logs(estimate, "probability")
-    bound = [] if answer else logs(estimate, "ci_high")
-    values = [v for _, v in points] + logs(reference, "probability")
-    low, high = _decades([*values, *logs(estimate, "probability", "ci_low", "ci_high")])
+    answer, interval = logs_of_answer(estimate)
+    bound = [] if answer or estimate is None else logs(estimate.ci_high)
+    known = [] if reference is None else logs(reference.probability)
+    low, high = _decades([*(v for _, v in points), *known, *answer, *interval])
     x = _stage_axis(stages, each) if several else Axis(-1.0, 1.0, "all rollouts", ticks=())
     plot = Plot(
         title="Estimate of P(violation)",
@@ -191,30 +191,31 @@ def estimate_plot(run: RunData, stages: Sequence[Mapping[str, Any]]) -> str:
         left=52,
         bottom=48,
     )
-    for value in logs(reference, "probability"):
+    for value in known:
         plot.hline(value, color=GREEN, dash="", label="reference")
     for value in bound:
         plot.hline(value, color=VERMILLION, label="no violation seen: 95 % upper bound")
     kept = [(s, v) for s, v in points if v >= low]
     tips = [f"{each} {s:g} alone: {number(10.0**v)}" for s, v in kept]
     plot.points([s for s, _ in kept], [v for _, v in kept], color=GREY, tips=tips)
-    _draw_answer(plot, estimate, x=x.high - 0.35 if several else 0.0)
+    if estimate is not None:
+        _draw_answer(plot, estimate, x=x.high - 0.35 if several else 0.0)
     if not (answer or kept or bound):
         words = "no violation yet" if run.running else "no violation seen"
         plot.note(words, (plot.left + plot.right) / 2, plot.top + 50, anchor="middle")
     entries = [(f"a {each} alone", GREY)] * several + [("the answer, 95 % interval", VERMILLION)]
-    entries += [("reference", GREEN)] * bool(reference)
+    entries += [("reference", GREEN)] * (reference is not None)
     for place, (label, color) in zip(_legend_places(entries), entries, strict=True):
         plot.legend([(label, color, "")], x=plot.left + place, y=plot.height - 6)
     return plot.text()
 
 
-def _draw_answer(plot: Plot, estimate: Mapping[str, Any], *, x: float) -> None:
-    interval = logs(estimate, "ci_low", "ci_high")
-    for value in logs(estimate, "probability"):
+def _draw_answer(plot: Plot, estimate: Estimate, *, x: float) -> None:
+    answer, interval = logs_of_answer(estimate)
+    for value in answer:
         if len(interval) == 2:
             plot.whisker(x, interval[0], interval[1], color=VERMILLION)
-        tip = f"answer {number(estimate.get('probability'))}"
+        tip = f"answer {number(estimate.probability)}"
         plot.points([x], [value], color=VERMILLION, radius=4.0, tips=[tip])
 
 
@@ -232,14 +233,13 @@ def _legend_places(entries: Sequence[tuple[str, str]]) -> list[int]:
     return [sum(lengths[:place]) for place in range(len(entries))]
 
 
-def _last_repetition(stages: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    kept = [s for s in stages if isinstance(s.get("stage"), int)]
-    last = max((s.get("repetition", 0) for s in kept), default=0)
-    return [s for s in kept if s.get("repetition", 0) == last]
+def _last_repetition(stages: Sequence[StageSummary]) -> list[StageSummary]:
+    last = max((s.repetition for s in stages), default=0)
+    return [s for s in stages if s.repetition == last]
 
 
-def _stage_axis(stages: Sequence[Mapping[str, Any]], each: str = "stage") -> Axis:
-    last = max([int(s["stage"]) for s in stages if is_number(s.get("stage"))], default=0)
+def _stage_axis(stages: Sequence[StageSummary], each: str = "stage") -> Axis:
+    last = max((s.stage for s in stages), default=0)
     step = max(1, (last + 6) // 12)
     return Axis(-0.6, last + 0.6, each, ticks=tuple(float(t) for t in range(0, last + 1, step)))
 
@@ -248,15 +248,16 @@ def _unit(run: RunData) -> str:
     return "" if run.config.metric == "agm" else " [m]"
 
 
-def logs(source: Mapping[str, Any], *names: str) -> list[float]:
-    """Decimal logarithms of those figures that are there and above 0."""
-    values: list[Any] = [source.get(name) for name in names]
-    return [math.log10(v) for v in values if is_number(v) and v > 0.0]
+def logs_of_answer(estimate: Estimate | None) -> tuple[list[float], list[float]]:
+    """Decimal logarithms of an estimate and of the ends of its interval, as far as known."""
+    if estimate is None:
+        return [], []
+    return logs(estimate.probability), logs(estimate.ci_low, estimate.ci_high)
 
 
-def is_number(value: Any) -> bool:
-    """Whether ``value`` is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def logs(*values: float | None) -> list[float]:
+    """Decimal logarithms of those figures that are there, finite and above 0."""
+    return [math.log10(v) for v in values if v is not None and 0.0 < v < math.inf]
 
 
 def _range(values: Sequence[float], *, with_zero: bool) -> tuple[float, float]:

@@ -1,10 +1,8 @@
 """The Why tab: which misses cause violations, and how far to trust the number."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
-from typing import Any, cast
 
 import numpy as np
 
@@ -13,20 +11,10 @@ from pemviz.panel.palette import BLACK, VERMILLION
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.causes import causes_part
-from pemviz.panel.views.learning import SPLITTING, is_number
-from pemviz.panel.views.words import (
-    block,
-    good,
-    grid,
-    heading,
-    number,
-    percent,
-    quiet,
-    rows,
-    table,
-    warning,
-)
+from pemviz.panel.views.learning import SPLITTING
+from pemviz.panel.views.words import block, good, grid, heading, number, percent, quiet, warning
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
+from pemviz.types import Estimate
 
 BAND_M = 1.0
 UNWEIGHTED = (
@@ -71,11 +59,7 @@ def failures_of(run: RunData) -> Failures | None:
     if not run.parts:
         return None
     rollouts = run.rollouts
-    final = {
-        (s.get("repetition"), s.get("stage"))
-        for s in rows(run.document.get("stages"))
-        if s.get("kind") == "final"
-    }
+    final = {(s.repetition, s.stage) for s in run.result.stages if s.kind == "final"}
     violated = np.asarray(rollouts["violated"], dtype=np.bool_)
     pairs = zip(rollouts["repetition"].tolist(), rollouts["stage"].tolist(), strict=True)
     in_final = np.fromiter((pair in final for pair in pairs), dtype=np.bool_, count=violated.size)
@@ -104,13 +88,12 @@ def _log_stage_weight(run: RunData) -> FloatArray:
     log_weight = np.zeros(rollouts["violated"].shape[0])
     if run.config.method != SPLITTING:
         return log_weight
-    for stage in rows(run.document.get("stages")):
-        log10_p, failures = stage.get("log10_probability"), stage.get("failures")
-        inside = (rollouts["repetition"] == stage.get("repetition")) & (
-            rollouts["stage"] == stage.get("stage")
-        )
-        if is_number(log10_p) and is_number(failures) and failures:
-            share = math.log(10.0) * float(cast(float, log10_p)) - math.log(float(failures))
+    for stage in run.result.stages:
+        if stage.log10_probability is not None and stage.failures:
+            inside = (rollouts["repetition"] == stage.repetition) & (
+                rollouts["stage"] == stage.stage
+            )
+            share = math.log(10.0) * stage.log10_probability - math.log(stage.failures)
             log_weight[inside] = share
     return log_weight
 
@@ -215,38 +198,34 @@ def time_plot(failures: Failures, *, dt_s: float) -> str:
 
 
 def _trust(run: RunData) -> str:
-    estimate = table(run.document.get("estimate"))
-    words = _words(estimate.get("warnings")) + _warnings(run, about_reference=True)
+    estimate = run.result.estimate
+    sampling = () if estimate is None else estimate.warnings
+    words = [*sampling, *_warnings(run, about_reference=True)]
     parts = [heading("How far to trust the number"), *(warning(w) for w in words)]
     if run.config.method == SPLITTING:
         parts.append(quiet(UNWEIGHTED))
-    elif estimate and not words:
+    elif estimate is not None and not words:
         parts.append(good("The diagnostics give no warning."))
-    if is_number(estimate.get("ess")):
+    if estimate is not None and estimate.ess is not None:
         parts.append(diagnostics_table(estimate))
     parts += [_reference(run), _interval(run)]
     return "".join(parts)
 
 
-def diagnostics_table(estimate: Mapping[str, Any]) -> str:
+def diagnostics_table(estimate: Estimate) -> str:
     """The weights' diagnostics beside what they should be."""
-    size, tail = number(estimate.get("ess")), number(estimate.get("pareto_k"), 2)
+    size, tail = number(estimate.ess), number(estimate.pareto_k, 2)
     lines = [
         ["effective sample size of the violations", size, f"{SMALL_ESS:g} or more"],
         ["Pareto k-hat, the weights' tail", tail, f"{RELIABLE_PARETO_K:g} or less"],
-        ["largest weight's share", percent(estimate.get("max_weight_share")), "a few per cent"],
+        ["largest weight's share", percent(estimate.max_weight_share), "a few per cent"],
     ]
     return grid(["diagnostic", "found", "wanted"], lines, name="Diagnostics")
 
 
-def _words(found: object) -> list[str]:
-    return [str(w) for w in cast(list[object], found)] if isinstance(found, list | tuple) else []
-
-
 def _warnings(run: RunData, *, about_reference: bool) -> list[str]:
     """The engine's warnings that compare with the reference, or all others."""
-    words = _words(run.document.get("warnings"))
-    return [w for w in words if ("the reference" in w) == about_reference]
+    return [w for w in run.result.warnings if ("the reference" in w) == about_reference]
 
 
 def _data(run: RunData) -> str:
@@ -258,35 +237,29 @@ def _data(run: RunData) -> str:
 
 
 def _reference(run: RunData) -> str:
-    reference = table(run.document.get("reference"))
-    if not reference:
+    reference, estimate = run.result.reference, run.result.estimate
+    if reference is None:
         return ""
-    answer = table(run.document.get("estimate")).get("probability")
-    true = reference.get("probability")
+    true = reference.probability
     ratio = ""
-    if is_number(answer) and is_number(true) and true:
-        ratio = f"; the answer is {number(float(cast(float, answer)) / float(true), 2)} times that"
-    error = number(reference.get("std_error"), 2)
+    if estimate is not None and true:
+        ratio = f"; the answer is {number(estimate.probability / true, 2)} times that"
+    error = number(reference.std_error, 2)
     return quiet(f"Reference: {number(true)} \N{PLUS-MINUS SIGN} {error}{ratio}.")
 
 
 def _interval(run: RunData) -> str:
-    interval = table(run.document.get("pem_interval"))
-    if not interval:
+    interval = run.result.pem_interval
+    if interval is None:
         return ""
-    confidence: Any = interval.get("confidence")
-    words = f"{100 * confidence:.3g} %" if is_number(confidence) else "most"
     return quiet(
-        f"Other error models: of {number(interval.get('members'), 6)} models that the same data "
-        f"could have produced, {words} put P(violation) between "
-        f"{number(interval.get('low'), 2)} and {number(interval.get('high'), 2)} "
-        f"(median {number(interval.get('median'), 2)})."
-    ) + "".join(warning(w) for w in _words(interval.get("warnings")))
+        f"Other error models: of {number(interval.members, 6)} models that the same data "
+        f"could have produced, {100 * interval.confidence:.3g} % put P(violation) between "
+        f"{number(interval.low, 2)} and {number(interval.high, 2)} "
+        f"(median {number(interval.median, 2)})."
+    ) + "".join(warning(w) for w in interval.warnings)
 
 
 def _assumptions(run: RunData) -> str:
-    found = run.document.get("assumptions")
-    if not isinstance(found, list | tuple):
-        return ""
-    items = "".join(f"<li>{escape(str(a))}</li>" for a in cast(list[object], found))
+    items = "".join(f"<li>{escape(assumption)}</li>" for assumption in run.result.assumptions)
     return heading("Assumed") + f"<ul style='margin:0;padding-left:18px;color:#52606d'>{items}</ul>"

@@ -1,9 +1,8 @@
 """Numbers and small tables as HTML."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
-from typing import Any, cast
 
 from pemviz.panel.palette import GREY, VERMILLION
 
@@ -18,9 +17,9 @@ SUPERSCRIPT = str.maketrans(
 )
 
 
-def number(value: object, digits: int = 3) -> str:
+def number(value: float | None, digits: int = 3) -> str:
     """A number in few digits, a dash if there is none."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if value is None or not math.isfinite(value):
         return "\N{EN DASH}"
     if value != 0.0 and not 1e-3 <= abs(value) < 1e6:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
@@ -30,23 +29,12 @@ def number(value: object, digits: int = 3) -> str:
     return f"{value:.{digits}g}".replace("-", MINUS)
 
 
-def percent(value: object) -> str:
+def percent(value: float | None) -> str:
     """A share from 0 to 1 in per cent, a dash if there is none."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if value is None or not math.isfinite(value):
         return "\N{EN DASH}"
     found = 100.0 * value
     return f"{found:.0f} %" if found >= 9.95 or found == 0.0 else f"{number(found, 2)} %"
-
-
-def table(value: object) -> Mapping[str, Any]:
-    """``value`` if it is a table, else an empty one: documents may come from anywhere."""
-    return cast(Mapping[str, Any], value) if isinstance(value, Mapping) else {}
-
-
-def rows(value: object) -> Sequence[Mapping[str, Any]]:
-    """The tables in a list."""
-    items = cast(Sequence[Any], value) if isinstance(value, list | tuple) else ()
-    return [cast(Mapping[str, Any], item) for item in items if isinstance(item, Mapping)]
 
 
 def block(body: str) -> str:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
 from pemviz.sampling.value_twisted.reachable_states import explore, solve
@@ -23,9 +24,9 @@ class Reference:
         log10_probability: Its decimal logarithm; ``None`` if it is 0.
     """
 
-    probability: float
-    std_error: float
-    log10_probability: float | None
+    probability: AtLeastZero
+    std_error: AtLeastZero
+    log10_probability: Log10 | None
 
 
 def reference(

@@ -1,0 +1,243 @@
+"""``result.json``: the one place that writes a run's result to its folder and reads it back.
+
+What a result.json may hold (schema 1):
+
+- One JSON object in UTF-8, of at most 100 MB, strict: null where a figure is undefined or
+  infinite, never NaN or Infinity.
+- ``schema``, which is 1, and the fields of :class:`pemviz.runs.result.RunResult`, each with the
+  type and the range that its annotation states; null only where that says ``None``.
+- ``seed``, the configuration's, for scripts that look for it.
+- An estimate's unbiased figures in a table ``unbiased`` of ``probability`` and ``std_error``,
+  and its ``warnings``, the texts of its ``diagnostics``.
+- The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
+  ``sensitivity``, and its other fields under ``causes``.
+- Null for the robustness of a rollout where it is infinite.
+
+A field that has a default may be absent, as it is in results of versions that did not know it.
+Entries that this version does not know are ignored, but for settings in ``config``: a setting
+says what the figures mean. A result of another schema is refused.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+from pemviz.analysis.explanation import Explanation
+from pemviz.analysis.sensitivity import BandSensitivity
+from pemviz.config import ExperimentConfig
+from pemviz.config.ranges import AtLeastZero, shown
+from pemviz.config.records import read_record, read_value
+from pemviz.config.toml_files import config_table
+from pemviz.errors import InputError
+from pemviz.files.atomic import write_json
+from pemviz.files.json_text import parse_json
+from pemviz.runs.result import RunResult
+from pemviz.sampling.estimates.diagnostics import classified
+from pemviz.types import Estimate
+
+SCHEMA = 1
+RESULT_FILE = "result.json"
+LARGEST_BYTES = 100_000_000
+
+Table = dict[str, Any]
+
+
+def has_result(folder: Path) -> bool:
+    """Whether the run folder holds a ``result.json``."""
+    return (folder / RESULT_FILE).is_file()
+
+
+def read_result(folder: Path) -> RunResult:
+    """The result that a run folder holds; what it may hold is said above.
+
+    Raises:
+        InputError: It cannot be read, or holds what no run writes; one line names the field.
+    """
+    path = folder / RESULT_FILE
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(LARGEST_BYTES + 1)
+        if len(content) > LARGEST_BYTES:
+            message = f"result {path}: must be of at most {LARGEST_BYTES} bytes"
+            raise InputError(message)
+        document = parse_json(content.decode("utf-8"))
+    except (OSError, ValueError) as error:
+        message = f"result {path}: cannot be read ({error})"
+        raise InputError(message) from error
+    try:
+        return result_from_document(document)
+    except InputError as error:
+        message = f"result {path}: {error}"
+        raise InputError(message) from error
+
+
+def write_result(folder: Path, result: RunResult) -> None:
+    """Write ``result.json``, whole or not at all.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    write_json(folder / RESULT_FILE, result_document(result))
+
+
+def result_document(result: RunResult) -> Table:
+    """The contents of ``result.json`` as plain values, in the order in which they stand there."""
+    document: Table = {
+        "schema": SCHEMA,
+        "run_id": result.run_id,
+        "status": result.status,
+        "message": result.message,
+        "seed": result.config.seed,
+        "versions": dict(result.versions),
+        "config": config_table(result.config),
+        "pem": asdict(result.pem),
+        "estimate": None if result.estimate is None else _estimate_table(result.estimate),
+        "reference": None if result.reference is None else asdict(result.reference),
+        "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
+        "data_bound": None if result.data_bound is None else asdict(result.data_bound),
+        **_explanation_tables(result.explanation),
+        "repetitions": [_estimate_table(estimate) for estimate in result.repetitions],
+        "stages": [asdict(stage) for stage in result.stages],
+        "least_robust": [asdict(rollout) for rollout in result.least_robust],
+        "assumptions": list(result.assumptions),
+        "warnings": list(result.warnings),
+        "timings_s": dict(result.timings_s),
+    }
+    return cast(Table, _strict(document))
+
+
+def result_from_document(document: object) -> RunResult:
+    """The inverse of :func:`result_document`, for values that may come from anywhere.
+
+    Raises:
+        InputError: It holds what no run writes.
+    """
+    if not isinstance(document, dict):
+        message = f"is {shown(document)}, must be a JSON object"
+        raise InputError(message)
+    table = cast(Table, document)
+    if table.get("schema") != SCHEMA or isinstance(table["schema"], bool):
+        message = (
+            f"schema = {shown(table.get('schema'))}: must be {SCHEMA}; another version of "
+            "pemviz wrote it"
+        )
+        raise InputError(message)
+    config = read_record(ExperimentConfig, table.get("config"), name="config")
+    config.validate()
+    if table.get("seed", config.seed) != config.seed:
+        message = f"seed = {shown(table['seed'])}: must be that of config, {config.seed}"
+        raise InputError(message)
+    fields = {
+        **table,
+        "config": config,
+        "estimate": _estimate(table.get("estimate"), name="estimate"),
+        "explanation": _explanation(table.get("causes"), table.get("sensitivity")),
+        "repetitions": _each(
+            table.get("repetitions", []),
+            lambda entry, index: _estimate(entry, name=f"repetitions[{index}]"),
+        ),
+        "least_robust": _each(
+            table.get("least_robust", []), lambda entry, _: _with_robustness(entry)
+        ),
+    }
+    return read_record(RunResult, fields, ignore_unknown=True)
+
+
+@dataclass(frozen=True)
+class _Unbiased:
+    """The table ``unbiased`` of an estimate."""
+
+    probability: AtLeastZero | None
+    std_error: AtLeastZero | None
+
+
+def _estimate_table(estimate: Estimate) -> Table:
+    table = asdict(estimate)
+    probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
+    diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
+    return {
+        **table,
+        "warnings": list(estimate.warnings),
+        "confidence": confidence,
+        "unbiased": {"probability": probability, "std_error": std_error},
+        "diagnostics": diagnostics,
+    }
+
+
+def _estimate(entry: object, *, name: str) -> object:
+    """The estimate of a table; what is no table is left as it is."""
+    if not isinstance(entry, dict):
+        return cast(object, entry)
+    table = cast(Table, entry)
+    unbiased = read_record(
+        _Unbiased, table.get("unbiased"), name=f"{name}.unbiased", ignore_unknown=True
+    )
+    estimate = read_record(
+        Estimate,
+        {
+            **table,
+            "unbiased_probability": unbiased.probability,
+            "unbiased_std_error": unbiased.std_error,
+        },
+        name=name,
+        ignore_unknown=True,
+    )
+    warnings = read_value(tuple[str, ...], table.get("warnings", []), name=f"{name}.warnings")
+    if "diagnostics" not in table:
+        return replace(estimate, diagnostics=classified(warnings, estimate))
+    if estimate.warnings != warnings:
+        message = f"{name}.warnings = {shown(warnings)}: must be the texts of its diagnostics"
+        raise InputError(message)
+    return estimate
+
+
+def _explanation_tables(explanation: Explanation | None) -> Table:
+    if explanation is None:
+        return {"sensitivity": None, "causes": None}
+    causes = asdict(explanation)
+    return {"sensitivity": causes.pop("sensitivity"), "causes": causes}
+
+
+def _explanation(causes: object, sensitivity: object) -> Explanation | None:
+    if causes is None and sensitivity is None:
+        return None
+    bands = read_value(
+        tuple[BandSensitivity, ...], sensitivity, name="sensitivity", ignore_unknown=True
+    )
+    fields = {**cast(Table, causes), "sensitivity": bands} if isinstance(causes, dict) else causes
+    explanation = read_record(Explanation, fields, name="causes", ignore_unknown=True)
+    if len(bands) != len(explanation.misses_by_distance) + 1:
+        message = (
+            f"sensitivity has {len(bands)} entries: must have one for all distances and one for "
+            f"each of the {len(explanation.misses_by_distance)} of causes.misses_by_distance"
+        )
+        raise InputError(message)
+    return explanation
+
+
+def _with_robustness(entry: object) -> object:
+    """A ranked rollout with null, an infinite robustness, as the verdict says which."""
+    if not isinstance(entry, dict) or cast(Table, entry).get("robustness", 0.0) is not None:
+        return cast(object, entry)
+    table = cast(Table, entry)
+    return {**table, "robustness": -math.inf if table.get("violated") is True else math.inf}
+
+
+def _each(entries: object, change: Callable[[object, int], object]) -> object:
+    """The list with every entry changed; what is no list is left as it is."""
+    if not isinstance(entries, list):
+        return entries
+    return [change(entry, index) for index, entry in enumerate(cast(list[object], entries))]
+
+
+def _strict(value: Any) -> Any:
+    """``value`` with every number that JSON cannot hold replaced by null, tuples as lists."""
+    if isinstance(value, dict):
+        return {str(key): _strict(item) for key, item in cast(Table, value).items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in cast(list[Any], value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,72 @@
+"""Is the run of a folder the one that is asked for? The one answer, for all who ask.
+
+Asked before a run goes on, before a sweep takes a run for done, before the panel shows one.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from pemviz.config import ExperimentConfig
+from pemviz.config.toml_files import config_table, load_config
+from pemviz.errors import InputError
+from pemviz.runs.result import RunResult
+from pemviz.runs.result_file import read_result
+
+DIGITS = 12
+"""Of a digest; enough to tell two apart."""
+
+
+def run_differs(
+    result: RunResult, *, config: ExperimentConfig, pem_digest: str | None = None
+) -> str | None:
+    """How the run of a result differs from the one asked for, in words; ``None``: not at all.
+
+    Args:
+        result: What the folder holds.
+        config: What is asked for.
+        pem_digest: SHA-256 of the error model that is asked for; ``None``: any of its name.
+    """
+    settings = setting_differences(result.config, config)
+    if settings:
+        name, (begun, asked) = next(iter(settings.items()))
+        return f"settings other than those of its config.toml ({name} = {begun!r}, not {asked!r})"
+    if pem_digest is not None and result.pem.digest != pem_digest:
+        return (
+            f"another error model of the name {config.pem!r} (digest "
+            f"{result.pem.digest[:DIGITS]}, now {pem_digest[:DIGITS]})"
+        )
+    return None
+
+
+def setting_differences(
+    first: ExperimentConfig, second: ExperimentConfig
+) -> dict[str, tuple[Any, Any]]:
+    """The settings in which two configurations differ, by dotted name, with both values."""
+    one, other = _flat(config_table(first)), _flat(config_table(second))
+    return {name: (one[name], other[name]) for name in one if one[name] != other[name]}
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings with dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            found |= _flat(cast(Mapping[str, Any], value), f"{prefix}{name}.")
+        else:
+            found[prefix + name] = value
+    return found
+
+
+def read_whole_run(folder: Path) -> RunResult:
+    """The result of a run folder, whose ``config.toml`` says the same of the settings.
+
+    Raises:
+        InputError: One of the two files is absent or damaged, or they differ.
+    """
+    result = read_result(folder)
+    difference = run_differs(result, config=load_config(folder / "config.toml"))
+    if difference is not None:
+        message = f"run {folder}: was begun with {difference}"
+        raise InputError(message)
+    return result

@@ -1,0 +1,293 @@
+"""result.json: what is written is read back; what no run writes is refused by file and field."""
+
+import copy
+import json
+import math
+import os
+import re
+from dataclasses import replace
+from typing import get_args
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from pemviz.config import ExperimentConfig, MethodName, ScenarioConfig
+from pemviz.errors import LONGEST_MESSAGE, InputError
+from pemviz.files.atomic import write_json
+from pemviz.files.sample_run import sample_run_path
+from pemviz.runs import result_file
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.result_file import (
+    has_result,
+    read_result,
+    result_document,
+    result_from_document,
+    write_result,
+)
+from pemviz.runs.store import RunStore
+from tests.reports.runs import result as made_up_result
+from tests.runs.results import results
+
+MAY_BE_NULL = re.compile(
+    r"message|config\.target|reference|reference\.log10_probability|pem_interval"
+    r"|pem_interval\.(low|high|median)|data_bound"
+    r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning)"
+    r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
+    r"|nll_log_mean|ess|pareto_k|max_weight_share|unbiased\.(probability|std_error)"
+    r"|diagnostics\[\d+\]\.(value|limit))|estimate"
+    r"|stages\[\d+\]\.(threshold|log10_probability|ess|loss)|least_robust\[\d+\]\.robustness"
+)
+MAY_BE_ABSENT = re.compile(
+    r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
+    r"|warnings|timings_s|(estimate|repetitions\[\d+\])\.(diagnostics|confidence)"
+    r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
+)
+OTHER_TYPE = {
+    bool: 1, int: "1", float: "1", str: 1, list: {"a": 1}, dict: [1], type(None): {"a": 1},
+}  # fmt: skip
+
+
+TINY = ExperimentConfig(
+    stages=1, rollouts=20, final_rollouts=30, epochs=2, seed=3, spec="always[0,11] (gap >= 2.0)",
+    scenario=ScenarioConfig(states=12, dt_s=0.4),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sample():
+    """The document of the sample run with a reference; of every kind of entry, two."""
+    document = result_document(read_result(sample_run_path()))
+    causes = document["causes"]
+    for entries in (document["stages"], document["least_robust"], causes["chains"],
+                    causes["misses_by_distance"], causes["miss_probability_by_step"]):  # fmt: skip
+        del entries[2:]
+    del document["sensitivity"][3:]
+    document["reference"] = {"probability": 1e-18, "std_error": 1e-21, "log10_probability": -18.0}
+    assert document["causes"]["chains"]
+    assert document["pem_interval"]["warnings"]
+    return document
+
+
+def paths(value, at=()):
+    """Where every value of a document stands, and the value."""
+    if at:
+        yield at, value
+    if isinstance(value, dict | list):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from paths(item, (*at, key))
+
+
+def text_of(path):
+    joined = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path)
+    return joined.removeprefix(".")
+
+
+def changed(document, path, value):
+    """A copy with another value somewhere; ``...`` takes it out."""
+    document = copy.deepcopy(document)
+    holder = document
+    for key in path[:-1]:
+        holder = holder[key]
+    if value is ...:
+        del holder[path[-1]]
+    else:
+        holder[path[-1]] = value
+    return document
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(results())
+def test_what_is_written_is_read_back(tmp_path, result):
+    write_result(tmp_path, result)
+    assert read_result(tmp_path) == result
+
+
+def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
+    write_result(tmp_path, made_up_result())
+    document = result_document(made_up_result())
+    text = (tmp_path / "result.json").read_text(encoding="utf-8")
+    assert text == f"{json.dumps(document, indent=1, ensure_ascii=False)}\n"
+    assert list(json.loads(text)) == [
+        "schema", "run_id", "status", "message", "seed", "versions", "config", "pem", "estimate",
+        "reference", "pem_interval", "data_bound", "sensitivity", "causes", "repetitions",
+        "stages", "least_robust", "assumptions", "warnings", "timings_s",
+    ]  # fmt: skip
+
+
+def test_the_sample_run_is_read_and_written_to_the_same_bytes(tmp_path):
+    """But for the diagnostics, which are made out from its warnings."""
+    result = read_result(sample_run_path())
+    document = result_document(result)
+    for estimate in (document["estimate"], *document["repetitions"]):
+        assert [one["text"] for one in estimate.pop("diagnostics")] == estimate["warnings"]
+    write_json(tmp_path / "result.json", document)
+    written = (tmp_path / "result.json").read_bytes()
+    assert written == (sample_run_path() / "result.json").read_bytes()
+    assert result.run_id == "sample"
+    assert result.estimate.probability == pytest.approx(10**result.estimate.log10_probability)
+    assert len(result.least_robust) == 20
+    assert result.explanation.sensitivity[0].low is None
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        *(replace(TINY, method=method) for method in get_args(MethodName)),
+        replace(TINY, method="naive", spec="true"),  # infinitely robust
+        replace(TINY, method="naive", spec="always[0,9] (gap >= 2.0 and false)"),
+        replace(TINY, method="mixture", reference=True, target=1e-20, repetitions=2),
+    ],
+    ids=lambda config: f"{config.method}-{config.spec[:6]}",
+)
+def test_what_runs_tell_is_read_back_from_their_folders(config, tmp_path):
+    result = run_experiment(config, observers=[RunStore(tmp_path)])
+    assert read_result(tmp_path) == result
+    assert result.status == "done"
+
+
+def test_results_of_versions_that_knew_fewer_fields_are_read(sample):
+    document = copy.deepcopy(sample)
+    for name in ("causes", "sensitivity", "data_bound"):
+        del document[name]
+    for name in ("device", "batch_time_limit_s", "reference", "target"):
+        del document["config"][name]
+    result = result_from_document(document)
+    assert result.explanation is None
+    assert result.data_bound is None
+    assert result.config.device == "cpu"
+    assert result.estimate == result_from_document(sample).estimate
+
+
+def test_undefined_and_infinite_figures_are_null_and_read_as_such(tmp_path):
+    one = made_up_result()
+    (rollout,) = one.least_robust
+    ranked = (replace(rollout, robustness=-math.inf), replace(rollout, nll=0.0, violated=False))
+    estimate = replace(one.estimate, ci_high=math.inf, ess=math.nan)
+    wild = replace(one, estimate=estimate, repetitions=(), least_robust=ranked)
+    write_result(tmp_path, wild)
+    found = read_result(tmp_path)
+    assert "Infinity" not in (tmp_path / "result.json").read_text()
+    assert found.estimate == replace(one.estimate, ci_high=None, ess=None)
+    assert found.least_robust == ranked
+
+
+def test_every_entry_has_its_type(sample):
+    """What stands anywhere in a result is refused if it is of another type, and named."""
+    for path, value in paths(sample):
+        with pytest.raises(InputError) as caught:
+            result_from_document(changed(sample, path, OTHER_TYPE[type(value)]))
+        assert str(caught.value).startswith(text_of(path)), path
+        assert "must be" in str(caught.value)
+
+
+def test_null_stands_only_where_a_run_may_write_it(sample):
+    for path, _ in paths(sample):
+        document = changed(sample, path, None)
+        if MAY_BE_NULL.fullmatch(text_of(path)):
+            result_from_document(document)
+        else:
+            with pytest.raises(InputError) as caught:
+                result_from_document(document)
+            assert str(caught.value).startswith(text_of(path)), path
+
+
+def test_what_a_run_always_writes_may_not_be_absent(sample):
+    for path, _ in paths(sample):
+        if isinstance(path[-1], int):
+            continue
+        document = changed(sample, path, ...)
+        if MAY_BE_ABSENT.fullmatch(text_of(path)):
+            result_from_document(document)
+        else:
+            with pytest.raises(InputError, match=re.escape(path[0])):
+                result_from_document(document)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("status", "going", "status = 'going': must be one of done, stopped, failed"),
+        ("seed", 7, "seed = 7: must be that of config, 6"),
+        ("config.seed", -1, "config.seed = -1: must be a whole number, at least 0"),
+        ("config.device", "gpu", "device = 'gpu': must be cpu"),
+        ("config.scenario.dt_s", 0, "config.scenario.dt_s = 0: must be a number, at least 0.001"),
+        ("estimate.failures", -1, "estimate.failures = -1: must be a whole number, at least 0"),
+        ("estimate.probability", -1e-9, "estimate.probability = -1e-09: must be a number, at lea"),
+        ("estimate.log10_probability", 1e308, "must be a number, at most 300"),
+        ("estimate.max_weight_share", 1.1, "must be a number, at least 0 and at most 1"),
+        ("estimate.confidence", 1, "must be a number, above 0 and below 1"),
+        ("estimate.unbiased.std_error", "x", "estimate.unbiased.std_error = 'x': must be a numbe"),
+        ("pem_interval.members", 2**53 + 1, "must be a whole number, at least 0 and at most 9"),
+        ("causes.chains", [{}], "causes.chains[0].missed_steps: is missing"),
+        ("causes.misses_by_distance", [], "sensitivity has 3 entries: must have one for all dis"),
+        ("sensitivity", [], "sensitivity has 0 entries: must have one for all distances"),
+        ("stages", [3], "stages[0] = 3: must be a table"),
+        ("run_id", "\ud800", "run_id = '\\ud800': must be a text"),
+        ("versions", {"\ud800": "1"}, "must be a name"),
+        ("timings_s", {"total": -1}, "timings_s.total = -1: must be a number, at least 0"),
+    ],
+)
+def test_what_is_out_of_range_is_named_with_what_is_allowed(sample, path, value, words):
+    with pytest.raises(InputError) as caught:
+        result_from_document(changed(sample, path.split("."), value))
+    assert words in str(caught.value)
+    assert len(str(caught.value)) <= LONGEST_MESSAGE
+
+
+@pytest.mark.parametrize("schema", [2, 0, None, True, "1", ...])
+def test_another_schema_is_refused(sample, schema):
+    with pytest.raises(InputError, match=r"schema = .*: must be 1; another version of pemviz"):
+        result_from_document(changed(sample, ("schema",), schema))
+
+
+def test_what_is_unknown_is_ignored_but_for_settings(sample):
+    document = changed(sample, ("ladder",), [1])
+    document = changed(document, ("estimate", "memory_s"), "x")
+    document = changed(document, ("stages", 0, "rules"), {})
+    assert result_from_document(document) == result_from_document(sample)
+    with pytest.raises(InputError, match=r"^config\.memory_s: no such field"):
+        result_from_document(changed(sample, ("config", "memory_s"), 0.2))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"[1, 2", "cannot be read"),
+        (b"[" * 100_000, "nested more than 100 levels"),
+        (b"[1, 2]", "must be a JSON object"),
+        (b'"text"', "must be a JSON object"),
+        (b"\xff\xfe", "cannot be read"),
+        (b'{"schema": 1, "config": {}, "timings_s": {"total": NaN}}', "NaN is not a JSON number"),
+        (b'{"schema": 1}', "config = None: must be a table"),
+        (b"{}", "schema = None"),
+        (b" " * 3000, "at most 2000 bytes"),
+    ],
+)
+def test_a_hostile_file_ends_in_one_line(tmp_path, monkeypatch, content, words):
+    if content.isspace():
+        monkeypatch.setattr(result_file, "LARGEST_BYTES", 2000)
+    (tmp_path / "result.json").write_bytes(content)
+    with pytest.raises(InputError, match=words) as caught:
+        read_result(tmp_path)
+    assert str(caught.value).startswith(f"result {tmp_path / 'result.json'}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_a_result_has_none(tmp_path):
+    assert not has_result(tmp_path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_result(tmp_path)
+    (tmp_path / "result.json").mkdir()
+    assert not has_result(tmp_path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_result(tmp_path)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="there is no file without an end")
+def test_a_file_without_an_end_is_not_read_to_its_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(result_file, "LARGEST_BYTES", 10_000)
+    (tmp_path / "result.json").symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="at most 10000 bytes"):
+        read_result(tmp_path)
