@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pemviz.runs.experiment import Experiment, build_experiment
     from pemviz.runs.least_robust import LeastRobust, Rollout
     from pemviz.runs.result import RunResult
+    from pemviz.runs.result_file import read_result
     from pemviz.runs.store import RunStore
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator
     from pemviz.types import Estimate, Signal, Simulator, StateBatch
@@ -44,6 +45,7 @@ _HOMES = {
     "Simulator": "types",
     "StateBatch": "types",
     "build_experiment": "runs.experiment",
+    "read_result": "runs.result_file",
     "run": "runs.engine",
     "run_experiment": "runs.engine",
     "summary_text": "reports.summary_text",
@@ -71,6 +73,7 @@ __all__ = [
     "StateBatch",
     "__version__",
     "build_experiment",
+    "read_result",
     "run",
     "run_experiment",
     "summary_text",

@@ -70,13 +70,13 @@ def read_value(
 @cache
 def _reader(annotation: Any, ignore_unknown: bool) -> _Reader:
     """What reads values of one annotation, put together once."""
-    if allows_none(annotation):
-        inner = _reader(optional_value(annotation), ignore_unknown)
-        return lambda value: None if value is None else inner(value)
     origin = get_origin(annotation)
     if origin in (Union, UnionType):
-        message = f"{annotation}: a field has one type, None aside"
-        raise TypeError(message)
+        if not allows_none(annotation) or len(get_args(annotation)) > 2:
+            message = f"{annotation}: a field has one type, None aside"
+            raise TypeError(message)
+        inner = _reader(optional_value(annotation), ignore_unknown)
+        return lambda value: None if value is None else inner(value)
     if is_dataclass(annotation):
         return _record_reader(cast(type[Any], annotation), ignore_unknown)
     if origin is tuple:

@@ -169,7 +169,7 @@ def _estimate_table(estimate: Estimate) -> Table:
 def _estimate(entry: object, *, name: str) -> object:
     """The estimate of a table; what is no table is left as it is."""
     if not isinstance(entry, dict):
-        return cast(object, entry)
+        return entry
     table = cast(Table, entry)
     unbiased = read_record(
         _Unbiased, table.get("unbiased"), name=f"{name}.unbiased", ignore_unknown=True

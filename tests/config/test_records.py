@@ -67,6 +67,12 @@ def test_what_does_not_fit_is_named_with_what_is_allowed(changes, message):
     assert str(caught.value) == message
 
 
+def test_a_field_of_several_types_is_no_field_of_a_record():
+    for annotation in (int | str, int | str | None):
+        with pytest.raises(TypeError, match="one type, None aside"):
+            read_value(annotation, 3, name="x")
+
+
 def test_what_is_unknown_may_be_ignored_all_the_way_down():
     table = {**CAR, "doors": 5, "wheels": [{**WHEEL, "spokes": [1]}]}
     assert read_record(Car, table, ignore_unknown=True).wheels == (Wheel(0.5),)

@@ -66,9 +66,7 @@ def explanations():
     """With as many sensitivities as bands, and one for all distances."""
 
     def fit(explanation, one):
-        return replace(
-            explanation, sensitivity=(one,) * (len(explanation.misses_by_distance) + 1)
-        )
+        return replace(explanation, sensitivity=(one,) * (len(explanation.misses_by_distance) + 1))
 
     (band, _) = get_args(get_type_hints(Explanation, include_extras=True)["sensitivity"])
     return st.builds(fit, plainly(Explanation), plainly(band))
