@@ -13,7 +13,7 @@ from pemviz.errors import InputError
 from pemviz.files import sample_run
 from pemviz.recording.read import chunks
 from pemviz.reproduce.sample import MOST_BYTES, folder_bytes, make_sample, sample_config
-from pemviz.runs.result import SCHEMA
+from pemviz.runs.result_file import SCHEMA
 from pemviz.runs.rollout_files import load_rollouts
 
 ROOT = Path(__file__).resolve().parents[2]
