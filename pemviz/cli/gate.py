@@ -2,10 +2,12 @@
 
 import sys
 
-from pemviz.reports.gate import GateDecision
+from pemviz.reports.gate import decide_gate
+from pemviz.types import Estimate
 
 
-def gate_exit_code(decision: GateDecision) -> int:
-    """Say what the gate says, and give the exit code for it."""
+def gate_exit_code(estimate: Estimate, *, fail_above: float) -> int:
+    """1 if the upper bound is above ``fail_above``, 4 if the estimate cannot tell, else 0."""
+    decision = decide_gate(estimate, limit=fail_above)
     print(f"pemviz: gate {decision.sentence}", file=sys.stderr)
     return decision.exit_code
