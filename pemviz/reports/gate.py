@@ -90,11 +90,12 @@ def _decide(
 ) -> GateDecision:
     basis, upper = interval_basis(estimate.method), estimate.ci_high
     bound: Bound = "unknown" if upper is None else "above" if upper > limit else "not above"
-    kinds = (None, *(diagnostic.kind for diagnostic in diagnostics))
-    outcome = max((DECISIONS[basis, kind, bound] for kind in kinds), key=EXIT_CODES.__getitem__)
-    return GateDecision(
-        outcome, limit, _reason(estimate, diagnostics, bound, limit=limit), EXIT_CODES[outcome]
-    )
+    outcome = DECISIONS[basis, None, bound]
+    for diagnostic in diagnostics:
+        found = DECISIONS[basis, diagnostic.kind, bound]
+        outcome = found if EXIT_CODES[found] > EXIT_CODES[outcome] else outcome
+    words = _reason(estimate, diagnostics, bound, limit=limit)
+    return GateDecision(outcome, limit, words, EXIT_CODES[outcome])
 
 
 def _reason(
