@@ -1,4 +1,10 @@
-"""The errors a user can act on; each message is one line: what, where, allowed."""
+"""The errors a user can act on, each one line: what, where, allowed; and the exit codes."""
+
+EXIT_DONE = 0
+EXIT_GATE_TRIPPED = 1
+EXIT_BAD_INPUT = 2
+EXIT_FAILED = 3
+EXIT_GATE_UNDECIDED = 4
 
 LONGEST_MESSAGE = 1000
 """Characters; a message that quotes more than that from a file loses its middle."""

@@ -10,8 +10,8 @@ from rich.table import Table
 
 from pemviz.bench.figures import Figure
 from pemviz.bench.scale import HEADER, ScaleRow, ScaleStudy, cells, reasons, run_scale
-from pemviz.cli.exit_codes import EXIT_DONE
 from pemviz.cli.parsing import parse_arguments
+from pemviz.errors import EXIT_DONE
 
 Part = Literal["paper", "simulators", "stl", "recording", "scale"]
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from importlib import import_module
 
 from pemviz._version import __version__
-from pemviz.cli.exit_codes import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED
-from pemviz.errors import InputError, PemvizError
+from pemviz.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, InputError, PemvizError
 
 
 @dataclass(frozen=True)

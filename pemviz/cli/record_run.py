@@ -6,13 +6,13 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from pemviz.cli.exit_codes import EXIT_DONE, EXIT_FAILED
 from pemviz.cli.gate import gate_exit_code
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.progress import progress_observer
 from pemviz.cli.record_arguments import RecordArguments
 from pemviz.cli.summary import print_summary
 from pemviz.cli.workers import check_workers, with_workers
+from pemviz.errors import EXIT_DONE, EXIT_FAILED
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import Experiment, build_experiment, device_notes

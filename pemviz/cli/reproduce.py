@@ -11,10 +11,9 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from pemviz.cli.exit_codes import EXIT_DONE
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import parse_arguments
-from pemviz.errors import ConfigError, RunError
+from pemviz.errors import EXIT_DONE, ConfigError, RunError
 from pemviz.files.atomic import write_bytes
 from pemviz.reproduce.carry_out import Reproduction, reproduce
 from pemviz.reproduce.settings import PARTS, Part, Settings

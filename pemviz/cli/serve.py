@@ -12,9 +12,8 @@ from importlib import import_module
 from pathlib import Path
 from types import FrameType
 
-from pemviz.cli.exit_codes import EXIT_DONE
 from pemviz.cli.parsing import parse_arguments
-from pemviz.errors import ConfigError
+from pemviz.errors import EXIT_DONE, ConfigError
 from pemviz.runs.events import Observer
 
 DESCRIPTION = (

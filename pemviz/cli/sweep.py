@@ -9,7 +9,6 @@ from typing import Annotated
 
 import tyro
 
-from pemviz.cli.exit_codes import EXIT_DONE, EXIT_FAILED
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.cli.sweep_progress import sweep_progress, tell_done_before
@@ -17,7 +16,7 @@ from pemviz.cli.workers import check_one_kind
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.toml_files import load_config, load_preset
-from pemviz.errors import ConfigError, RunError
+from pemviz.errors import EXIT_DONE, EXIT_FAILED, ConfigError, RunError
 from pemviz.files.atomic import write_bytes, write_text
 from pemviz.processes import usable_cpus
 from pemviz.sweep.carry_out import RunState, carry_out_runs, finished_before

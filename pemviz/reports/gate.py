@@ -1,14 +1,48 @@
 """The decision of a pipeline's gate: never a silent pass."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from itertools import product
+from typing import Literal, get_args
 
+from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_UNDECIDED
+from pemviz.runs.judge import run_diagnostics
 from pemviz.runs.result import RunResult
-from pemviz.sampling.estimates.diagnostics import reason, undermining
+from pemviz.sampling.estimates.diagnostics import (
+    MEANINGS,
+    IntervalBasis,
+    reason,
+    undermining,
+)
 from pemviz.sampling.registry import by_name
-from pemviz.types import Estimate
+from pemviz.types import Diagnostic, DiagnosticKind, Estimate
 
 GateOutcome = Literal["passed", "tripped", "undecided"]
+Bound = Literal["not above", "above", "unknown"]
+"""Where the estimate's upper bound stands beside the limit."""
+Case = tuple[IntervalBasis, DiagnosticKind | None, Bound]
+"""What a decision is made of; no diagnostic: nothing is wrong."""
+
+EXIT_CODES: Mapping[GateOutcome, int] = {
+    "passed": EXIT_DONE,
+    "tripped": EXIT_GATE_TRIPPED,
+    "undecided": EXIT_GATE_UNDECIDED,
+}
+
+
+def _outcome(case: Case) -> GateOutcome:
+    basis, kind, bound = case
+    if bound == "above":
+        return "tripped"
+    unreliable = kind is not None and basis in MEANINGS[kind].undermines
+    return "undecided" if unreliable or bound == "unknown" else "passed"
+
+
+DECISIONS: Mapping[Case, GateOutcome] = {
+    case: _outcome(case)
+    for case in product(get_args(IntervalBasis), (None, *MEANINGS), get_args(Bound))
+}
+"""Every case; of several diagnostics the least favourable decides."""
 
 
 @dataclass(frozen=True)
@@ -20,11 +54,13 @@ class GateDecision:
             estimate cannot tell.
         limit: The probability that must not be exceeded.
         reason: In words.
+        exit_code: What the command line ends with.
     """
 
     outcome: GateOutcome
     limit: float
     reason: str
+    exit_code: int
 
     @property
     def sentence(self) -> str:
@@ -33,31 +69,48 @@ class GateDecision:
         return f"{words}: {self.reason}"
 
 
-def decide_gate(estimate: Estimate, *, limit: float) -> GateDecision:
-    """Compare an estimate's upper bound with ``limit``."""
-    upper = estimate.ci_high
-    if upper is None:
-        return GateDecision("undecided", limit, "there is no upper bound")
-    bound = f"the upper {estimate.confidence:.0%} bound {upper:.3g}".replace("%", " %")
-    if upper > limit:
-        return GateDecision("tripped", limit, f"{bound} is above {limit:g}")
-    reasons = unreliable_because(estimate)
-    if reasons:
-        return GateDecision("undecided", limit, "; ".join(reasons))
-    return GateDecision("passed", limit, f"{bound} is not above {limit:g}")
-
-
 def decide_run(result: RunResult, *, limit: float) -> GateDecision:
     """The gate's decision on a run; one that did not finish decides nothing."""
     if result.status != "done":
         message = result.message or "what was finished is in the run folder"
-        return GateDecision("undecided", limit, f"the run {result.status} ({message})")
+        words = f"the run {result.status} ({message})"
+        return GateDecision("undecided", limit, words, EXIT_FAILED)
     if result.estimate is None:
-        return GateDecision("undecided", limit, "there is no estimate")
-    return decide_gate(result.estimate, limit=limit)
+        return GateDecision("undecided", limit, "there is no estimate", EXIT_GATE_UNDECIDED)
+    return _decide(result.estimate, run_diagnostics(result), limit=limit)
+
+
+def decide_gate(estimate: Estimate, *, limit: float) -> GateDecision:
+    """Compare an estimate's upper bound with ``limit``."""
+    return _decide(estimate, estimate.diagnostics, limit=limit)
 
 
 def unreliable_because(estimate: Estimate) -> tuple[str, ...]:
     """Why an estimate must not decide anything; empty if nothing speaks against it."""
     basis = by_name(estimate.method).interval_basis
     return tuple(map(reason, undermining(estimate.diagnostics, basis=basis)))
+
+
+def _decide(
+    estimate: Estimate, diagnostics: tuple[Diagnostic, ...], *, limit: float
+) -> GateDecision:
+    basis, upper = by_name(estimate.method).interval_basis, estimate.ci_high
+    bound: Bound = "unknown" if upper is None else "above" if upper > limit else "not above"
+    outcome = DECISIONS[basis, None, bound]
+    for diagnostic in diagnostics:
+        decided = DECISIONS[basis, diagnostic.kind, bound]
+        outcome = decided if EXIT_CODES[decided] > EXIT_CODES[outcome] else outcome
+    words = _reason(estimate, diagnostics, bound, limit=limit)
+    return GateDecision(outcome, limit, words, EXIT_CODES[outcome])
+
+
+def _reason(
+    estimate: Estimate, diagnostics: tuple[Diagnostic, ...], bound: Bound, *, limit: float
+) -> str:
+    if estimate.ci_high is None:
+        return "there is no upper bound"
+    words = f"the upper {estimate.confidence:.0%} bound {estimate.ci_high:.3g}".replace("%", " %")
+    if bound == "above":
+        return f"{words} is above {limit:g}"
+    against = undermining(diagnostics, basis=by_name(estimate.method).interval_basis)
+    return "; ".join(map(reason, against)) or f"{words} is not above {limit:g}"

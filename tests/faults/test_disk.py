@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.cli.exit_codes import EXIT_DONE, EXIT_FAILED
+from pemviz.errors import EXIT_DONE, EXIT_FAILED
 from pemviz.runs.rollout_files import load_rollouts
 from tests.faults.test_resume import contents
 

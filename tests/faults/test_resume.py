@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from pemviz.cli import record
-from pemviz.cli.exit_codes import EXIT_DONE, EXIT_GATE_TRIPPED
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
-from pemviz.errors import InputError, RunError
+from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError, RunError
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment

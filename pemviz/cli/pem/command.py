@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
-from pemviz.cli.exit_codes import EXIT_BAD_INPUT, EXIT_DONE
 from pemviz.cli.parsing import parse_arguments
-from pemviz.errors import InputError
+from pemviz.errors import EXIT_BAD_INPUT, EXIT_DONE, InputError
 
 ACTIONS = {
     "compare": ("CompareArguments", "failure probability under several models, and their ratios"),

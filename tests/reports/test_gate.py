@@ -1,0 +1,159 @@
+"""The gate, case by case, against the table that CONTRIBUTING shows."""
+
+import re
+import sys
+from dataclasses import fields, replace
+from itertools import product
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from pemviz.config import METHODS
+from pemviz.reports.gate import (
+    DECISIONS,
+    EXIT_CODES,
+    Bound,
+    decide_gate,
+    decide_run,
+    unreliable_because,
+)
+from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.estimates.diagnostics import (
+    AGREEMENT_ERRORS,
+    FEW_FAILURES,
+    LARGE_SHARE,
+    RELIABLE_PARETO_K,
+    SMALL_ESS,
+    IntervalBasis,
+)
+from pemviz.sampling.registry import by_name
+from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.types import Diagnostic, DiagnosticKind
+from tests.reports.runs import estimate, result
+
+CONTRIBUTING = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
+BASES = get_args(IntervalBasis)
+KINDS = (None, *get_args(DiagnosticKind))
+LIMIT = 1e-9
+UPPER = {"not above": LIMIT, "above": 1.001 * LIMIT, "unknown": None}
+
+
+def table():
+    """Header and rows of the table under 'The gate'."""
+    section = CONTRIBUTING.read_text(encoding="utf-8").split("\n## The gate\n")[1]
+    section = section.split("\n## ")[0]
+    lines = [line for line in section.splitlines() if line.startswith("|")]
+    header, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    return header, rows
+
+
+def methods_of(basis):
+    return [name for name in METHODS.names() if by_name(name).interval_basis == basis]
+
+
+def wrong(*kinds):
+    """Diagnostics of these kinds; ``None`` is nothing wrong."""
+    return tuple(Diagnostic(kind, 1.0, 2.0, f"{kind}!") for kind in kinds if kind is not None)
+
+
+def test_contributing_shows_every_decision():
+    """What stands there is the exit code where the upper bound is not above the limit."""
+    header, rows = table()
+    shown = {
+        (basis, None if kind == "none" else kind.strip("`")): int(code)
+        for kind, _, *codes in rows
+        for basis, code in zip(BASES, codes, strict=True)
+    }
+    expected = {
+        (basis, kind): EXIT_CODES[DECISIONS[basis, kind, "not above"]]
+        for basis, kind in product(BASES, KINDS)
+    }
+    assert shown == expected
+    for basis, column in zip(BASES, header[2:], strict=True):
+        assert column.startswith(basis)
+        assert sorted(re.findall(r"`([\w-]+)`", column)) == sorted(methods_of(basis))
+
+
+def test_contributing_states_the_limits():
+    _, rows = table()
+    words = {kind.strip("`"): what for kind, what, *_ in rows}
+    assert f"below {SMALL_ESS:g}" in words["few-effective-samples"]
+    assert f"above {RELIABLE_PARETO_K:g}" in words["heavy-tail"]
+    assert f"over {100 * LARGE_SHARE:g} %" in words["large-weight"]
+    assert f"below {sys.float_info.min:.2g}" in words["below-doubles"]
+    assert (FEW_FAILURES, AGREEMENT_ERRORS) == (10, 3.0)  # in words there
+
+
+def test_the_codes_are_those_of_the_contract():
+    assert EXIT_CODES == {"passed": 0, "tripped": 1, "undecided": 4}
+    assert set(DECISIONS) == set(product(BASES, KINDS, get_args(Bound)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("method", METHODS.names())
+def test_every_method_with_every_diagnostic(method, kind):
+    """A bound above the limit trips, none leaves it undecided; else the table decides."""
+    for bound, upper in UPPER.items():
+        one = estimate(method=method, ci_high=upper, diagnostics=wrong(kind))
+        found = decide_gate(one, limit=LIMIT)
+        assert found.outcome == DECISIONS[by_name(method).interval_basis, kind, bound]
+        assert found.exit_code == EXIT_CODES[found.outcome]
+        assert (found.outcome == "tripped") == (bound == "above")
+        assert found.outcome == "undecided" or bound != "unknown"
+        if bound == "not above":
+            assert (found.outcome == "undecided") == bool(unreliable_because(one))
+            assert found.reason == ("; ".join(unreliable_because(one)) or bound_words(LIMIT))
+
+
+def bound_words(upper):
+    return f"the upper 95 % bound {upper:.3g} is not above {LIMIT:g}"
+
+
+@pytest.mark.parametrize("first", KINDS)
+@pytest.mark.parametrize("second", KINDS)
+def test_of_several_diagnostics_the_least_favourable_decides(first, second):
+    for method, upper in product(("monte-carlo", "mixture", "splitting"), UPPER.values()):
+        alone = [
+            decide_gate(
+                estimate(method=method, ci_high=upper, diagnostics=wrong(kind)), limit=LIMIT
+            ).exit_code
+            for kind in (first, second)
+        ]
+        both = estimate(method=method, ci_high=upper, diagnostics=wrong(first, second))
+        assert decide_gate(both, limit=LIMIT).exit_code == max(alone)
+
+
+def test_a_description_that_says_nothing_is_judged_by_the_strictest_column():
+    """What another package's method does not say to be exact is not taken for exact."""
+    (basis,) = (f.default for f in fields(MethodDescription) if f.name == "interval_basis")
+    for kind in KINDS:
+        codes = {
+            EXIT_CODES[DECISIONS[basis, kind, "not above"]],
+            EXIT_CODES[DECISIONS["counts", kind, "not above"]],
+        }
+        assert EXIT_CODES[DECISIONS[basis, kind, "not above"]] == max(codes)
+
+
+@pytest.mark.parametrize("status", ["stopped", "failed"])
+def test_a_run_that_did_not_finish_decides_nothing(status):
+    found = decide_run(result(status=status, message="the disk is full"), limit=1.0)
+    assert (found.outcome, found.exit_code) == ("undecided", 3)
+    assert "the disk is full" in found.sentence
+
+
+def test_a_run_without_an_estimate_decides_nothing():
+    found = decide_run(replace(result(), estimate=None), limit=1.0)
+    assert (found.outcome, found.exit_code) == ("undecided", 4)
+
+
+def test_an_estimate_that_the_reference_contradicts_decides_nothing():
+    """2e-15 +- 1e-15, up to 5e-15: six errors from the one reference, within one of the other."""
+    far = Reference(probability=8e-15, std_error=0.0, log10_probability=-14.1)
+    near = Reference(probability=3e-15, std_error=0.0, log10_probability=-14.5)
+    contradicted = decide_run(result(reference=far), limit=LIMIT)
+    assert (contradicted.outcome, contradicted.exit_code) == ("undecided", 4)
+    assert "trust the reference" in contradicted.reason
+    assert decide_run(result(reference=near), limit=LIMIT).exit_code == 0
+    assert decide_run(result(reference=None), limit=LIMIT).exit_code == 0
+    assert decide_run(result(reference=far), limit=4e-15).exit_code == 1
