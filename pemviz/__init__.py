@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pemviz.runs.least_robust import LeastRobust, Rollout
     from pemviz.runs.result import RunResult
     from pemviz.runs.store import RunStore
+    from pemviz.sampling.description import MethodDescription
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator
     from pemviz.types import Estimate, Signal, Simulator, StateBatch
 
@@ -34,6 +35,7 @@ _HOMES = {
     "GymnasiumSimulator": "simulators.gymnasium_adapter",
     "InputError": "errors",
     "LeastRobust": "runs.least_robust",
+    "MethodDescription": "sampling.description",
     "PemvizError": "errors",
     "Rollout": "runs.least_robust",
     "RunError": "errors",
@@ -60,6 +62,7 @@ __all__ = [
     "GymnasiumSimulator",
     "InputError",
     "LeastRobust",
+    "MethodDescription",
     "PemvizError",
     "Rollout",
     "RunError",

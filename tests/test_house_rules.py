@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from pemviz.sampling.registry import SHIPPED
+from tests.method_names import all_comparisons
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pemviz"
 LONGEST_FILE = 400
@@ -18,10 +21,6 @@ LONG_FUNCTIONS = {
         "cli/serve.py",
         "_serve",
     ): "sets up and takes down in one order: signals, server, browser",
-    (
-        "runs/experiment.py",
-        "build_method",
-    ): "one branch a method",
     (
         "runs/model_comparison.py",
         "compare_models",
@@ -112,6 +111,88 @@ def test_errors_that_public_functions_raise_are_documented(part):
         and "Raises" not in (ast.get_docstring(node) or "")
     ]
     assert silent == []
+
+
+def homes():
+    """The folder of each shipped method."""
+    return {
+        method.name: PACKAGE.joinpath(*method.build.__module__.split(".")[1:-1])
+        for method in SHIPPED
+    }
+
+
+def test_no_method_is_asked_for_by_name_outside_its_folder():
+    """What differs between methods stands in their descriptions."""
+    foreign = {
+        path: {name for name, home in homes().items() if home not in path.parents}
+        for path in files()
+    }
+    assert all(len(names) >= len(SHIPPED) - 2 for names in foreign.values())
+    assert all_comparisons(foreign, root=ROOT) == []
+
+
+def test_descriptions_are_asked_for_through_the_registry():
+    """Comparing with a description would be comparing with its method's name."""
+    strangers = [
+        f"{path.relative_to(ROOT)}: {node.module}"
+        for path in files()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom)
+        and re.fullmatch(r"pemviz\.sampling\.\w+\.description", node.module or "")
+        and path != PACKAGE / "sampling" / "registry.py"
+        and path.parent != PACKAGE.joinpath(*node.module.split(".")[1:-1])
+    ]
+    assert strangers == []
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "config.method == 'splitting'",
+        "'naive' != method",
+        "method in ('adaptive', 'mixture')",
+        "method not in {'x', *['monte-carlo']}",
+        "{'value-twisted': 1}",
+        "{'naive' if x else y: 1 for x in z}",
+        "TABLE['naive']",
+        "TABLE.get('naive', 0)",
+        "{'naive', 'x'}.__contains__(method)",
+        "method.startswith('mixture')",
+        "DIRECT = ('naive', 'x')\nmethod in DIRECT",
+        "WORDS = {}\nFIRST = 'adaptive'\nWORDS.get(FIRST)",
+        "match method:\n    case 'splitting' | 'x':\n        pass",
+    ],
+)
+def test_comparisons_with_a_methods_name_are_found(code, tmp_path):
+    path = tmp_path / "code.py"
+    path.write_text(code, encoding="utf-8")
+    (found,) = all_comparisons({path: set(homes())}, root=tmp_path)
+    assert found.startswith(f"{path}:")
+
+
+def test_a_constant_that_holds_a_name_is_followed_where_it_is_imported(tmp_path):
+    (tmp_path / "a.py").write_text("FIRST = 'naive'", encoding="utf-8")
+    (tmp_path / "b.py").write_text("from a import FIRST\n\nx == FIRST", encoding="utf-8")
+    (tmp_path / "c.py").write_text("from d import FIRST\n\nx == FIRST", encoding="utf-8")
+    everywhere = {path: set(homes()) for path in sorted(tmp_path.iterdir())}
+    assert all_comparisons(everywhere, root=tmp_path) == [f"{tmp_path / 'b.py'}:3"]
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "replace(config, method='adaptive')",
+        "methods: tuple[str, ...] = ('value-twisted', 'mixture')",
+        "monte_carlo_estimate(drawn, method='monte-carlo')",
+        "kind == 'restarts'",
+        "Choice = Literal['naive', 'mixture']",
+        "{'adaptively': 1}",
+    ],
+)
+def test_naming_a_method_is_no_comparison(code, tmp_path):
+    path = tmp_path / "code.py"
+    path.write_text(code, encoding="utf-8")
+    assert all_comparisons({path: set(homes())}, root=tmp_path) == []
 
 
 def test_every_path_and_name_in_contributing_exists():

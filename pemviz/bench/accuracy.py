@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from pemviz.config import ExperimentConfig, MethodName
-from pemviz.errors import InputError
+from pemviz.config import ExperimentConfig
 from pemviz.processes import map_in_processes
 from pemviz.runs.experiment import build_experiment, build_method
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
+from pemviz.sampling.registry import by_name
 from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 SEEDS_PER_JOB = 10
-LEARNING = ("adaptive", "mixture")
 CONFIDENCE = 0.95
 
 
@@ -86,26 +85,16 @@ class Accuracy:
     median_wall_s: float
 
 
-def with_budget(config: ExperimentConfig, *, method: MethodName, rollouts: int) -> ExperimentConfig:
+def with_budget(config: ExperimentConfig, *, method: str, rollouts: int) -> ExperimentConfig:
     """``config`` with a method that simulates ``rollouts`` in all, stages included.
 
-    Methods that learn in K stages give one stage's share to each and the rest to the final
-    batch: at 1,200 with K = 10 the paper's twelve times 100; from 2,400 on the final batch
-    takes half.
+    Splitting is given so many particles: how often they are cut and continued is not known
+    before, and comes on top.
 
     Raises:
-        InputError: Too few rollouts for the stages.
+        InputError: Too few rollouts for the method.
     """
-    if method not in LEARNING:
-        return replace(config, method=method, final_rollouts=rollouts)
-    learning = config.stages + 1
-    share = rollouts // (learning + 1) if rollouts < 2400 else rollouts // (2 * learning)
-    if share < 2:
-        message = f"rollouts = {rollouts}: must be at least {2 * (learning + 1)} for {method}"
-        raise InputError(message)
-    return replace(
-        config, method=method, rollouts=share, final_rollouts=rollouts - share * learning
-    )
+    return by_name(method).with_budget(replace(config, method=method), rollouts)
 
 
 def known_probability(config: ExperimentConfig, *, rollouts: int = 200_000) -> float:
@@ -179,7 +168,7 @@ def accuracy_table(outcomes: Mapping[Case, Sequence[Outcome]]) -> Sequence[Accur
     ]
     pooled: dict[tuple[str, int], list[Outcome]] = {}
     for case, found in outcomes.items():
-        key = (case.config.method, max(outcome.rollouts for outcome in found))
+        key = (case.config.method, by_name(case.config.method).budget(case.config).rollouts)
         pooled.setdefault(key, []).extend(found)
     if len({case.scenario for case in outcomes}) > 1:
         rows += [

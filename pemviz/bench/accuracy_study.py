@@ -35,9 +35,10 @@ class AccuracyStudy:
     """What is measured."""
 
     methods: tuple[MethodName, ...] = ("value-twisted", "mixture", "adaptive")
-    """Methods to compare."""
+    """Methods to compare, shipped or registered."""
     rollouts: tuple[int, ...] = (1200,)
-    """Budgets: rollouts of one run, all stages; at least 24."""
+    """Budgets: rollouts of one run, all stages; at least 24 for methods that learn. Splitting is
+    given so many particles, at least 20; to cut and continue them comes on top."""
     scenarios: tuple[str, ...] = tuple(SCENARIOS)
     """Scenarios, by the names of the study."""
     seeds: Annotated[int, Range(low=1, high=100_000)] = 50
@@ -77,17 +78,16 @@ def check_study(study: AccuracyStudy) -> None:
     """Refuse what cannot be measured.
 
     Raises:
-        ConfigError: One line that names field, value and what is allowed.
+        InputError: One line that names field, value and what is allowed.
     """
     check_fields(_Numbers(seeds=study.seeds, workers=study.workers))
     for name in study.scenarios:
         if name not in SCENARIOS:
             message = f"scenarios = {name!r}: must be one of {', '.join(SCENARIOS)}"
             raise ConfigError(message)
-    for rollouts in study.rollouts:
-        if rollouts < 24:
-            message = f"rollouts = {rollouts}: must be at least 24"
-            raise ConfigError(message)
+    for method in study.methods:
+        for rollouts in study.rollouts:
+            with_budget(load_preset("paper"), method=method, rollouts=rollouts)
 
 
 @dataclass(frozen=True, kw_only=True)

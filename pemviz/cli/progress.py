@@ -14,6 +14,7 @@ from rich.progress import (
 
 from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
 from pemviz.runs.result import StageSummary, summarise_stage
+from pemviz.sampling.registry import by_name
 
 
 class ProgressBar:
@@ -33,7 +34,7 @@ class ProgressBar:
             case RunStarted():
                 self._repetitions = event.config.repetitions
                 self._planned = event.planned_rollouts
-                self._by_level = event.config.method == "splitting"
+                self._by_level = by_name(event.config.method).counting == "level"
                 self._task = self._progress.add_task("starting", total=self._planned, counted="")
             case RolloutsDone():
                 self._move(self._done_before + event.done)

@@ -12,6 +12,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.toml_files import load_config, load_preset
 from pemviz.errors import ConfigError
+from pemviz.sampling.registry import SHIPPED
 
 FailAbove = Annotated[float, Range(low=0.0, low_open=True, high=1.0)]
 Port = Annotated[int, Range(low=1, high=65535)]
@@ -20,7 +21,8 @@ DESCRIPTION = (
     "Estimate the probability that the scenario violates the specification. "
     "Writes a run folder with config.toml, result.json, rollouts.npz, proposals.safetensors "
     "and run.rrd. Exit codes: 0 done, 1 --fail-above tripped, 2 bad input, 3 failed or "
-    "interrupted, 4 --fail-above cannot be decided."
+    "interrupted, 4 --fail-above cannot be decided.\n\nMethods:\n"
+    + "\n".join(f"- {method.name}: {method.summary}" for method in SHIPPED)
 )
 
 

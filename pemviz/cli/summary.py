@@ -18,6 +18,7 @@ from pemviz.reports.words import (
     violations_text,
 )
 from pemviz.runs.result import RunResult
+from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
 SHOWN_MISSES = 0.005
@@ -52,9 +53,10 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     table.add_row("range over error models", model_range_text(result.pem_interval))
     table.add_row("violations", violations_text(estimate))
     table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))
-    table.add_row("effective sample size", number_text(estimate.ess))
-    table.add_row("Pareto k-hat", number_text(estimate.pareto_k, unit=RELIABLE_TAIL))
-    table.add_row("largest weight's share", share_text(estimate.max_weight_share))
+    if by_name(estimate.method).rests_on_weights:
+        table.add_row("effective sample size", number_text(estimate.ess))
+        table.add_row("Pareto k-hat", number_text(estimate.pareto_k, unit=RELIABLE_TAIL))
+        table.add_row("largest weight's share", share_text(estimate.max_weight_share))
     worst = result.least_robust[0] if result.least_robust else None
     if worst is not None:
         table.add_row(

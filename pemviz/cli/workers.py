@@ -36,8 +36,8 @@ def check_workers(experiment: Experiment, *, workers: int | None, scheduler: str
     if config.simulator == "vectorized":
         message = f"{given}: the vectorized simulator has no use for it; try simulator highway-env"
         raise ConfigError(message)
-    if config.method == "splitting":
-        message = f"{given}: splitting simulates in this process alone; leave it out"
+    if "restarts" in experiment.description.needs:
+        message = f"{given}: {config.method} simulates in this process alone; leave it out"
         raise ConfigError(message)
 
 

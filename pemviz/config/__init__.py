@@ -2,6 +2,7 @@
 
 from pemviz.config.settings import (
     DEVICES,
+    METHODS,
     SHIPPED_SIMULATORS,
     ExperimentConfig,
     MethodName,
@@ -11,6 +12,7 @@ from pemviz.config.settings import (
 
 __all__ = [
     "DEVICES",
+    "METHODS",
     "SHIPPED_SIMULATORS",
     "ExperimentConfig",
     "MethodName",

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from pemviz.config.entry_points import NamedPart
 from pemviz.errors import ConfigError
 
 
@@ -50,6 +51,9 @@ def allowed_text(annotation: object) -> str:
     """What values a field annotated with ``annotation`` accepts, in words."""
     if get_origin(annotation) is Annotated:
         base, *extras = get_args(annotation)
+        for extra in extras:
+            if isinstance(extra, NamedPart):
+                return "one of " + ", ".join(extra.names())
         ranges = [extra for extra in extras if isinstance(extra, Range)]
         kind = allowed_text(base)
         return f"{kind}, {ranges[0]}" if ranges else kind
@@ -66,7 +70,8 @@ def check_value(*, name: str, value: object, annotation: object) -> object:
     """``value`` converted to the annotated type (only int to float is converted).
 
     Raises:
-        ConfigError: The type is wrong or the number lies outside its range.
+        ConfigError: The type is wrong, the number lies outside its range, or there is no part
+            of that name.
     """
     kind, limits = _unpack(annotation)
     fits = (
@@ -77,6 +82,11 @@ def check_value(*, name: str, value: object, annotation: object) -> object:
     if not fits:
         message = f"{name} = {_shown(value)}: must be {allowed_text(annotation)}"
         raise ConfigError(message)
+    for part in get_args(annotation)[1:]:
+        complaint = part.complaint(value) if isinstance(part, NamedPart) else None
+        if complaint is not None:
+            message = f"{name} = {_shown(value)}: {complaint}"
+            raise ConfigError(message)
     return float(_number(value)) if kind is float else value
 
 

@@ -4,10 +4,17 @@ import re
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
+from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range, check_fields
 from pemviz.errors import ConfigError
 
-MethodName = Literal["adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"]
+METHODS = NamedPart(
+    kind="method",
+    group="pemviz.methods",
+    shipped=("adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"),
+)
+"""What each of them is: ``pemviz.sampling.registry``."""
+MethodName = Annotated[str, METHODS]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
 SHIPPED_SIMULATORS = ("vectorized", "highway-env")
 
@@ -64,7 +71,9 @@ class ExperimentConfig:
     """One experiment: scenario, specification, perception error model, method, seed."""
 
     method: MethodName = "adaptive"
-    """How the failure probability is estimated."""
+    """How the failure probability is estimated: adaptive, mixture, value-twisted, splitting,
+    monte-carlo, naive, or a name that an installed package registers as an entry point of the
+    group pemviz.methods."""
     metric: MetricName = "classical"
     """Robustness metric that ranks rollouts and sets thresholds; violations are always decided
     by the classical one."""

@@ -7,18 +7,8 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import get_args, get_type_hints
 
-from pemviz.config import ExperimentConfig, MethodName
+from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import Range
-
-USED_FIELDS: dict[MethodName, frozenset[str]] = {
-    "adaptive": frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts"}),
-    "mixture": frozenset({"stages", "rollouts", "final_rollouts"}),
-    "splitting": frozenset({"stages", "rollouts"}),
-    "value-twisted": frozenset({"final_rollouts"}),
-    "monte-carlo": frozenset({"final_rollouts"}),
-    "naive": frozenset({"final_rollouts"}),
-}
-"""Which of the fields that only some methods look at each method uses."""
 
 
 @lru_cache(maxsize=8)

@@ -14,6 +14,7 @@ from pemviz.runs.events import Event, RepetitionDone, RolloutsDone, RunDone, Run
 from pemviz.runs.events import StageDone as StageDoneEvent
 from pemviz.runs.result import RunResult, result_document
 from pemviz.runs.rollout_files import stage_arrays
+from pemviz.sampling.registry import by_name
 from pemviz.types import StageResult
 
 
@@ -107,7 +108,7 @@ class Watcher:
             repetitions=event.config.repetitions,
             stages=event.stages,
             planned=event.planned_rollouts,
-            by_level=event.config.method == "splitting",
+            by_level=by_name(event.config.method).counting == "level",
         )
         self.run = RunData(
             name=event.result.run_id,

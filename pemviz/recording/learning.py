@@ -11,8 +11,10 @@ from pemviz.analysis.detection_curves import DetectionCurves
 from pemviz.arrays import FloatArray
 from pemviz.recording import colors, paths
 from pemviz.recording.stream import RecordingFile
+from pemviz.sampling.description import StageInterval
 from pemviz.sampling.estimates.estimate import log_normal_interval, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_std_error
+from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.final_batch import weighed
 from pemviz.types import StageResult
 
@@ -40,7 +42,8 @@ class StageFigures:
 
 def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
     """The stage's figures, with the interval of its own estimate."""
-    low, high = _stage_interval(stage, method=method)
+    interval = by_name(method).stage_interval
+    low, high = _stage_interval(stage, method=method, interval=interval)
     return StageFigures(
         stage=stage.stage,
         kind=stage.kind,
@@ -50,18 +53,20 @@ def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
         failures=stage.failures,
         ess=stage.ess,
         loss=stage.loss,
-        log10_probability=stage.log10_probability,
+        log10_probability=None if interval == "none" else stage.log10_probability,
         log10_ci_low=_log10(low),
         log10_ci_high=_log10(high),
     )
 
 
-def _stage_interval(stage: StageResult, *, method: str) -> tuple[float | None, float | None]:
-    """95 % interval of the estimate from the stage's own rollouts."""
-    if method == "monte-carlo":
+def _stage_interval(
+    stage: StageResult, *, method: str, interval: StageInterval
+) -> tuple[float | None, float | None]:
+    """95 % interval of the estimate from the stage's own rollouts, if they tell one."""
+    if interval == "binomial":
         estimate = monte_carlo_estimate(weighed(stage.scored), method=method)
         return estimate.ci_low, estimate.ci_high
-    if stage.failures == 0:
+    if interval != "log-normal" or stage.failures == 0:
         return None, None
     log_weight, violated = stage.scored.rollouts.log_weight, stage.scored.violated
     log_probability = log_mean_failing_weight(log_weight, violated)

@@ -19,9 +19,11 @@ from pemviz.reports.words import (
     violations_text,
 )
 from pemviz.runs.result import RunResult
+from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
 MOST_REPETITIONS = 20
+BUDGET_FIELDS = frozenset({"stages", "rollouts", "final_rollouts"})
 GATE_MARKS = {"passed": "✅", "tripped": "❌", "undecided": "⚠️"}
 
 Row = tuple[str, str]
@@ -69,10 +71,13 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
         *_beside(result),
         ("violations", violations_text(estimate)),
         ("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)")),
-        ("effective sample size", number_text(estimate.ess)),
-        ("Pareto k-hat", number_text(estimate.pareto_k, unit=RELIABLE_TAIL)),
-        ("largest weight's share", share_text(estimate.max_weight_share)),
     ]
+    if by_name(estimate.method).rests_on_weights:
+        rows += [
+            ("effective sample size", number_text(estimate.ess)),
+            ("Pareto k-hat", number_text(estimate.pareto_k, unit=RELIABLE_TAIL)),
+            ("largest weight's share", share_text(estimate.max_weight_share)),
+        ]
     return markdown_table(("answer", ""), rows)
 
 
@@ -173,13 +178,15 @@ def _provenance(result: RunResult) -> list[str]:
 
 
 def _budget(config: ExperimentConfig) -> str:
-    repetitions = f", {config.repetitions} repetitions" * (config.repetitions > 1)
-    if config.method == "adaptive":
-        return (
-            f"{config.stages} stages of {config.rollouts} rollouts, {config.final_rollouts} final, "
-            f"alpha {config.alpha:g}, sigma {config.sigma:g}, {config.epochs} epochs{repetitions}"
-        )
-    return f"{config.final_rollouts} rollouts{repetitions}"
+    """What one repetition simulates, the method's other settings, and how many repetitions."""
+    method = by_name(config.method)
+    settings = [
+        f"{field.name} {getattr(config, field.name):g}"
+        for field in fields(config)
+        if field.name in method.settings - BUDGET_FIELDS
+    ]
+    repetitions = [f"{config.repetitions} repetitions"] if config.repetitions > 1 else []
+    return markdown_text(", ".join([method.budget(config).words, *settings, *repetitions]))
 
 
 def _misses(config: ExperimentConfig, misses: int) -> str:

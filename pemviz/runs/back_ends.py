@@ -1,13 +1,12 @@
 """The simulator of an experiment with what is known about it."""
 
-from dataclasses import dataclass
-
-import numpy as np
-
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
+from pemviz.proposals.offset_logistic import SignalFeatures
+from pemviz.sampling.back_end import GAP, BackEnd
+from pemviz.sampling.description import Need
 from pemviz.sampling.problem import BATCH_ROLLOUTS
+from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.devices import is_gpu
 from pemviz.sampling.rollouts.final_batch import largest_part
 from pemviz.simulators.braking.features import BrakingFeatures
@@ -18,33 +17,7 @@ from pemviz.types import Simulator
 
 SLOW_BATCH_ROLLOUTS = 50
 OWN_BATCH_ROLLOUTS = 500
-GAP = "gap"
-
-
-@dataclass(frozen=True)
-class BackEnd:
-    """A simulator and what methods and views may know about it.
-
-    Attributes:
-        simulator: The simulator.
-        features: What proposals may look at.
-        twin: A fast simulator of the same scenario, if there is one.
-        batch_rollouts: How many rollouts are simulated at a time.
-        is_own: Whether it is the user's own or another package's.
-    """
-
-    simulator: Simulator
-    features: StateFeatures
-    twin: Simulator | None
-    batch_rollouts: int
-    is_own: bool = False
-
-    @property
-    def farthest_m(self) -> float | None:
-        """The initial gap [m]; ``None`` where the scenario has no gap."""
-        if all(signal.name != GAP for signal in self.simulator.signals):
-            return None
-        return float(np.max(self.simulator.initial(count=1).signals[GAP]))
+FIT_ANYWHERE = "use mixture, with splitting as an independent check"
 
 
 def build_back_end(config: ExperimentConfig) -> BackEnd:
@@ -99,23 +72,19 @@ def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
     Raises:
         ConfigError: It has not; the line names methods that fit.
     """
-    lacks_twin = back_end.twin is None
     name = back_end.simulator.name
-    if config.method == "value-twisted" and lacks_twin:
+    lacking: dict[Need, str] = {}
+    if back_end.twin is None:
+        lacking["twin"] = f"needs a fast twin, and simulator {name!r} has none"
+    if back_end.farthest_m is None:
+        lacking["gap"] = f"needs the gap, and simulator {name!r} has no signal {GAP!r}"
+    for need, complaint in lacking.items():
+        if need in by_name(config.method).needs:
+            message = f"method = {config.method!r}: {complaint}; {FIT_ANYWHERE}"
+            raise ConfigError(message)
+    if config.reference and "twin" in lacking:
         message = (
-            f"method = 'value-twisted': needs a fast twin, and simulator {name!r} has none; "
-            "use mixture, with splitting as an independent check"
-        )
-        raise ConfigError(message)
-    if config.reference and lacks_twin:
-        message = (
-            f"reference = true: the reference needs a fast twin, and simulator {name!r} has none; "
+            f"reference = true: the reference {lacking['twin']}; "
             "use method splitting as an independent check"
-        )
-        raise ConfigError(message)
-    if config.method == "adaptive" and back_end.farthest_m is None:
-        message = (
-            f"method = 'adaptive': its proposal sees the gap alone, and simulator {name!r} has no "
-            "signal 'gap'; use mixture, with splitting as an independent check"
         )
         raise ConfigError(message)

@@ -11,14 +11,13 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
-from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.runs.back_ends import BackEnd, build_back_end, check_method_fits, own_back_end
-from pemviz.sampling.adaptive.method import AdaptiveSampling
-from pemviz.sampling.direct.method import DirectSampling
+from pemviz.runs.back_ends import build_back_end, check_method_fits, own_back_end
+from pemviz.sampling.back_end import BackEnd
+from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.method import Method
-from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
+from pemviz.sampling.registry import build_named_method, by_name
 from pemviz.sampling.rollouts.devices import (
     NUMPY,
     batch_runner,
@@ -26,9 +25,7 @@ from pemviz.sampling.rollouts.devices import (
     has_tensors,
 )
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.rollouts.final_batch import largest_part
-from pemviz.sampling.splitting.method import SplittingSampling
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
+from pemviz.sampling.value_twisted.method import require_unsafe
 from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
 from pemviz.simulators.registry import build_named_simulator
 from pemviz.stl.monitor import FormulaMonitor
@@ -74,6 +71,11 @@ class Experiment:
         return self.back_end.features
 
     @property
+    def description(self) -> MethodDescription:
+        """What the method needs and spends, and what its figures mean."""
+        return by_name(self.config.method)
+
+    @property
     def is_own_system(self) -> bool:
         """Whether the scenario is another than the shipped one."""
         return self.back_end.is_own
@@ -81,7 +83,7 @@ class Experiment:
     @property
     def has_likelihood_ratios(self) -> bool:
         """Whether rollouts carry weights; splitting's particles are cut and copied instead."""
-        return self.config.method != "splitting"
+        return self.description.has_likelihood_ratios
 
 
 def build_experiment(
@@ -116,7 +118,10 @@ def build_experiment(
     if back_end.is_own:
         check_pem_fits(model, back_end.simulator)
     problem = _problem(config, formula, model, back_end)
-    if config.reference or config.method == "value-twisted":
+    description = by_name(config.method)
+    if "single states" in description.needs:
+        require_unsafe(problem, method=config.method)
+    if config.reference:
         require_unsafe(problem)
     return Experiment(
         config=config,
@@ -125,7 +130,7 @@ def build_experiment(
         problem=problem,
         back_end=back_end,
         method=build_method(config, back_end=back_end),
-        planned_rollouts=config.repetitions * rollouts_per_repetition(config),
+        planned_rollouts=config.repetitions * description.budget(config).rollouts,
     )
 
 
@@ -204,14 +209,15 @@ def device_notes(experiment: Experiment) -> tuple[str, ...]:
     if config.device == NUMPY:
         return ()
     stays = "computes on the CPU all the same"
-    if config.method == "splitting" or not has_tensors(problem.simulator):
-        by = "splitting" if config.method == "splitting" else f"simulator {problem.simulator.name}"
+    restarts = "restarts" in experiment.description.needs
+    if restarts or not has_tensors(problem.simulator):
+        by = config.method if restarts else f"simulator {problem.simulator.name}"
         return (f"device {config.device}: {by} {stays}",)
     notes: list[str] = []
     if not has_tensors(experiment.pem):
         notes.append(f"device {config.device}: error model {experiment.pem.name} {stays}")
-    if config.method == "value-twisted":
-        notes.append(f"device {config.device}: value-twisted's proposal {stays}")
+    if not experiment.description.proposal_on_device:
+        notes.append(f"device {config.device}: {config.method}'s proposal {stays}")
     return tuple(notes)
 
 
@@ -287,57 +293,5 @@ def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -
         ConfigError: The back end does not offer what the method needs.
     """
     back_end = build_back_end(config) if back_end is None else back_end
-    most = largest_part(states=back_end.simulator.states)
-    if config.method == "adaptive":
-        return AdaptiveSampling(
-            learning_stages=config.stages,
-            rollouts=config.rollouts,
-            final_rollouts=config.final_rollouts,
-            sigma=config.sigma,
-            alpha=config.alpha,
-            epochs=config.epochs,
-            learning_rate=config.learning_rate,
-            seed=config.seed,
-            largest_part=most,
-        )
-    if config.method == "value-twisted":
-        check_method_fits(config, back_end)
-        assert back_end.twin is not None  # noqa: S101  just checked
-        return ValueTwistedSampling(
-            twin=back_end.twin,
-            rollouts=config.final_rollouts,
-            seed=config.seed,
-            largest_part=most,
-        )
-    if config.method == "mixture":
-        return MixtureSampling(
-            learning_stages=config.stages,
-            rollouts=config.rollouts,
-            final_rollouts=config.final_rollouts,
-            seed=config.seed,
-            features=back_end.features,
-            largest_part=most,
-        )
-    if config.method == "splitting":
-        return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
-    proposal = (
-        PemProposal()
-        if config.method == "monte-carlo"
-        else ConstantProposal(detection_probability=config.naive_detection_probability)
-    )
-    return DirectSampling(
-        name=config.method,
-        proposal=proposal,
-        rollouts=config.final_rollouts,
-        seed=config.seed,
-        largest_part=most,
-    )
-
-
-def rollouts_per_repetition(config: ExperimentConfig) -> int:
-    """How many rollouts one repetition simulates; with splitting, how many particles."""
-    if config.method in ("adaptive", "mixture"):
-        return (config.stages + 1) * config.rollouts + config.final_rollouts
-    if config.method == "splitting":
-        return config.stages * config.rollouts
-    return config.final_rollouts
+    check_method_fits(config, back_end)
+    return build_named_method(config, back_end)

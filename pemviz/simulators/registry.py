@@ -9,24 +9,21 @@ where ``build`` takes a :class:`pemviz.config.ScenarioConfig`, or nothing if it 
 one, and returns a :class:`pemviz.types.Simulator`.
 """
 
-import difflib
 import inspect
 from collections.abc import Callable
-from importlib import metadata
 from typing import Any
 
 from pemviz.config import SHIPPED_SIMULATORS, ScenarioConfig
-from pemviz.errors import ConfigError
+from pemviz.config.entry_points import NamedPart
 from pemviz.types import Simulator
 
-GROUP = "pemviz.simulators"
 SHIPPED = SHIPPED_SIMULATORS
+SIMULATORS = NamedPart(kind="simulator", group="pemviz.simulators", shipped=SHIPPED)
 
 
 def simulator_names() -> tuple[str, ...]:
     """Names that :func:`build_named_simulator` knows: shipped ones first, then registered."""
-    registered = sorted({point.name for point in metadata.entry_points(group=GROUP)} - {*SHIPPED})
-    return (*SHIPPED, *registered)
+    return SIMULATORS.names()
 
 
 def build_named_simulator(name: str, scenario: ScenarioConfig) -> Simulator:
@@ -44,30 +41,12 @@ def build_named_simulator(name: str, scenario: ScenarioConfig) -> Simulator:
         from pemviz.simulators.braking.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
 
         return VectorizedSimulator(scenario)
-    return _registered(name, scenario)
-
-
-def _registered(name: str, scenario: ScenarioConfig) -> Simulator:
-    found = {point.value: point for point in metadata.entry_points(group=GROUP, name=name)}
-    if not found:
-        raise ConfigError(_unknown(name))
-    if len(found) > 1:
-        message = f"simulator = {name!r}: registered more than once, as {' and '.join(found)}"
-        raise ConfigError(message)
-    (point,) = found.values()
-    try:
-        built = _called(point.load(), scenario)
-        is_simulator = isinstance(built, Simulator)
-    except Exception as error:  # code of another package may raise anything
-        message = f"simulator = {name!r}: {point.value} raises {type(error).__name__}: {error}"
-        raise ConfigError(" ".join(message.split())) from error
-    if not is_simulator or isinstance(built, type):
-        message = (
-            f"simulator = {name!r}: {point.value} returns {_described(built)}, which is no "
-            "pemviz.Simulator"
-        )
-        raise ConfigError(message)
-    return built
+    return SIMULATORS.registered(
+        name,
+        made=lambda factory: _called(factory, scenario),
+        fits=lambda built: isinstance(built, Simulator) and not isinstance(built, type),
+        complaint="returns {}, which is no pemviz.Simulator",
+    )
 
 
 def _called(factory: Callable[..., Any], scenario: ScenarioConfig) -> Any:
@@ -78,16 +57,3 @@ def _called(factory: Callable[..., Any], scenario: ScenarioConfig) -> Any:
     except ValueError:  # built in, without a signature
         pass
     return factory(scenario)
-
-
-def _described(built: object) -> str:
-    if isinstance(built, type):
-        return f"the class {built.__name__}"
-    return "nothing" if built is None else f"a value of type {type(built).__name__}"
-
-
-def _unknown(name: str) -> str:
-    names = simulator_names()
-    near = difflib.get_close_matches(name, names, n=1)
-    guess = f"did you mean {near[0]}? There" if near else "there"
-    return f"simulator = {name!r}: no such simulator; {guess} are: {', '.join(names)}"

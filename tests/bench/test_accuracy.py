@@ -17,6 +17,7 @@ from pemviz.bench.accuracy_report import accuracy_lines, write_accuracy
 from pemviz.bench.accuracy_study import AccuracyStudy, check_study
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import InputError
+from pemviz.runs.experiment import build_experiment
 
 
 @pytest.mark.parametrize("rollouts", [24, 1200, 2399, 2400, 11_000, 100_000])
@@ -24,6 +25,16 @@ from pemviz.errors import InputError
 def test_budgets_are_kept_to_the_rollout(method, rollouts):
     config = with_budget(ExperimentConfig(), method=method, rollouts=rollouts)
     assert (config.stages + 1) * config.rollouts + config.final_rollouts == rollouts
+
+
+@pytest.mark.parametrize("rollouts", [60, 1200, 11_000])
+@pytest.mark.parametrize(
+    "method", ["adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"]
+)
+def test_every_method_spends_what_it_is_given(method, rollouts):
+    """Counted as a run counts them: by splitting, its particles."""
+    config = with_budget(ExperimentConfig(), method=method, rollouts=rollouts)
+    assert build_experiment(config).planned_rollouts == rollouts
 
 
 def test_the_papers_budget_is_the_papers():

@@ -9,8 +9,8 @@ import pytest
 from pemviz.cli.serve import recorders, viewer
 from pemviz.config import ExperimentConfig
 from pemviz.panel.controller import Controller
-from pemviz.panel.fields import USED_FIELDS
 from pemviz.panel.viewers import Viewers
+from pemviz.sampling.registry import SHIPPED
 from tests.browser.conftest import WAIT_MS, Panel
 from tests.panel.conftest import wait_until
 
@@ -236,8 +236,9 @@ def test_splitting_is_set_up_run_and_explained(open_page, shots, panel):
         "alpha": "alpha", "sigma": "sigma", "stages": "Stages", "rollouts": "Rollouts",
         "final_rollouts": "Final rollouts",
     }  # fmt: skip
-    for method, used in USED_FIELDS.items():
-        choose(page, "Method", method)
+    for method in SHIPPED:
+        used = method.settings & labels.keys()
+        choose(page, "Method", method.name)
         until(
             page, lambda u=used: {n for n, label in labels.items() if is_enabled(page, label)} == u
         )

@@ -95,12 +95,31 @@ def test_the_page_tells_the_whole_story():
         "6.69e-15 +- 6e-18",
         "below 0.0042 (confidence 95%)",
         "numpy 2.3.0",
-        "10 stages of 100 rollouts, 100 final",
+        "11 stages of 100 and 100 final rollouts",
         "70 km/h, 15 m behind",
         "initial_gap_m = 15.0",
         "+--",
     ):
         assert part in html, part
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        ("adaptive", "11 stages of 90 and 70 final rollouts, alpha 0.1, sigma 0.95, epochs 500"),
+        ("mixture", "11 stages of 90 and 70 final rollouts"),
+        ("splitting", "10 runs of 90 particles"),
+        ("value-twisted", "70 rollouts"),
+        ("monte-carlo", "70 rollouts"),
+        ("naive", "70 rollouts, naive_detection_probability 0.5"),
+    ],
+)
+def test_the_budget_is_the_methods_own(method, words):
+    config = ExperimentConfig(method=method, rollouts=90, final_rollouts=70, repetitions=3)
+    page = summary_markdown(result(config=config))
+    (row,) = re.findall(r"^\| budget \| (.*) \|$", page, flags=re.MULTILINE)
+    assert row.startswith(words)
+    assert row.endswith(", 3 repetitions")
 
 
 def test_repetitions_each_have_a_row_and_long_runs_are_cut():

@@ -5,16 +5,17 @@ from typing import cast, get_args
 
 import viser
 
-from pemviz.config import ExperimentConfig, MethodName, MetricName
+from pemviz.config import METHODS, ExperimentConfig, MetricName
 from pemviz.config.toml_files import load_preset, preset_names
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser
 from pemviz.panel.controller import PanelState
-from pemviz.panel.fields import USED_FIELDS, hint, limits
+from pemviz.panel.fields import hint, limits
 from pemviz.panel.views.experiment import scenario_text, spec_verdict
 from pemviz.panel.widgets import set_html
 from pemviz.pem import shipped_pems
 from pemviz.runs.experiment import build_formula, build_simulator
+from pemviz.sampling.registry import by_name
 from pemviz.simulators.registry import simulator_names
 
 FIRST_PRESET = "paper"
@@ -49,7 +50,7 @@ class ExperimentTab:
         """
         return replace(
             self._base,
-            method=cast(MethodName, self.method.value),
+            method=self.method.value,
             metric=cast(MetricName, self.metric.value),
             alpha=self.alpha.value,
             sigma=self.sigma.value,
@@ -90,7 +91,7 @@ class ExperimentTab:
         self.preset = gui.add_dropdown(
             "Preset", preset_names(), initial_value=FIRST_PRESET, hint=PRESET_HINT
         )
-        self.method = gui.add_dropdown("Method", get_args(MethodName), hint=hint("method"))
+        self.method = gui.add_dropdown("Method", METHODS.names(), hint=hint("method"))
         self.metric = gui.add_dropdown("Metric", get_args(MetricName), hint=hint("metric"))
         self.preset.on_update(browser.on(self._choose_preset))
         self.method.on_update(browser.on(self._enable))
@@ -133,6 +134,8 @@ class ExperimentTab:
         self.show(load_preset(self.preset.value))
 
     def _fill(self, config: ExperimentConfig) -> None:
+        if config.method not in self.method.options:
+            self.method.options = (*self.method.options, config.method)
         self.method.value, self.metric.value = config.method, config.metric
         self.alpha.value, self.sigma.value = config.alpha, config.sigma
         self.stages.value, self.rollouts.value = config.stages, config.rollouts
@@ -149,7 +152,7 @@ class ExperimentTab:
 
     def _enable(self) -> None:
         """Grey out what the method does not use; a slider's box cannot be, so sliders go."""
-        used = USED_FIELDS.get(cast(MethodName, self.method.value), frozenset())
+        used = by_name(self.method.value).settings
         for name, slider in (("alpha", self.alpha), ("sigma", self.sigma)):
             if slider.visible != (name in used):
                 slider.visible = name in used

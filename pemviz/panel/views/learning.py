@@ -11,35 +11,10 @@ from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.words import block, number, quiet, rows, table
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+from pemviz.sampling.registry import by_name
 
-SPLITTING = "splitting"
-FOLLOWS_MODEL = ("monte-carlo", SPLITTING)
-DIRECT = ("monte-carlo", "naive", "value-twisted")
-WORDS = {
-    "monte-carlo": (
-        "Nothing is learned by this method: all rollouts are drawn from the error model (black), "
-        "under which violations are rare."
-    ),
-    "naive": (
-        "Nothing is learned by this method: all rollouts are drawn with one constant probability "
-        "of detection (red). Black: how likely the detector is to see the car ahead."
-    ),
-    "value-twisted": (
-        "Black: how likely the detector is to see the car ahead. Red: the optimal proposal, "
-        "computed from the probability of a violation from each state, along the typical path."
-    ),
-    SPLITTING: (
-        "Nothing is learned by this method: rollouts follow the error model (black). Those that "
-        "come closest to a violation are cut and continued, level by level, in independent runs."
-    ),
-}
-LEARNED = (
-    "Black: how likely the detector is to see the car ahead. Red: what rollouts are drawn from. "
-    "It learns to miss where misses cause a violation; older stages fade."
-)
 FAR_BELOW = -60.0
 MOST_DECADES = 10.0
-DRAWN_FROM = {"naive": "what rollouts are drawn from", "value-twisted": "optimal proposal"}
 
 
 def learning(run: RunData | None) -> str:
@@ -51,7 +26,7 @@ def learning(run: RunData | None) -> str:
 
 def _learning(run: RunData) -> str:
     stages = _last_repetition(rows(run.document.get("stages")))
-    parts = [proposal_plot(run), quiet(WORDS.get(run.config.method, LEARNED))]
+    parts = [proposal_plot(run), quiet(by_name(run.config.method).learning_words)]
     if has_stages(run, stages):
         parts += _stage_plots(run, stages)
     parts.append(estimate_plot(run, stages))
@@ -59,12 +34,12 @@ def _learning(run: RunData) -> str:
 
 
 def has_stages(run: RunData, stages: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether stages differ; those of a method that learns nothing are parts of one batch."""
-    return len(stages) > 1 and run.config.method not in DIRECT
+    """Whether stages differ, and are not parts of one batch."""
+    return len(stages) > 1 and by_name(run.config.method).stages != "parts"
 
 
 def _stage_plots(run: RunData, stages: Sequence[Mapping[str, Any]]) -> list[str]:
-    if run.config.method == SPLITTING:
+    if by_name(run.config.method).stages == "runs":
         return [failure_plot(stages, title="Particles that violate at a run's end", each="run")]
     threshold = threshold_plot(stages, unit=_unit(run))
     return [threshold, failure_plot(stages), ess_plot(stages)]
@@ -80,8 +55,8 @@ def proposal_plot(run: RunData) -> str:
         height=216,
         bottom=48,
     )
-    method = run.config.method
-    curves = () if method in FOLLOWS_MODEL else run.final_curves[-40:]
+    method = by_name(run.config.method)
+    curves = () if method.follows_model else run.final_curves[-40:]
     for age, curve in enumerate(reversed(curves)):
         plot.line(
             curve.gap_m,
@@ -89,13 +64,13 @@ def proposal_plot(run: RunData) -> str:
             color=PROPOSAL,
             width=2.4 if age == 0 else 1.3,
             opacity=max(0.14, 0.75 ** (age + (1 if age else 0))) if age else 1.0,
-            tip=DRAWN_FROM.get(method, f"proposal after stage {curve.stage}"),
+            tip=method.curve_name or f"proposal after stage {curve.stage}",
         )
     plot.line(run.gap_m, run.pem_detection, color=PEM, width=2.0, tip="error model")
     y = plot.height - 6
     plot.legend([(f"error model ({_shown_pem(run)})", PEM, "")], x=plot.left + 6, y=y)
     if curves:
-        label = DRAWN_FROM.get(method, f"proposal after stage {curves[-1].stage}")
+        label = method.curve_name or f"proposal after stage {curves[-1].stage}"
         plot.legend([(label, PROPOSAL, "")], x=plot.left + 184, y=y)
     return plot.text()
 
@@ -171,8 +146,9 @@ def estimate_plot(run: RunData, stages: Sequence[Mapping[str, Any]]) -> str:
     """Estimates a stage, the answer with its interval, and the reference, on a log axis."""
     estimate = table(run.document.get("estimate"))
     reference = table(run.document.get("reference"))
-    each = "run" if run.config.method == SPLITTING else "stage"
-    several = has_stages(run, stages)
+    method = by_name(run.config.method)
+    each = method.stage_name
+    several = has_stages(run, stages) and method.stage_interval != "none"
     points = [
         (float(s["stage"]), float(s["log10_probability"]))
         for s in stages

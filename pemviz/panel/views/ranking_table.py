@@ -6,6 +6,7 @@ from pemviz.panel.palette import MISSED
 from pemviz.panel.ranking import RankedRow, Ranking, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.words import MINUS, block, cells, number, quiet
+from pemviz.sampling.registry import by_name
 
 PAGE_ROWS = 12
 VIOLATED = f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>"
@@ -71,8 +72,9 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
 
 
 def weight_text(run: RunData, entry: RankedRow) -> str:
-    """The log weight; a dash for splitting, whose rollouts carry none."""
-    return number(None if run.config.method == "splitting" else entry.log_weight)
+    """The log weight; a dash where rollouts carry none."""
+    has_weights = by_name(run.config.method).has_likelihood_ratios
+    return number(entry.log_weight if has_weights else None)
 
 
 def robustness_text(value: float) -> str:

@@ -13,7 +13,7 @@ from pemviz.panel.palette import BLACK, VERMILLION
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.causes import causes_part
-from pemviz.panel.views.learning import SPLITTING, is_number
+from pemviz.panel.views.learning import is_number
 from pemviz.panel.views.words import (
     block,
     good,
@@ -27,10 +27,11 @@ from pemviz.panel.views.words import (
     warning,
 )
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
+from pemviz.sampling.registry import by_name
 
 BAND_M = 1.0
 UNWEIGHTED = (
-    "Splitting's rollouts carry no weights, so there is nothing to diagnose and no sensitivity: "
+    "{}'s rollouts carry no weights, so there is nothing to diagnose and no sensitivity: "
     "its standard error comes from how far its independent runs differ."
 )
 MOST_BANDS = 250
@@ -97,12 +98,12 @@ def failures_of(run: RunData) -> Failures | None:
 def _log_stage_weight(run: RunData) -> FloatArray:
     """Log weight ``[N]`` that a rollout has through its stage.
 
-    Splitting's rollouts carry no weights of their own, but its runs differ by many powers of
-    ten: a run's estimate is shared by its violations.
+    Where stages are independent runs of rollouts without weights, the runs differ by many
+    powers of ten: a run's estimate is shared by its violations.
     """
     rollouts = run.rollouts
     log_weight = np.zeros(rollouts["violated"].shape[0])
-    if run.config.method != SPLITTING:
+    if by_name(run.config.method).has_likelihood_ratios:
         return log_weight
     for stage in rows(run.document.get("stages")):
         log10_p, failures = stage.get("log10_probability"), stage.get("failures")
@@ -218,11 +219,12 @@ def _trust(run: RunData) -> str:
     estimate = table(run.document.get("estimate"))
     words = _words(estimate.get("warnings")) + _warnings(run, about_reference=True)
     parts = [heading("How far to trust the number"), *(warning(w) for w in words)]
-    if run.config.method == SPLITTING:
-        parts.append(quiet(UNWEIGHTED))
+    method = by_name(run.config.method)
+    if not method.has_likelihood_ratios:
+        parts.append(quiet(UNWEIGHTED.format(method.name.capitalize())))
     elif estimate and not words:
         parts.append(good("The diagnostics give no warning."))
-    if is_number(estimate.get("ess")):
+    if method.rests_on_weights and is_number(estimate.get("ess")):
         parts.append(diagnostics_table(estimate))
     parts += [_reference(run), _interval(run)]
     return "".join(parts)

@@ -1,4 +1,17 @@
-"""State-dependent adaptive importance sampling: the paper's Algorithm 1."""
+"""State-dependent adaptive importance sampling: the paper's Algorithm 1.
+
+Innes & Ramamoorthy, arXiv 2209.09674; a cross-entropy method (de Boer, Kroese, Mannor, Rubinstein
+2005) whose proposal sees the state. With p the perception error model, q_phi the proposal, o_t the
+outcome at state s_t and r_i the robustness of rollout i::
+
+    weight     w_i     = prod_t p(o_t | s_t) / q_phi(o_t | s_t)
+    threshold  gamma_k = max(0, lower 1 - sigma quantile of r_1 .. r_N)
+    learning   phi_k   = argmin_phi - sum_{i: r_i <= gamma_k} w_i^alpha sum_t log q_phi(o_t | s_t)
+    estimate   mu      = 1 / N_e sum_i 1[i violates] w_i
+
+Stage 0 draws from p and learns from all its rollouts alike (alpha 0, no threshold). The training
+weights are divided by their sum; the estimate is of the final rollouts alone.
+"""
 
 import time
 from dataclasses import dataclass, replace
@@ -9,6 +22,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import GapNetwork, gap_network_from_arrays
 from pemviz.proposals.gap_network_fit import fit_gap_network, initial_gap_network, pool_outcomes
+from pemviz.sampling.adaptive.description import ADAPTIVE
 from pemviz.sampling.adaptive.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
@@ -66,7 +80,7 @@ class AdaptiveSampling:
     learning_rate: float
     seed: int
     largest_part: int = LARGEST_PART
-    name: str = "adaptive"
+    name: str = ADAPTIVE.name
 
     @property
     def stages(self) -> int:

@@ -1,4 +1,11 @@
-"""Methods without learning: plain Monte Carlo and sampling from a constant."""
+"""Methods without learning: plain Monte Carlo and sampling from a constant.
+
+With p the perception error model and c a constant detection probability, of N rollouts::
+
+    monte-carlo  mu = F / N for F violations, with the interval of Clopper and Pearson 1934
+    naive        mu = 1 / N sum_i 1[i violates] w_i, w_i = prod_t p(o_t | s_t) / q(o_t),
+                 q(detected) = c
+"""
 
 from dataclasses import dataclass, replace
 

@@ -8,6 +8,7 @@ from scipy import stats
 
 from pemviz.sampling.estimates.diagnostics import repetition_diagnostics
 from pemviz.sampling.estimates.estimate import CONFIDENCE, log_normal_interval
+from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
 
@@ -59,7 +60,7 @@ def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None
 def _repetition_interval(
     estimates: Sequence[Estimate], *, mean: float, error: float
 ) -> tuple[float | None, float | None]:
-    if all(estimate.method == "monte-carlo" for estimate in estimates):
+    if all(by_name(estimate.method).answer == "share" for estimate in estimates):
         count = sum(estimate.rollouts_in_estimate for estimate in estimates)
         failures = sum(estimate.failures for estimate in estimates)
         pooled = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")

@@ -1,7 +1,20 @@
 """Adaptive multiple importance sampling with generalised linear proposals.
 
 Every stage's rollouts are kept and weighted as draws from the mixture of all proposals used
-so far (adaptive multiple importance sampling: Cornuet, Marin, Mira, Robert 2012).
+so far (adaptive multiple importance sampling: Cornuet, Marin, Mira, Robert 2012). With p the
+perception error model, b(s) monomials of the state's features, and n_k of the N rollouts tau_i
+drawn from proposal q_k::
+
+    proposal  logit h_k(miss | s) = logit p(miss | s) + clip(beta_k . b(s), -12, 12)
+              q_k(o | s) = (1 - d) h_k(o | s) + d p(o | s)
+    weight    w_i = p(tau_i) / sum_k (n_k / N) q_k(tau_i)
+    estimate  mu  = 1 / N sum_i 1[i violates] w_i
+
+The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
+Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
+much the fit flatters them (:func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`). The
+unbiased figure beside the estimate is the same average over the final rollouts alone, with the sum
+over the two proposals that they were drawn from.
 """
 
 import time
@@ -23,6 +36,7 @@ from pemviz.sampling.estimates.diagnostics import unlatched
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights, extended
+from pemviz.sampling.mixture.description import MIXTURE
 from pemviz.sampling.mixture.fit import Fit, FitSettings, fit_next
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
@@ -87,7 +101,7 @@ class MixtureSampling:
     features: StateFeatures | None = None
     settings: FitSettings = field(default_factory=FitSettings)
     largest_part: int = LARGEST_PART
-    name: str = "mixture"
+    name: str = MIXTURE.name
 
     @property
     def stages(self) -> int:

@@ -3,6 +3,13 @@
 Norden, O'Kelly, Sinha 2019 use it for black-box assessment of driving; the estimator is the
 adaptive multilevel splitting of Brehier, Gazeau, Goudenege, Lelievre, Rousset 2016, which is
 unbiased with ties. It needs no likelihood ratios: an independent check of the other methods.
+
+N particles follow the error model. Level l is their median; the K_l of them that never came below
+it are replaced by continuations of others, each from where it first came below. Levels fall until
+the median violates, or none came below (then mu_r = 0). F of them violate in the end::
+
+    run       mu_r = (F / N) prod_l (1 - K_l / N)
+    estimate  mu   = 1 / R sum_r mu_r, standard error: deviation of mu_1 .. mu_R over sqrt(R)
 """
 
 import math
@@ -19,6 +26,7 @@ from pemviz.sampling.estimates.estimate import log_normal_interval, negative_log
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import Problem, in_time, score
+from pemviz.sampling.splitting.description import SPLITTING
 from pemviz.sampling.splitting.particles import (
     Particles,
     draw_particles,
@@ -68,7 +76,7 @@ class SplittingSampling:
     stages: int
     rollouts: int
     seed: int
-    name: str = "splitting"
+    name: str = SPLITTING.name
 
     def init(self, problem: Problem, *, repetition: int) -> SplittingState:  # noqa: ARG002
         """Nothing is drawn yet."""

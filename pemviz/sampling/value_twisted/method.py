@@ -1,4 +1,16 @@
-"""Importance sampling with the proposal that a twin's value function gives."""
+"""Importance sampling with the proposal that a twin's value function gives.
+
+An approximate zero-variance change of measure (L'Ecuyer, Tuffin 2008). With p the perception
+error model, s' the state that follows s after outcome o on the twin, and d a defensive share
+(Hesterberg 1995)::
+
+    value     V(s) = 1 once violated, else sum_o p(o | s) V(s'); 0 at the end of a rollout
+    proposal  q(o | s) = (1 - d) p(o | s) V(s') / V(s) + d p(o | s)
+    weight    w_i  = prod_t p(o_t | s_t) / q(o_t | s_t)
+    estimate  mu   = 1 / N sum_i 1[i violates] w_i
+
+With d = 0 and a twin that is right, every violating rollout has the weight V(s_0) = mu.
+"""
 
 from dataclasses import dataclass, field, replace
 
@@ -9,6 +21,7 @@ from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.value_twisted.description import VALUE_TWISTED
 from pemviz.sampling.value_twisted.reachable_states import Pause, Unsafe
 from pemviz.sampling.value_twisted.tables import (
     DEFENSIVE_STEPS,
@@ -51,7 +64,7 @@ class ValueTwistedSampling:
     largest_layer: int = LARGEST_LAYER
     defensive_steps: float = DEFENSIVE_STEPS
     largest_part: int = LARGEST_PART
-    name: str = "value-twisted"
+    name: str = VALUE_TWISTED.name
 
     @property
     def stages(self) -> int:
@@ -105,15 +118,15 @@ class ValueTwistedSampling:
         )
 
 
-def require_unsafe(problem: Problem) -> Unsafe:
-    """What single states violate the specification.
+def require_unsafe(problem: Problem, *, method: str = VALUE_TWISTED.name) -> Unsafe:
+    """What single states violate the specification; ``method`` is what asks for them.
 
     Raises:
         InputError: There is no such answer for it.
     """
     if problem.unsafe is None:
         message = (
-            "method value-twisted: the specification must be 'always' over a condition on single "
+            f"method {method}: the specification must be 'always' over a condition on single "
             "states, such as always[0,99] (gap >= 2.0); use mixture or adaptive for others"
         )
         raise InputError(message)

@@ -1,0 +1,44 @@
+"""What method ``adaptive`` is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pemviz.config import ExperimentConfig
+from pemviz.sampling.budgets import learning_budget, with_learning_budget
+from pemviz.sampling.description import MethodDescription
+
+if TYPE_CHECKING:
+    from pemviz.sampling.adaptive.method import AdaptiveSampling
+    from pemviz.sampling.back_end import BackEnd
+
+
+def _build(config: ExperimentConfig, back_end: BackEnd) -> AdaptiveSampling:
+    from pemviz.sampling.adaptive.method import AdaptiveSampling  # noqa: PLC0415  slow to import
+    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+
+    return AdaptiveSampling(
+        learning_stages=config.stages,
+        rollouts=config.rollouts,
+        final_rollouts=config.final_rollouts,
+        sigma=config.sigma,
+        alpha=config.alpha,
+        epochs=config.epochs,
+        learning_rate=config.learning_rate,
+        seed=config.seed,
+        largest_part=largest_part(states=back_end.simulator.states),
+    )
+
+
+ADAPTIVE = MethodDescription(
+    name="adaptive",
+    summary="the paper's Algorithm 1 to the letter: a network on the gap, learned from elites",
+    build=_build,
+    settings=frozenset(
+        {"alpha", "sigma", "stages", "rollouts", "final_rollouts", "epochs", "learning_rate"}
+    ),
+    budget=learning_budget,
+    with_budget=with_learning_budget,
+    needs=frozenset({"gap"}),
+    proposal_on_device=True,
+)

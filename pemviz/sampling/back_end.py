@@ -1,0 +1,36 @@
+"""The simulator of an experiment with what methods and views may know about it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.types import Simulator
+
+GAP = "gap"
+
+
+@dataclass(frozen=True)
+class BackEnd:
+    """A simulator and what methods and views may know about it.
+
+    Attributes:
+        simulator: The simulator.
+        features: What proposals may look at.
+        twin: A fast simulator of the same scenario, if there is one.
+        batch_rollouts: How many rollouts are simulated at a time.
+        is_own: Whether it is the user's own or another package's.
+    """
+
+    simulator: Simulator
+    features: StateFeatures
+    twin: Simulator | None
+    batch_rollouts: int
+    is_own: bool = False
+
+    @property
+    def farthest_m(self) -> float | None:
+        """The initial gap [m]; ``None`` where the scenario has no gap."""
+        if all(signal.name != GAP for signal in self.simulator.signals):
+            return None
+        return float(np.max(self.simulator.initial(count=1).signals[GAP]))

@@ -1,0 +1,76 @@
+"""What methods ``monte-carlo`` and ``naive`` are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pemviz.config import ExperimentConfig
+from pemviz.sampling.budgets import final_budget, with_final_budget
+from pemviz.sampling.description import MethodDescription
+
+if TYPE_CHECKING:
+    from pemviz.sampling.back_end import BackEnd
+    from pemviz.sampling.direct.method import DirectSampling
+
+
+def _build_monte_carlo(config: ExperimentConfig, back_end: BackEnd) -> DirectSampling:
+    from pemviz.proposals.fixed import PemProposal  # noqa: PLC0415  slow to import
+    from pemviz.sampling.direct.method import DirectSampling  # noqa: PLC0415  as above
+    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+
+    return DirectSampling(
+        name=MONTE_CARLO.name,
+        proposal=PemProposal(),
+        rollouts=config.final_rollouts,
+        seed=config.seed,
+        largest_part=largest_part(states=back_end.simulator.states),
+    )
+
+
+def _build_naive(config: ExperimentConfig, back_end: BackEnd) -> DirectSampling:
+    from pemviz.proposals.fixed import ConstantProposal  # noqa: PLC0415  slow to import
+    from pemviz.sampling.direct.method import DirectSampling  # noqa: PLC0415  as above
+    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+
+    return DirectSampling(
+        name=NAIVE.name,
+        proposal=ConstantProposal(detection_probability=config.naive_detection_probability),
+        rollouts=config.final_rollouts,
+        seed=config.seed,
+        largest_part=largest_part(states=back_end.simulator.states),
+    )
+
+
+MONTE_CARLO = MethodDescription(
+    name="monte-carlo",
+    summary="rollouts from the error model itself: what plain simulation sees",
+    build=_build_monte_carlo,
+    settings=frozenset({"final_rollouts"}),
+    budget=final_budget,
+    with_budget=with_final_budget,
+    answer="share",
+    stages="parts",
+    stage_interval="binomial",
+    follows_model=True,
+    proposal_on_device=True,
+    learning_words=(
+        "Nothing is learned by this method: all rollouts are drawn from the error model (black), "
+        "under which violations are rare."
+    ),
+)
+
+NAIVE = MethodDescription(
+    name="naive",
+    summary="rollouts from one constant detection probability, weighted",
+    build=_build_naive,
+    settings=frozenset({"final_rollouts", "naive_detection_probability"}),
+    budget=final_budget,
+    with_budget=with_final_budget,
+    stages="parts",
+    proposal_on_device=True,
+    curve_name="what rollouts are drawn from",
+    learning_words=(
+        "Nothing is learned by this method: all rollouts are drawn with one constant probability "
+        "of detection (red). Black: how likely the detector is to see the car ahead."
+    ),
+)

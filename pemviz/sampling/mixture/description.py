@@ -1,0 +1,38 @@
+"""What method ``mixture`` is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pemviz.config import ExperimentConfig
+from pemviz.sampling.budgets import learning_budget, with_learning_budget
+from pemviz.sampling.description import MethodDescription
+
+if TYPE_CHECKING:
+    from pemviz.sampling.back_end import BackEnd
+    from pemviz.sampling.mixture.method import MixtureSampling
+
+
+def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
+    from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  slow to import
+    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+
+    return MixtureSampling(
+        learning_stages=config.stages,
+        rollouts=config.rollouts,
+        final_rollouts=config.final_rollouts,
+        seed=config.seed,
+        features=back_end.features,
+        largest_part=largest_part(states=back_end.simulator.states),
+    )
+
+
+MIXTURE = MethodDescription(
+    name="mixture",
+    summary="generalised linear proposals around the error model, all stages' rollouts kept",
+    build=_build,
+    settings=frozenset({"stages", "rollouts", "final_rollouts"}),
+    budget=learning_budget,
+    with_budget=with_learning_budget,
+    proposal_on_device=True,
+)

@@ -1,0 +1,75 @@
+"""Methods by name: those shipped, and those that installed packages register.
+
+A package registers one in its ``pyproject.toml``::
+
+    [project.entry-points."pemviz.methods"]
+    my-method = "my_package.method:DESCRIPTION"
+
+where ``DESCRIPTION`` is a :class:`pemviz.sampling.description.MethodDescription` of that name,
+whose ``build`` returns a :class:`pemviz.sampling.method.Method`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pemviz.config import METHODS, ExperimentConfig
+from pemviz.errors import ConfigError, InputError
+from pemviz.sampling.adaptive.description import ADAPTIVE
+from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.direct.description import MONTE_CARLO, NAIVE
+from pemviz.sampling.mixture.description import MIXTURE
+from pemviz.sampling.splitting.description import SPLITTING
+from pemviz.sampling.value_twisted.description import VALUE_TWISTED
+
+if TYPE_CHECKING:
+    from pemviz.sampling.back_end import BackEnd
+    from pemviz.sampling.method import Method
+
+SHIPPED = (ADAPTIVE, MIXTURE, VALUE_TWISTED, SPLITTING, MONTE_CARLO, NAIVE)
+METHOD_MEMBERS = ("name", "stages", "init", "step", "is_done", "estimate")
+
+
+def by_name(name: str) -> MethodDescription:
+    """The description of the method ``name``; a shipped one goes before a registered one.
+
+    Raises:
+        ConfigError: There is none, two packages register it, or what is registered is no
+            description of a method of that name.
+    """
+    for shipped in SHIPPED:
+        if shipped.name == name:
+            return shipped
+    description: MethodDescription = METHODS.registered(
+        name,
+        made=lambda registered: registered,
+        fits=lambda registered: isinstance(registered, MethodDescription),
+        complaint="is {}, which is no pemviz.MethodDescription",
+    )
+    if description.name != name:
+        message = f"method = {name!r}: what is registered describes method {description.name!r}"
+        raise ConfigError(message)
+    return description
+
+
+def build_named_method(config: ExperimentConfig, back_end: BackEnd) -> Method[Any]:
+    """The method that ``config`` names, on a back end that has what it needs.
+
+    Raises:
+        ConfigError: There is none of that name, or it cannot be built.
+    """
+    description = by_name(config.method)
+    try:
+        method = description.build(config, back_end)
+        lacks = [member for member in METHOD_MEMBERS if not hasattr(method, member)]
+    except InputError:
+        raise
+    except Exception as error:  # code of another package may raise anything
+        if description in SHIPPED:
+            raise
+        message = f"method = {config.method!r}: building it raises {type(error).__name__}: {error}"
+        raise ConfigError(" ".join(message.split())) from error
+    if lacks:
+        message = f"method = {config.method!r}: what is built has no {' and no '.join(lacks)}"
+        raise ConfigError(message)
+    return method

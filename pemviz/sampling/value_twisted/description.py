@@ -1,0 +1,43 @@
+"""What method ``value-twisted`` is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pemviz.config import ExperimentConfig
+from pemviz.sampling.budgets import final_budget, with_final_budget
+from pemviz.sampling.description import MethodDescription
+
+if TYPE_CHECKING:
+    from pemviz.sampling.back_end import BackEnd
+    from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+
+
+def _build(config: ExperimentConfig, back_end: BackEnd) -> ValueTwistedSampling:
+    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  slow to import
+    from pemviz.sampling.value_twisted.method import ValueTwistedSampling  # noqa: PLC0415  as above
+
+    assert back_end.twin is not None  # noqa: S101  it is among the needs
+    return ValueTwistedSampling(
+        twin=back_end.twin,
+        rollouts=config.final_rollouts,
+        seed=config.seed,
+        largest_part=largest_part(states=back_end.simulator.states),
+    )
+
+
+VALUE_TWISTED = MethodDescription(
+    name="value-twisted",
+    summary="proposal from the exact value function of a fast twin",
+    build=_build,
+    settings=frozenset({"final_rollouts"}),
+    budget=final_budget,
+    with_budget=with_final_budget,
+    needs=frozenset({"twin", "single states"}),
+    stages="parts",
+    curve_name="optimal proposal",
+    learning_words=(
+        "Black: how likely the detector is to see the car ahead. Red: the optimal proposal, "
+        "computed from the probability of a violation from each state, along the typical path."
+    ),
+)
