@@ -44,6 +44,13 @@ def test_import_needs_not_even_numpy():
     assert loaded(code) == "loaded []"
 
 
+def test_what_methods_are_is_told_without_numpy():
+    watched = {*NEITHER, "numpy"}
+    code = "import sys; from pemviz.sampling.registry import SHIPPED; assert len(SHIPPED) == 6;"
+    code += f"print('loaded', sorted({watched!r} & set(sys.modules)))"
+    assert loaded(code) == "loaded []"
+
+
 @pytest.mark.parametrize("command", ["serve", "open", "reproduce", "bench", "pem"])
 def test_other_commands_explain_themselves_without_torch(command):
     watched = {"torch", "sklearn", "highway_env", "pygame"}

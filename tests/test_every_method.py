@@ -1,0 +1,120 @@
+"""Every method in every report, in a recording and on every page of the panel."""
+
+import contextlib
+import io
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from pemviz.cli.main import main
+from pemviz.panel.loading import load_run
+from pemviz.panel.ranking import rank
+from pemviz.panel.run_data import RunData
+from pemviz.panel.views import compare, headline, learning, why
+from pemviz.panel.views.ranking_table import ranking_table
+from pemviz.recording.read import read_stages
+from pemviz.sampling.registry import SHIPPED
+
+EVERY = pytest.mark.parametrize("method", SHIPPED, ids=lambda method: method.name)
+CONFIG = """
+pem = "ml-nn"
+spec = "always[0,59] (gap >= 6.0)"
+stages = 2
+rollouts = 40
+final_rollouts = 60
+epochs = 50
+seed = 3
+[scenario]
+states = 60
+"""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a run told in each place."""
+
+    terminal: str
+    page: str
+    tests: str
+    folder: Path
+    loaded: RunData
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """Method to what a run of it told, run once."""
+
+    @cache
+    def run(name):
+        folder = tmp_path_factory.mktemp(name)
+        (folder / "config.toml").write_text(CONFIG, encoding="utf-8")
+        out = io.StringIO()
+        words = ["record", "--config", str(folder / "config.toml"), "--method", name]
+        words += ["--out", str(folder / "runs"), "--summary", str(folder / "page.md")]
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+            assert main([*words, "--junit", str(folder / "tests.xml")]) == 0
+        (kept,) = (folder / "runs").iterdir()
+        return Shown(
+            terminal=out.getvalue(),
+            page=(folder / "page.md").read_text(encoding="utf-8"),
+            tests=(folder / "tests.xml").read_text(encoding="utf-8"),
+            folder=kept,
+            loaded=load_run(kept),
+        )
+
+    return run
+
+
+@EVERY
+def test_reports_speak_of_weights_where_the_answer_rests_on_them(method, shown):
+    for text in (shown(method.name).terminal, shown(method.name).page):
+        assert method.name in text
+        for words in ("effective sample size", "Pareto k-hat", "largest weight's share"):
+            assert (words in text) == method.rests_on_weights, words
+
+
+@EVERY
+def test_a_pipelines_test_case_names_the_method(method, shown):
+    properties = ET.fromstring(shown(method.name).tests).iter("property")  # noqa: S314  our own
+    assert ("method", method.name) in {(p.get("name"), p.get("value")) for p in properties}
+
+
+@EVERY
+def test_the_page_gives_the_methods_budget(method, shown):
+    run = shown(method.name)
+    (row,) = re.findall(r"^\| budget \| (.*) \|$", run.page, flags=re.MULTILINE)
+    assert row.startswith(method.budget(run.loaded.config).words)
+
+
+@EVERY
+def test_a_recording_holds_every_stage(method, shown):
+    run = shown(method.name)
+    stages = [stage["stage"] for stage in run.loaded.document["stages"]]
+    assert sorted(read_stages(run.folder / "run.rrd")) == stages
+
+
+@EVERY
+def test_every_page_of_the_panel_fits_the_method(method, shown):
+    run = shown(method.name).loaded
+    learned, explained = learning.learning(run), why.why(run)
+    ranked = ranking_table(run, rank(run, "classical"), selected=0, target="x")
+    for page in (
+        headline.headline(run), learned, explained, ranked,
+        compare.metrics_page(run), compare.runs_page(run, run),
+    ):  # fmt: skip
+        ET.fromstring(f"<all>{page.replace('<br>', '<br/>')}</all>")  # noqa: S314  our own
+    assert method.name in headline.headline(run)
+    assert ("Threshold" in learned) == (method.stages == "learning")
+    assert ("a run alone" in learned) == (method.stages == "runs")
+    assert ("a stage alone" in learned) == (method.stages == "learning")
+    assert ("proposal after stage" in learned) == (
+        not method.follows_model and method.curve_name is None
+    )
+    assert method.learning_words.split(".")[0] in learned
+    violated = run.document["estimate"]["failures"] > 0
+    assert ("Pareto k-hat" in explained) == (method.rests_on_weights and violated)
+    assert ("carry no weights" in explained) == (not method.has_likelihood_ratios)
