@@ -22,7 +22,6 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import GapNetwork, gap_network_from_arrays
 from pemviz.proposals.gap_network_fit import fit_gap_network, initial_gap_network, pool_outcomes
-from pemviz.sampling.adaptive.description import ADAPTIVE
 from pemviz.sampling.adaptive.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
@@ -80,7 +79,7 @@ class AdaptiveSampling:
     learning_rate: float
     seed: int
     largest_part: int = LARGEST_PART
-    name: str = ADAPTIVE.name
+    name: str = "adaptive"
 
     @property
     def stages(self) -> int:

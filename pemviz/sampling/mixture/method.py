@@ -36,7 +36,6 @@ from pemviz.sampling.estimates.diagnostics import unlatched
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights, extended
-from pemviz.sampling.mixture.description import MIXTURE
 from pemviz.sampling.mixture.fit import Fit, FitSettings, fit_next
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
@@ -101,7 +100,7 @@ class MixtureSampling:
     features: StateFeatures | None = None
     settings: FitSettings = field(default_factory=FitSettings)
     largest_part: int = LARGEST_PART
-    name: str = MIXTURE.name
+    name: str = "mixture"
 
     @property
     def stages(self) -> int:

@@ -26,7 +26,6 @@ from pemviz.sampling.estimates.estimate import log_normal_interval, negative_log
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import Problem, in_time, score
-from pemviz.sampling.splitting.description import SPLITTING
 from pemviz.sampling.splitting.particles import (
     Particles,
     draw_particles,
@@ -76,7 +75,7 @@ class SplittingSampling:
     stages: int
     rollouts: int
     seed: int
-    name: str = SPLITTING.name
+    name: str = "splitting"
 
     def init(self, problem: Problem, *, repetition: int) -> SplittingState:  # noqa: ARG002
         """Nothing is drawn yet."""

@@ -21,7 +21,6 @@ from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
-from pemviz.sampling.value_twisted.description import VALUE_TWISTED
 from pemviz.sampling.value_twisted.reachable_states import Pause, Unsafe
 from pemviz.sampling.value_twisted.tables import (
     DEFENSIVE_STEPS,
@@ -64,7 +63,7 @@ class ValueTwistedSampling:
     largest_layer: int = LARGEST_LAYER
     defensive_steps: float = DEFENSIVE_STEPS
     largest_part: int = LARGEST_PART
-    name: str = VALUE_TWISTED.name
+    name: str = "value-twisted"
 
     @property
     def stages(self) -> int:
@@ -118,7 +117,7 @@ class ValueTwistedSampling:
         )
 
 
-def require_unsafe(problem: Problem, *, method: str = VALUE_TWISTED.name) -> Unsafe:
+def require_unsafe(problem: Problem, *, method: str = "value-twisted") -> Unsafe:
     """What single states violate the specification; ``method`` is what asks for them.
 
     Raises:
