@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pemviz.runs.result import RunResult
-from pemviz.sampling.estimates.diagnostics import unreliable_because
+from pemviz.sampling.estimates.diagnostics import reason, undermining
+from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
 GateOutcome = Literal["passed", "tripped", "undecided"]
@@ -54,3 +55,9 @@ def decide_run(result: RunResult, *, limit: float) -> GateDecision:
     if result.estimate is None:
         return GateDecision("undecided", limit, "there is no estimate")
     return decide_gate(result.estimate, limit=limit)
+
+
+def unreliable_because(estimate: Estimate) -> tuple[str, ...]:
+    """Why an estimate must not decide anything; empty if nothing speaks against it."""
+    basis = by_name(estimate.method).interval_basis
+    return tuple(map(reason, undermining(estimate.diagnostics, basis=basis)))

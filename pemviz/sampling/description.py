@@ -21,7 +21,10 @@ Need = Literal["twin", "gap", "single states", "restarts"]
 """``twin``: a fast simulator of the same scenario; ``gap``: a signal of that name;
 ``single states``: a specification that they decide; ``restarts``: states can be kept and
 continued from, outside the batches that devices and worker processes simulate."""
-Answer = Literal["weights", "share", "runs"]
+IntervalBasis = Literal["counts", "weights", "runs"]
+"""What an estimate and its interval rest on: a count of failures and the exact binomial, an average
+of importance weights and their spread, or a mean of independent runs, whose rollouts carry no
+weights, and how far the runs differ."""
 StageMeaning = Literal["learning", "runs", "parts"]
 StageInterval = Literal["log-normal", "binomial", "between runs", "none"]
 Counting = Literal["rollouts", "level"]
@@ -45,9 +48,8 @@ class MethodDescription:
         with_budget: Configuration and a number of rollouts to the configuration that spends them;
             raises :class:`pemviz.errors.InputError` where they are too few.
         needs: What must be there for it.
-        answer: What the estimate is: an average of importance ``weights``, whose diagnostics
-            then apply; the ``share`` of rollouts that violate, with its binomial interval; or a
-            mean of independent ``runs``, whose rollouts carry no weights.
+        interval_basis: What the estimate and its interval rest on; diagnostics of weights apply
+            to ``weights`` alone.
         stages: What the stages of a repetition are: one ``learning`` from the other, independent
             ``runs``, or ``parts`` of one batch.
         stage_interval: Of a stage's own estimate: ``log-normal`` from its weights, ``binomial``,
@@ -69,7 +71,7 @@ class MethodDescription:
     budget: Callable[[ExperimentConfig], Budget]
     with_budget: Callable[[ExperimentConfig, int], ExperimentConfig]
     needs: frozenset[Need] = frozenset()
-    answer: Answer = "weights"
+    interval_basis: IntervalBasis = "weights"
     stages: StageMeaning = "learning"
     stage_interval: StageInterval = "log-normal"
     counting: Counting = "rollouts"
@@ -92,12 +94,12 @@ class MethodDescription:
     @property
     def has_likelihood_ratios(self) -> bool:
         """Whether each rollout's likelihood is known under what it was drawn from."""
-        return self.answer != "runs"
+        return self.interval_basis != "runs"
 
     @property
     def rests_on_weights(self) -> bool:
         """Whether diagnostics of weights tell how far the estimate is to be trusted."""
-        return self.answer == "weights"
+        return self.interval_basis == "weights"
 
     @property
     def stage_name(self) -> str:

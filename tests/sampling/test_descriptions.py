@@ -151,7 +151,7 @@ def test_stages_are_what_the_description_says(method: MethodDescription):
     for stage in heard.stages:
         rollouts, violated = stage.scored.rollouts, stage.scored.violated
         average = float(np.mean(np.where(violated, np.exp(rollouts.log_weight), 0.0)))
-        assert (method.answer == "runs") == (stage.probability != pytest.approx(average))
+        assert (method.interval_basis == "runs") == (stage.probability != pytest.approx(average))
 
 
 @EVERY
@@ -184,7 +184,7 @@ def test_proposals_that_a_device_computes_are_named(method: MethodDescription):
 @EVERY
 def test_weights_are_diagnosed_where_the_answer_rests_on_them(method: MethodDescription):
     experiment, heard, _ = short_run(method.name)
-    assert experiment.has_likelihood_ratios == (method.answer != "runs")
+    assert experiment.has_likelihood_ratios == (method.interval_basis != "runs")
     assert method.rests_on_weights == (not method.follows_model)
     if not method.has_likelihood_ratios:
         assert all(stage.ess is None for stage in heard.stages)

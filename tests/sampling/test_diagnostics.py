@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
+from pemviz.reports.gate import unreliable_because
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.diagnostics import (
     FEW_FAILURES,
@@ -24,7 +25,6 @@ from pemviz.sampling.estimates.diagnostics import (
     reference_disagreement,
     run_diagnostics,
     unlatched,
-    unreliable_because,
     weight_diagnostics,
 )
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate

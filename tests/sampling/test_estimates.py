@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
+from pemviz.reports.gate import unreliable_because
 from pemviz.sampling.direct.method import DirectSampling
-from pemviz.sampling.estimates.diagnostics import unreliable_because
 from pemviz.sampling.estimates.estimate import log_normal_interval, negative_log_likelihood
 from pemviz.sampling.estimates.importance_weights import pareto_k_hat
 from pemviz.sampling.estimates.repetitions import summarise_repetitions

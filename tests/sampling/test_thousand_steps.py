@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pemviz.proposals.fixed import ConstantProposal
+from pemviz.reports.gate import unreliable_because
 from pemviz.sampling.adaptive.method import AdaptiveSampling
 from pemviz.sampling.direct.method import DirectSampling
-from pemviz.sampling.estimates.diagnostics import unreliable_because
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.method import SplittingSampling

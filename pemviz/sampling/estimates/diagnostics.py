@@ -4,8 +4,8 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
+from pemviz.sampling.description import IntervalBasis
 from pemviz.sampling.estimates.importance_weights import WeightFigures
 from pemviz.types import Diagnostic, DiagnosticKind, Estimate
 
@@ -17,16 +17,6 @@ FEW_FAILURES = 10
 SMALLEST_LOG10 = math.log10(sys.float_info.min)
 AGREEMENT_ERRORS = 3.0
 """Joint standard errors within which an estimate and the reference agree."""
-
-IntervalBasis = Literal["counts", "weights", "runs"]
-"""What an interval rests on: a count of failures and the exact binomial, the spread of importance
-weights, or how far independent runs differ."""
-UNWEIGHTED: Mapping[str, IntervalBasis] = {"monte-carlo": "counts", "splitting": "runs"}
-
-
-def interval_basis(method: str) -> IntervalBasis:
-    """What the intervals of a method rest on."""
-    return UNWEIGHTED.get(method, "weights")
 
 
 @dataclass(frozen=True)
@@ -288,9 +278,3 @@ def reason(diagnostic: Diagnostic) -> str:
     if words is None or diagnostic.value is None:
         return diagnostic.text
     return words.format(diagnostic.value)
-
-
-def unreliable_because(estimate: Estimate) -> tuple[str, ...]:
-    """Why an estimate must not decide anything; empty if nothing speaks against it."""
-    found = undermining(estimate.diagnostics, basis=interval_basis(estimate.method))
-    return tuple(map(reason, found))

@@ -60,7 +60,7 @@ def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None
 def _repetition_interval(
     estimates: Sequence[Estimate], *, mean: float, error: float
 ) -> tuple[float | None, float | None]:
-    if all(by_name(estimate.method).answer == "share" for estimate in estimates):
+    if all(by_name(estimate.method).interval_basis == "counts" for estimate in estimates):
         count = sum(estimate.rollouts_in_estimate for estimate in estimates)
         failures = sum(estimate.failures for estimate in estimates)
         pooled = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")
