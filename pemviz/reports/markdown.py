@@ -181,7 +181,7 @@ def _budget(config: ExperimentConfig) -> str:
     """What one repetition simulates, the method's other settings, and how many repetitions."""
     method = by_name(config.method)
     settings = [
-        f"{field.name} {getattr(config, field.name):g}"
+        f"{field.name} {getattr(config, field.name)}"
         for field in fields(config)
         if field.name in method.settings - BUDGET_FIELDS
     ]
