@@ -28,7 +28,7 @@ def stages_of(method):
     )
     experiment = build_experiment(config)
     pem = constant_pem(detection_probability=0.8)
-    problem = replace(experiment.problem, pem_logit=pem)
+    problem = replace(experiment.problem, pem=pem)
     listener = Listener()
     run(replace(experiment, problem=problem), observers=[listener])
     return listener.stages

@@ -9,7 +9,7 @@ from pemviz.config import METHODS, ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.reports.gate import unreliable_because
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.result_file import read_result, result_document, result_from_document
+from pemviz.runs.result_file import result_document, result_from_document
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZES = {"stages": 1, "rollouts": 20, "final_rollouts": 20, "epochs": 5}

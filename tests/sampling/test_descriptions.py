@@ -75,7 +75,7 @@ def short_run(name: str) -> tuple[Experiment, Heard, int]:
 
     problem = replace(
         experiment.problem,
-        pem_logit=constant_pem(detection_probability=0.8),
+        pem=constant_pem(detection_probability=0.8),
         run_batches=counted,
         batch_rollouts=16,
     )
