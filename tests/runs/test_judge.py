@@ -95,14 +95,15 @@ def test_the_part_with_most_failures_explains_the_first_of_equals(
     assert found.explanation is not None
 
 
-def test_the_last_repetition_with_a_failure_explains(experiment, heard, part):
+def test_the_last_repetition_with_a_failure_explains_by_its_own_best_part(experiment, heard, part):
     stages = [
         part(failures=9, stage=0),
         part(failures=2, stage=0, repetition=1),
+        part(failures=5, stage=1, repetition=1),
         part(failures=0, stage=0, repetition=2),
     ]
     found = judged_after(stages, experiment=experiment, empty=heard.empty).result
-    assert found.explanation == explanation_of(stages[1], experiment)
+    assert found.explanation == explanation_of(stages[2], experiment)
     assert found.explanation.repetition == 1
 
 
