@@ -93,7 +93,7 @@ def test_the_page_gives_the_methods_budget(method, shown):
 @EVERY
 def test_a_recording_holds_every_stage(method, shown):
     run = shown(method.name)
-    stages = [stage["stage"] for stage in run.loaded.document["stages"]]
+    stages = [stage.stage for stage in run.loaded.result.stages]
     assert sorted(read_stages(run.folder / "run.rrd")) == stages
 
 
@@ -115,6 +115,6 @@ def test_every_page_of_the_panel_fits_the_method(method, shown):
         not method.follows_model and method.curve_name is None
     )
     assert method.learning_words.split(".")[0] in learned
-    violated = run.document["estimate"]["failures"] > 0
+    violated = run.result.estimate.failures > 0
     assert ("Pareto k-hat" in explained) == (method.rests_on_weights and violated)
     assert ("carry no weights" in explained) == (not method.has_likelihood_ratios)
