@@ -10,6 +10,7 @@ from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
 from pemviz.reports.words import RELIABLE_TAIL
+from pemviz.runs.judge import data_warnings, run_diagnostics
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.types import Estimate
@@ -122,13 +123,13 @@ def _scenario(config: ExperimentConfig) -> str:
 
 
 def warnings_text(result: RunResult) -> str:
-    """The estimate's warnings (bold) and the error model's, or that there are none."""
-    estimate = result.estimate
+    """What is wrong with the answer (bold) and with the error model, or that nothing is."""
     if result.message:
         return f"# Warnings\n\n- {result.message}"
-    if estimate is None:
+    if result.estimate is None:
         return "# Warnings\n\nNone so far; there is no estimate yet."
-    warnings = (*(f"**{warning}**" for warning in estimate.warnings), *result.warnings)
+    about_answer = (f"**{diagnostic.text}**" for diagnostic in run_diagnostics(result))
+    warnings = (*about_answer, *data_warnings(result))
     if not warnings:
         return "# Warnings\n\nNone."
     return "# Warnings\n\n" + "\n".join(f"- {warning}" for warning in warnings)

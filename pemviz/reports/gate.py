@@ -87,8 +87,12 @@ def decide_gate(estimate: Estimate, *, limit: float) -> GateDecision:
 
 def unreliable_because(estimate: Estimate) -> tuple[str, ...]:
     """Why an estimate must not decide anything; empty if nothing speaks against it."""
+    return _against(estimate, estimate.diagnostics)
+
+
+def _against(estimate: Estimate, diagnostics: tuple[Diagnostic, ...]) -> tuple[str, ...]:
     basis = by_name(estimate.method).interval_basis
-    return tuple(map(reason, undermining(estimate.diagnostics, basis=basis)))
+    return tuple(map(reason, undermining(diagnostics, basis=basis)))
 
 
 def _decide(
@@ -112,5 +116,4 @@ def _reason(
     words = f"the upper {estimate.confidence:.0%} bound {estimate.ci_high:.3g}".replace("%", " %")
     if bound == "above":
         return f"{words} is above {limit:g}"
-    against = undermining(diagnostics, basis=by_name(estimate.method).interval_basis)
-    return "; ".join(map(reason, against)) or f"{words} is not above {limit:g}"
+    return "; ".join(_against(estimate, diagnostics)) or f"{words} is not above {limit:g}"

@@ -18,6 +18,7 @@ from pemviz.reports.words import (
     share_text,
     violations_text,
 )
+from pemviz.runs.judge import data_warnings, run_diagnostics
 from pemviz.runs.result import RunResult
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
@@ -125,15 +126,16 @@ def _row(label: str, estimate: Estimate) -> IntervalRow:
 
 
 def _warnings(result: RunResult) -> list[str]:
-    sampling = () if result.estimate is None else result.estimate.warnings
+    about_answer = [diagnostic.text for diagnostic in run_diagnostics(result)]
     interval = () if result.pem_interval is None else result.pem_interval.warnings
+    about_data = (*data_warnings(result), *interval)
     sections: list[str] = []
-    if sampling:
-        sections += ["### Warnings", _list(sampling)]
-    if result.warnings or interval:
+    if about_answer:
+        sections += ["### Warnings", _list(about_answer)]
+    if about_data:
         sections += [
             "### Extrapolated: where the error model has little or no data",
-            _list((*result.warnings, *interval)),
+            _list(about_data),
         ]
     return sections
 

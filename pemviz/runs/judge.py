@@ -133,6 +133,12 @@ def run_diagnostics(result: RunResult) -> tuple[Diagnostic, ...]:
     return (*own, *_disagreement(result))
 
 
+def data_warnings(result: RunResult) -> tuple[str, ...]:
+    """The run's warnings about the error model and its data, in words."""
+    about_answer = {diagnostic.text for diagnostic in run_diagnostics(result)}
+    return tuple(warning for warning in result.warnings if warning not in about_answer)
+
+
 def _disagreement(result: RunResult) -> tuple[Diagnostic, ...]:
     estimate, known = result.estimate, result.reference
     if estimate is None or known is None:

@@ -23,7 +23,9 @@ from pemviz.panel.views import compare, experiment, headline, learning, recordin
 from pemviz.panel.views.ranking_table import first_place, ranking_table
 from pemviz.panel.views.rollout import track, track_plots, with_cursor
 from pemviz.panel.views.words import number
+from pemviz.runs.judge import run_diagnostics
 from pemviz.runs.result import PemInfo
+from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Diagnostic
 
 CRAFTED = "<script>alert(1)</script>"
@@ -164,8 +166,11 @@ def test_causes_are_told_in_words_with_units(naive_run):
         naive_run,
         config=replace(naive_run.config, target=1e-18),
         explanation=explanation,
-        warnings=("thin data", "the estimate is half the reference 1e-15"),
     )
+    far = Reference(probability=1e-9, std_error=0.0, log10_probability=-9.0)
+    run = with_result(run, reference=far)
+    *_, disagreement = run_diagnostics(run.result)
+    run = with_result(run, warnings=("thin data", disagreement.text))
     page = why.why(run)
     words = ["".join(cell.itertext()) for cell in well_formed(page).iter("td")]
     assert words[:5] == ["4 to 6", "1.70", "16 %", "–", "not enough alone"]
@@ -177,7 +182,7 @@ def test_causes_are_told_in_words_with_units(naive_run):
     for raw in ("misses_by_distance", "elasticity", "repetition", "nll", "target_factor"):
         assert raw not in page
     trust, data = page.index("How far to trust"), page.index("The error model and its data")
-    assert trust < page.index("half the reference") < data < page.index("thin data")
+    assert trust < page.index("trust the reference") < data < page.index("thin data")
 
 
 def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):

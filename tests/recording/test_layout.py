@@ -22,6 +22,8 @@ from pemviz.recording.views import (
 from pemviz.runs.engine import run
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.judge import run_diagnostics
+from pemviz.sampling.value_twisted.reference import Reference
 from tests.recording.conftest import LEARNING, chunks, record, texts, with_blind_pem
 
 PACKAGE = Path(text.__file__).parent
@@ -179,6 +181,16 @@ def test_texts_tell_answer_config_and_what_is_recorded(learned):
     assert learned.result.pem.digest in found[paths.PROVENANCE]
     assert found[paths.STAGE_TABLE].count("\n| ") == 2 + 4
     assert found[paths.WORST_SUMMARY].count("\n| ") == 2 + 20
+
+
+def test_a_reference_that_disagrees_stands_with_the_warnings_of_the_answer(learned):
+    far = Reference(probability=0.5, std_error=0.0, log10_probability=-0.3)
+    result = replace(learned.result, reference=far, warnings=())
+    *_, disagreement = run_diagnostics(result)
+    page = text.warnings_text(replace(result, warnings=("thin data", disagreement.text)))
+    assert page.count(disagreement.text) == 1
+    assert f"- **{disagreement.text}**" in page
+    assert "- thin data" in page
 
 
 def test_no_violation_is_said_in_words(tmp_path):

@@ -13,6 +13,7 @@ from pemviz.reports.escape import (
 )
 from pemviz.reports.gate import decide_gate, decide_run
 from pemviz.reports.markdown import summary_markdown
+from pemviz.runs.judge import run_diagnostics
 from tests.reports.runs import NASTY, estimate, nasty_result, result, warned
 
 
@@ -71,6 +72,16 @@ def test_a_nasty_run_leaves_no_markup_of_its_own():
     ]
     # the title, warnings, extrapolation, worst rollout, provenance, assumptions
     assert len([t for t in tokens if t.type == "heading_open"]) == 6
+
+
+def test_a_reference_that_disagrees_is_no_extrapolation():
+    """6.69e-15 against 2e-15 +- 1e-15."""
+    *_, disagreement = run_diagnostics(result())
+    page = summary_markdown(result(warnings=("thin data", disagreement.text)))
+    warnings, extrapolated = page.split("### Warnings")[1].split("### Extrapolated")
+    assert "trust the reference" in warnings
+    assert "trust the reference" not in extrapolated
+    assert "thin data" in extrapolated
 
 
 def test_the_page_tells_the_whole_story():

@@ -12,6 +12,7 @@ from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.causes import causes_part
 from pemviz.panel.views.words import block, good, grid, heading, number, percent, quiet, warning
+from pemviz.runs.judge import data_warnings, run_diagnostics
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
@@ -199,8 +200,7 @@ def time_plot(failures: Failures, *, dt_s: float) -> str:
 
 def _trust(run: RunData) -> str:
     estimate = run.result.estimate
-    sampling = () if estimate is None else estimate.warnings
-    words = [*sampling, *_warnings(run, about_reference=True)]
+    words = [diagnostic.text for diagnostic in run_diagnostics(run.result)]
     parts = [heading("How far to trust the number"), *(warning(w) for w in words)]
     method = by_name(run.config.method)
     if not method.has_likelihood_ratios:
@@ -224,14 +224,9 @@ def diagnostics_table(estimate: Estimate) -> str:
     return grid(["diagnostic", "found", "wanted"], lines, name="Diagnostics")
 
 
-def _warnings(run: RunData, *, about_reference: bool) -> list[str]:
-    """The engine's warnings that compare with the reference, or all others."""
-    return [w for w in run.result.warnings if ("the reference" in w) == about_reference]
-
-
 def _data(run: RunData) -> str:
     """What the model's training data do not show."""
-    words = _warnings(run, about_reference=False)
+    words = data_warnings(run.result)
     if not words:
         return ""
     return heading("The error model and its data") + "".join(warning(w) for w in words)
