@@ -66,6 +66,10 @@ class Batch:
         return {}
 
 
+LARGEST_NUMBER = 1e100
+"""No signal and no logit of a rollout is larger: sums over a rollout stay finite."""
+
+
 def read_only(array: AnyArray) -> AnyArray:
     """A view of ``array`` (any shape) that refuses writes."""
     view = array.view()

@@ -216,6 +216,7 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
         versions=versions(),
         assumptions=OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS,
+        warnings=experiment.warnings,
     )
 
 

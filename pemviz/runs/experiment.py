@@ -13,6 +13,7 @@ from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.runs.back_ends import build_back_end, check_method_fits, own_back_end
+from pemviz.runs.error_model_check import check_error_model
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.method import Method
@@ -45,6 +46,7 @@ class Experiment:
         method: How.
         planned_rollouts: How many rollouts all repetitions take together; with splitting, how
             many particles.
+        warnings: What looks wrong with the parts, but may be meant.
     """
 
     config: ExperimentConfig
@@ -54,6 +56,7 @@ class Experiment:
     back_end: BackEnd
     method: Method[Any]
     planned_rollouts: int
+    warnings: tuple[str, ...] = ()
 
     @property
     def pem(self) -> Pem:
@@ -99,7 +102,7 @@ def build_experiment(
     Args:
         config: What is asked.
         simulator: A system of your own instead of the one that ``config`` names. It is tried
-            out on one step, so that what is wrong with it is told here.
+            out on whole rollouts, so that what is wrong with it is told here.
         pem: A detector model of your own, anything with ``logit(salient)``, instead of the
             one that ``config`` names.
         twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
@@ -115,8 +118,7 @@ def build_experiment(
     config, model, back_end = _named_parts(config, simulator, pem, twin, allow_python=allow_python)
     check_method_fits(config, back_end)
     formula = build_formula(config, back_end.simulator)
-    if back_end.is_own:
-        check_pem_fits(model, back_end.simulator)
+    warnings = check_error_model(model, back_end.simulator)
     problem = _problem(config, formula, model, back_end)
     description = by_name(config.method)
     if "single states" in description.needs:
@@ -131,6 +133,7 @@ def build_experiment(
         back_end=back_end,
         method=build_method(config, back_end=back_end),
         planned_rollouts=config.repetitions * description.budget(config).rollouts,
+        warnings=warnings,
     )
 
 
@@ -182,27 +185,6 @@ def _problem(
     )
 
 
-def check_pem_fits(pem: Pem, simulator: Simulator) -> None:
-    """Ask the error model about the simulator's initial state.
-
-    Raises:
-        InputError: It cannot answer, or its answer is no logit of the right shape.
-    """
-    salient = simulator.salient(simulator.initial(count=2).signals)
-    where = f"pem = {pem.name!r} on simulator {simulator.name!r}"
-    try:
-        logit = np.asarray(pem.logit(salient))
-    except Exception as error:  # the user's code may raise anything
-        message = f"{where}: {type(error).__name__}: {error}"
-        raise ConfigError(" ".join(message.split())) from error
-    if logit.shape != salient.shape[:-1] or np.isnan(logit).any():
-        message = (
-            f"{where}: logit of salient variables {list(salient.shape)} has shape "
-            f"{list(logit.shape)} or is no number: must be {list(salient.shape[:-1])} numbers"
-        )
-        raise ConfigError(message)
-
-
 def device_notes(experiment: Experiment) -> tuple[str, ...]:
     """What an experiment that asks for a device computes on the CPU all the same, a line each."""
     config, problem = experiment.config, experiment.problem
@@ -246,7 +228,7 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
     if formula.horizon_steps() > last:
         message = (
             f"spec = {config.spec!r}: looks {formula.horizon_steps()} steps ahead, but a rollout "
-            f"of scenario.states = {simulator.states} states has only steps 0 to {last}"
+            f"of {simulator.name!r} has {simulator.states} states, steps 0 to {last}"
         )
         raise ConfigError(message)
     return formula

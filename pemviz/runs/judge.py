@@ -86,10 +86,13 @@ def _asked_of_members(judged: Judged, experiment: Experiment, stage: StageResult
 
 def _compared_with_data(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
     """Once a run: where the model extrapolates, and what its data alone allow."""
-    if judged.result.warnings:
+    if len(judged.result.warnings) > len(experiment.warnings):
         return judged
     problem = experiment.problem
-    warnings = extrapolation_warnings(stage.scored, simulator=problem.simulator, pem=problem.pem)
+    warnings = (
+        *experiment.warnings,
+        *extrapolation_warnings(stage.scored, simulator=problem.simulator, pem=problem.pem),
+    )
     bound = None
     if experiment.twin is not None:
         twin = replace(problem, simulator=experiment.twin)

@@ -8,7 +8,7 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.lib import format as npy
 
-from pemviz.arrays import AnyArray
+from pemviz.arrays import LARGEST_NUMBER, AnyArray
 from pemviz.errors import InputError
 from pemviz.files.array_files import read_arrays
 from pemviz.files.atomic import write_atomically
@@ -22,8 +22,6 @@ from pemviz.types import (
 )
 
 PART_FOLDER = "stages"
-LARGEST = 1e100
-"""No state and no logit is larger; sums over a rollout stay finite."""
 MEMORY, KEPT = "memory.", "kept."
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are asked for."""
@@ -116,7 +114,7 @@ def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
 
 
 def _is_bounded(values: AnyArray) -> bool:
-    return bool(np.all(np.abs(values.astype(np.float64, copy=False)) <= LARGEST))
+    return bool(np.all(np.abs(values.astype(np.float64, copy=False)) <= LARGEST_NUMBER))
 
 
 def part_path(folder: Path, *, repetition: int, stage: int) -> Path:

@@ -1,11 +1,11 @@
 """Whether a simulator of somebody else's keeps to the protocol, told before a run starts."""
 
-from collections.abc import Callable, Mapping
-from typing import TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import NoReturn, TypeVar
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import Signal, Simulator, StateBatch
@@ -14,35 +14,161 @@ Value = TypeVar("Value")
 
 MEMBERS = ("name", "states", "dt_s", "signals", "initial", "step", "salient")
 TAKEN_KEYS = ("repetition", "stage", "detected", "log_p", "log_q", "robustness", "violated")
-COUNT = 3
-OUTCOMES = np.array([True, False, True])
-SECOND = slice(1, 2)
+ROUNDING = 1e-9
+"""Of a signal's range: what a value may differ by when it is computed beside others."""
+ALL_MISSED, ALL_DETECTED, MIXED, MIXED_AGAIN = range(4)
+COUNT = 4
+COMPLETE = "; all that decides how a rollout goes on must be in signals and memory"
 
 
 def check_simulator(simulator: Simulator) -> None:
-    """Try the simulator on three rollouts of one step.
+    """Try the simulator on whole rollouts: missed, detected, and mixed outcomes twice.
+
+    They are carried to the end three times: together; together in reverse order; and one of
+    them alone, from the start and from a state that was kept in the middle. All must agree,
+    since methods continue from kept states, and results must not depend on batches.
 
     Raises:
-        ConfigError: One line: what is missing, of the wrong shape, or not pure.
+        ConfigError: One line: what is missing, of the wrong shape, not pure, or random.
     """
+    if isinstance(simulator, type):
+        name = simulator.__name__
+        _refuse(f"simulator: {name} is a class: give an instance of it, such as {name}()")
     absent = [member for member in MEMBERS if not hasattr(simulator, member)]
     if absent:
         kind = type(simulator).__name__
-        message = f"simulator: {kind} is no pemviz.Simulator, it lacks {', '.join(absent)}"
-        raise ConfigError(message)
+        _refuse(f"simulator: {kind} is no pemviz.Simulator, it lacks {', '.join(absent)}")
     where = f"simulator {simulator.name!r}"
     _check_facts(simulator, where)
-    first = _call(where, "initial", lambda: simulator.initial(count=COUNT))
-    _check_states(first, simulator, f"{where}: initial(count={COUNT})", step=0)
-    before = first.map(np.array)
-    second = _call(where, "step", lambda: simulator.step(first, OUTCOMES))
-    _check_states(second, simulator, f"{where}: step", step=1)
-    if not _same(first, before):
-        _refuse(f"{where}: step writes to the states it is given; it must return new ones")
-    alone = _call(where, "step", lambda: simulator.step(first.take(SECOND), OUTCOMES[SECOND]))
-    if not _same(second.take(SECOND), alone):
-        _refuse(f"{where}: step must give a rollout the same again, whatever is beside it")
-    _check_salient(simulator, second.signals, where)
+    start = _call(where, "initial", lambda: simulator.initial(count=COUNT))
+    _check_states(start, simulator, f"{where}: initial(count={COUNT})", step=0)
+    _check_start(simulator, start, where)
+    course = _course(simulator, start, where)
+    _check_salient(simulator, course[1].signals, where)
+    _check_alike(simulator, course, where)
+    _check_order(simulator, course, where)
+    _check_continued(simulator, course, where)
+
+
+def _outcomes(simulator: Simulator) -> BoolArray:
+    """``[COUNT, T-1]``: what the rollouts are tried with."""
+    steps = simulator.states - 1
+    outcomes = np.zeros((COUNT, steps), dtype=np.bool_)
+    outcomes[ALL_DETECTED] = True
+    outcomes[MIXED] = np.random.default_rng(0).random(steps) < 0.5
+    outcomes[MIXED_AGAIN] = outcomes[MIXED]
+    return outcomes
+
+
+def _check_start(simulator: Simulator, start: StateBatch, where: str) -> None:
+    for row in range(1, COUNT):
+        other = _difference(simulator, _row(start, 0), _row(start, row))
+        if other is not None:
+            _refuse(
+                f"{where}: initial gives rollouts that start differently ({other}); every "
+                "rollout must start in the same state"
+            )
+    again = _call(where, "initial", lambda: simulator.initial(count=COUNT))
+    other = _difference(simulator, start, again)
+    if other is not None:
+        _refuse(f"{where}: initial gives another state when it is called again ({other})")
+
+
+def _course(simulator: Simulator, start: StateBatch, where: str) -> list[StateBatch]:
+    """The states ``[COUNT]`` at every step; ``step`` leaves those that it is given alone."""
+    outcomes = _outcomes(simulator)
+    course = [start]
+    for step in range(simulator.states - 1):
+        before = course[-1].map(np.array)
+        course.append(_stepped(simulator, course[-1], outcomes[:, step], where))
+        _check_states(course[-1], simulator, f"{where}: step", step=step + 1)
+        if _difference(simulator, course[-2], before) is not None:
+            _refuse(f"{where}: step writes to the states it is given; it must return new ones")
+    return course
+
+
+def _check_alike(simulator: Simulator, course: Sequence[StateBatch], where: str) -> None:
+    """Equal outcomes from equal states must lead to equal states."""
+    for step, states in enumerate(course):
+        other = _difference(simulator, _row(states, MIXED), _row(states, MIXED_AGAIN))
+        if other is not None:
+            _refuse(
+                f"{where}: step must give the same again for the same outcomes; at step {step} "
+                f"two such rollouts differ ({other}){COMPLETE}"
+            )
+
+
+def _check_order(simulator: Simulator, course: Sequence[StateBatch], where: str) -> None:
+    """A second time and in reverse order, every rollout must be what it was."""
+    outcomes = _outcomes(simulator)[::-1]
+    states = _call(where, "initial", lambda: simulator.initial(count=COUNT))
+    for step in range(simulator.states - 1):
+        states = _stepped(simulator, states, outcomes[:, step], where)
+        for row in range(COUNT):
+            other = _difference(
+                simulator, _row(course[step + 1], row), _row(states, COUNT - 1 - row)
+            )
+            if other is not None:
+                _refuse(
+                    f"{where}: step must give a rollout the same again, whatever is beside it "
+                    f"and whatever ran before; a second time, in another order, it differs at "
+                    f"step {step + 1} ({other})"
+                )
+
+
+def _check_continued(simulator: Simulator, course: Sequence[StateBatch], where: str) -> None:
+    """One rollout alone, from the start and from a state kept in the middle."""
+    outcomes = _outcomes(simulator)[MIXED]
+    steps = simulator.states - 1
+    middle = steps // 2
+    alone = _row(_call(where, "initial", lambda: simulator.initial(count=1)), 0)
+    legs = (
+        ("alone", alone, range(middle)),
+        (f"continued from its state at step {middle}", _row(course[middle], MIXED),
+         range(middle, steps)),
+    )  # fmt: skip
+    for how, start, leg in legs:
+        states = start
+        for step in leg:
+            states = _stepped(simulator, states, outcomes[step : step + 1], where)
+            other = _difference(simulator, _row(course[step + 1], MIXED), states)
+            if other is not None:
+                _refuse(
+                    f"{where}: a rollout must be the same again, whatever is beside it; {how}, "
+                    f"it differs at step {step + 1} ({other}){COMPLETE}"
+                )
+
+
+def _stepped(
+    simulator: Simulator, states: StateBatch, detected: BoolArray, where: str
+) -> StateBatch:
+    return _call(where, "step", lambda: simulator.step(states, detected.copy()))
+
+
+def _difference(simulator: Simulator, one: StateBatch, other: StateBatch) -> str | None:
+    """The first thing in which states differ, in words; ``None`` if they agree.
+
+    Signals and numbers in memory may differ by rounding. Objects, such as copies of an
+    environment, need not know how to compare.
+    """
+    if not np.array_equal(one.step, other.step):
+        return f"step {one.step} and {other.step}"
+    if set(one.memory) != set(other.memory):
+        return f"memory {sorted(one.memory)} and {sorted(other.memory)}"
+    ranges = {signal.name: signal.high - signal.low for signal in simulator.signals}
+    for name, values in {**one.signals, **one.memory}.items():
+        others = other.signals[name] if name in ranges else other.memory[name]
+        if values.dtype == np.object_:
+            continue
+        if values.dtype.kind == "f":
+            scale = np.maximum(np.abs(values), ranges.get(name, 0.0))
+            same = (np.abs(values - others) <= ROUNDING * scale) | (values == others)
+        else:
+            same = values == others
+        if not np.all(same):
+            row = int(np.argmin(same))
+            return f"{name} {values[row]!s} and {others[row]!s}"
+    return None
 
 
 def _check_facts(simulator: Simulator, where: str) -> None:
@@ -83,7 +209,7 @@ def _check_states(states: StateBatch, simulator: Simulator, where: str, *, step:
             _refuse(f"{where}: {name} has shape {np.shape(values)}: must be ({COUNT},)")
     for name, values in states.signals.items():
         if values.dtype != np.float64 or not np.isfinite(values).all():
-            _refuse(f"{where}: {name} must be finite numbers of type float64")
+            _refuse(f"{where}: {name} must be finite numbers of type float64 (state {step})")
 
 
 def _check_salient(simulator: Simulator, signals: Mapping[str, FloatArray], where: str) -> None:
@@ -100,18 +226,16 @@ def _check_salient(simulator: Simulator, signals: Mapping[str, FloatArray], wher
 def _call(where: str, what: str, call: Callable[[], Value]) -> Value:
     try:
         return call()
+    except ConfigError:  # said in words already
+        raise
     except Exception as error:  # the user's code may raise anything
         message = f"{where}: {what} raises {type(error).__name__}: {error}"
         raise ConfigError(" ".join(message.split())) from error
 
 
-def _same(one: StateBatch, other: StateBatch) -> bool:
-    pairs: list[tuple[AnyArray, AnyArray]] = [(one.step, other.step)]
-    pairs += [(values, other.signals[name]) for name, values in one.signals.items()]
-    pairs += [(values, other.memory[name]) for name, values in one.memory.items()]
-    # objects, such as copies of an environment, need not know how to compare
-    return all(np.array_equal(a, b) for a, b in pairs if a.dtype != np.object_)
+def _row(states: StateBatch, row: int) -> StateBatch:
+    return states.take(slice(row, row + 1))
 
 
-def _refuse(message: str) -> None:
+def _refuse(message: str) -> NoReturn:
     raise ConfigError(message)

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.errors import ConfigError
 from pemviz.types import Signal, StateBatch
 
 ENDED = "ended"
@@ -76,10 +77,26 @@ class GymnasiumSimulator:
     seed: int = 0
     name: str = "gymnasium"
 
+    def __post_init__(self) -> None:
+        """Refuse half of the pair that keeps states as numbers.
+
+        Raises:
+            ConfigError: ``get_state`` without ``set_state``, or the other way round.
+        """
+        if (self.get_state is None) != (self.set_state is None):
+            given, missing = "get_state", "set_state"
+            if self.get_state is None:
+                given, missing = missing, given
+            message = (
+                f"simulator {self.name!r}: has {given} but no {missing}: give both, or neither "
+                "to keep copies of the environment"
+            )
+            raise ConfigError(message)
+
     def initial(self, *, count: int) -> StateBatch:
         """``count`` copies of the state after a reset, arrays ``[count]``."""
         observation, _ = self.environment.reset(seed=self.seed)
-        row = (self.observe(observation), self._snapshot(self.environment), False)
+        row = (self._observed(observation), self._snapshot(self.environment), False)
         return self._batch([row] * count, step=np.zeros((), dtype=np.int64))
 
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
@@ -102,10 +119,21 @@ class GymnasiumSimulator:
         environment = self._restored(states, row)
         observation, _, terminated, truncated, _ = environment.step(self.action_of(detected))
         ended = bool(terminated or truncated)
-        reached = (self.observe(observation), self._snapshot(environment), ended)
+        reached = (self._observed(observation), self._snapshot(environment), ended)
         if ended:  # before it serves another rollout
             environment.reset(seed=self.seed)
         return reached
+
+    def _observed(self, observation: Any) -> Mapping[str, float]:
+        values = self.observe(observation)
+        declared = {signal.name for signal in self.signals}
+        if set(values) != declared:
+            message = (
+                f"simulator {self.name!r}: observe gives {sorted(values)}, signals declare "
+                f"{sorted(declared)}: must be the same names"
+            )
+            raise ConfigError(message)
+        return values
 
     def _snapshot(self, environment: Environment) -> Any:
         """What a state keeps of the environment: numbers ``[S]``, or the environment itself."""

@@ -66,11 +66,13 @@ def test_an_error_model_without_a_number_is_told():
         draw(problem)
 
 
-def test_infinite_logits_are_certainties():
-    problem = replace(
-        problem_of(lambda gap: gap), pem=FunctionPem(lambda x: np.full(x.shape[0], np.inf))
-    )
-    assert draw(problem).rollouts.detected.all()
+@pytest.mark.parametrize("value", [np.inf, -np.inf, 1e101])
+def test_infinite_logits_are_refused(value):
+    """They cannot be read back from a kept stage, and differences of them are no number."""
+    certain = FunctionPem(lambda x: np.full(x.shape[0], value))
+    problem = replace(problem_of(lambda gap: gap), pem=certain)
+    with pytest.raises(SimulationError, match=r"error model: logit is .* must be a finite number"):
+        draw(problem)
 
 
 def split(problem):

@@ -58,17 +58,102 @@ WRONG = {
     "identifiers": Bent(signals=(replace(GAP, key="gap m"),)),
     "is taken": Bent(signals=(replace(GAP, key="log_p"),)),
     "low must be below": Bent(signals=(replace(GAP, low=9.0),)),
-    "declared": Bent(initial=bent_initial(signals={"distance": np.zeros(3)})),
-    "has shape": Bent(initial=bent_initial(signals={"gap": np.zeros((3, 1))})),
-    "type float64": Bent(initial=bent_initial(signals={"gap": np.zeros(3, np.float32)})),
-    "finite numbers": Bent(initial=bent_initial(signals={"gap": np.full(3, np.nan)})),
-    "one number for the batch": Bent(initial=bent_initial(step=np.zeros(3, np.int64))),
-    "pemviz's own": Bent(initial=bent_initial(memory={"violated": np.zeros(3)})),
+    "declared": Bent(initial=bent_initial(signals={"distance": np.zeros(4)})),
+    "has shape": Bent(initial=bent_initial(signals={"gap": np.zeros((4, 1))})),
+    "type float64": Bent(initial=bent_initial(signals={"gap": np.zeros(4, np.float32)})),
+    "finite numbers": Bent(initial=bent_initial(signals={"gap": np.full(4, np.nan)})),
+    "one number for the batch": Bent(initial=bent_initial(step=np.zeros(4, np.int64))),
+    "pemviz's own": Bent(initial=bent_initial(memory={"violated": np.zeros(4)})),
     "writes to the states": Bent(step=writing),
     "whatever is beside it": Bent(step=mixing),
     "RuntimeError: the licence server is down": Bent(step=raising),
     "salient gives shapes": Bent(salient=lambda signals: signals["gap"][:, None]),
 }
+
+
+def random_start(count):
+    start = ToySimulator().initial(count=count)
+    return replace(start, signals={"gap": np.random.default_rng().uniform(2.0, 7.0, count)})
+
+
+class OneRandomStart:
+    """Another start at every call, the same for all rollouts of a batch."""
+
+    def __init__(self):
+        self.generator = np.random.default_rng(5)
+
+    def __call__(self, count):
+        start = ToySimulator().initial(count=count)
+        return replace(start, signals={"gap": np.full(count, self.generator.uniform(2.0, 7.0))})
+
+
+def mixing_late(states, detected):
+    """Depends on the batch, but only at the last steps."""
+    moved = ToySimulator().step(states, detected)
+    if int(moved.step) < LATE:
+        return moved
+    gap = moved.signals["gap"]
+    return replace(moved, signals={"gap": gap + 0.1 * (gap.max() - gap)})
+
+
+class Counting:
+    """Every 25th call of ``step`` misses whatever perception saw."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, states, detected):
+        self.calls += 1
+        return ToySimulator().step(states, detected & (self.calls % 25 > 0))
+
+
+class RandomStep:
+    def __init__(self):
+        self.generator = np.random.default_rng(3)
+
+    def __call__(self, states, detected):
+        moved = ToySimulator().step(states, detected)
+        noise = self.generator.normal(0.0, 0.01, detected.size)
+        return replace(moved, signals={"gap": moved.signals["gap"] + noise})
+
+
+def spoiled_late(states, detected):
+    moved = ToySimulator().step(states, detected)
+    if int(moved.step) < LATE:
+        return moved
+    return replace(moved, signals={"gap": np.full(detected.size, np.nan)})
+
+
+LATE = 20
+LONG = {"states": 31}
+WRONG_ON_THE_WAY = {
+    "rollouts that start differently (gap": Bent(initial=random_start),
+    "another state when it is called again (gap": Bent(initial=OneRandomStart()),
+    "at step 20 (gap": Bent(step=mixing_late, **LONG),
+    "a second time, in another order, it differs at step": Bent(step=Counting(), **LONG),
+    "two such rollouts differ (gap": Bent(step=RandomStep(), **LONG),
+    "finite numbers of type float64 (state 20)": Bent(step=spoiled_late, **LONG),
+    "is a class: give an instance of it, such as ToySimulator()": ToySimulator,
+}
+
+
+@pytest.mark.parametrize("words", WRONG_ON_THE_WAY)
+def test_what_goes_wrong_later_is_refused_too(words):
+    """The first two gave answers 21 to 31 orders too low, others up to 10^8 times the truth."""
+    with pytest.raises(pemviz.ConfigError) as caught:
+        pemviz.build_experiment(CONFIG, simulator=WRONG_ON_THE_WAY[words], pem=ToyPem())
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_rounding_that_depends_on_the_batch_is_no_fault():
+    """As of a matrix product, whose last digit may change with the number of rows."""
+
+    def rounding(states, detected):
+        moved = ToySimulator().step(states, detected)
+        return replace(moved, signals={"gap": moved.signals["gap"] * (1.0 + 1e-15 * detected.size)})
+
+    check_simulator(Bent(step=rounding, **LONG))
 
 
 def test_simulators_that_keep_to_the_protocol_pass():
@@ -99,9 +184,31 @@ class Broken:
         return salient["gap"]
 
 
+class Certain:
+    """Certain, but only far away, where the first state is not."""
+
+    def logit(self, salient):
+        return np.where(salient[..., 0] > 7.0, np.inf, 1.0)
+
+
+class Probability:
+    def logit(self, salient):
+        return 1.0 / (1.0 + np.exp(-salient[..., 0]))
+
+
+def test_a_model_that_may_have_returned_probabilities_is_warned_of():
+    experiment = pemviz.build_experiment(CONFIG, simulator=ToySimulator(), pem=Probability())
+    (warning,) = experiment.warnings
+    assert "error model Probability: every logit lies between" in warning
+    result = pemviz.run(experiment)
+    assert result.warnings[0] == warning
+    assert pemviz.build_experiment(CONFIG, simulator=ToySimulator(), pem=ToyPem()).warnings == ()
+
+
 @pytest.mark.parametrize(
     ("pem", "words"),
     [
+        (Certain(), "logit is inf: must be a finite number"),
         (object(), "needs a method logit"),
         (ToyPem, "needs a method logit"),
         (Flat(), r"has shape \[3\]"),

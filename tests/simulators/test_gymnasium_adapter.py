@@ -138,6 +138,31 @@ def test_an_incomplete_state_is_told_before_the_run():
         )
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"set_state": lambda walk, numbers: None},
+            r"\(gap .*must be in signals and memory",
+        ),
+        ({"set_state": None}, "has get_state but no set_state"),
+        ({"get_state": None}, "has set_state but no get_state"),
+        (
+            {"observe": lambda observation: {"gapp": observation[0]}},
+            r"observe gives \['gapp'\], signals declare \['gap'\]",
+        ),
+    ],
+)
+def test_an_adapter_that_is_put_together_wrongly_is_refused_in_one_line(changes, words):
+    with pytest.raises(pemviz.ConfigError, match=words) as caught:
+        pemviz.build_experiment(
+            pemviz.ExperimentConfig(method="mixture", spec=SPEC),
+            simulator=adapter(Walk(), **changes),
+            pem=PEM,
+        )
+    assert "\n" not in str(caught.value)
+
+
 def test_adapters_are_simulators_that_can_be_changed_in_part():
     simulator = adapter(Walk(), pair=False)
     assert isinstance(simulator, pemviz.Simulator)

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import LARGEST_NUMBER, FloatArray
 from pemviz.errors import RunError
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.draw import simulate
@@ -63,23 +63,19 @@ def check_numbers(rollouts: RolloutBatch, *, first_rollout: int, simulator: str)
         SimulationError: Names what, in which rollout and at which step, earliest step first.
     """
     named = [
-        *((f"simulator {simulator}: {n}", v, np.isfinite) for n, v in rollouts.signals.items()),
-        ("error model: logit", rollouts.pem_logit, _is_number),
-        ("proposal: logit", rollouts.proposal_logit, _is_number),
+        *((f"simulator {simulator}: {name}", values) for name, values in rollouts.signals.items()),
+        ("error model: logit", rollouts.pem_logit),
+        ("proposal: logit", rollouts.proposal_logit),
     ]
     worst: tuple[int, int, str] | None = None
-    for what, values, allowed in named:
-        if allowed(values).all():
+    for what, values in named:
+        allowed = np.abs(values) <= LARGEST_NUMBER  # false for NaN
+        if allowed.all():
             continue
-        by_step = np.argwhere(~allowed(values.T))
+        by_step = np.argwhere(~allowed.T)
         step, rollout = int(by_step[0, 0]), int(by_step[0, 1])
         found = f"{what} is {values[rollout, step]} in rollout {first_rollout + rollout}"
         if worst is None or step < worst[0]:
             worst = (step, rollout, found)
     if worst is not None:
         raise SimulationError(f"{worst[2]}, step {worst[0]}: must be a finite number")
-
-
-def _is_number(values: FloatArray) -> np.ndarray:
-    """Where a logit means a probability: anything but NaN."""
-    return ~np.isnan(values)
