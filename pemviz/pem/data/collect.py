@@ -129,7 +129,7 @@ def _write_frame(
 ) -> None:
     counts.frames += 1
     for obstacle, overlap in _outcomes(obstacles, reader(frame), options=options):
-        if options.drop_unknown and _is_unknown(obstacle):
+        if options.drop_unknown and is_unknown(obstacle):
             counts.dropped += 1
             continue
         detected = overlap > options.iou_above
@@ -162,5 +162,6 @@ def _outcomes(
     return zip(obstacles, overlaps.tolist(), strict=True)
 
 
-def _is_unknown(obstacle: Obstacle) -> bool:
+def is_unknown(obstacle: Obstacle) -> bool:
+    """Whether no model can be fitted to it: class Misc, or unknown occlusion."""
     return obstacle.type == MISC or obstacle.occlusion == UNKNOWN_OCCLUSION

@@ -82,7 +82,7 @@ def read_labels(path: Path, *, on_bad_line: OnBadLine) -> list[Obstacle]:
     for number, cells in cells_of_lines(path):
         try:
             if cells[0] != NOT_AN_OBSTACLE:
-                obstacles.append(_obstacle(cells, where=f"{path}:{number}"))
+                obstacles.append(obstacle_of(cells, where=f"{path}:{number}"))
         except PemError as error:
             on_bad_line(error)
     return obstacles
@@ -97,7 +97,14 @@ def cells_of_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
                 yield number, cells
 
 
-def numbers(cells: list[str], names: tuple[str, ...], *, first: int, where: str) -> list[float]:
+def numbers(
+    cells: list[str],
+    names: tuple[str, ...],
+    *,
+    first: int,
+    where: str,
+    columns_before: int = 0,
+) -> list[float]:
     """The cells from index ``first`` on as finite numbers.
 
     Args:
@@ -105,6 +112,7 @@ def numbers(cells: list[str], names: tuple[str, ...], *, first: int, where: str)
         names: names of all columns, for the message.
         first: index of the first numeric column.
         where: file and line.
+        columns_before: how many columns of the line stand before the cells.
 
     Raises:
         PemError: naming the column that is not a finite number.
@@ -117,7 +125,8 @@ def numbers(cells: list[str], names: tuple[str, ...], *, first: int, where: str)
             value = float("nan")
         if not abs(value) < float("inf"):
             raise PemError(
-                f"{where}: column {index + 1} ({names[index]}) is {cells[index]!r}, not a number"
+                f"{where}: column {index + 1 + columns_before} ({names[index]}) is "
+                f"{cells[index]!r}, not a number"
             )
         values.append(value)
     return values
@@ -139,24 +148,38 @@ def box(left: float, top: float, right: float, bottom: float, *, column: int, wh
     return left, top, right, bottom
 
 
-def _obstacle(cells: list[str], *, where: str) -> Obstacle:
+def obstacle_of(cells: list[str], *, where: str, columns_before: int = 0) -> Obstacle:
+    """The obstacle of a label's cells.
+
+    Args:
+        cells: a label's columns, and perhaps a score.
+        where: file and line.
+        columns_before: how many columns of the line stand before them, for messages.
+
+    Raises:
+        PemError: naming the column that is not as KITTI writes it.
+    """
     if len(cells) not in (len(LABEL_COLUMNS), len(LABEL_COLUMNS) + 1):
-        raise PemError(f"{where}: {len(cells)} columns where {len(LABEL_COLUMNS)} are needed")
+        needed = len(LABEL_COLUMNS) + columns_before
+        raise PemError(f"{where}: {len(cells) + columns_before} columns where {needed} are needed")
+    shift = columns_before
     if cells[0] not in TYPES:
-        raise PemError(f"{where}: column 1 (type) is {cells[0]!r}, allowed: {', '.join(TYPES)}")
+        raise PemError(
+            f"{where}: column {1 + shift} (type) is {cells[0]!r}, allowed: {', '.join(TYPES)}"
+        )
     names = (*LABEL_COLUMNS, "score")
-    values = numbers(cells, names, first=1, where=where)
+    values = numbers(cells, names, first=1, where=where, columns_before=shift)
     truncation, occlusion, alpha, left, top, right, bottom, *rest = values
     if not 0.0 <= truncation <= 1.0:
-        raise PemError(f"{where}: column 2 (truncated) is {cells[1]}, allowed: 0 to 1")
+        raise PemError(f"{where}: column {2 + shift} (truncated) is {cells[1]}, allowed: 0 to 1")
     if occlusion not in (0.0, 1.0, 2.0, 3.0):
-        raise PemError(f"{where}: column 3 (occluded) is {cells[2]}, allowed: 0, 1, 2, 3")
+        raise PemError(f"{where}: column {3 + shift} (occluded) is {cells[2]}, allowed: 0, 1, 2, 3")
     return Obstacle(
         type=cells[0],
         truncation=truncation,
         occlusion=int(occlusion),
         alpha_rad=alpha,
-        box_px=box(left, top, right, bottom, column=5, where=where),
+        box_px=box(left, top, right, bottom, column=5 + shift, where=where),
         dimensions_m=(rest[0], rest[1], rest[2]),
         location_m=(rest[3], rest[4], rest[5]),
         rotation_y_rad=rest[6],

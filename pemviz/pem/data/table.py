@@ -105,6 +105,27 @@ def _read_csv(path: Path) -> tuple[FloatArray, FloatArray]:
     return values[:, :-1], values[:, -1]
 
 
+def read_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """A CSV's header, and line number and cells of each line that is neither blank nor a comment.
+
+    Raises:
+        PemError: it cannot be read, or a line has not as many cells as the header.
+    """
+    with open_text(path) as stream:
+        header = [name.strip() for name in stream.readline().split(",")]
+        lines: list[tuple[int, list[str]]] = []
+        for number, line in enumerate(stream, start=2):
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            cells = [cell.strip() for cell in line.split(",")]
+            if len(cells) != len(header):
+                raise PemError(
+                    f"{path}:{number}: {len(cells)} columns where {len(header)} are needed"
+                )
+            lines.append((number, cells))
+    return header, lines
+
+
 def read_numbers(
     path: Path,
     *,

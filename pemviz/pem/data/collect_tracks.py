@@ -1,0 +1,182 @@
+"""From tracked labels and a detector's output to a table that keeps who is seen when."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pemviz.files.atomic import is_file, is_folder
+from pemviz.pem.data.collect import CLASS_ID, CollectOptions, is_unknown
+from pemviz.pem.data.detections import Detection
+from pemviz.pem.data.matching import match_boxes
+from pemviz.pem.data.table import OUTCOME_COLUMN
+from pemviz.pem.data.tracking import (
+    SequenceFormat,
+    TrackedObstacle,
+    read_sequence_detections,
+    read_tracking_labels,
+)
+from pemviz.pem.errors import PemError
+from pemviz.pem.models.protocol import SALIENT_COLUMNS
+
+TRACK_COLUMNS = ("sequence", "frame", "track", "rate_hz")
+TABLE_COLUMNS = (*TRACK_COLUMNS, "type", *SALIENT_COLUMNS, OUTCOME_COLUMN, "iou")
+
+
+@dataclass
+class TrackCounts:
+    """What happened on the way."""
+
+    sequences: int = 0
+    """Sequences read."""
+    tracks: int = 0
+    """Obstacles that were followed."""
+    observations: int = 0
+    """Rows written: an obstacle in a frame."""
+    missed: int = 0
+    """Those that the detector missed."""
+    other_types: int = 0
+    """Labels left out since they are of another class than asked for."""
+    dropped: int = 0
+    """Labels left out: class Misc or unknown occlusion; their track has a gap there."""
+    bad_lines: int = 0
+    """Malformed lines passed over."""
+    first_bad: str = field(default="")
+    """What was wrong with the first of them."""
+
+
+def collect_tracks(
+    *,
+    labels: Path,
+    detections: Path,
+    out: Path,
+    sequence_format: SequenceFormat = "mot",
+    rate_hz: float = 10.0,
+    types: tuple[str, ...] = (),
+    options: CollectOptions = CollectOptions(),
+    on_progress: Callable[[int, int], None] | None = None,
+) -> TrackCounts:
+    """Match every labelled obstacle of every frame, and write a row for it.
+
+    Rows come by sequence, track and frame. Obstacles of class Misc or of unknown occlusion
+    are left out if the options say so; what is left of their track then has a gap.
+
+    Args:
+        labels: folder of KITTI tracking labels, a file a sequence.
+        detections: folder of detections, a file of the same name a sequence.
+        out: CSV to write; complete or not there.
+        sequence_format: how the detections are written.
+        rate_hz: frames a second of all sequences.
+        types: classes that count as obstacles; all if empty.
+        options: what counts as a detection, and what is left out.
+        on_progress: told (sequences done, sequences in all).
+
+    Raises:
+        PemError: naming file, line and column of what is malformed, or what is missing.
+    """
+    files = sorted(labels.glob("*.txt")) if is_folder(labels) else []
+    if not files:
+        raise PemError(f"{labels}: no folder with KITTI tracking labels (*.txt)")
+    if unknown := [name for name in types if name not in CLASS_ID]:
+        raise PemError(f"types: {unknown[0]!r} is no class, allowed: {', '.join(CLASS_ID)}")
+    counts = TrackCounts()
+
+    def on_bad_line(error: PemError) -> None:
+        if not options.skip_bad:
+            raise error
+        counts.bad_lines += 1
+        counts.first_bad = counts.first_bad or str(error)
+
+    lines = [",".join(TABLE_COLUMNS)]
+    for done, file in enumerate(files, start=1):
+        tracked = read_tracking_labels(file, on_bad_line=on_bad_line)
+        found = _detections_of(
+            detections / file.name, sequence_format=sequence_format, on_bad_line=on_bad_line
+        )
+        rows = _outcomes(tracked, found, types=types, options=options, counts=counts)
+        lines += [_line(file.stem, rate_hz, row) for row in sorted(rows, key=_by_track)]
+        _count(rows, counts)
+        if on_progress is not None:
+            on_progress(done, len(files))
+    _write(out, lines)
+    return counts
+
+
+@dataclass(frozen=True)
+class _Row:
+    tracked: TrackedObstacle
+    detected: bool
+    overlap: float
+
+
+def _by_track(row: _Row) -> tuple[int, int]:
+    return row.tracked.track, row.tracked.frame
+
+
+def _detections_of(
+    path: Path, *, sequence_format: SequenceFormat, on_bad_line: Callable[[PemError], None]
+) -> dict[int, list[Detection]]:
+    if not is_file(path):
+        raise PemError(f"{path}: no detections of this sequence")
+    return read_sequence_detections(path, sequence_format=sequence_format, on_bad_line=on_bad_line)
+
+
+def _outcomes(
+    tracked: list[TrackedObstacle],
+    found: dict[int, list[Detection]],
+    *,
+    types: tuple[str, ...],
+    options: CollectOptions,
+    counts: TrackCounts,
+) -> list[_Row]:
+    by_frame: dict[int, list[TrackedObstacle]] = {}
+    for each in tracked:
+        if types and each.obstacle.type not in types:
+            counts.other_types += 1
+        else:
+            by_frame.setdefault(each.frame, []).append(each)
+    rows: list[_Row] = []
+    for frame, present in by_frame.items():
+        kept = [each for each in found.get(frame, []) if each.score >= options.score_from]
+        overlaps = match_boxes(
+            [each.obstacle.box_px for each in present], [each.box_px for each in kept]
+        )
+        for each, overlap in zip(present, overlaps.tolist(), strict=True):
+            if options.drop_unknown and is_unknown(each.obstacle):
+                counts.dropped += 1
+                continue
+            rows.append(_Row(each, overlap > options.iou_above, overlap))
+    return rows
+
+
+def _count(rows: list[_Row], counts: TrackCounts) -> None:
+    counts.sequences += 1
+    counts.tracks += len({row.tracked.track for row in rows})
+    counts.observations += len(rows)
+    counts.missed += sum(not row.detected for row in rows)
+
+
+def _line(sequence: str, rate_hz: float, row: _Row) -> str:
+    obstacle = row.tracked.obstacle
+    values = (
+        CLASS_ID[obstacle.type],
+        obstacle.truncation,
+        obstacle.occlusion,
+        obstacle.alpha_rad,
+        *obstacle.dimensions_m,
+        *obstacle.location_m,
+        obstacle.rotation_y_rad,
+    )
+    who = (sequence, str(row.tracked.frame), str(row.tracked.track), f"{rate_hz:g}")
+    cells = (*who, obstacle.type, *(f"{value:.10g}" for value in values))
+    return ",".join((*cells, str(int(row.detected)), f"{row.overlap:.4f}"))
+
+
+def _write(out: Path, lines: list[str]) -> None:
+    partial = out.with_name(f".{out.name}.partial")
+    try:
+        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        partial.replace(out)
+    except OSError as error:
+        raise PemError(f"{out}: cannot be written ({error.strerror})") from None
+    finally:
+        partial.unlink(missing_ok=True)

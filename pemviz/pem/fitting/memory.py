@@ -1,0 +1,233 @@
+"""Memory time tau and frailty f from tracks, by maximum likelihood given P(missed | state).
+
+The likelihood of a track is that of :mod:`pemviz.pem.models.memory`, with the obstacle's u
+integrated out by the trapezoid rule. Sequences, not observations, are independent: intervals
+come from a bootstrap that draws sequences with replacement (Field & Welsh 2007).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import t as student_t
+
+from pemviz.arrays import FloatArray
+from pemviz.pem.data.tracks import TrackTable
+from pemviz.pem.errors import PemError
+from pemviz.pem.models.memory import Memory, persistence
+
+CONFIDENCE = 0.95
+REPLICATES = 2000
+TAU_GRID_S = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 46)])
+FRAILTY_GRID = np.linspace(0.0, 3.0, 13)
+NODES = np.linspace(-6.0, 6.0, 97)
+FEWEST_SEQUENCES = 2
+CHUNK_TRACKS = 64
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class MemoryFit:
+    """Fitted memory with its uncertainty.
+
+    Attributes:
+        memory: The maximum likelihood estimate.
+        tau_interval_s: Of tau [s].
+        frailty_interval: Of f; ``None`` where f was not fitted.
+        confidence: Of each interval.
+        sequences: How many independent sequences they rest on.
+        observations: How many outcomes.
+        nats_independent: Mean negative log-likelihood of an outcome if misses are independent.
+        nats: The same with the fitted memory.
+    """
+
+    memory: Memory
+    tau_interval_s: tuple[float, float]
+    frailty_interval: tuple[float, float] | None
+    confidence: float
+    sequences: int
+    observations: int
+    nats_independent: float
+    nats: float
+
+
+def fit_memory(
+    tracks: TrackTable,
+    logit: FloatArray,
+    *,
+    with_frailty: bool = True,
+    seed: int = 0,
+    on_progress: Progress | None = None,
+) -> MemoryFit:
+    """Fit tau, and f if asked for.
+
+    Args:
+        tracks: n observations.
+        logit: Out-of-fold logits of P(detected | state) of a model that saw none of the
+            observation's own sequence, ``[n]``.
+        with_frailty: Whether f is fitted too; else it is 0.
+        seed: Of the bootstrap.
+        on_progress: Told (tracks done, tracks in all).
+
+    Raises:
+        PemError: Fewer than two sequences, or no obstacle is seen twice.
+    """
+    count = int(np.unique(tracks.sequence).size)
+    if count < FEWEST_SEQUENCES:
+        raise PemError("a memory needs tracks of at least two sequences for its interval")
+    if not tracks.follows.any():
+        raise PemError("no obstacle is observed twice: there is nothing to fit a memory to")
+    frailties = FRAILTY_GRID if with_frailty else FRAILTY_GRID[:1]
+    surface = log_likelihoods(
+        tracks, logit, taus_s=TAU_GRID_S, frailties=frailties, on_progress=on_progress
+    )
+    tau_s, frailty, best = _maximum(surface.sum(axis=0)[None], frailties)
+    random = np.random.default_rng(np.random.SeedSequence(seed))
+    weights = random.multinomial(count, np.full(count, 1.0 / count), size=REPLICATES)
+    taus_s, drawn_frailties, _ = _maximum(np.tensordot(weights, surface, axes=1), frailties)
+    total = len(tracks)
+    return MemoryFit(
+        memory=Memory(tau_s=float(tau_s[0]), frailty=float(frailty[0])),
+        tau_interval_s=_interval(float(tau_s[0]), taus_s, sequences=count, on_log=True),
+        frailty_interval=(
+            _interval(float(frailty[0]), drawn_frailties, sequences=count, on_log=False)
+            if with_frailty
+            else None
+        ),
+        confidence=CONFIDENCE,
+        sequences=count,
+        observations=total,
+        nats_independent=-float(surface[:, 0, 0].sum()) / total,
+        nats=-float(best[0]) / total,
+    )
+
+
+def log_likelihoods(
+    tracks: TrackTable,
+    logit: FloatArray,
+    *,
+    taus_s: FloatArray,
+    frailties: FloatArray,
+    on_progress: Progress | None = None,
+) -> FloatArray:
+    """Log likelihood of each sequence ``[S, taus, frailties]`` [nats].
+
+    Args:
+        tracks: n observations of S sequences.
+        logit: ``[n]`` logits of P(detected | state).
+        taus_s: Memory times [s].
+        frailties: Values of f.
+        on_progress: Told (tracks done, tracks in all).
+    """
+    sequences, of_sequence = np.unique(tracks.sequence, return_inverse=True)
+    result = np.zeros((sequences.size, taus_s.size, frailties.size))
+    starts = np.flatnonzero(~tracks.follows)
+    ends = np.append(starts[1:], len(tracks))
+    quantile = _miss_quantile(logit)
+    for first in range(0, starts.size, CHUNK_TRACKS):
+        last = min(first + CHUNK_TRACKS, starts.size)
+        rows = slice(int(starts[first]), int(ends[last - 1]))
+        inner = starts[first:last] - starts[first]
+        table = _tracks_log_likelihood(
+            tracks, quantile, rows, inner, taus_s=taus_s, frailties=frailties
+        )
+        np.add.at(result, of_sequence[starts[first:last]], table)
+        if on_progress is not None:
+            on_progress(last, starts.size)
+    return result
+
+
+def _miss_quantile(logit: FloatArray) -> FloatArray:
+    """Phi^-1(P(missed)), ``[n]``."""
+    from scipy.special import ndtri_exp  # noqa: PLC0415
+
+    log_miss, log_hit = -np.logaddexp(0.0, logit), -np.logaddexp(0.0, -logit)
+    return np.where(log_miss < log_hit, ndtri_exp(log_miss), -ndtri_exp(log_hit))
+
+
+def _tracks_log_likelihood(
+    tracks: TrackTable,
+    quantile: FloatArray,
+    rows: slice,
+    starts: FloatArray,
+    *,
+    taus_s: FloatArray,
+    frailties: FloatArray,
+) -> FloatArray:
+    """Log likelihood of each track that begins at ``starts``, ``[tracks, taus, frailties]``."""
+    missed = ~tracks.detected[rows, None]
+    before = tracks.missed_before[rows, None]
+    since_s = tracks.since_s[rows, None]
+    table = np.empty((starts.size, taus_s.size, frailties.size))
+    for column, frailty in enumerate(frailties):
+        nodes = NODES if frailty > 0.0 else np.zeros(1)
+        moved = quantile[rows, None] * np.sqrt(1.0 + frailty**2) + frailty * nodes
+        miss, hit = ndtr(moved), ndtr(-moved)
+        log_weight = -0.5 * nodes**2
+        log_weight = log_weight - np.log(np.exp(log_weight).sum())
+        for row, tau_s in enumerate(taus_s):
+            rho = persistence(since_s, float(tau_s))
+            after = np.where(
+                missed,
+                miss * (1.0 - rho) + rho * before,
+                hit * (1.0 - rho) + rho * ~before,
+            )
+            log_track = np.add.reduceat(np.log(np.maximum(after, 1e-300)), starts, axis=0)
+            joint = log_track + log_weight
+            largest = joint.max(axis=1, keepdims=True)
+            table[:, row, column] = largest[:, 0] + np.log(np.exp(joint - largest).sum(axis=1))
+    return table
+
+
+def _maximum(
+    surfaces: FloatArray, frailties: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where each surface ``[R, taus, frailties]`` is highest: tau [s], f, and the value, ``[R]``.
+
+    A parabola through the neighbours places it between points of the grid, in log tau and in f.
+    """
+    count, taus, columns = surfaces.shape
+    best = surfaces.reshape(count, -1).argmax(axis=1)
+    row, column = best // columns, best % columns
+    every = np.arange(count)
+    log_tau = np.log(np.maximum(TAU_GRID_S, TAU_GRID_S[1] / 2.0))
+    inside = np.clip(row, 2, taus - 2)
+    shift = _peak(*(surfaces[every, inside + step, column] for step in (-1, 0, 1)))
+    step = log_tau[2] - log_tau[1]
+    tau_s = np.where(row == inside, np.exp(log_tau[inside] + shift * step), TAU_GRID_S[row])
+    frailty = frailties[column]
+    if columns > 2:
+        middle = np.clip(column, 1, columns - 2)
+        move = _peak(*(surfaces[every, row, middle + step] for step in (-1, 0, 1)))
+        placed = frailties[middle] + move * (frailties[1] - frailties[0])
+        frailty = np.where(column == middle, placed, frailty)
+    return tau_s, frailty, surfaces[every, row, column]
+
+
+def _peak(left: FloatArray, middle: FloatArray, right: FloatArray) -> FloatArray:
+    """Where a parabola through (-1, left), (0, middle), (1, right) peaks, at most half away."""
+    bend = left - 2.0 * middle + right
+    shift = np.divide(0.5 * (left - right), bend, out=np.zeros_like(bend), where=bend < 0.0)
+    return np.clip(shift, -0.5, 0.5)
+
+
+def _interval(
+    value: float, drawn: FloatArray, *, sequences: int, on_log: bool
+) -> tuple[float, float]:
+    """An interval with Student's t for the few sequences, on the log scale of tau.
+
+    The bootstrap's spread takes the place of the standard error. What the bootstrap finds at 0
+    in more than half of 1 - confidence of its draws reaches down to 0.
+    """
+    outside = (1.0 - CONFIDENCE) / 2.0
+    reaches_zero = float(np.mean(drawn <= 0.0)) > outside
+    quantile = float(student_t.ppf(1.0 - outside, sequences - 1))
+    inflation = np.sqrt(sequences / (sequences - 1.0))
+    if value <= 0.0 or reaches_zero or not on_log:
+        spread = float(np.std(drawn)) * inflation * quantile
+        low = 0.0 if reaches_zero else max(value - spread, 0.0)
+        return low, max(value + spread, float(np.quantile(drawn, 1.0 - outside)))
+    spread = float(np.std(np.log(drawn[drawn > 0.0]))) * inflation * quantile
+    return value * float(np.exp(-spread)), value * float(np.exp(spread))
