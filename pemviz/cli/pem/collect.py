@@ -3,12 +3,17 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast, get_args
 
 from pemviz.cli.pem.progress import progress_bar
 from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
+from pemviz.pem.data.collect_tracks import collect_tracks
 from pemviz.pem.data.detections import DetectionFormat
 from pemviz.pem.data.matching import PAPER_IOU
+from pemviz.pem.data.tracking import SequenceFormat
 from pemviz.pem.errors import PemError
+
+FASTEST_HZ = 1e4
 
 
 @dataclass(frozen=True)
@@ -16,13 +21,21 @@ class CollectArguments:
     """Match KITTI labels with a detector's boxes: one row per obstacle, was it detected."""
 
     labels: Path
-    """Folder of KITTI label files (label_2), one per frame."""
+    """Folder of KITTI label files: label_2, one per frame; or of tracking labels (label_02), one
+    per sequence, with a format of sequences."""
     detections: Path
-    """Folder of text files (kitti, yolo), one per frame, or a json file (coco)."""
+    """Folder of text files, one per frame (kitti, yolo) or per sequence (mot, ab3dmot), or a json
+    file (coco)."""
     out: Path = Path("obstacles.csv")
     """CSV file to write."""
-    format: DetectionFormat = "kitti"
-    """How the detections are written: KITTI results, YOLO text (shares of the image), COCO json."""
+    format: DetectionFormat | SequenceFormat = "kitti"
+    """How the detections are written: KITTI results, YOLO text (shares of the image), COCO json;
+    of sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four
+    sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate."""
+    rate_hz: float = 10.0
+    """Frames a second of sequences (above 0)."""
+    types: tuple[str, ...] = ()
+    """Classes that count as obstacles in sequences, such as Car; all if empty."""
     iou_above: float = PAPER_IOU
     """A pair of boxes counts as a detection above this overlap (0 to below 1)."""
     class_aware: bool = False
@@ -58,12 +71,14 @@ def run(arguments: CollectArguments) -> int:
         drop_unknown=arguments.drop_unknown,
         skip_bad=arguments.skip_bad,
     )
+    if arguments.format in get_args(SequenceFormat):
+        return _collect_tracks(arguments, options)
     with progress_bar("frames") as tell:
         counts = collect(
             labels=arguments.labels,
             detections=arguments.detections,
             out=arguments.out,
-            detection_format=arguments.format,
+            detection_format=cast(DetectionFormat, arguments.format),
             options=options,
             class_names=arguments.class_names,
             image_sizes=arguments.image_sizes,
@@ -74,9 +89,35 @@ def run(arguments: CollectArguments) -> int:
         f"{arguments.out}: {counts.frames} frames, {counts.obstacles} obstacles, "
         f"{counts.missed} missed, {counts.dropped} dropped (Misc or unknown occlusion)"
     )
-    if counts.bad_lines:
-        print(
-            f"warning: {counts.bad_lines} malformed lines skipped, the first: {counts.first_bad}",
-            file=sys.stderr,
-        )
+    _tell_bad_lines(counts.bad_lines, counts.first_bad)
     return 0
+
+
+def _collect_tracks(arguments: CollectArguments, options: CollectOptions) -> int:
+    if not 0.0 < arguments.rate_hz <= FASTEST_HZ:
+        raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0 to {FASTEST_HZ:g}")
+    if arguments.class_aware:
+        raise PemError("class_aware: sequences are matched whatever a detection's class; use types")
+    with progress_bar("sequences") as tell:
+        counts = collect_tracks(
+            labels=arguments.labels,
+            detections=arguments.detections,
+            out=arguments.out,
+            sequence_format=cast(SequenceFormat, arguments.format),
+            rate_hz=arguments.rate_hz,
+            types=arguments.types,
+            options=options,
+            on_progress=tell,
+        )
+    print(
+        f"{arguments.out}: {counts.sequences} sequences, {counts.tracks} tracks, "
+        f"{counts.observations} observations, {counts.missed} missed; left out: "
+        f"{counts.other_types} of other classes, {counts.dropped} Misc or of unknown occlusion"
+    )
+    _tell_bad_lines(counts.bad_lines, counts.first_bad)
+    return 0
+
+
+def _tell_bad_lines(count: int, first: str) -> None:
+    if count:
+        print(f"warning: {count} malformed lines skipped, the first: {first}", file=sys.stderr)

@@ -12,6 +12,7 @@ ACTIONS = {
     "collect": ("CollectArguments", "match detections with KITTI labels into one table"),
     "fit": ("FitArguments", "train a model on such a table"),
     "evaluate": ("EvaluateArguments", "cross-validate models: scores, calibration, tables"),
+    "memory": ("MemoryArguments", "how misses follow each other on video; are they independent?"),
     "show": ("ShowArguments", "draw P(missed) against distance"),
 }
 

@@ -12,9 +12,11 @@ from pemviz.cli.pem.progress import progress_bar
 from pemviz.files.atomic import is_folder
 from pemviz.pem.data.table import SalientTable, load_table
 from pemviz.pem.data.text_files import writing
+from pemviz.pem.data.tracks import load_tracks
 from pemviz.pem.errors import PemError
 from pemviz.pem.files.card import UNKNOWN_LICENCE, card_markdown
 from pemviz.pem.files.load import ENSEMBLE_ENDING, SUFFIX
+from pemviz.pem.files.memory_card import memory_line
 from pemviz.pem.files.model_files import StoredPem, save_pem
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_ensemble, fit_pem
 
@@ -36,6 +38,11 @@ class FitArguments:
     members: int = 0
     """Also train an ensemble of so many members (0 or at least 2; 20 for a 95 % interval),
     each on a bootstrap sample, into OUT-ensemble.safetensors."""
+    memory: bool = False
+    """Also fit the memory of misses (memory time and frailty) to tracks: the table needs the
+    columns sequence, frame and track; folds are then of sequences."""
+    rate_hz: float | None = None
+    """With memory: frames a second, where the table has no column rate_hz (above 0)."""
     folds: int = 5
     """Folds of the cross-validation whose scores go into the card (0: none, or at least 2)."""
     name: str | None = None
@@ -53,6 +60,8 @@ def run(arguments: FitArguments) -> int:
         PemError: bad arguments or table; one line says what, where and what is allowed.
     """
     _validate(arguments)
+    if arguments.memory:
+        return _fit_with_memory(arguments)
     table = load_table(arguments.table)
     name = arguments.name or arguments.out.stem
     provenance = Provenance(data=arguments.data or table.source, licence=arguments.licence)
@@ -82,6 +91,37 @@ def run(arguments: FitArguments) -> int:
     return 0
 
 
+def _fit_with_memory(arguments: FitArguments) -> int:
+    from pemviz.pem.fitting.tracked import cross_fit, fit_report, fit_tracked_pem  # noqa: PLC0415
+
+    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
+    name = arguments.name or arguments.out.stem
+    with progress_bar("folds of sequences") as tell:
+        held_out = cross_fit(
+            tracks,
+            model=arguments.model,
+            folds=arguments.folds,
+            seed=arguments.seed,
+            on_progress=tell,
+        )
+    with progress_bar("memory of misses") as tell:
+        report = fit_report(tracks, held_out, seed=arguments.seed, on_progress=tell)
+    pem = fit_tracked_pem(
+        tracks,
+        model=arguments.model,
+        name=name,
+        provenance=Provenance(
+            data=arguments.data or tracks.obstacles.source, licence=arguments.licence
+        ),
+        cross_fitted=held_out,
+        report=report,
+        seed=arguments.seed,
+    )
+    _write(pem, arguments.out)
+    print(memory_line(report))
+    return 0
+
+
 def _validate(arguments: FitArguments) -> None:
     if arguments.out.suffix != SUFFIX:
         raise PemError(f"out is {str(arguments.out)!r}, must end in {SUFFIX}")
@@ -93,6 +133,12 @@ def _validate(arguments: FitArguments) -> None:
         raise PemError(f"members is {arguments.members}, allowed: 0, or 2 or more")
     if arguments.members and arguments.model == "b-nn":
         raise PemError("members: model 'b-nn' is an ensemble of posterior draws by itself")
+    if arguments.memory and arguments.members:
+        raise PemError("members: not with memory; fit an ensemble in a run of its own")
+    if arguments.memory and arguments.folds < 2:
+        raise PemError(f"folds is {arguments.folds}, allowed with memory: 2 or more")
+    if arguments.rate_hz is not None and not 0.0 < arguments.rate_hz < float("inf"):
+        raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
     if arguments.folds < 0 or arguments.folds == 1:
         raise PemError(f"folds is {arguments.folds}, allowed: 0, or 2 or more")
 

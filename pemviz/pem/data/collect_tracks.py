@@ -19,6 +19,7 @@ from pemviz.pem.errors import PemError
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
 TRACK_COLUMNS = ("sequence", "frame", "track", "rate_hz")
+DEFAULT_OPTIONS = CollectOptions()
 TABLE_COLUMNS = (*TRACK_COLUMNS, "type", *SALIENT_COLUMNS, OUTCOME_COLUMN, "iou")
 
 
@@ -52,7 +53,7 @@ def collect_tracks(
     sequence_format: SequenceFormat = "mot",
     rate_hz: float = 10.0,
     types: tuple[str, ...] = (),
-    options: CollectOptions = CollectOptions(),
+    options: CollectOptions = DEFAULT_OPTIONS,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> TrackCounts:
     """Match every labelled obstacle of every frame, and write a row for it.

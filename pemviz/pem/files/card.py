@@ -6,10 +6,16 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from pemviz.pem.errors import PemError
+from pemviz.pem.files.memory_card import memory_markdown
 
 KITTI_LICENCE = "CC BY-NC-SA 3.0 (KITTI, on which the model was trained; non-commercial)"
 UNKNOWN_LICENCE = "not stated (if trained on KITTI: CC BY-NC-SA 3.0, non-commercial)"
 
+INDEPENDENT = (
+    "Scores are of single obstacles; consecutive misses of one obstacle are not modelled as "
+    "dependent."
+)
+REMEMBERED = "Scores are of single observations; how misses of one obstacle follow is told above."
 LIMITS = """\
 ## Limits
 
@@ -17,7 +23,7 @@ LIMITS = """\
   that it leads to. Fits that differ in the seed alone can put that probability orders of
   magnitude apart: quote it with the interval over an ensemble.
 - It answers everywhere, also where no training obstacle lies near; the support check tells where.
-- Scores are of single obstacles; consecutive misses of one obstacle are not modelled as dependent.
+- {dependence}
 - Obstacles of one drive, and of one image, resemble each other: cross-validated scores over
   obstacles are better than scores on a new drive would be.
 - The file's metadata holds counts of training obstacles and misses by class, occlusion, place and
@@ -46,6 +52,8 @@ class PemCard:
     """Scores by name, as measured when it was trained."""
     support: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Counts of training obstacles and misses by distance; see pemviz.pem.judging.support."""
+    memory: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """How misses hang together, if fitted to video; see pemviz.pem.files.memory_card."""
 
 
 class Carded:
@@ -92,7 +100,7 @@ def card_from_mapping(values: Mapping[str, Any], *, where: str) -> PemCard:
     for name in ("name", "model", "data", "data_digest", "licence", "recipe"):
         if not isinstance(values.get(name, ""), str):
             raise PemError(f"{where}: metadata field {name!r} must be text")
-    for name in ("scores", "support"):
+    for name in ("scores", "support", "memory"):
         if not isinstance(values.get(name, {}), dict):
             raise PemError(f"{where}: metadata field {name!r} must be a table")
     seed = values.get("seed", 0)
@@ -123,4 +131,7 @@ def card_markdown(card: PemCard, *, digest: str) -> str:
         *((f"Score: {name}", f"{value:.4f}") for name, value in card.scores.items()),
     ]
     body = "\n".join(f"| {left} | {right} |" for left, right in rows)
-    return f"# Perception error model `{card.name}`\n\n| | |\n|---|---|\n{body}\n\n{LIMITS}\n"
+    limits = LIMITS.format(dependence=REMEMBERED if card.memory else INDEPENDENT)
+    memory = memory_markdown(card.memory)
+    head = f"# Perception error model `{card.name}`\n\n| | |\n|---|---|\n{body}\n"
+    return "\n".join([head, *([memory] if memory else []), f"{limits}\n"])

@@ -45,13 +45,18 @@ class _Header:
     card: PemCard
 
 
+def _without_empty_memory(card: dict[str, Any]) -> dict[str, Any]:
+    """A card of a model without memory has no such entry."""
+    return {name: value for name, value in card.items() if name != "memory" or value}
+
+
 def save_pem(pem: StoredPem, path: Path) -> None:
     """Write a model as safetensors; the same model gives the same bytes."""
     header = {
         "version": FORMAT_VERSION,
         "kind": pem.kind,
         "options": pem.options(),
-        "card": asdict(pem.card),
+        "card": _without_empty_memory(asdict(pem.card)),
     }
     text = json.dumps(header, sort_keys=True, allow_nan=False)
     contiguous = {name: np.ascontiguousarray(array) for name, array in pem.tensors().items()}

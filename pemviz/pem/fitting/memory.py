@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr
-from scipy.stats import t as student_t
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, IntArray
 from pemviz.pem.data.tracks import TrackTable
 from pemviz.pem.errors import PemError
-from pemviz.pem.models.memory import Memory, persistence
+from pemviz.pem.models.memory import Memory, miss_quantile, persistence
 
 CONFIDENCE = 0.95
 REPLICATES = 2000
@@ -24,6 +23,7 @@ FRAILTY_GRID = np.linspace(0.0, 3.0, 13)
 NODES = np.linspace(-6.0, 6.0, 97)
 FEWEST_SEQUENCES = 2
 CHUNK_TRACKS = 64
+SMALLEST = 1e-300
 
 Progress = Callable[[int, int], None]
 
@@ -58,6 +58,7 @@ def fit_memory(
     logit: FloatArray,
     *,
     with_frailty: bool = True,
+    weight: FloatArray | None = None,
     seed: int = 0,
     on_progress: Progress | None = None,
 ) -> MemoryFit:
@@ -68,6 +69,7 @@ def fit_memory(
         logit: Out-of-fold logits of P(detected | state) of a model that saw none of the
             observation's own sequence, ``[n]``.
         with_frailty: Whether f is fitted too; else it is 0.
+        weight: How much each outcome counts, ``[n]``; all alike if ``None``.
         seed: Of the bootstrap.
         on_progress: Told (tracks done, tracks in all).
 
@@ -81,13 +83,18 @@ def fit_memory(
         raise PemError("no obstacle is observed twice: there is nothing to fit a memory to")
     frailties = FRAILTY_GRID if with_frailty else FRAILTY_GRID[:1]
     surface = log_likelihoods(
-        tracks, logit, taus_s=TAU_GRID_S, frailties=frailties, on_progress=on_progress
+        tracks,
+        logit,
+        taus_s=TAU_GRID_S,
+        frailties=frailties,
+        weight=weight,
+        on_progress=on_progress,
     )
     tau_s, frailty, best = _maximum(surface.sum(axis=0)[None], frailties)
     random = np.random.default_rng(np.random.SeedSequence(seed))
     weights = random.multinomial(count, np.full(count, 1.0 / count), size=REPLICATES)
     taus_s, drawn_frailties, _ = _maximum(np.tensordot(weights, surface, axes=1), frailties)
-    total = len(tracks)
+    total = len(tracks) if weight is None else float(weight.sum())
     return MemoryFit(
         memory=Memory(tau_s=float(tau_s[0]), frailty=float(frailty[0])),
         tau_interval_s=_interval(float(tau_s[0]), taus_s, sequences=count, on_log=True),
@@ -98,7 +105,7 @@ def fit_memory(
         ),
         confidence=CONFIDENCE,
         sequences=count,
-        observations=total,
+        observations=len(tracks) if weight is None else int(np.count_nonzero(weight)),
         nats_independent=-float(surface[:, 0, 0].sum()) / total,
         nats=-float(best[0]) / total,
     )
@@ -110,6 +117,7 @@ def log_likelihoods(
     *,
     taus_s: FloatArray,
     frailties: FloatArray,
+    weight: FloatArray | None = None,
     on_progress: Progress | None = None,
 ) -> FloatArray:
     """Log likelihood of each sequence ``[S, taus, frailties]`` [nats].
@@ -119,19 +127,21 @@ def log_likelihoods(
         logit: ``[n]`` logits of P(detected | state).
         taus_s: Memory times [s].
         frailties: Values of f.
+        weight: How much each outcome counts, ``[n]``; all alike if ``None``.
         on_progress: Told (tracks done, tracks in all).
     """
     sequences, of_sequence = np.unique(tracks.sequence, return_inverse=True)
     result = np.zeros((sequences.size, taus_s.size, frailties.size))
     starts = np.flatnonzero(~tracks.follows)
     ends = np.append(starts[1:], len(tracks))
-    quantile = _miss_quantile(logit)
+    quantile = miss_quantile(logit)
+    weights = np.ones(len(tracks)) if weight is None else weight
     for first in range(0, starts.size, CHUNK_TRACKS):
         last = min(first + CHUNK_TRACKS, starts.size)
         rows = slice(int(starts[first]), int(ends[last - 1]))
         inner = starts[first:last] - starts[first]
         table = _tracks_log_likelihood(
-            tracks, quantile, rows, inner, taus_s=taus_s, frailties=frailties
+            tracks, quantile, weights, rows, inner, taus_s=taus_s, frailties=frailties
         )
         np.add.at(result, of_sequence[starts[first:last]], table)
         if on_progress is not None:
@@ -139,19 +149,12 @@ def log_likelihoods(
     return result
 
 
-def _miss_quantile(logit: FloatArray) -> FloatArray:
-    """Phi^-1(P(missed)), ``[n]``."""
-    from scipy.special import ndtri_exp  # noqa: PLC0415
-
-    log_miss, log_hit = -np.logaddexp(0.0, logit), -np.logaddexp(0.0, -logit)
-    return np.where(log_miss < log_hit, ndtri_exp(log_miss), -ndtri_exp(log_hit))
-
-
 def _tracks_log_likelihood(
     tracks: TrackTable,
     quantile: FloatArray,
+    weight: FloatArray,
     rows: slice,
-    starts: FloatArray,
+    starts: IntArray,
     *,
     taus_s: FloatArray,
     frailties: FloatArray,
@@ -174,7 +177,9 @@ def _tracks_log_likelihood(
                 miss * (1.0 - rho) + rho * before,
                 hit * (1.0 - rho) + rho * ~before,
             )
-            log_track = np.add.reduceat(np.log(np.maximum(after, 1e-300)), starts, axis=0)
+            log_track = np.add.reduceat(
+                weight[rows, None] * np.log(np.maximum(after, SMALLEST)), starts, axis=0
+            )
             joint = log_track + log_weight
             largest = joint.max(axis=1, keepdims=True)
             table[:, row, column] = largest[:, 0] + np.log(np.exp(joint - largest).sum(axis=1))
@@ -221,6 +226,8 @@ def _interval(
     The bootstrap's spread takes the place of the standard error. What the bootstrap finds at 0
     in more than half of 1 - confidence of its draws reaches down to 0.
     """
+    from scipy.stats import t as student_t  # noqa: PLC0415  slow to import
+
     outside = (1.0 - CONFIDENCE) / 2.0
     reaches_zero = float(np.mean(drawn <= 0.0)) > outside
     quantile = float(student_t.ppf(1.0 - outside, sequences - 1))

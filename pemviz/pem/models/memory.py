@@ -46,7 +46,7 @@ class Memory:
 
 
 def persistence(since_s: FloatArray | float, tau_s: float) -> FloatArray:
-    """rho = exp(-h / tau), elementwise ``[...]`` for h seconds between two outcomes."""
+    """Rho = exp(-h / tau), elementwise ``[...]`` for h seconds between two outcomes."""
     if tau_s == 0.0:
         return np.zeros(np.shape(since_s))
     return np.exp(-np.asarray(since_s, dtype=np.float64) / tau_s)
@@ -83,8 +83,14 @@ def frail_logit(logit: FloatArray, *, visibility: FloatArray, frailty: float) ->
     """
     if frailty == 0.0:
         return logit + 0.0 * visibility
-    log_miss, log_hit = -np.logaddexp(0.0, logit), -np.logaddexp(0.0, -logit)
-    # the smaller of the two probabilities gives the quantile without loss of digits
-    quantile = np.where(log_miss < log_hit, ndtri_exp(log_miss), -ndtri_exp(log_hit))
-    moved = quantile * np.sqrt(1.0 + frailty**2) + frailty * visibility
+    moved = miss_quantile(logit) * np.sqrt(1.0 + frailty**2) + frailty * visibility
     return log_ndtr(-moved) - log_ndtr(moved)
+
+
+def miss_quantile(logit: FloatArray) -> FloatArray:
+    """Phi^-1(P(missed)) of logits of P(detected), elementwise ``[...]``.
+
+    The smaller of P(missed) and P(detected) gives it without loss of digits.
+    """
+    log_miss, log_hit = -np.logaddexp(0.0, logit), -np.logaddexp(0.0, -logit)
+    return np.where(log_miss < log_hit, ndtri_exp(log_miss), -ndtri_exp(log_hit))

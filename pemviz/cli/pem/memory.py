@@ -1,0 +1,91 @@
+"""``pemviz pem memory``: how misses follow each other on video, and whether independence holds."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from pemviz.cli.pem.progress import progress_bar
+from pemviz.pem.data.text_files import writing
+from pemviz.pem.data.tracks import load_tracks
+from pemviz.pem.errors import PemError
+from pemviz.pem.files.memory_card import memory_line, memory_markdown, memory_table
+from pemviz.pem.fitting.fit import ModelKind
+from pemviz.pem.judging.independence import IndependenceCheck
+
+
+@dataclass(frozen=True)
+class MemoryArguments:
+    """Fit the memory of misses to tracks, and judge whether they could be independent."""
+
+    table: Path
+    """Tracks: a CSV with sequence, frame, track, the salient columns and detected."""
+    model: ModelKind = "gb-raw"
+    """Kind of model that gives P(missed | state)."""
+    folds: int = 5
+    """Parts of the sequences; a part's P(missed) comes from the others (2 or more)."""
+    rate_hz: float | None = None
+    """Frames a second, where the table has no column rate_hz (above 0)."""
+    seed: int = 0
+    """Seed of fits, bootstrap and simulation (0 or more)."""
+    out: Path | None = None
+    """Page of markdown to write; none if not given."""
+    json: bool = False
+    """Print the results as one JSON object instead of text."""
+
+
+def run(arguments: MemoryArguments) -> int:
+    """Fit, judge, tell; gives the exit code.
+
+    Raises:
+        PemError: bad arguments or table; one line says what, where and what is allowed.
+    """
+    if arguments.seed < 0:
+        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    if arguments.rate_hz is not None and not 0.0 < arguments.rate_hz < float("inf"):
+        raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
+    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
+    # scikit-learn and scipy's distributions take seconds to import
+    from pemviz.pem.fitting.tracked import cross_fit, fit_report  # noqa: PLC0415
+    from pemviz.pem.judging.independence import check_independence  # noqa: PLC0415
+
+    with progress_bar("folds of sequences") as tell:
+        held_out = cross_fit(
+            tracks,
+            model=arguments.model,
+            folds=arguments.folds,
+            seed=arguments.seed,
+            on_progress=tell,
+        )
+    with progress_bar("memory of misses") as tell:
+        report = fit_report(tracks, held_out, seed=arguments.seed, on_progress=tell)
+    check = check_independence(tracks, held_out.logit, fit=report.fit)
+    table = memory_table(report)
+    page = memory_markdown(table)
+    if arguments.out is not None:
+        with writing(arguments.out):
+            arguments.out.write_text(f"{page}\n{_verdict(check)}\n", encoding="utf-8")
+    if arguments.json:
+        print(json.dumps({"memory": table, "independence": asdict(check)}, allow_nan=False))
+        return 0
+    print(memory_line(report))
+    print(_verdict(check))
+    return 0
+
+
+def _verdict(check: IndependenceCheck) -> str:
+    seen = (
+        f"{check.misses_after_miss} misses right after a miss, where independence expects "
+        f"{check.expected:.1f}"
+    )
+    needed = ", ".join(f"{each.tau_s:g} s: {each.sequences}" for each in check.needed)
+    judged = (
+        "independent misses do not explain this detector: the interval of its memory time "
+        "excludes 0"
+        if check.excludes_zero
+        else "this sample is compatible with independent misses, but excludes only memory times "
+        f"above {check.tau_up_to_s:.2g} s"
+    )
+    return (
+        f"{seen}\n{judged}\nsequences like these that tell a memory time from 0 (5 % false alarm, "
+        f"80 % power): {needed}"
+    )

@@ -1,0 +1,185 @@
+"""A model's memory of misses in its card: as JSON, read back with suspicion, and as markdown."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+from pemviz.pem.errors import PemError
+from pemviz.pem.models.memory import Memory
+
+if TYPE_CHECKING:  # what fits a memory takes long to import
+    from pemviz.pem.judging.memory_report import MemoryReport
+
+FLATTERY = (
+    "The detector was trained on images of the same drives, so its misses close by are fewer than "
+    "on new roads: how misses follow each other near the camera rests on very few of them."
+)
+CAUTION = (
+    "A model of P(missed | state) that knows too little of the state passes for memory: the "
+    "better that model, the shorter the memory time."
+)
+
+
+@dataclass(frozen=True)
+class FittedMemory:
+    """What a model's card says of its memory.
+
+    Attributes:
+        memory: As fitted.
+        tau_interval_s: Of the memory time [s].
+        frailty_interval: Of the frailty; ``None`` where it was not fitted.
+        confidence: Of each interval.
+        sequences: Independent sequences it rests on.
+        observations: Outcomes it rests on.
+        rate_hz: Frames a second of the video.
+    """
+
+    memory: Memory
+    tau_interval_s: tuple[float, float]
+    frailty_interval: tuple[float, float] | None
+    confidence: float
+    sequences: int
+    observations: int
+    rate_hz: float
+
+
+def memory_table(report: "MemoryReport") -> dict[str, Any]:
+    """A report as JSON values for the card."""
+    return {**asdict(report), "flattery": FLATTERY}
+
+
+def fitted_memory(card_memory: Mapping[str, Any], *, where: str) -> FittedMemory | None:
+    """The fitted memory of a card; ``None`` if the model has none.
+
+    Args:
+        card_memory: The card's table.
+        where: The file, for the message.
+
+    Raises:
+        PemError: The table is not as :func:`memory_table` writes it.
+    """
+    if not card_memory:
+        return None
+    try:
+        fit = cast(Mapping[str, Any], card_memory["fit"])
+        memory = cast(Mapping[str, Any], fit["memory"])
+        frailty = fit["frailty_interval"]
+        return FittedMemory(
+            memory=Memory(tau_s=_number(memory["tau_s"]), frailty=_number(memory["frailty"])),
+            tau_interval_s=_pair(fit["tau_interval_s"]),
+            frailty_interval=None if frailty is None else _pair(frailty),
+            confidence=_number(fit["confidence"]),
+            sequences=int(_number(fit["sequences"])),
+            observations=int(_number(fit["observations"])),
+            rate_hz=_number(card_memory["rate_hz"]),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise PemError(f"{where}: metadata field 'memory' is not as pemviz writes it") from error
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        message = f"{value!r} is no number"
+        raise ValueError(message)
+    return float(value)
+
+
+def _pair(value: Any) -> tuple[float, float]:
+    low, high = value
+    return _number(low), _number(high)
+
+
+def memory_line(report: "MemoryReport") -> str:
+    """The fitted memory in one line."""
+    fit = report.fit
+    low, high = fit.tau_interval_s
+    return (
+        f"memory time {fit.memory.tau_s:.3f} s ({low:.3f} to {high:.3f}), frailty "
+        f"{fit.memory.frailty:.2f}; {fit.nats_independent:.3f} nats an outcome if independent, "
+        f"{fit.nats:.3f} with memory"
+    )
+
+
+def memory_markdown(memory: Mapping[str, Any]) -> str:
+    """The card's section on memory; empty for a model without one."""
+    if not memory:
+        return ""
+    fit: Mapping[str, Any] = memory["fit"]
+    tau_s, frailty = fit["memory"]["tau_s"], fit["memory"]["frailty"]
+    low, high = fit["tau_interval_s"]
+    frailty_words = (
+        "not fitted"
+        if fit["frailty_interval"] is None
+        else f"{frailty:.2f} ({fit['frailty_interval'][0]:.2f} to {fit['frailty_interval'][1]:.2f})"
+    )
+    lines = [
+        "## Memory of misses",
+        "",
+        f"- Memory time tau {tau_s:.3f} s ({low:.3f} to {high:.3f}), frailty f {frailty_words}; "
+        f"{fit['confidence']:.0%} intervals from a bootstrap over {fit['sequences']} sequences, "
+        f"{fit['observations']} observations at {memory['rate_hz']:g} Hz, P(missed | state) "
+        "cross-fitted by sequence.",
+        f"- Negative log-likelihood of an outcome: {fit['nats_independent']:.3f} nats if misses "
+        f"are independent, {fit['nats']:.3f} with this memory.",
+        f"- {memory['gaps']} gaps in tracks, {memory['rate_changes']} changes of rate.",
+        f"- {CAUTION}",
+        f"- {memory['flattery']}",
+        "",
+        *_table(
+            ("lag", "pairs", "correlation of residuals", "in the fitted model"),
+            [
+                (f"{row['lag_s']:g} s", str(row["pairs"]), _shown(row["measured"]),
+                 _shown(row["fitted"]))
+                for row in memory["correlations"]
+            ],
+        ),
+        "",
+        *_run_table(memory),
+        "",
+        *_table(
+            ("observations", "n", "missed", "after a miss", "after a hit", "tau alone"),
+            [
+                (row["name"], str(row["observations"]), str(row["misses"]),
+                 _shown(row["missed_after_miss"]), _shown(row["missed_after_hit"]), _tau(row))
+                for row in memory["groups"]
+            ],
+        ),
+        "",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _run_table(memory: Mapping[str, Any]) -> list[str]:
+    lengths = memory["run_lengths"]
+    names = [str(length) for length in range(1, len(lengths))] + [f"{len(lengths)} or more"]
+    rows = [
+        (name, str(count), f"{fitted:.1f}", f"{independent:.1f}")
+        for name, count, fitted, independent in zip(
+            names,
+            lengths,
+            memory["expected_run_lengths"],
+            memory["independent_run_lengths"],
+            strict=True,
+        )
+    ]
+    return _table(("misses in a row", "runs", "in the fitted model", "if independent"), rows)
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [
+        f"| {' | '.join(header)} |",
+        f"|{'---|' * len(header)}",
+        *(f"| {' | '.join(row)} |" for row in rows),
+    ]
+
+
+def _shown(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
+
+
+def _tau(row: Mapping[str, Any]) -> str:
+    if row["tau_s"] is None:
+        return "too few misses"
+    low, high = row["tau_interval_s"]
+    return f"{row['tau_s']:.2f} s ({low:.2f} to {high:.2f})"
