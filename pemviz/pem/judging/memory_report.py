@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.pem.data.tracks import TrackTable
 from pemviz.pem.errors import PemError
 from pemviz.pem.fitting.memory import MemoryFit, fit_memory
@@ -156,7 +156,7 @@ def residual_correlation(
     return float(np.mean(residual[first] * residual[second]) / spread), int(first.size)
 
 
-def run_lengths(tracks: TrackTable, detected: BoolArray) -> FloatArray:
+def run_lengths(tracks: TrackTable, detected: BoolArray) -> IntArray:
     """Numbers of runs of 1, 2, ..., LONGEST_RUN or more misses in neighbouring frames."""
     next_frame = tracks.follows & (np.diff(tracks.frame, prepend=-2) == 1)
     missed = ~detected
