@@ -1,0 +1,235 @@
+"""Memory of misses: the chain's formula, its likelihood, and fits to tracks drawn from it."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.special import expit, logit
+from scipy.stats import norm
+
+from pemviz.pem import PemError
+from pemviz.pem.data.tracks import track_table
+from pemviz.pem.fitting.memory import fit_memory, log_likelihoods
+from pemviz.pem.judging.independence import check_independence
+from pemviz.pem.judging.memory_report import (
+    draw_outcomes,
+    report_memory,
+    residual_correlation,
+    run_lengths,
+)
+from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
+from tests.pem.synthetic_tracks import draw_tracks
+
+probabilities = st.floats(1e-12, 1.0 - 1e-12)
+correlations = st.floats(0.0, 0.999)
+
+
+@given(p_miss=probabilities, rho=correlations, missed=st.booleans())
+def test_conditional_probability_is_the_formula(p_miss, rho, missed):
+    own = np.array([logit(1.0 - p_miss)])
+    found = remembering_logit(own, missed_before=np.array([missed]), rho=rho)
+    p = expit(-own)
+    expected = p + (missed - p) * rho
+    np.testing.assert_allclose(expit(-found), expected, rtol=1e-9)
+
+
+@given(own=st.floats(-50.0, 50.0), missed=st.booleans())
+def test_without_memory_the_logit_is_the_models_own(own, missed):
+    found = remembering_logit(np.array([own]), missed_before=np.array([missed]), rho=0.0)
+    assert found[0] == own
+
+
+@given(p_miss=st.floats(0.01, 0.9), tau_s=st.floats(0.02, 2.0), dt_s=st.floats(0.02, 0.2))
+def test_in_a_constant_state_the_marginal_stays_and_correlation_is_exponential(p_miss, tau_s, dt_s):
+    """By enumeration of all chains of five outcomes."""
+    rho = float(persistence(dt_s, tau_s))
+    chains = list(itertools.product((False, True), repeat=5))
+    weight = []
+    for chain in chains:
+        w = p_miss if chain[0] else 1.0 - p_miss
+        for before, now in itertools.pairwise(chain):
+            miss = expit(
+                -remembering_logit(
+                    np.array([logit(1 - p_miss)]), missed_before=np.array([before]), rho=rho
+                )[0]
+            )
+            w *= miss if now else 1.0 - miss
+        weight.append(w)
+    missed, weight = np.array(chains, dtype=float), np.array(weight)
+    assert weight.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(weight @ missed, p_miss, rtol=1e-9)
+    for lag in range(1, 5):
+        joint = weight @ (missed[:, 0] * missed[:, lag])
+        found = (joint - p_miss**2) / (p_miss * (1.0 - p_miss))
+        assert found == pytest.approx(math.exp(-lag * dt_s / tau_s), abs=1e-9)
+
+
+@pytest.mark.parametrize("p_miss", [1e-9, 1e-3, 0.3, 0.9])
+@pytest.mark.parametrize("frailty", [0.3, 1.0, 3.0])
+def test_frailty_keeps_the_mean(p_miss, frailty):
+    def integrand(u):
+        own = np.array([logit(1.0 - p_miss)])
+        moved = frail_logit(own, visibility=np.array([u]), frailty=frailty)
+        return float(expit(-moved)[0]) * norm.pdf(u)
+
+    mean = quad(integrand, -12.0, 12.0, points=[0.0, 3.0, 6.0], epsabs=1e-14, limit=400)[0]
+    assert mean == pytest.approx(p_miss, rel=1e-6)
+
+
+def small_tracks():
+    """Three tracks of two sequences: a gap, two rates, one that is seen once."""
+    rows = [
+        (0, 1, 0, 10.0, True), (0, 1, 1, 10.0, False), (0, 1, 4, 10.0, False),
+        (1, 1, 5, 10.0, False), (1, 1, 6, 20.0, True), (1, 1, 7, 20.0, False),
+        (1, 2, 0, 10.0, False),
+    ]  # fmt: skip
+    sequence, track, frame, rate, detected = (np.array(c) for c in zip(*rows, strict=True))
+    salient = np.zeros((len(rows), 11))
+    table = track_table(
+        salient=salient, detected=detected, sequence=sequence, track=track, frame=frame,
+        rate_hz=rate, source="small",
+    )  # fmt: skip
+    return table, np.array([2.0, 1.0, 0.5, 1.5, 0.2, -0.3, 0.7])
+
+
+def naive_log_likelihood(rows, tau_s, frailty):
+    """Of one track: (P(missed), missed, seconds since), u integrated out by scipy."""
+
+    def chain(u):
+        product, before = 1.0, None
+        for p, missed, since_s in rows:
+            own = norm.cdf(norm.ppf(p) * math.sqrt(1 + frailty**2) + frailty * u)
+            rho = 0.0 if before is None or tau_s == 0 else math.exp(-since_s / tau_s)
+            miss = own + (float(bool(before)) - own) * rho
+            product *= miss if missed else 1.0 - miss
+            before = missed
+        return product
+
+    if frailty == 0.0:
+        return math.log(chain(0.0))
+    return math.log(quad(lambda u: chain(u) * norm.pdf(u), -8, 8, epsabs=1e-13)[0])
+
+
+@pytest.mark.parametrize("tau_s", [0.0, 0.15])
+@pytest.mark.parametrize("frailty", [0.0, 0.8])
+def test_likelihood_equals_the_naive_one(tau_s, frailty):
+    table, own = small_tracks()
+    found = log_likelihoods(table, own, taus_s=np.array([tau_s]), frailties=np.array([frailty]))[
+        :, 0, 0
+    ]
+    p = expit(-own)
+    first = [(p[0], False, None), (p[1], True, 0.1), (p[2], True, 0.3)]
+    second = [(p[3], True, None), (p[4], False, 0.05), (p[5], True, 0.05)]
+    third = [(p[6], True, None)]
+    expected = [
+        naive_log_likelihood(first, tau_s, frailty),
+        sum(naive_log_likelihood(rows, tau_s, frailty) for rows in (second, third)),
+    ]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert (table.gaps, table.rate_changes) == (1, 1)
+
+
+def test_drawn_tracks_give_their_memory_back():
+    """One data set with a fixed seed; that intervals cover is studied apart."""
+    table, own = draw_tracks(seed=3, tau_s=0.2, frailty=0.8, sequences=30)
+    fit = fit_memory(table, own)
+    assert fit.tau_interval_s[0] < 0.2 < fit.tau_interval_s[1]
+    assert fit.frailty_interval[0] < 0.8 < fit.frailty_interval[1]
+    assert fit.nats < fit.nats_independent
+
+
+def test_independent_tracks_reach_down_to_zero():
+    table, own = draw_tracks(seed=5, tau_s=0.0, frailty=0.0, sequences=30)
+    fit = fit_memory(table, own, with_frailty=False)
+    assert fit.tau_interval_s[0] == 0.0
+    assert fit.tau_interval_s[1] < 0.1
+    check = check_independence(table, own, fit=fit)
+    assert not check.excludes_zero
+    # a Poisson count: five standard deviations are passed in fewer than one of 10^6 seeds
+    assert abs(check.misses_after_miss - check.expected) < 5.0 * math.sqrt(check.expected)
+
+
+def test_the_memory_time_does_not_depend_on_the_frame_rate():
+    """The same process at 20 Hz, and every second frame of it taken as 10 Hz."""
+    table, own = draw_tracks(seed=7, tau_s=0.2, frailty=0.0, sequences=40, frames=40, rate_hz=20.0)
+    half = np.flatnonzero(table.frame % 2 == 0)
+    coarse = track_table(
+        salient=table.obstacles.salient[half], detected=table.detected[half],
+        sequence=table.sequence[half], track=table.track[half], frame=table.frame[half] // 2,
+        rate_hz=np.full(half.size, 10.0), source="coarse",
+    )  # fmt: skip
+    fine = fit_memory(table, own, with_frailty=False)
+    rough = fit_memory(coarse, own[half], with_frailty=False)
+    assert rough.tau_interval_s[0] < fine.memory.tau_s < rough.tau_interval_s[1]
+    assert fine.memory.tau_s == pytest.approx(rough.memory.tau_s, rel=0.15)
+
+
+def test_runs_and_correlations_equal_the_naive_ones():
+    table, own = draw_tracks(seed=11, tau_s=0.3, frailty=0.5, sequences=4, keep=0.9)
+    runs, pairs = [], []
+    residual = (~table.detected) - expit(-own)
+    for track in np.unique(table.track):
+        rows = np.flatnonzero(table.track == track)
+        length, last = 0, None
+        for row in rows:
+            joined = last is not None and table.frame[row] == last + 1
+            if length and not (joined and not table.detected[row]):
+                runs.append(length)
+                length = 0
+            if not table.detected[row]:
+                length += 1
+            last = table.frame[row]
+        if length:
+            runs.append(length)
+        pairs += [(a, b) for a in rows for b in rows if table.frame[b] - table.frame[a] == 5]
+    expected = np.bincount(np.minimum(runs, 10), minlength=11)[1:]
+    np.testing.assert_array_equal(run_lengths(table, table.detected), expected)
+    first, second = (residual[list(side)] for side in zip(*pairs, strict=True))
+    value = np.mean(first * second) / np.sqrt(np.mean(first**2) * np.mean(second**2))
+    found, count = residual_correlation(table, own, table.detected, lag_s=0.5)
+    assert count == len(pairs)
+    assert found == pytest.approx(value)
+
+
+def test_drawn_outcomes_follow_the_model():
+    """Shares of misses after misses and hits over many draws: 5 standard errors."""
+    table, _ = draw_tracks(seed=2, tau_s=0.0, frailty=0.0, sequences=3)
+    own = np.full(len(table), logit(0.7))
+    rho = float(persistence(0.1, 0.2))
+    random = np.random.default_rng(4)
+    drawn = np.array(
+        [draw_outcomes(table, own, memory=Memory(tau_s=0.2), random=random) for _ in range(300)]
+    )
+    rows = np.flatnonzero(table.follows)
+    before, after = ~drawn[:, rows - 1], ~drawn[:, rows]
+    for m, expected in ((True, 0.3 + 0.7 * rho), (False, 0.3 * (1 - rho))):
+        chosen = before == m
+        share = after[chosen].mean()
+        assert abs(share - expected) < 5 * math.sqrt(expected * (1 - expected) / chosen.sum())
+
+
+def test_a_report_holds_what_a_card_shows():
+    table, own = draw_tracks(seed=3, tau_s=0.2, frailty=0.0, sequences=10)
+    fit = fit_memory(table, own, with_frailty=False)
+    report = report_memory(table, own, fit=fit)
+    assert report.groups[0].observations == len(table)
+    assert sum(report.run_lengths) > 0
+    lags = [each.lag_s for each in report.correlations if each.pairs]
+    assert lags == [0.1, 0.2, 0.5, 1.0]  # tracks are two seconds long
+    assert report.rate_hz == 10.0
+
+
+@pytest.mark.parametrize("memory", [{"tau_s": -0.1}, {"tau_s": math.nan}, {"frailty": 11.0}])
+def test_no_memory_out_of_range(memory):
+    with pytest.raises(PemError, match="allowed"):
+        Memory(**memory)
+
+
+def test_one_sequence_gives_no_interval():
+    table, own = draw_tracks(seed=3, tau_s=0.2, frailty=0.0, sequences=1)
+    with pytest.raises(PemError, match="at least two sequences"):
+        fit_memory(table, own)
