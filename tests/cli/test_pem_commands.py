@@ -6,9 +6,12 @@ from pathlib import Path
 import pytest
 import tyro
 
-from pemviz.cli.pem import collect, evaluate, fit, show
+from pemviz.cli.pem import collect, evaluate, fit, memory, show
 from pemviz.files.shipped import asset_path
 from pemviz.pem import PemError, load_pem
+from pemviz.pem.files.memory_card import fitted_memory
+from pemviz.pem.models.protocol import SALIENT_COLUMNS
+from tests.pem.synthetic_tracks import draw_tracks
 from tests.pem.test_collect import LABEL, RESULT
 
 SYNTHETIC = asset_path("pem", "synthetic-obstacles.csv")
@@ -147,3 +150,64 @@ def test_a_bad_table_is_refused(tmp_path, text, words):
     arguments = fit.FitArguments(table=path, out=tmp_path / "m.safetensors", folds=0)
     with pytest.raises(PemError, match=words):
         fit.run(arguments)
+
+
+def tracks_table(folder):
+    """Tracks with a memory time of 0.3 s, as a CSV of one's own."""
+    table, _ = draw_tracks(seed=1, tau_s=0.3, frailty=0.0, sequences=6, tracks_each=8)
+    path = folder / "tracks.csv"
+    header = ["sequence", "frame", "track", *SALIENT_COLUMNS, "detected"]
+    rows = [
+        [str(table.sequence[row]), str(table.frame[row]), str(table.track[row])]
+        + [f"{value:.10g}" for value in table.obstacles.salient[row]]
+        + [str(int(table.detected[row]))]
+        for row in range(len(table))
+    ]
+    path.write_text("\n".join(",".join(cells) for cells in [header, *rows]) + "\n")
+    return path
+
+
+def test_memory_is_fitted_kept_in_the_card_and_told(tmp_path, capsys):
+    table = tracks_table(tmp_path)
+    out = tmp_path / "video.safetensors"
+    fit.run(fit.FitArguments(table=table, out=out, model="lr", memory=True, rate_hz=10.0, folds=3))
+    assert "memory time 0." in capsys.readouterr().out
+    pem = load_pem(str(out))
+    fitted = fitted_memory(pem.card.memory, where=str(out))
+    assert fitted.tau_interval_s[0] < fitted.memory.tau_s < fitted.tau_interval_s[1]
+    assert fitted.sequences == 6
+    card = out.with_suffix(".md").read_text()
+    assert "## Memory of misses" in card
+    assert "| misses in a row |" in card
+    assert "Weights" in card
+
+
+def test_independence_is_judged_in_one_command(tmp_path, capsys):
+    table, page = tracks_table(tmp_path), tmp_path / "memory.md"
+    arguments = memory.MemoryArguments(
+        table=table, model="lr", rate_hz=10.0, folds=3, json=True, out=page
+    )
+    memory.run(arguments)
+    document = json.loads(capsys.readouterr().out)
+    independence = document["independence"]
+    assert independence["misses_after_miss"] > 2 * independence["expected"]
+    assert [each["tau_s"] for each in independence["needed"]] == [0.02, 0.05, 0.1, 0.2]
+    needed = [each["sequences"] for each in independence["needed"]]
+    assert needed == sorted(needed, reverse=True)
+    assert "misses right after a miss" in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"rate_hz": None}, "lacks rate_hz; give the rate"),
+        ({"rate_hz": -1.0}, "rate_hz is -1, allowed"),
+        ({"folds": 9}, "allowed: 2 to the number of sequences, 6"),
+        ({"table": Path("nowhere.csv")}, "no such table of tracks"),
+    ],
+)
+def test_memory_refuses_in_one_line(changes, words, tmp_path):
+    settings = {"table": tracks_table(tmp_path), "model": "lr", "rate_hz": 10.0, "folds": 3}
+    with pytest.raises(PemError, match=words) as caught:
+        memory.run(memory.MemoryArguments(**(settings | changes)))
+    assert "\n" not in str(caught.value)

@@ -105,49 +105,53 @@ def memory_markdown(memory: Mapping[str, Any]) -> str:
     """The card's section on memory; empty for a model without one."""
     if not memory:
         return ""
+    parts = (_facts(memory), _lag_table(memory), _run_table(memory), _group_table(memory))
+    return "\n\n".join(["## Memory of misses", *("\n".join(part) for part in parts)]) + "\n"
+
+
+def _facts(memory: Mapping[str, Any]) -> list[str]:
     fit: Mapping[str, Any] = memory["fit"]
-    tau_s, frailty = fit["memory"]["tau_s"], fit["memory"]["frailty"]
     low, high = fit["tau_interval_s"]
-    frailty_words = (
-        "not fitted"
-        if fit["frailty_interval"] is None
-        else f"{frailty:.2f} ({fit['frailty_interval'][0]:.2f} to {fit['frailty_interval'][1]:.2f})"
-    )
-    lines = [
-        "## Memory of misses",
-        "",
-        f"- Memory time tau {tau_s:.3f} s ({low:.3f} to {high:.3f}), frailty f {frailty_words}; "
-        f"{fit['confidence']:.0%} intervals from a bootstrap over {fit['sequences']} sequences, "
-        f"{fit['observations']} observations at {memory['rate_hz']:g} Hz, P(missed | state) "
-        "cross-fitted by sequence.",
+    frailty = "not fitted"
+    if fit["frailty_interval"] is not None:
+        least, most = fit["frailty_interval"]
+        frailty = f"{fit['memory']['frailty']:.2f} ({least:.2f} to {most:.2f})"
+    return [
+        f"- Memory time tau {fit['memory']['tau_s']:.3f} s ({low:.3f} to {high:.3f}), frailty f "
+        f"{frailty}; {fit['confidence']:.0%} intervals from a bootstrap over {fit['sequences']} "
+        f"sequences, {fit['observations']} observations at {memory['rate_hz']:g} Hz, "
+        "P(missed | state) cross-fitted by sequence.",
         f"- Negative log-likelihood of an outcome: {fit['nats_independent']:.3f} nats if misses "
         f"are independent, {fit['nats']:.3f} with this memory.",
+        "- Runs take misses as independent given the state: this memory is measured, and not part "
+        "of what the model answers.",
         f"- {memory['gaps']} gaps in tracks, {memory['rate_changes']} changes of rate.",
         f"- {CAUTION}",
         f"- {memory['flattery']}",
-        "",
-        *_table(
-            ("lag", "pairs", "correlation of residuals", "in the fitted model"),
-            [
-                (f"{row['lag_s']:g} s", str(row["pairs"]), _shown(row["measured"]),
-                 _shown(row["fitted"]))
-                for row in memory["correlations"]
-            ],
-        ),
-        "",
-        *_run_table(memory),
-        "",
-        *_table(
-            ("observations", "n", "missed", "after a miss", "after a hit", "tau alone"),
-            [
-                (row["name"], str(row["observations"]), str(row["misses"]),
-                 _shown(row["missed_after_miss"]), _shown(row["missed_after_hit"]), _tau(row))
-                for row in memory["groups"]
-            ],
-        ),
-        "",
-    ]  # fmt: skip
-    return "\n".join(lines)
+    ]
+
+
+def _lag_table(memory: Mapping[str, Any]) -> list[str]:
+    rows = [
+        (f"{row['lag_s']:g} s", str(row["pairs"]), _shown(row["measured"]), _shown(row["fitted"]))
+        for row in memory["correlations"]
+    ]
+    return _table(("lag", "pairs", "correlation of residuals", "in the fitted model"), rows)
+
+
+def _group_table(memory: Mapping[str, Any]) -> list[str]:
+    rows = [
+        (
+            row["name"],
+            str(row["observations"]),
+            str(row["misses"]),
+            _shown(row["missed_after_miss"]),
+            _shown(row["missed_after_hit"]),
+            _tau(row),
+        )
+        for row in memory["groups"]
+    ]
+    return _table(("observations", "n", "missed", "after a miss", "after a hit", "tau alone"), rows)
 
 
 def _run_table(memory: Mapping[str, Any]) -> list[str]:

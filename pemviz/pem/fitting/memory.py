@@ -91,9 +91,7 @@ def fit_memory(
         on_progress=on_progress,
     )
     tau_s, frailty, best = _maximum(surface.sum(axis=0)[None], frailties)
-    random = np.random.default_rng(np.random.SeedSequence(seed))
-    weights = random.multinomial(count, np.full(count, 1.0 / count), size=REPLICATES)
-    taus_s, drawn_frailties, _ = _maximum(np.tensordot(weights, surface, axes=1), frailties)
+    taus_s, drawn_frailties, _ = _maximum(_resampled(surface, seed=seed), frailties)
     total = len(tracks) if weight is None else float(weight.sum())
     return MemoryFit(
         memory=Memory(tau_s=float(tau_s[0]), frailty=float(frailty[0])),
@@ -109,6 +107,14 @@ def fit_memory(
         nats_independent=-float(surface[:, 0, 0].sum()) / total,
         nats=-float(best[0]) / total,
     )
+
+
+def _resampled(surface: FloatArray, *, seed: int) -> FloatArray:
+    """Log likelihoods ``[REPLICATES, taus, frailties]`` of sequences drawn with replacement."""
+    count = surface.shape[0]
+    random = np.random.default_rng(np.random.SeedSequence(seed))
+    weights = random.multinomial(count, np.full(count, 1.0 / count), size=REPLICATES)
+    return np.tensordot(weights, surface, axes=1)
 
 
 def log_likelihoods(
