@@ -80,8 +80,24 @@ def allowed_text(annotation: object) -> str:
 
 
 @cache
-def checker(annotation: object) -> Callable[[object], bool]:
-    """Tells of a value that is not ``None`` whether a field annotated so may hold it."""
+def checker(annotation: object) -> Callable[[object], str | None]:
+    """Tells what is wrong with a value, not ``None``, of a field annotated with ``annotation``.
+
+    In words that say what is allowed; ``None`` if nothing is wrong.
+    """
+    fits = _type_checker(annotation)
+    parts = [extra for extra in get_args(annotation)[1:] if isinstance(extra, NamedPart)]
+
+    def check(value: object) -> str | None:
+        if not fits(value):
+            return f"must be {allowed_text(annotation)}"
+        return parts[0].complaint(value) if parts else None
+
+    return check
+
+
+def _type_checker(annotation: object) -> Callable[[object], bool]:
+    """Tells whether a value is of the annotated type and range."""
     kind, limits = _unpack(annotation)
     if get_origin(kind) is Literal:
         choices = get_args(kind)
@@ -106,14 +122,10 @@ def check_value(*, name: str, value: object, annotation: object) -> object:
         ConfigError: The type is wrong, the number lies outside its range, or there is no part
             of that name.
     """
-    if not checker(annotation)(value):
-        message = f"{name} = {shown(value)}: must be {allowed_text(annotation)}"
+    complaint = checker(annotation)(value)
+    if complaint is not None:
+        message = f"{name} = {shown(value)}: {complaint}"
         raise ConfigError(message)
-    for part in get_args(annotation)[1:]:
-        complaint = part.complaint(value) if isinstance(part, NamedPart) else None
-        if complaint is not None:
-            message = f"{name} = {shown(value)}: {complaint}"
-            raise ConfigError(message)
     return float(_number(value)) if _unpack(annotation)[0] is float else value
 
 

@@ -1,8 +1,9 @@
 """Records: frozen dataclasses read from the plain values of a TOML or JSON file.
 
 What a record may hold is stated once, by the annotations of its fields: ``bool``, ``int``,
-``float``, ``str``, a ``Literal``, numbers with a :class:`~pemviz.config.ranges.Range`, other
-records, ``tuple[X, ...]``, ``Mapping[str, X]``, and any of these ``| None``.
+``float``, ``str``, a ``Literal``, numbers with a :class:`~pemviz.config.ranges.Range`, names of
+a :class:`~pemviz.config.entry_points.NamedPart`, other records, ``tuple[X, ...]``,
+``Mapping[str, X]``, and any of these ``| None``.
 """
 
 import difflib
@@ -12,7 +13,7 @@ from functools import cache
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from pemviz.config.ranges import allowed_text, allows_none, checker, optional_value, shown
+from pemviz.config.ranges import allows_none, checker, optional_value, shown
 from pemviz.errors import ConfigError
 
 Record = TypeVar("Record")
@@ -88,11 +89,12 @@ def _reader(annotation: Any, ignore_unknown: bool) -> _Reader:
 
 def _plain_reader(annotation: object) -> _Reader:
     base = get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
-    fits = checker(annotation)
+    check = checker(annotation)
 
     def read(value: Any) -> object:
-        if not fits(value):
-            raise _unfit(value, allowed_text(annotation))
+        complaint = check(value)
+        if complaint is not None:
+            raise _unfit(value, complaint)
         return float(value) if base is float else value
 
     return read
@@ -101,7 +103,7 @@ def _plain_reader(annotation: object) -> _Reader:
 def _tuple_reader(entry: _Reader) -> _Reader:
     def read(value: object) -> object:
         if not isinstance(value, list | tuple):
-            raise _unfit(value, "a list")
+            raise _unfit(value, "must be a list")
         found: list[object] = []
         for index, item in enumerate(cast(list[object], value)):
             try:
@@ -114,13 +116,13 @@ def _tuple_reader(entry: _Reader) -> _Reader:
 
 
 def _mapping_reader(entry: _Reader) -> _Reader:
-    is_name = checker(str)
+    check_name = checker(str)
 
     def read(value: object) -> object:
         found: dict[str, object] = {}
         for key, item in _table(value).items():
-            if not is_name(key):
-                raise _unfit(key, "a name")
+            if check_name(key) is not None:
+                raise _unfit(key, "must be a name")
             try:
                 found[key] = entry(item)
             except _UnfitError as error:
@@ -162,12 +164,12 @@ def _record_reader(kind: type[Any], ignore_unknown: bool) -> _Reader:
 
 def _table(value: object) -> Mapping[str, object]:
     if not isinstance(value, Mapping):
-        raise _unfit(value, "a table")
+        raise _unfit(value, "must be a table")
     return cast(Mapping[str, object], value)
 
 
-def _unfit(value: object, allowed: str) -> _UnfitError:
-    return _UnfitError(f" = {shown(value)}: must be {allowed}")
+def _unfit(value: object, complaint: str) -> _UnfitError:
+    return _UnfitError(f" = {shown(value)}: {complaint}")
 
 
 def _no_such_field(name: str, known: Mapping[str, object]) -> str:

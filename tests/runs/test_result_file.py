@@ -204,6 +204,7 @@ def test_what_a_run_always_writes_may_not_be_absent(sample):
     [
         ("status", "going", "status = 'going': must be one of done, stopped, failed"),
         ("seed", 7, "seed = 7: must be that of config, 6"),
+        ("config.method", "best", "config.method = 'best': no such method; there are: adaptive,"),
         ("config.seed", -1, "config.seed = -1: must be a whole number, at least 0"),
         ("config.device", "gpu", "device = 'gpu': must be cpu"),
         ("config.scenario.dt_s", 0, "config.scenario.dt_s = 0: must be a number, at least 0.001"),
