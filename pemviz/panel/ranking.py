@@ -11,6 +11,8 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
 from pemviz.panel.run_data import RunData, signals_of
 from pemviz.runs.experiment import build_formula, build_metric
+from pemviz.sampling.adaptive.elite_threshold import elite_threshold
+from pemviz.sampling.adaptive.elite_threshold import elites as elites_of_stage
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 
@@ -81,13 +83,20 @@ def row(run: RunData, ranking: Ranking, place: int) -> RankedRow:
     )
 
 
-def elites(ranking: Ranking, *, sigma: float) -> BoolArray:
-    """Which of the rollouts ``[N]`` are among the least robust 1 - sigma, ties included."""
-    count = ranking.robustness.size
-    if not count:
-        return np.empty(0, dtype=np.bool_)
-    level = np.sort(ranking.robustness)[::-1][min(int(sigma * count), count - 1)]
-    return ranking.robustness <= level
+def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:
+    """Which rollouts ``[N]`` their stage would learn from under the ranking's metric.
+
+    Every stage has a level gamma_kappa of its own, never below 0; see
+    :mod:`pemviz.sampling.adaptive.elite_threshold`.
+    """
+    chosen = np.zeros(ranking.robustness.size, dtype=np.bool_)
+    stages = np.stack([run.rollouts["repetition"], run.rollouts["stage"]], axis=1)
+    for stage in np.unique(stages, axis=0):
+        rows = np.flatnonzero((stages == stage).all(axis=1))
+        robustness = ranking.robustness[rows]
+        threshold = elite_threshold(robustness, sigma=sigma)
+        chosen[rows] = elites_of_stage(robustness, threshold=threshold)
+    return chosen
 
 
 def ranking_csv(run: RunData, ranking: Ranking) -> str:

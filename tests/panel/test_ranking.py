@@ -42,11 +42,23 @@ def test_row_tells_what_the_tables_hold(naive_run):
     assert entry.violated == (entry.robustness < 0.0)
 
 
-def test_elites_are_the_least_robust_share_with_ties(naive_run):
+def test_elites_are_what_a_stage_learns_from(naive_run):
+    """60 rollouts of one stage: the 57th largest lies below 0, so 0 is the level."""
     ranking = rank(naive_run, "classical")
-    chosen = elites(ranking, sigma=0.95)
-    assert np.sum(chosen) == 3  # 60 rollouts: the 57th largest and what lies below
-    assert set(np.flatnonzero(chosen)) == set(ranking.order[:3].tolist())
+    chosen = elites(naive_run, ranking, sigma=0.95)
+    robustness = naive_run.rollouts["robustness"]
+    assert np.sort(robustness)[::-1][57] < 0.0
+    np.testing.assert_array_equal(chosen, robustness <= 0.0)
+    assert np.sum(chosen) > 3
+
+
+def test_elites_are_counted_as_the_run_counts_them(loaded_run):
+    """The panel's number is the one in the run's result, stage by stage."""
+    chosen = elites(loaded_run, rank(loaded_run, "classical"), sigma=0.95)
+    for stage in loaded_run.result.stages:
+        if stage.kind == "learn":
+            rows = loaded_run.rollouts["stage"] == stage.stage
+            assert np.count_nonzero(chosen[rows]) == stage.elites
 
 
 def test_csv_has_a_line_a_rollout(naive_run):

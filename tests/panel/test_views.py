@@ -1,6 +1,7 @@
 """Views: the right figures, units, and nothing of a stranger's text taken for markup."""
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -289,3 +290,11 @@ def test_brake_lights_and_gap_colour():
 
 def with_result(run: RunData, **changes) -> RunData:
     return replace(run, result=replace(run.result, **changes))
+
+
+def test_the_why_tab_gives_one_total_of_misses(naive_run):
+    """The sentence and the table's last line speak of the same misses."""
+    page = why.why(naive_run)
+    (said,) = re.findall(r"takes ([\d.]+) misses where perception decides", page)
+    cells = ["".join(cell.itertext()) for cell in well_formed(page).iter("td")]
+    assert float(cells[cells.index("all") + 1]) == pytest.approx(float(said), abs=0.06)

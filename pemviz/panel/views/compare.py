@@ -64,13 +64,14 @@ def least_robust_plot(run: RunData) -> str:
 def overlap_table(run: RunData) -> str:
     """How many elites two metrics share."""
     sigma = run.config.sigma
-    sets = {m: elites(rank(run, m), sigma=sigma) for m in metric_names()}
+    sets = {m: elites(run, rank(run, m), sigma=sigma) for m in metric_names()}
     lines = [
         [escape(a), *(overlap_text(sets[a], sets[b]) for b in sets)] for a in sets
     ]  # fmt: skip
     note = quiet(
-        f"Elites are the least robust {1 - sigma:.3g} of all rollouts, ties included; the table "
-        "counts those that both metrics choose, and in brackets the share of all that either does."
+        f"Elites are what a stage learns from: its least robust {1 - sigma:.3g}, ties and all at "
+        "or below 0 included. The table counts those that both metrics choose, and in brackets "
+        "the share of all that either does."
     )
     return (
         heading("Overlap of the elites")

@@ -108,9 +108,9 @@ def _misses(run: RunData) -> str:
         )
     return (
         heading("Misses that cause violations")
-        + quiet(miss_sentence(failures, dt_s=run.config.scenario.dt_s))
+        + quiet(miss_sentence(failures, misses=deciding_misses(run), dt_s=_dt_s(run)))
         + distance_plot(failures)
-        + time_plot(failures, dt_s=run.config.scenario.dt_s)
+        + time_plot(failures, dt_s=_dt_s(run))
         + quiet(
             "Bars: share of steps missed in violations, weighted by how likely each is under the "
             "error model. Black: what the error model itself says."
@@ -118,14 +118,35 @@ def _misses(run: RunData) -> str:
     )
 
 
-def miss_sentence(failures: Failures, *, dt_s: float) -> str:
-    """The chain of misses in words."""
-    count = float(np.sum(failures.weight * np.count_nonzero(failures.missed, axis=1)))
+def _dt_s(run: RunData) -> float:
+    return run.config.scenario.dt_s
+
+
+def deciding_misses(run: RunData) -> float | None:
+    """Misses of a violation where perception decides: the total of the table by distance."""
+    explanation = run.result.explanation
+    if explanation is None or not explanation.misses_by_distance:
+        return None
+    return sum(band.misses for band in explanation.misses_by_distance)
+
+
+def miss_sentence(failures: Failures, *, misses: float | None, dt_s: float) -> str:
+    """The chain of misses in words.
+
+    Args:
+        failures: The violating rollouts.
+        misses: How many a violation has where perception decides; those of all steps are
+            counted if that is not known.
+        dt_s: Time step [s].
+    """
+    everywhere = float(np.sum(failures.weight * np.count_nonzero(failures.missed, axis=1)))
+    count = everywhere if misses is None else misses
+    where = "" if misses is None else " where perception decides"
     longest = float(np.sum(failures.weight * longest_runs(failures.missed)))
     edges, share, _ = by_distance(failures)
     heavy = np.flatnonzero(np.nan_to_num(share) >= 0.5)
     words = (
-        f"A violation takes {count:.1f} misses on average, the longest unbroken chain being "
+        f"A violation takes {count:.1f} misses{where} on average, the longest unbroken chain being "
         f"{longest:.1f} steps ({longest * dt_s:.2f} s)."
     )
     if heavy.size:
