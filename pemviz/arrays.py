@@ -14,6 +14,9 @@ AnyArray = NDArray[Any]
 Rows = slice | BoolArray | IntArray
 """Which of N rows: a slice, a mask ``[N]``, or indices ``[M]`` in any order."""
 
+LARGEST_NUMBER = 1e100
+"""No signal and no logit of a rollout is larger: sums over a rollout stay finite."""
+
 Merge = Callable[[Sequence[AnyArray]], AnyArray]
 
 
@@ -21,7 +24,8 @@ class Batch:
     """Base of frozen dataclasses that hold arrays with a row for each of N things.
 
     Their fields are arrays ``[N, ...]``, mappings of such arrays, or batches themselves: a
-    field that is added takes part in all operations.
+    field that is added takes part in all operations. Arrays in which the N things are
+    neighbours in memory, not each thing's own values, come out of them likewise.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -32,12 +36,12 @@ class Batch:
 
     def take(self, rows: Rows) -> Self:
         """The chosen rows, in the order of choice: views for a slice, otherwise copies."""
-        return self.map(lambda values: values[rows])
+        return self.map(lambda values: _taken(values, rows))
 
     @classmethod
     def concatenate(cls, batches: Sequence[Self]) -> Self:
         """All rows of at least one batch, in order."""
-        return batches[0] if len(batches) == 1 else cls._merged(batches, np.concatenate)
+        return batches[0] if len(batches) == 1 else cls._merged(batches, _concatenated)
 
     @classmethod
     def _merged(cls, batches: Sequence[Self], merge: Merge) -> Self:
@@ -66,8 +70,17 @@ class Batch:
         return {}
 
 
-LARGEST_NUMBER = 1e100
-"""No signal and no logit of a rollout is larger: sums over a rollout stay finite."""
+def _taken(values: AnyArray, rows: Rows) -> AnyArray:
+    if isinstance(rows, slice) or values.flags.c_contiguous:
+        return values[rows]
+    index = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
+    return values.T.take(index, axis=-1).T
+
+
+def _concatenated(arrays: Sequence[AnyArray]) -> AnyArray:
+    if all(array.flags.c_contiguous for array in arrays):
+        return np.concatenate(arrays)
+    return np.concatenate([array.T for array in arrays], axis=-1).T
 
 
 def read_only(array: AnyArray) -> AnyArray:
@@ -80,7 +93,8 @@ def read_only(array: AnyArray) -> AnyArray:
 def row_sums(values: FloatArray) -> FloatArray:
     """Sums ``[N]`` over the second axis of ``[N, M]``.
 
-    The order of additions depends on the memory layout; in C order a row's sum does not
-    depend on how many rows there are.
+    The order of additions depends on how an array lies in memory. Here it is always that of a
+    row in one piece, whatever the layout, so that a row's sum does not depend on how many rows
+    there are.
     """
     return np.sum(np.ascontiguousarray(values), axis=1)

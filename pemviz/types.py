@@ -158,6 +158,10 @@ class Proposal(Protocol):
 class RolloutBatch(Batch):
     """N rollouts of T states and T - 1 outcomes.
 
+    In memory a step of all rollouts lies in one piece (``array.T`` is in C order): so they are
+    drawn, so specifications are evaluated, and so they come back from files and workers. Results
+    do not depend on it: sums over steps go through :func:`pemviz.arrays.row_sums`.
+
     Attributes:
         signals: ``[N, T]`` by signal name.
         memory: ``[N, T]`` by name; see :class:`StateBatch`.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Count, Share, StepIndex
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import log_sum
@@ -111,7 +111,8 @@ def misses_by_distance(
 
 def miss_probability_by_step(failures: Failures) -> FloatArray:
     """Probability of a miss that may matter at each step, given a violation, ``[T-1]``."""
-    return failures.share @ failures.missed
+    # a product's last digit depends on how the matrix lies in memory
+    return failures.share @ np.ascontiguousarray(failures.missed)
 
 
 def likeliest_chains(failures: Failures, *, count: int = CHAINS) -> tuple[Chain, ...]:
@@ -122,7 +123,7 @@ def likeliest_chains(failures: Failures, *, count: int = CHAINS) -> tuple[Chain,
     group = group.ravel()
     share = np.bincount(group, weights=failures.share)
     drawn = np.bincount(group)
-    log_p = np.where(failures.deciding, failures.rollouts.log_p, 0.0).sum(axis=1)
+    log_p = row_sums(np.where(failures.deciding, failures.rollouts.log_p, 0.0))
     order = np.argsort(-share, kind="stable")[:count]
     return tuple(
         Chain(

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import expit
 
 from pemviz.analysis.causes import Failures
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.config.ranges import AtLeastZero
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
@@ -86,7 +86,7 @@ def log_change(failures: Failures, inside: BoolArray, *, factor: float) -> Float
     with np.errstate(divide="ignore", invalid="ignore"):  # where a miss is certain
         hits = np.log1p(-factor * miss) - np.log1p(-miss)
     change = np.where(missed, math.log(factor), hits)
-    return np.where(inside, change, 0.0).sum(axis=1)
+    return row_sums(np.where(inside, change, 0.0))
 
 
 def _sensitivity(
@@ -124,7 +124,7 @@ def _elasticity(failures: Failures, inside: BoolArray) -> float | None:
     miss = expit(-failures.rollouts.pem_logit)
     with np.errstate(divide="ignore", invalid="ignore"):  # certain misses: no figure, no warning
         slope = np.where(~failures.rollouts.detected, 1.0, -miss / (1.0 - miss))
-        elasticity = float(failures.share @ np.where(inside, slope, 0.0).sum(axis=1))
+        elasticity = float(failures.share @ row_sums(np.where(inside, slope, 0.0)))
     return elasticity if math.isfinite(elasticity) else None
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from scipy.special import expit
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.recording import colors, paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.types import ScoredRollouts, Signal, StageResult
@@ -118,7 +118,7 @@ def _log_table(file: RecordingFile, stage: StageResult, kept: IntArray) -> None:
             robustness=scored.robustness[kept],
             violated=scored.violated[kept],
             log_weight=rollouts.log_weight[kept],
-            log_p=np.sum(rollouts.log_p, axis=1)[kept],
+            log_p=row_sums(rollouts.log_p)[kept],
         ),
         stage=stage.stage,
     )

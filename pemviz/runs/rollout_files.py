@@ -73,7 +73,7 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage:
             detected=arrays["detected"],
             pem_logit=arrays["pem_logit"],
             proposal_logit=arrays["proposal_logit"],
-        )
+        ).map(np.asfortranarray)
         scored = ScoredRollouts(rollouts, arrays["robustness"], arrays["violated"])
     except KeyError as error:
         message = f"stage {path}: {error} is missing"

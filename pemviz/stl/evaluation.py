@@ -153,16 +153,19 @@ def _by_blocks(
         rows = slice(start, start + size)
         for name in named:
             check_signal(used[name][rows], name, metric, first_rollout=start)
-        block = {
-            name: np.ascontiguousarray(values[rows, :needed].T, dtype=np.float64)
-            for name, values in used.items()
-        }
+        block = {name: _time_first(values[rows, :needed]) for name, values in used.items()}
         with np.errstate(all="ignore"):  # what is not finite is reported, or meant
             _check_margins(predicates, block, start)
             result[rows] = evaluate(formula, semantics, block, start=0, steps=steps).T
     if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
         raise InputError("robustness is beyond the largest number; rescale the signals")
     return result
+
+
+def _time_first(values: AnyArray) -> FloatArray:
+    """[n, T] as [T, n] with rollouts side by side in memory; a view where they lie so already."""
+    block = np.asarray(values.T, dtype=np.float64)
+    return block if block.strides[-1] == block.itemsize else np.ascontiguousarray(block)
 
 
 def _block_rollouts(formula: Formula, states: int) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp, ndtri
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.pem.errors import PemError
 from pemviz.pem.models.protocol import Pem
 
@@ -89,9 +89,9 @@ def failing_log_weights(
     """
     _check_shapes(detected=detected, salient=salient, log_q=log_q, violated=violated)
     logit = pem.logit(salient[violated])
-    log_p = -np.logaddexp(0.0, np.where(detected[violated], -logit, logit)).sum(axis=1)
+    log_p = -row_sums(np.logaddexp(0.0, np.where(detected[violated], -logit, logit)))
     of_rollout = log_q[violated]
-    return log_p - (of_rollout if of_rollout.ndim == 1 else of_rollout.sum(axis=1))
+    return log_p - (of_rollout if of_rollout.ndim == 1 else row_sums(of_rollout))
 
 
 def reweight(

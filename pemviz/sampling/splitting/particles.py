@@ -43,7 +43,7 @@ def draw_particles(problem: Problem, *, count: int, generator: np.random.Generat
         detected=np.zeros((count, steps), dtype=np.bool_),
         pem_logit=np.zeros((count, steps)),
         proposal_logit=np.zeros((count, steps)),
-    )
+    ).map(np.asfortranarray)
     return _continued(problem, empty, np.zeros(count, dtype=np.int64), generator)
 
 
@@ -60,12 +60,12 @@ def _continued(
     """Rollouts ``[N]`` drawn anew from step ``cut`` on; 0 draws them whole."""
     simulator = problem.simulator
     count, steps = old.detected.shape
-    signals = {name: values.copy() for name, values in old.signals.items()}
-    memory = {name: values.copy() for name, values in old.memory.items()}
-    detected, logit = old.detected.copy(), old.pem_logit.copy()
+    signals = {name: np.array(values) for name, values in old.signals.items()}
+    memory = {name: np.array(values) for name, values in old.memory.items()}
+    detected, logit = np.array(old.detected), np.array(old.pem_logit)
     uniforms = generator.random((count, steps))
     states = simulator.initial(count=count)
-    score = np.empty((count, steps + 1))
+    score = np.empty((count, steps + 1), order="F")
     for step in range(steps + 1):
         for name, values in states.signals.items():
             signals[name][:, step] = values
@@ -96,7 +96,7 @@ def _if_detected(
 ) -> dict[str, FloatArray]:
     """Signals ``[N, T]`` of the rollouts if everything is detected from ``step`` on."""
     simulator = problem.simulator
-    result = {name: values.copy() for name, values in signals.items()}
+    result = {name: np.array(values) for name, values in signals.items()}
     everything = np.ones(next(iter(states.signals.values())).size, dtype=np.bool_)
     for later in range(step + 1, simulator.states):
         states = simulator.step(states, everything)
