@@ -1,5 +1,7 @@
 """One run, carried out wherever a worker is: settings and files in, a run folder's files out."""
 
+import os
+import sys
 import tempfile
 import threading
 import tomllib
@@ -13,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from pemviz._version import __version__
 from pemviz.config.toml_files import config_from_table, config_text
 from pemviz.errors import RunError
+from pemviz.processes import ONE_THREAD
 from pemviz.runs.engine import run
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import Experiment, build_experiment
@@ -132,9 +135,10 @@ def _observers(task: RunTask, folder: Path) -> list[Observer]:
 
 def _use_one_thread() -> None:
     """For this process, for good: the last digit depends on the number of threads."""
-    import torch  # noqa: PLC0415  torch takes a second to import
-
-    torch.set_num_threads(1)
+    os.environ.update(ONE_THREAD)  # for torch, if a run imports it; not all do, and it takes long
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        torch.set_num_threads(1)
     threadpool_limits(limits=1)
 
 

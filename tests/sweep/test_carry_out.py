@@ -2,6 +2,8 @@ import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -10,7 +12,7 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import RunError
-from pemviz.processes import DIED
+from pemviz.processes import DIED, ONE_THREAD
 from pemviz.sweep.carry_out import ATTEMPTS, carry_out_runs, finished_before
 from pemviz.sweep.fields import parse_variation
 from pemviz.sweep.folders import write_folder
@@ -133,6 +135,26 @@ def test_a_folder_that_cannot_be_written_ends_the_sweep_in_one_line(tmp_path):
     with pytest.raises(RunError, match="its folder cannot be written") as caught:
         driven(tmp_path / "gone", plan, InThisProcess(plan, {}))
     assert "\n" not in str(caught.value)
+
+
+THREADS = """
+import numpy
+from pemviz.sweep.runs import _use_one_thread
+_use_one_thread()
+import torch
+threads = [torch.get_num_threads()]
+torch.set_num_threads(3)
+_use_one_thread()
+print([*threads, torch.get_num_threads()])
+"""
+
+
+def test_torch_has_one_thread_whether_it_is_imported_before_or_after():
+    environment = {name: value for name, value in os.environ.items() if name not in ONE_THREAD}
+    done = subprocess.run(
+        [sys.executable, "-c", THREADS], capture_output=True, text=True, check=True, env=environment
+    )
+    assert done.stdout.strip() == "[1, 1]"
 
 
 @pytest.mark.slow
