@@ -11,6 +11,8 @@ from tests.toy import MissCounter, constant_pem
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("repeatable")
 
+TESTS = Path(__file__).resolve().parent
+TOGETHER = ("browser", "recording", "reproduce", "sweep")
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -25,11 +27,16 @@ def shared(name: str) -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Browser tests are slow, and share one worker: two cores are too few for two browsers."""
+    """Browser tests are slow, and share one worker: two cores are too few for two browsers.
+
+    So do the tests of the folders in ``TOGETHER``, each of which has a run that takes long to make.
+    """
     for item in items:
-        if "tests/browser" in item.path.as_posix():
+        folder = item.path.relative_to(TESTS).parts[0]
+        if folder == "browser":
             item.add_marker(pytest.mark.slow)
-            item.add_marker(pytest.mark.xdist_group("browser"))
+        if folder in TOGETHER:
+            item.add_marker(pytest.mark.xdist_group(folder))
 
 
 @pytest.fixture(scope="session")

@@ -19,8 +19,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+# What commands import when they are called is imported here, once, before the processes fork.
+import torch  # noqa: F401
 from safetensors.numpy import load_file
 
+import pemviz.cli.record_run  # noqa: F401
 from pemviz.cli import record
 from pemviz.runs.rollout_files import load_rollouts
 
