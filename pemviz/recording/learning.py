@@ -11,11 +11,8 @@ from pemviz.analysis.detection_curves import DetectionCurves
 from pemviz.arrays import FloatArray
 from pemviz.recording import colors, paths
 from pemviz.recording.stream import RecordingFile
-from pemviz.sampling.description import StageInterval
-from pemviz.sampling.estimates.estimate import log_normal_interval, monte_carlo_estimate
-from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_std_error
+from pemviz.sampling.estimates.stage_interval import stage_interval
 from pemviz.sampling.registry import by_name
-from pemviz.sampling.rollouts.final_batch import weighed
 from pemviz.types import StageResult
 
 HISTOGRAM_BINS = 40
@@ -43,7 +40,7 @@ class StageFigures:
 def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
     """The stage's figures, with the interval of its own estimate."""
     interval = by_name(method).stage_interval
-    low, high = _stage_interval(stage, method=method, interval=interval)
+    low, high = stage_interval(stage.scored, interval=interval, method=method)
     return StageFigures(
         stage=stage.stage,
         kind=stage.kind,
@@ -57,21 +54,6 @@ def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
         log10_ci_low=_log10(low),
         log10_ci_high=_log10(high),
     )
-
-
-def _stage_interval(
-    stage: StageResult, *, method: str, interval: StageInterval
-) -> tuple[float | None, float | None]:
-    """95 % interval of the estimate from the stage's own rollouts, if they tell one."""
-    if interval == "binomial":
-        estimate = monte_carlo_estimate(weighed(stage.scored), method=method)
-        return estimate.ci_low, estimate.ci_high
-    if interval != "log-normal" or stage.failures == 0:
-        return None, None
-    log_weight, violated = stage.scored.rollouts.log_weight, stage.scored.violated
-    log_probability = log_mean_failing_weight(log_weight, violated)
-    relative = math.exp(log_std_error(log_weight, violated) - log_probability)
-    return log_normal_interval(log_probability, relative_error=relative)
 
 
 def _log10(value: float | None) -> float | None:

@@ -27,6 +27,7 @@ from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,
 )
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
+from pemviz.simulators.braking.emergency_braking import brakes, is_close
 from pemviz.simulators.braking.features import BrakingFeatures
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
@@ -153,7 +154,7 @@ class BrakingTwin:
         cruise_mps2 = wanted_mps2.clamp(
             -config.maximum_deceleration_mps2, config.maximum_acceleration_mps2
         )
-        emergency = detected & (states.signals[GAP] < config.emergency_gap_m)
+        emergency = brakes(detected, states.signals[GAP], config)
         return (
             torch.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),
             torch.where(emergency, held_m, grown_m),
@@ -277,7 +278,7 @@ def _(part: OffsetLogisticProposal, device: str) -> ProposalTwin | None:
         )
         monomials = torch.stack([_product(standard, chosen) for chosen in basis.exponents])
         shift = (coefficients @ monomials).clamp(-LARGEST_SHIFT, LARGEST_SHIFT)
-        acts = gap_m < config.emergency_gap_m
+        acts = is_close(gap_m, config)
         if part.violated in states.memory:
             acts = acts & ~states.memory[part.violated]
         return torch.where(acts, _defended(pem_logit - shift, pem_logit, share), pem_logit)

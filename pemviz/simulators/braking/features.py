@@ -6,6 +6,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
+from pemviz.simulators.braking.emergency_braking import is_close
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED
 from pemviz.types import StateBatch
 
@@ -28,4 +29,4 @@ class BrakingFeatures:
 
     def reacts(self, states: StateBatch) -> BoolArray:
         """Whether a detection at states ``[...]`` would trigger the emergency brake."""
-        return states.signals[GAP] < self.config.emergency_gap_m
+        return is_close(states.signals[GAP], self.config)

@@ -29,6 +29,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pemviz.arrays import FloatArray
 from pemviz.config import ScenarioConfig
+from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import CAR_WIDTH_M
 
 ENVIRONMENT_ID = "pemviz-braking-v0"
@@ -126,7 +127,7 @@ class EgoCar(ScenarioCar):
     @property
     def emergency(self) -> bool:
         """Whether the lead car is detected and close."""
-        return self.lead_detected and self.gap_m < self.scenario.emergency_gap_m
+        return brakes(self.lead_detected, self.gap_m, self.scenario)
 
     def act(self, action: Any = None) -> None:  # noqa: ARG002
         """Choose the acceleration; ``action`` is highway-env's and not used."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
     GAP,
@@ -61,8 +62,7 @@ class VectorizedSimulator(BrakingScenario):
         cruise_mps2 += config.speed_integral_gain_per_s2 * grown_m
         np.maximum(cruise_mps2, -config.maximum_deceleration_mps2, out=cruise_mps2)
         np.minimum(cruise_mps2, config.maximum_acceleration_mps2, out=cruise_mps2)
-        emergency = states.signals[GAP] < config.emergency_gap_m
-        emergency &= detected
+        emergency = brakes(detected, states.signals[GAP], config)
         return (
             np.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),
             np.where(emergency, held_m, grown_m),
