@@ -15,7 +15,8 @@ go below 0.
 **One step**, from s_t and the outcome at s_t to s_{t+1}:
 
 1. *Perception.* detected ~ Bernoulli(p), p the error model's for the salient variables at s_t.
-2. *Emergency braking rule* (``emergency_braking.py``). Emergency, if detected and gap < ``emergency_gap_m`` (10 m).
+2. *Emergency braking rule* (``emergency_braking.py``). Emergency, if detected and gap <
+   ``emergency_gap_m`` (10 m).
 3. *Ego's acceleration.* In an emergency -``emergency_deceleration_mps2`` (8 m/s^2), and I is held.
    Otherwise a PI controller (PID with K_d = 0) drives to v_0: e = v_0 - ego_speed; first I grows
    by e dt; then a = K_p e + K_i I with K_p = ``speed_gain_per_s`` (1 /s) and K_i =
