@@ -10,6 +10,7 @@ import rerun_cli
 from scipy.special import expit
 
 from pemviz.analysis.detection_curves import detection_curves, gap_grid
+from pemviz.arrays import row_sums
 from pemviz.recording import paths
 from pemviz.recording.read import read_stages
 from pemviz.runs.engine import run
@@ -56,7 +57,7 @@ def test_every_rollout_reads_back_exactly(learned):
         np.testing.assert_array_equal(found.robustness, stage.scored.robustness)
         np.testing.assert_array_equal(found.violated, stage.scored.violated)
         np.testing.assert_array_equal(found.log_weight, rollouts.log_weight)
-        np.testing.assert_array_equal(found.log_p, rollouts.log_p.sum(axis=1))
+        np.testing.assert_array_equal(found.log_p, row_sums(rollouts.log_p))
 
 
 def test_rollouts_equal_those_of_the_run_folder(learned):
