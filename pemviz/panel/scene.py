@@ -11,8 +11,8 @@ import viser
 from numpy.typing import NDArray
 
 from pemviz.arrays import FloatArray
+from pemviz.colors import BLUE, DETECTED, EGO, LEAD, MISSED, rgb
 from pemviz.panel import meshes
-from pemviz.panel.palette import BLUE, DETECTED, EGO, LEAD, MISSED, rgb
 from pemviz.panel.views.rollout import Track
 
 ROAD = (72, 76, 84)

@@ -9,7 +9,18 @@ import rerun as rr
 
 from pemviz.analysis.detection_curves import DetectionCurves
 from pemviz.arrays import FloatArray
-from pemviz.recording import colors, paths
+from pemviz.colors import (
+    GREEN,
+    ORANGE,
+    PEM_BARS_ON_BLACK,
+    PROPOSAL_BARS_ON_BLACK,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    Rgba,
+    rgba,
+)
+from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile
 from pemviz.sampling.estimates.stage_interval import stage_interval
 from pemviz.sampling.registry import by_name
@@ -62,17 +73,17 @@ def _log10(value: float | None) -> float | None:
 
 def log_pem_curve(file: RecordingFile, gap_m: FloatArray, probability: FloatArray) -> None:
     """The perception error model's curve ``[G]``; it does not change."""
-    file.static(paths.PEM_CURVE, _curve(gap_m, probability, colors.PEM_BARS))
+    file.static(paths.PEM_CURVE, _curve(gap_m, probability, rgba(PEM_BARS_ON_BLACK)))
 
 
 def log_curves(file: RecordingFile, curves: DetectionCurves, *, stage: int) -> None:
     """The proposal's curve, in the current view and as one of all stages."""
-    bars = _curve(curves.gap_m, curves.proposal, colors.PROPOSAL_BARS)
+    bars = _curve(curves.gap_m, curves.proposal, rgba(PROPOSAL_BARS_ON_BLACK))
     file.at_stage(paths.PROPOSAL_CURVE, bars, stage=stage)
     file.at_stage(paths.stage_curve(stage), bars, stage=stage)
 
 
-def _curve(gap_m: FloatArray, probability: FloatArray, color: colors.Rgba) -> rr.BarChart:
+def _curve(gap_m: FloatArray, probability: FloatArray, color: Rgba) -> rr.BarChart:
     """Bars as wide as the grid's steps; rerun places a bar by its left edge."""
     step_m = float(gap_m[1] - gap_m[0])
     return rr.BarChart(probability, abscissa=gap_m, widths=np.full(gap_m.size, step_m), color=color)
@@ -90,7 +101,7 @@ def log_robustness(file: RecordingFile, stage: StageResult, *, limit: int = HIST
             counts.astype(np.float64),
             abscissa=edges[:-1],
             widths=np.diff(edges),
-            color=colors.SKY,
+            color=rgba(SKY),
         ),
         stage=stage.stage,
     )
@@ -117,19 +128,19 @@ def is_redrawn(stage: int, *, stages: int) -> bool:
 
 
 def _log_bars(file: RecordingFile, rows: Sequence[StageFigures]) -> None:
-    plain: Mapping[str, colors.Rgba] = {
-        "threshold": colors.GREEN,
-        "failures": colors.VERMILLION,
-        "ess": colors.SKY,
-        "loss": colors.PURPLE,
+    plain: Mapping[str, Rgba] = {
+        "threshold": rgba(GREEN),
+        "failures": rgba(VERMILLION),
+        "ess": rgba(SKY),
+        "loss": rgba(PURPLE),
     }
     for name, color in plain.items():
         _log_bar(file, rows, name=name, path=paths.bars(name), color=color, width=BAR_WIDTH)
     width = BAR_WIDTH / 3
     beside = {
-        "log10_ci_low": (colors.SKY, -width),
-        "log10_probability": (colors.ORANGE, 0.0),
-        "log10_ci_high": (colors.SKY, width),
+        "log10_ci_low": (rgba(SKY), -width),
+        "log10_probability": (rgba(ORANGE), 0.0),
+        "log10_ci_high": (rgba(SKY), width),
     }
     for name, (color, shift) in beside.items():
         path = paths.bars(name)
@@ -142,7 +153,7 @@ def _log_bar(
     *,
     name: str,
     path: str,
-    color: colors.Rgba,
+    color: Rgba,
     width: float,
     shift: float = 0.0,
 ) -> None:
@@ -177,6 +188,6 @@ def log_repetitions(file: RecordingFile, log10_probabilities: Sequence[float | N
             np.array([value for _, value in known]),
             abscissa=places - BAR_WIDTH / 2,
             widths=np.full(places.size, BAR_WIDTH),
-            color=colors.ORANGE,
+            color=rgba(ORANGE),
         ),
     )

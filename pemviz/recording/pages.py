@@ -9,12 +9,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pemviz.arrays import FloatArray
+from pemviz.colors import BLUE, GREEN, VERMILLION, rgba
 from pemviz.recording import paths
-from pemviz.recording.colors import BLUE, GREEN, VERMILLION
 from pemviz.recording.stream import RecordingFile, StepTimes
 
 TEXT, PICTURE, SERIES = "text", "picture", "series"
-SERIES_COLORS = (BLUE, VERMILLION, GREEN)
+SERIES_COLORS = (rgba(BLUE), rgba(VERMILLION), rgba(GREEN))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ import rerun as rr
 from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
-from pemviz.recording import colors, paths
+from pemviz.colors import HOLDS, PEM_ON_BLACK, VIOLATED, Rgba, rgba
+from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.types import ScoredRollouts, Signal, StageResult
 
@@ -35,7 +36,7 @@ def log_rollouts(
     shades = series_colors(scored.violated[kept])
     widths = series_widths(kept.size)
 
-    def log(part: str, values: FloatArray, colours: Sequence[colors.Rgba]) -> None:
+    def log(part: str, values: FloatArray, colours: Sequence[Rgba]) -> None:
         path = paths.rollouts(stage.stage, part)
         times = StepTimes(stage=stage.stage, count=values.shape[1], dt_s=dt_s)
         file.style(path, names=names, colors=colours, widths=widths)
@@ -43,7 +44,7 @@ def log_rollouts(
 
     for signal in signals:
         log(signal.key, rollouts.signals[signal.name][kept], shades)
-    grey = [colors.faded(colors.PEM, PEM_ALPHA)] * kept.size
+    grey = [rgba(PEM_ON_BLACK, opacity=PEM_ALPHA)] * kept.size
     log(paths.PEM_SERIES, expit(rollouts.pem_logit[kept]), grey)
     log(paths.PROPOSAL_SERIES, expit(rollouts.proposal_logit[kept]), shades)
     _log_detections(file, stage.stage, rollouts.detected[kept])
@@ -58,11 +59,14 @@ def series_names(scored: ScoredRollouts, kept: IntArray) -> list[str]:
     return [f"rollout {i}, robustness {scored.robustness[i]:.3g}" for i in kept.tolist()]
 
 
-def series_colors(violated: BoolArray) -> list[colors.Rgba]:
+def series_colors(violated: BoolArray) -> list[Rgba]:
     """Violated or not, the last ``EMPHASISED`` opaque."""
     faint = 110 if violated.size <= CROWDED else 60
-    plain = (colors.faded(colors.HOLDS, faint), colors.faded(colors.VIOLATED, faint + 40))
-    strong = (colors.HOLDS, colors.VIOLATED)
+    plain = (
+        rgba(HOLDS, opacity=faint),
+        rgba(VIOLATED, opacity=faint + 40),
+    )
+    strong = (rgba(HOLDS), rgba(VIOLATED))
     first_strong = violated.size - EMPHASISED
     return [
         (strong if place >= first_strong else plain)[int(flag)]
@@ -93,8 +97,8 @@ def _log_missed_share(
     """The share of all rollouts that missed, for those that violate and those that do not."""
     path = paths.rollouts(stage, paths.MISSED_SHARE)
     groups = {
-        "specification holds": (~scored.violated, colors.HOLDS),
-        "violated": (scored.violated, colors.VIOLATED),
+        "specification holds": (~scored.violated, rgba(HOLDS)),
+        "violated": (scored.violated, rgba(VIOLATED)),
     }
     present = {name: group for name, group in groups.items() if group[0].any()}
     missed = ~scored.rollouts.detected

@@ -11,8 +11,9 @@ import numpy as np
 import rerun as rr
 
 from pemviz.arrays import AnyArray, FloatArray
+from pemviz.colors import DETECTED, GREEN, GREY, MISSED, WHITE, Rgba, rgba
 from pemviz.config import ScenarioConfig
-from pemviz.recording import colors, paths
+from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.recording.worst import Track
 from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, EGO_SPEED, GAP
@@ -31,8 +32,8 @@ BONNET_HEIGHT_M = 0.9
 FOCAL_PX = 721.5
 IMAGE_PX = (1242, 375)
 AHEAD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-PAINT: colors.Rgba = (190, 190, 190, 255)
-ROAD: colors.Rgba = (55, 55, 60, 255)
+PAINT: Rgba = (190, 190, 190, 255)
+ROAD: Rgba = (55, 55, 60, 255)
 
 
 def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
@@ -42,7 +43,7 @@ def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
     ticks = [[[x, near_m, 0.03], [x, far_m, 0.03]] for x in TICKS_M]
     file.static(
         paths.setting("ruler"),
-        rr.LineStrips3D(ticks, colors=colors.GREY, radii=0.02),
+        rr.LineStrips3D(ticks, colors=rgba(GREY), radii=0.02),
     )
     file.static(
         paths.setting("ruler/labels"),
@@ -50,7 +51,7 @@ def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
             [[x, near_m - 0.8, 0.0] for x in TICKS_M],
             labels=[f"gap {x:g} m" for x in TICKS_M],
             radii=0.05,
-            colors=colors.GREY,
+            colors=rgba(GREY),
             show_labels=True,
         ),
     )
@@ -59,7 +60,7 @@ def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
         paths.setting("emergency_gap"),
         rr.LineStrips3D(
             [[[edge_m, near_m, 0.05], [edge_m, far_m, 0.05], [edge_m, far_m, POST_M]]],
-            colors=colors.GREEN,
+            colors=rgba(GREEN),
             radii=0.07,
         ),
     )
@@ -68,7 +69,7 @@ def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
         rr.Points3D(
             [[edge_m, far_m, POST_M]],
             labels=[f"a detection nearer than {edge_m:g} m brakes hard"],
-            colors=colors.GREEN,
+            colors=rgba(GREEN),
             radii=0.02,
             show_labels=True,
         ),
@@ -113,7 +114,7 @@ def _log_lane_setting(file: RecordingFile, rank: int, scenario: ScenarioConfig) 
         ),
     )
     length_m = scenario.lead_length_m
-    ego = _car(x_m=BONNET_M - length_m, y_m=y_m, length_m=length_m, color=colors.WHITE)
+    ego = _car(x_m=BONNET_M - length_m, y_m=y_m, length_m=length_m, color=rgba(WHITE))
     file.static(paths.lane(rank, "ego"), ego)
     file.static(
         paths.lane(rank, "camera"),
@@ -127,7 +128,7 @@ def _log_lane_setting(file: RecordingFile, rank: int, scenario: ScenarioConfig) 
     )
 
 
-def _car(*, x_m: float, y_m: float, length_m: float, color: colors.Rgba | None) -> rr.Boxes3D:
+def _car(*, x_m: float, y_m: float, length_m: float, color: Rgba | None) -> rr.Boxes3D:
     """Cabin and bonnet of a car whose rear is at ``x_m``; the bonnet ends in front.
 
     What is logged once for all time hides what is logged over time: a car that changes its
@@ -174,7 +175,8 @@ def _log_label(file: RecordingFile, rank: int, track: Track, *, times: StepTimes
     position = np.stack([x_m, np.full(gap_m.size, y_m), np.full(gap_m.size, LABEL_M)], axis=1)
     path = paths.lane(rank, "outcome")
     file.static(
-        path, rr.Points3D.from_fields(radii=[0.05], colors=[colors.WHITE], show_labels=True)
+        path,
+        rr.Points3D.from_fields(radii=[0.05], colors=[rgba(WHITE)], show_labels=True),
     )
     file.along(
         path,
@@ -187,7 +189,7 @@ def _log_label(file: RecordingFile, rank: int, track: Track, *, times: StepTimes
             [[-1.0, y_m, LABEL_M]],
             labels=[f"rank {rank}: robustness {track.ranked.robustness:.3g}"],
             radii=0.05,
-            colors=colors.WHITE,
+            colors=rgba(WHITE),
             show_labels=True,
         ),
         stage=times.stage,
@@ -197,8 +199,8 @@ def _log_label(file: RecordingFile, rank: int, track: Track, *, times: StepTimes
 def _outcome_colors(track: Track) -> AnyArray:
     """RGBA ``[T, 4]``: detected, missed, and grey at the last state, where nothing is seen."""
     shades = np.empty((track.detected.size + 1, 4), dtype=np.uint8)
-    shades[:-1] = np.where(track.detected[:, None], colors.DETECTED, colors.MISSED)
-    shades[-1] = colors.GREY
+    shades[:-1] = np.where(track.detected[:, None], rgba(DETECTED), rgba(MISSED))
+    shades[-1] = rgba(GREY)
     return shades
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pemviz.recording import paths
-from pemviz.recording.colors import (
+from pemviz.colors import (
     BLUE,
     DARK_GREY,
     GREEN,
@@ -20,10 +19,12 @@ from pemviz.recording.colors import (
     VERMILLION,
     WHITE,
     Rgba,
+    rgba,
 )
+from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile
 
-COLORS = (SKY, ORANGE, GREEN, VERMILLION, PURPLE, BLUE)
+COLORS = tuple(map(rgba, (SKY, ORANGE, GREEN, VERMILLION, PURPLE, BLUE)))
 WIDTH_TO_HEIGHT = 1.8
 SETTING_GAP = 1.5  # between settings, in rows
 MARGIN_ROWS = 1.5
@@ -171,7 +172,7 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
         for place, one in enumerate(setting.estimates):
             row = first + place
             known = one.log10_probability
-            color = GREY if known is None else COLORS[number % len(COLORS)]
+            color = rgba(GREY) if known is None else COLORS[number % len(COLORS)]
             points.append((frame.x(frame.low if known is None else known), row))
             labels.append(_label(setting, one))
             colors.append(color)
@@ -198,14 +199,15 @@ def _log_grid(recording: RecordingFile, frame: _Frame) -> None:
     decades = list(range(int(frame.low) + 1, int(frame.high) + 1, step))
     strips = [[(frame.x(d), 0.0), (frame.x(d), frame.rows)] for d in decades]
     recording.static(
-        paths.sweep_estimates("grid/lines"), rr.LineStrips2D(strips, colors=DARK_GREY, radii=THIN)
+        paths.sweep_estimates("grid/lines"),
+        rr.LineStrips2D(strips, colors=rgba(DARK_GREY), radii=THIN),
     )
     recording.static(
         paths.sweep_estimates("grid/decades"),
         rr.Points2D(
             [(frame.x(d), -0.3) for d in decades],
             labels=[f"1e{d}" for d in decades],
-            colors=WHITE,
+            colors=rgba(WHITE),
             radii=TEXT_ANCHOR,
             show_labels=True,
         ),

@@ -10,8 +10,9 @@ import rerun as rr
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.colors import DETECTED, MISSED, PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
 from pemviz.config import ScenarioConfig
-from pemviz.recording import colors, paths
+from pemviz.recording import paths
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.result import RankedRollout, RunResult
@@ -107,7 +108,7 @@ def log_worst_plots(
     file.style(
         paths.WORST_DETECTION,
         names=["perception error model", "proposal it was sampled from"],
-        colors=[colors.PEM, colors.PROPOSAL],
+        colors=[rgba(PEM_ON_BLACK), rgba(PROPOSAL_ON_BLACK)],
         widths=[2.0, 2.0],
     )
     worst = tracks[0]
@@ -127,7 +128,7 @@ def _log_outcomes(file: RecordingFile, track: Track, *, path: str, times: StepTi
         rr.StateConfiguration(
             values=list(KEPT_STATES),
             labels=[" ", "miss"],
-            colors=[colors.DETECTED, colors.MISSED],
+            colors=[rgba(DETECTED), rgba(MISSED)],
         ),
     )
     words = np.where(track.detected, *KEPT_STATES).tolist()

@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import FloatArray
+from pemviz.colors import BLACK, BLUE, GREEN, GREY, VERMILLION
 from pemviz.config import ScenarioConfig
 from pemviz.reproduce.least_safe import LeastSafeSearch
 
 DOTS_PER_INCH = 150
 WIDTH_IN, HEIGHT_IN = 7.0, 4.2
-# Okabe and Ito's palette, which colour-blind people can tell apart; line styles differ too
-BLACK, BLUE, ORANGE, GREEN, GREY = "#000000", "#0072B2", "#D55E00", "#009E73", "#999999"
 # colour, line, width: curves that coincide stay visible, the widest drawn first
 METRIC_STYLES = {
     "classical": (BLUE, "-", 3.4),
-    "agm": (ORANGE, "--", 2.2),
+    "agm": (VERMILLION, "--", 2.2),
     "smooth-cumulative": (GREEN, "-.", 1.8),
 }
 LIMIT_M = 2.0

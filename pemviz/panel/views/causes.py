@@ -6,7 +6,7 @@ from html import escape
 from pemviz.analysis.causes import BandMisses, Chain
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
-from pemviz.panel.palette import MISSED
+from pemviz.colors import MISSED
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import FAINT, GRID, nice_ticks, svg, text
 from pemviz.panel.views.words import MINUS, grid, heading, number, percent, quiet

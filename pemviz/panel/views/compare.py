@@ -6,8 +6,8 @@ from typing import cast, get_args
 import numpy as np
 
 from pemviz.arrays import BoolArray
+from pemviz.colors import BLACK, BLUE, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
-from pemviz.panel.palette import BLACK, BLUE, METRICS, PEM, VERMILLION
 from pemviz.panel.ranking import elites, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot

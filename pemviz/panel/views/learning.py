@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pemviz.panel.palette import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
+from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.words import block, number, quiet

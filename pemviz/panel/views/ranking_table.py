@@ -2,7 +2,7 @@
 
 from html import escape
 
-from pemviz.panel.palette import MISSED
+from pemviz.colors import MISSED
 from pemviz.panel.ranking import RankedRow, Ranking, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.words import MINUS, block, cells, number, quiet

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.colors import BLUE, DETECTED, EGO, GREY, LEAD, MISSED, PEM, PROPOSAL, VERMILLION
 from pemviz.config import ScenarioConfig
-from pemviz.panel.palette import BLUE, DETECTED, EGO, GREY, LEAD, MISSED, PEM, PROPOSAL, VERMILLION
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
 from pemviz.panel.svg import Axis, Plot, svg, text

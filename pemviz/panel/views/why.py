@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.panel.palette import BLACK, VERMILLION
+from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.causes import causes_part

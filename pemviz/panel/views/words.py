@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from pemviz.panel.palette import GREY, VERMILLION
+from pemviz.colors import GREY, VERMILLION
 
 STYLE = "font-family:system-ui,sans-serif;font-size:12.5px;line-height:1.45;color:#1f2933"
 MINUS = "\N{MINUS SIGN}"

@@ -28,6 +28,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from pemviz.arrays import FloatArray
+from pemviz.colors import LEAD, SKY, rgb
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import CAR_WIDTH_M
@@ -42,8 +43,7 @@ SDL_DRIVER_VARIABLE = "SDL_VIDEODRIVER"
 
 FRAME_WIDTH_PX = 640
 FRAME_HEIGHT_PX = 160
-EGO_RGB = (86, 180, 233)
-LEAD_RGB = (230, 159, 0)
+EGO_RGB, LEAD_RGB = rgb(SKY), rgb(LEAD)
 
 
 class BrakingState(NamedTuple):

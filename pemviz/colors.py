@@ -1,0 +1,42 @@
+"""The palette of Okabe and Ito (2008), which people with any kind of colour vision tell apart.
+
+As ``#rrggbb``; roles that colours have in several views stand below them.
+"""
+
+Rgba = tuple[int, int, int, int]
+
+BLUE = "#0072B2"
+SKY = "#56B4E9"
+VERMILLION = "#D55E00"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+PURPLE = "#CC79A7"
+GREY = "#7b8794"
+DARK_GREY = "#464646"
+BLACK = "#1f2933"
+WHITE = "#ebebeb"
+
+DETECTED = BLUE
+MISSED = VERMILLION
+HOLDS = SKY
+VIOLATED = VERMILLION
+EGO = BLUE
+LEAD = ORANGE
+METRICS = {"classical": BLUE, "agm": ORANGE, "smooth-cumulative": GREEN}
+
+# on white, as in the panel, and on black, as in rerun's viewer
+PEM, PEM_ON_BLACK = BLACK, GREY
+PROPOSAL, PROPOSAL_ON_BLACK = VERMILLION, ORANGE
+# rerun adds up the colours of bars that overlap: where both are, the sum is orange
+PEM_BARS_ON_BLACK = "#3c3c46"
+PROPOSAL_BARS_ON_BLACK = "#be7300"
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """``#rrggbb`` as three numbers from 0 to 255."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+
+
+def rgba(color: str, *, opacity: int = 255) -> Rgba:
+    """``#rrggbb`` and an opacity, as four numbers from 0 to 255."""
+    return (*rgb(color), opacity)
