@@ -38,12 +38,36 @@ def distinct_rows(rows: FloatArray) -> tuple[IntArray, IntArray] | None:
     ``None`` where more than half are distinct, so that it does not pay to know.
     """
     bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
-    _, first, place = np.unique(_hashes(bits), return_index=True, return_inverse=True)
+    first, place = distinct(_hashes(bits).view(np.int64))
     if 2 * first.size > rows.shape[0]:
         return None
     if not np.array_equal(bits[first[place]], bits):  # two rows share a hash
         return None
     return first, place
+
+
+def distinct(keys: IntArray) -> tuple[IntArray, IntArray]:
+    """Where each distinct key of ``[N]`` comes first ``[M]``, in order, and which each is ``[N]``.
+
+    A hash table that is written and read by whole arrays: linear in N, where sorting is not.
+    Keys whose place another key takes are placed anew by another hash.
+    """
+    shift = np.uint64(63 - max(keys.size, 1).bit_length())
+    every = np.arange(keys.size, dtype=np.int32)  # half the memory traffic of int64
+    table = np.empty(1 << (64 - int(shift)), dtype=np.int32)
+    first = np.empty_like(every)
+    left, of_left, multiplier = every, keys.view(np.uint64), MULTIPLIER
+    while left.size:
+        place = ((of_left * multiplier) >> shift).view(np.int64)
+        table[place[::-1]] = left[::-1]  # the last one written stays: the first of its place
+        taker = table[place]
+        same = keys[taker].view(np.uint64) == of_left
+        first[left[same]] = taker[same]
+        others = np.flatnonzero(~same)
+        left, of_left = left[others], of_left[others]
+        multiplier += np.uint64(2)  # stays odd
+    is_first = first == every
+    return np.flatnonzero(is_first), (np.cumsum(is_first) - 1)[first]
 
 
 def _hashes(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:

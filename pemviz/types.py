@@ -259,7 +259,9 @@ DiagnosticKind = Literal[
     "died-out",
     "single-run",
     "unlatched",
+    "called-safe",
     "reference-disagrees",
+    "reference-unreliable",
     "unclassified",
 ]
 """What can be wrong with an estimate; ``sampling/estimates/diagnostics.py`` says what it means."""

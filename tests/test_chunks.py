@@ -3,13 +3,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.chunks import ROWS, map_distinct, map_rows
+from pemviz.chunks import ROWS, distinct, map_distinct, map_rows
 from pemviz.pem import load_pem
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
 
 def twisted_sum(rows):
     return np.einsum("nd,d->n", rows, 1.0 / (1.0 + np.arange(rows.shape[1])))
+
+
+@given(
+    st.integers(0, 3000),
+    st.sampled_from([1, 7, 1000, 2**40]),
+    st.sampled_from([1, 2**32, -(2**20)]),
+    st.integers(0, 2**32),
+)
+def test_distinct_keys_as_numpy_finds_them_by_sorting(count, values, step, seed):
+    """Keys that differ in high or low bits alone, and more of them than places of one hash."""
+    keys = np.random.default_rng(seed).integers(0, values, count) * np.int64(step)
+    first, place = distinct(keys)
+    found, expected = np.unique(keys, return_index=True)
+    np.testing.assert_array_equal(np.sort(keys[first]), found)
+    np.testing.assert_array_equal(first, np.sort(expected))
+    np.testing.assert_array_equal(keys[first][place], keys)
 
 
 @given(

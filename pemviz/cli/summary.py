@@ -14,6 +14,7 @@ from pemviz.reports.words import (
     model_range_text,
     number_text,
     probability_text,
+    reference_text,
     share_text,
     violations_text,
 )
@@ -50,6 +51,8 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     table.add_row("error model", result.pem.name)
     table.add_row("probability", probability_text(estimate))
     table.add_row("95 % interval", interval_text(estimate))
+    if result.reference is not None:
+        table.add_row("reference", reference_text(result.reference, estimate))
     table.add_row("range over error models", model_range_text(result.pem_interval))
     table.add_row("violations", violations_text(estimate))
     table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))

@@ -45,6 +45,8 @@ class TwistedProposal:
             the error model.
         log_probability: Log of the failure probability that V gives at the start.
         exact: Whether V is that of the twin up to rounding.
+        left_out: Share of the failure probability that leads by way of states whose V is 0 all
+            the same; 0 where V is exact.
     """
 
     tables: tuple[TwistedTables, ...]
@@ -56,6 +58,7 @@ class TwistedProposal:
     defensive: float
     log_probability: float
     exact: bool
+    left_out: float
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]``; the step may differ along the last axis."""

@@ -15,6 +15,7 @@ from pemviz.reports.words import (
     model_range_text,
     number_text,
     probability_text,
+    reference_text,
     share_text,
     violations_text,
 )
@@ -69,7 +70,7 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
         ("log10", number_text(estimate.log10_probability)),
         (f"{estimate.confidence:.0%} interval".replace("%", " %"), interval_text(estimate)),
         ("range over error models", model_range_text(result.pem_interval)),
-        *_beside(result),
+        *_beside(result, estimate),
         ("violations", violations_text(estimate)),
         ("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)")),
     ]
@@ -82,12 +83,11 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
     return markdown_table(("answer", ""), rows)
 
 
-def _beside(result: RunResult) -> list[Row]:
+def _beside(result: RunResult, estimate: Estimate) -> list[Row]:
     """What else is known of the probability, if it is."""
     rows: list[Row] = []
     if result.reference is not None:
-        known = result.reference
-        rows.append(("reference", f"{known.probability:.4g} +- {known.std_error:.1g}"))
+        rows.append(("reference", reference_text(result.reference, estimate)))
     if result.data_bound is not None:
         bound = result.data_bound
         words = f"below {bound.probability:.2g} (confidence {bound.confidence:.0%})"

@@ -1,6 +1,11 @@
 """A run's answer in a few lines of plain text."""
 
-from pemviz.reports.words import interval_text, probability_text, violations_text
+from pemviz.reports.words import (
+    interval_text,
+    probability_text,
+    reference_text,
+    violations_text,
+)
 from pemviz.runs.result import RunResult
 
 
@@ -15,5 +20,7 @@ def summary_text(result: RunResult) -> str:
         f"  95 % interval: {interval_text(estimate)}",
         f"  violations: {violations_text(estimate)}",
     ]
+    if result.reference is not None:
+        lines.append(f"  reference: {reference_text(result.reference, estimate)}")
     warnings = (*estimate.warnings, *result.warnings)
     return "\n".join([*lines, *(f"  warning: {warning}" for warning in warnings)])

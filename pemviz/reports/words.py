@@ -2,6 +2,7 @@
 
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K
+from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate
 
 RELIABLE_TAIL = f"(reliable up to {RELIABLE_PARETO_K:g})"
@@ -21,6 +22,14 @@ def interval_text(estimate: Estimate) -> str:
     if estimate.ci_low is None or estimate.ci_high is None:
         return "unknown"
     return f"{estimate.ci_low:.2g} to {estimate.ci_high:.2g}"
+
+
+def reference_text(reference: Reference, estimate: Estimate) -> str:
+    """The reference with its standard error, and the estimate as a multiple of it."""
+    known = f"{reference.probability:.4g} +- {reference.std_error:.1g}"
+    if not reference.probability:
+        return known
+    return f"{known}; the estimate is {estimate.probability / reference.probability:.3g} times that"
 
 
 def violations_text(estimate: Estimate) -> str:

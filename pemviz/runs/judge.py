@@ -18,7 +18,7 @@ from pemviz.analysis.model_uncertainty import (
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import RunResult, StageSummary
-from pemviz.sampling.estimates.diagnostics import reference_disagreement
+from pemviz.sampling.estimates.diagnostics import reference_disagreement, unreliable_reference
 from pemviz.sampling.value_twisted.reference import reference
 from pemviz.types import Diagnostic, StageResult
 
@@ -126,14 +126,14 @@ def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
     if not experiment.config.reference or result.estimate is None or twin is None:
         return result
     compared = replace(result, reference=reference(experiment.problem, twin=twin))
-    disagreement = tuple(one.text for one in _disagreement(compared))
-    return replace(compared, warnings=(*result.warnings, *disagreement))
+    words = tuple(one.text for one in _about_reference(compared))
+    return replace(compared, warnings=(*result.warnings, *words))
 
 
 def run_diagnostics(result: RunResult) -> tuple[Diagnostic, ...]:
     """What is wrong with a run's answer: with its estimate, and beside the reference."""
     own = () if result.estimate is None else result.estimate.diagnostics
-    return (*own, *_disagreement(result))
+    return (*own, *_about_reference(result))
 
 
 def data_warnings(result: RunResult) -> tuple[str, ...]:
@@ -142,10 +142,14 @@ def data_warnings(result: RunResult) -> tuple[str, ...]:
     return tuple(warning for warning in result.warnings if warning not in about_answer)
 
 
-def _disagreement(result: RunResult) -> tuple[Diagnostic, ...]:
+def _about_reference(result: RunResult) -> tuple[Diagnostic, ...]:
     estimate, known = result.estimate, result.reference
     if estimate is None or known is None:
         return ()
-    return tuple(
-        reference_disagreement(estimate, probability=known.probability, std_error=known.std_error)
+    disagreement = reference_disagreement(
+        estimate,
+        probability=known.probability,
+        std_error=known.std_error,
+        trusted=not known.warnings,
     )
+    return (*disagreement, *unreliable_reference(known.warnings))

@@ -29,6 +29,16 @@ def test_record_writes_a_run_folder_and_a_summary(tmp_path, capsys):
     assert "stage 1" in shown.err
 
 
+def test_the_reference_stands_in_the_summary(tmp_path, capsys):
+    words = ["--method", "naive", "--final-rollouts", "200", "--reference"]
+    words += ["--scenario.states", "40", "--spec", "always[0,39] (gap >= 9.0)", "--json"]
+    assert record(tmp_path, *words) == 0
+    known = json.loads(capsys.readouterr().out)["reference"]
+    assert record(tmp_path, *words[:-1]) == 0
+    shown = capsys.readouterr().out
+    assert f"{known['probability']:.4g} +- {known['std_error']:.1g}" in shown
+
+
 def test_json_is_one_object_and_nothing_else(tmp_path, capsys):
     assert record(tmp_path, "--json", "--method", "naive") == 0
     shown = capsys.readouterr()

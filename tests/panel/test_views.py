@@ -71,6 +71,15 @@ def test_headline_gives_the_estimate(naive_run):
     assert f"{estimate.failures} of 60" in text
 
 
+def test_headline_and_why_tell_of_a_disagreement_with_the_reference(naive_run):
+    estimate = replace(naive_run.result.estimate, diagnostics=())
+    known = Reference(0.01 * estimate.probability, 0.0, math.log10(0.01 * estimate.probability))
+    run = with_result(naive_run, estimate=estimate, reference=known)
+    for page in (headline.headline(run), why.why(run)):
+        assert "1e+02 times the reference" in page
+        assert "trust the reference" in page
+
+
 def test_headline_never_gives_a_bare_zero(naive_run):
     nothing = replace(naive_run.result.estimate, failures=0, probability=0.0, ci_high=0.03)
     text = headline.headline(with_result(naive_run, estimate=nothing))

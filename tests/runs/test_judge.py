@@ -8,6 +8,7 @@ import pytest
 from pemviz.analysis.explanation import explain
 from pemviz.analysis.model_uncertainty import member_estimates, model_interval
 from pemviz.config import ExperimentConfig
+from pemviz.reports.gate import decide_run
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
@@ -165,6 +166,21 @@ def test_disagreement_with_the_reference_is_a_diagnostic_of_the_run():
     assert last.kind == "reference-disagrees"
     agreeing = Reference(result.estimate.probability, 0.0, result.estimate.log10_probability)
     assert run_diagnostics(replace(result, reference=agreeing)) == result.estimate.diagnostics
+
+
+def test_an_unreliable_reference_is_no_argument_against_the_estimate():
+    result = run_experiment(CONFIG)
+    estimate = result.estimate
+    agreeing = Reference(estimate.probability, 0.0, estimate.log10_probability, ("k-hat is 2",))
+    found = replace(result, reference=agreeing, warnings=())
+    *own, last = run_diagnostics(found)
+    assert tuple(own) == estimate.diagnostics
+    assert last.kind == "reference-unreliable"
+    assert "k-hat is 2" in last.text
+    reliable = replace(found, estimate=replace(estimate, diagnostics=()))
+    assert decide_run(reliable, limit=1.0).outcome == "passed"
+    far = replace(reliable, reference=replace(agreeing, probability=1e-9))
+    assert decide_run(far, limit=1.0).outcome == "undecided"
 
 
 def test_no_reference_is_computed_unasked(experiment, heard):

@@ -20,11 +20,13 @@ from pemviz.sampling.estimates.diagnostics import (
     MEANINGS,
     RELIABLE_PARETO_K,
     SMALL_ESS,
+    called_safe,
     classified,
     count_diagnostics,
     reference_disagreement,
     run_diagnostics,
     unlatched,
+    unreliable_reference,
     weight_diagnostics,
 )
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
@@ -235,6 +237,8 @@ def one_of_each_kind():
         *run_diagnostics(died=1, runs=2),
         *run_diagnostics(died=0, runs=1),
         unlatched(),
+        *unreliable_reference(["its tail is heavy"]),
+        *called_safe(0.1, relative_error=0.01),
         *reference_disagreement(estimate, probability=1e-20, std_error=0.0),
         *summarise_repetitions([weighted([]), weighted([1.0, *[0.01] * 29])]).diagnostics,
     ]
@@ -263,13 +267,44 @@ def test_agreement_with_the_reference_within_the_interval_or_three_errors():
     """30 equal weights of 100: p = 0.3, standard error sqrt(0.3 x 0.7 / 99)."""
     found = weighted(np.ones(30))
     error = math.sqrt(0.3 * 0.7 / 99)
-    inside, near, far = 0.3 + error, 0.3 - 2.9 * error, 0.3 + 3.1 * error
+    log_error = math.sqrt(math.log1p((error / 0.3) ** 2))
+    inside, near, far = 0.3 + error, 0.3 + 2.9 * error, 0.3 + 3.1 * error
     assert reference_disagreement(found, probability=inside, std_error=0.0) == ()
-    assert found.ci_low > near
+    assert found.ci_high < near
     assert reference_disagreement(found, probability=near, std_error=0.0) == ()
     (one,) = reference_disagreement(found, probability=far, std_error=0.0)
     assert (one.value, one.limit) == (pytest.approx(3.1), 3.0)
     assert reference_disagreement(found, probability=far, std_error=error) == ()
+    below = 0.3 * math.exp(-2.9 * log_error)
+    assert found.ci_low > below
+    assert reference_disagreement(found, probability=below, std_error=0.0) == ()
+
+
+def test_an_estimate_many_times_too_high_disagrees_with_the_reference():
+    """Its own standard error is as large as itself: on a linear scale it is nowhere far off."""
+    found = weighted([1.0, *[1e-3] * 29])
+    assert found.std_error > 0.3 * found.probability
+    known = found.probability * math.exp(
+        -3.1 * math.sqrt(math.log1p((found.std_error / found.probability) ** 2))
+    )
+    assert found.probability - known < 3.0 * found.std_error
+    (one,) = reference_disagreement(found, probability=known, std_error=0.0)
+    assert one.value == pytest.approx(3.1)
+    (none,) = reference_disagreement(weighted([]), probability=known, std_error=0.0)
+    assert none.value is None
+    (zero,) = reference_disagreement(found, probability=0.0, std_error=0.0, trusted=False)
+    assert "unreliable too" in zero.text
+    assert reference_disagreement(weighted([]), probability=0.0, std_error=0.0) == ()
+
+
+def test_what_is_called_safe_is_compared_with_the_standard_error():
+    assert called_safe(0.0, relative_error=0.004) == ()
+    assert called_safe(0.003, relative_error=0.004) == ()
+    (more,) = called_safe(0.05, relative_error=0.004)
+    assert (more.value, more.limit) == (0.05, 0.004)
+    assert "5.0%" in more.text
+    (without_failures,) = called_safe(1.0, relative_error=None)
+    assert without_failures.limit == 0.0
 
 
 def test_no_text_of_the_package_retypes_a_limit():

@@ -16,9 +16,10 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling
-from pemviz.sampling.value_twisted.reachable_states import explore, solve
+from pemviz.sampling.value_twisted.reachable_states import explore
 from pemviz.sampling.value_twisted.tables import build_twisted_proposal
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates, unsafe_states
+from pemviz.sampling.value_twisted.values import solve
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.toy import (
     ToyPem,
@@ -43,8 +44,8 @@ def toy_problem(simulator, pem):
 
 
 def value_of(simulator, pem, *, largest_layer=1000):
-    layers = explore(twin=simulator, pem=pem, unsafe=toy_unsafe, largest_layer=largest_layer)
-    return layers, solve(layers)
+    graph = explore(twin=simulator, pem=pem, unsafe=toy_unsafe, largest_layer=largest_layer)
+    return graph, solve(graph)
 
 
 def run(method, problem, *, repetition=0):
@@ -64,10 +65,10 @@ def run(method, problem, *, repetition=0):
 def test_value_is_exact_on_the_toy(initial, more, states, at_zero, slope):
     simulator = ToySimulator(initial_gap=initial, largest_gap=initial + more, states=states)
     pem = ToyPem(at_zero=at_zero, slope=slope)
-    layers, values = value_of(simulator, pem)
+    graph, values = value_of(simulator, pem)
     expected = toy_probability_by_recursion(simulator, pem)
     assert np.exp(values.log_probability) == pytest.approx(expected, rel=1e-9, abs=0.0)
-    assert all(layer.exact for layer in layers)
+    assert graph.exact
 
 
 @given(initial=st.integers(1, 5), states=st.integers(6, 20), at_zero=st.floats(0.0, 6.0))
@@ -101,14 +102,9 @@ def braking_problem(config, *, at_least_m=6.5):
 
 
 def exact_value(problem):
-    layers = explore(
-        twin=problem.simulator,
-        pem=problem.pem,
-        unsafe=problem.unsafe,
-        largest_layer=1_000_000,
-    )
-    assert all(layer.exact for layer in layers)
-    return np.exp(solve(layers).log_probability)
+    graph = explore(twin=problem.simulator, pem=problem.pem, unsafe=problem.unsafe)
+    assert graph.exact
+    return np.exp(solve(graph).log_probability)
 
 
 def test_the_recursion_agrees_with_all_chains_of_outcomes():
@@ -259,13 +255,8 @@ def test_dynamics_of_the_twin_are_those_of_the_simulator():
     def unsafe(states):
         return states.signals["gap"] < 8.0
 
-    layers = explore(
-        twin=simulator,
-        pem=FunctionPem(lambda s: np.ones(s.shape[:-1])),
-        unsafe=unsafe,
-        largest_layer=9999,
-    )
-    for layer, after in itertools.pairwise(layers):
+    graph = explore(twin=simulator, pem=FunctionPem(lambda s: np.ones(s.shape[:-1])), unsafe=unsafe)
+    for layer, after in itertools.pairwise(graph.layers):
         for hit, node in ((False, layer.after_miss), (True, layer.after_hit)):
             child = simulator.step(layer.states, np.full(layer.count, hit))
             kept = node >= 0

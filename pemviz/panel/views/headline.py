@@ -6,6 +6,7 @@ from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
 from pemviz.panel.views.words import block, number, quiet, warning
+from pemviz.runs.judge import run_diagnostics
 
 
 def headline(run: RunData | None) -> str:
@@ -46,9 +47,10 @@ def _answer(run: RunData) -> str:
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
-    for first in estimate.warnings[:1]:
-        others = len(estimate.warnings) - 1
-        lines += warning(f"{first} (and {others} more in Why)" if others else first)
+    found = run_diagnostics(run.result)
+    for first in found[:1]:
+        others = len(found) - 1
+        lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
     return lines
 
 

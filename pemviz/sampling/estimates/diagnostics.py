@@ -91,7 +91,14 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
     "below-doubles": Meaning(
         phrase="too small for a floating-point number", undermines=NOTHING, worst=min
     ),
-    "reference-disagrees": Meaning(phrase="trust the reference", undermines=ALL),
+    "called-safe": Meaning(
+        phrase="value function calls safe",
+        undermines=ALL,
+        in_repetitions="states that the value function calls safe may carry more than its error",
+    ),
+    "reference-disagrees": Meaning(phrase="times the reference", undermines=ALL),
+    # the estimate may be right all the same
+    "reference-unreliable": Meaning(phrase="the reference itself is", undermines=NOTHING),
     # of a file that an older version wrote: what is not known may be serious
     "unclassified": Meaning(phrase="", undermines=ALL),
 }
@@ -179,28 +186,79 @@ def unlatched() -> Diagnostic:
     return Diagnostic("unlatched", None, None, text)
 
 
+def called_safe(share: float, *, relative_error: float | None) -> Sequence[Diagnostic]:
+    """Of an approximate value function, which may call states safe that are not.
+
+    Args:
+        share: Of the failure probability that leads by way of them.
+        relative_error: The estimate's standard error as a share of it; ``None`` without failures.
+    """
+    limit = relative_error or 0.0
+    if share <= limit:
+        return ()
+    text = (
+        f"states that the approximate value function calls safe may carry {share:.1%} of the "
+        f"probability, the standard error is {limit:.1%} of it: compare with method mixture"
+    )
+    return (Diagnostic("called-safe", share, limit, text),)
+
+
 def reference_disagreement(
-    estimate: Estimate, *, probability: float, std_error: float
+    estimate: Estimate, *, probability: float, std_error: float, trusted: bool = True
 ) -> Sequence[Diagnostic]:
     """Of an estimate beside the reference, with the reference's own standard error.
 
-    They agree if the reference lies in the estimate's interval, or within three of their
-    joint standard errors.
+    They agree if the reference lies in the estimate's interval, or within three of their joint
+    standard errors both as they are and as logarithms: a linear scale is blind to an estimate
+    that is many times too high, a logarithmic one to one that is as many times too low.
+
+    Args:
+        estimate: What is compared.
+        probability: The reference.
+        std_error: Its standard error.
+        trusted: Whether the reference's own diagnostics hold.
     """
     low, high = estimate.ci_low, estimate.ci_high
     if low is not None and high is not None and low <= probability <= high:
         return ()
-    joint = math.hypot(estimate.std_error or 0.0, std_error)
-    apart = abs(estimate.probability - probability)
-    if apart <= AGREEMENT_ERRORS * joint:
-        return ()
-    ratio = estimate.probability / probability if probability else math.inf
-    text = (
-        f"the estimate is {ratio:.2g} times the reference {probability:.3g} and its interval "
-        "does not contain it: trust the reference"
+    error = estimate.std_error or 0.0
+    errors = max(
+        _ratio(abs(estimate.probability - probability), math.hypot(error, std_error)),
+        _errors_apart_in_log(estimate.probability, error, probability, std_error),
     )
-    errors = apart / joint if joint else math.inf
-    return (Diagnostic("reference-disagrees", errors, AGREEMENT_ERRORS, text),)
+    if errors <= AGREEMENT_ERRORS:
+        return ()
+    text = (
+        f"the estimate is {_ratio(estimate.probability, probability):.2g} times the reference "
+        f"{probability:.3g} and its interval does not contain it: "
+        f"{'trust the reference' if trusted else 'the reference is unreliable too'}"
+    )
+    value = errors if math.isfinite(errors) else None
+    return (Diagnostic("reference-disagrees", value, AGREEMENT_ERRORS, text),)
+
+
+def unreliable_reference(reasons: Sequence[str]) -> Sequence[Diagnostic]:
+    """Of a reference whose own diagnostics do not hold, for ``reasons``; nothing without any."""
+    if not reasons:
+        return ()
+    text = f"the reference itself is unreliable: {'; '.join(reasons)}"
+    return (Diagnostic("reference-unreliable", None, None, text),)
+
+
+def _errors_apart_in_log(one: float, error: float, other: float, other_error: float) -> float:
+    """How many joint standard errors two logarithms are apart, of log-normal estimates."""
+    if one == other:
+        return 0.0
+    if not (one and other):
+        return math.inf
+    variance = math.log1p((error / one) ** 2) + math.log1p((other_error / other) ** 2)
+    return _ratio(abs(math.log(one / other)), math.sqrt(variance))
+
+
+def _ratio(value: float, unit: float) -> float:
+    if unit:
+        return value / unit
+    return math.inf if value else 0.0
 
 
 def repetition_diagnostics(

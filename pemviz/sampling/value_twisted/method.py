@@ -17,14 +17,15 @@ from dataclasses import dataclass, field, replace
 from pemviz.errors import InputError
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.twisted import TwistedProposal
+from pemviz.sampling.estimates.diagnostics import called_safe
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
-from pemviz.sampling.value_twisted.reachable_states import Pause, Unsafe
+from pemviz.sampling.value_twisted.merging import LARGEST_LAYER, Pause
+from pemviz.sampling.value_twisted.reachable_states import Unsafe
 from pemviz.sampling.value_twisted.tables import (
     DEFENSIVE_STEPS,
-    LARGEST_LAYER,
     build_twisted_proposal,
     with_defence,
 )
@@ -112,9 +113,12 @@ class ValueTwistedSampling:
         Raises:
             ValueError: They are not drawn yet.
         """
-        return importance_sampling_estimate(
+        found = importance_sampling_estimate(
             state.batch.weighed(), method=self.name, rollouts_simulated=self.rollouts
         )
+        relative = found.std_error / found.probability if found.std_error else None
+        doubts = called_safe(state.proposal.left_out, relative_error=relative)
+        return replace(found, diagnostics=(*found.diagnostics, *doubts))
 
 
 def require_unsafe(problem: Problem, *, method: str = "value-twisted") -> Unsafe:

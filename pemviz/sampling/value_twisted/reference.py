@@ -3,14 +3,15 @@
 from dataclasses import dataclass, replace
 
 from pemviz.config.ranges import AtLeastZero, Log10
+from pemviz.sampling.estimates.diagnostics import reason, undermining
 from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
-from pemviz.sampling.value_twisted.reachable_states import explore, solve
+from pemviz.sampling.value_twisted.reachable_states import explore
+from pemviz.sampling.value_twisted.values import solve
 from pemviz.types import Simulator
 
 REFERENCE_ROLLOUTS = 20_000
 REFERENCE_SEED = 2**62 + 5
-REFERENCE_LAYER = 1_000_000
 REFERENCE_DEFENSIVE_STEPS = 0.2
 
 
@@ -22,11 +23,13 @@ class Reference:
         probability: The failure probability.
         std_error: Its standard error.
         log10_probability: Its decimal logarithm; ``None`` if it is 0.
+        warnings: Why it is unreliable itself; empty as a rule.
     """
 
     probability: AtLeastZero
     std_error: AtLeastZero
     log10_probability: Log10 | None
+    warnings: tuple[str, ...] = ()
 
 
 def reference(
@@ -57,24 +60,22 @@ def reference(
         probability=found.probability,
         std_error=found.std_error or 0.0,
         log10_probability=found.log10_probability,
+        warnings=tuple(map(reason, undermining(found.diagnostics, basis="weights"))),
     )
 
 
 def exact_log_probability(problem: Problem, *, twin: Simulator) -> float | None:
     """Log of the twin's failure probability by recursion; ``None`` if it has too many states.
 
-    Exact up to rounding where a miss never helps (see :func:`explore`); -inf if nothing fails.
+    Exact up to rounding, over all sequences of outcomes; -inf if none of them violates.
 
     Raises:
         InputError: Single states do not decide the specification.
     """
-    layers = explore(
+    graph = explore(
         twin=twin,
         pem=problem.pem,
         unsafe=require_unsafe(problem),
-        largest_layer=REFERENCE_LAYER,
         pause=problem.pause,
     )
-    if not all(layer.exact for layer in layers):
-        return None
-    return solve(layers, pause=problem.pause).log_probability
+    return solve(graph, pause=problem.pause).log_probability if graph.exact else None

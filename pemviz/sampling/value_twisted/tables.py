@@ -10,19 +10,17 @@ from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.twisted import TwistedProposal, TwistedTables
 from pemviz.proposals.twisted_cells import CellTable, cell_keys
-from pemviz.sampling.value_twisted.reachable_states import (
+from pemviz.sampling.value_twisted.left_out import left_out_share
+from pemviz.sampling.value_twisted.merging import (
+    LARGEST_LAYER,
     MERGE_DISTANCE,
-    Layer,
     Pause,
-    Unsafe,
-    Values,
-    explore,
-    log_sum_by,
     no_pause,
-    solve,
     state_columns,
     state_names,
 )
+from pemviz.sampling.value_twisted.reachable_states import Layer, Unsafe, explore
+from pemviz.sampling.value_twisted.values import Values, log_sum_by, solve
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import Signal, Simulator, outcome_log_likelihood
 
@@ -30,7 +28,6 @@ COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
 NEGLIGIBLE_SHARE = 1e-12
 DEFENSIVE_STEPS = 2.0
 APPROXIMATE_DEFENCE = 2.5
-LARGEST_LAYER = 300_000
 
 
 def build_twisted_proposal(
@@ -50,8 +47,11 @@ def build_twisted_proposal(
         largest_layer: Above so many states a step, neighbours are taken for one.
         pause: Called every few tenths of a second; may raise to stop.
     """
-    layers = explore(twin=twin, pem=pem, unsafe=unsafe, largest_layer=largest_layer, pause=pause)
-    values = solve(layers, pause=pause)
+    graph = explore(twin=twin, pem=pem, unsafe=unsafe, largest_layer=largest_layer, pause=pause)
+    values = solve(graph, pause=pause)
+    left_out = 0.0
+    if not graph.exact:
+        left_out = left_out_share(graph, values, twin=twin, pem=pem, unsafe=unsafe, pause=pause)
     cells = tuple(
         tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
         for share in COARSE_SHARES
@@ -59,7 +59,7 @@ def build_twisted_proposal(
     return TwistedProposal(
         tables=tuple(
             _tables(layer, values, index, cells=cells, pause=pause)
-            for index, layer in enumerate(layers)
+            for index, layer in enumerate(graph.layers)
         ),
         names=state_names(twin.initial(count=1)),
         signal_names=tuple(signal.name for signal in _sorted_signals(twin)),
@@ -68,7 +68,8 @@ def build_twisted_proposal(
         violated=VIOLATED,
         defensive=share_for(drawn_steps=DEFENSIVE_STEPS, steps=twin.states - 1),
         log_probability=values.log_probability,
-        exact=all(layer.exact for layer in layers),
+        exact=graph.exact,
+        left_out=left_out,
     )
 
 

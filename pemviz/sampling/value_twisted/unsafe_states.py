@@ -30,6 +30,11 @@ class UnsafeStates:
 
     rules: tuple[StateRule, ...]
 
+    @property
+    def last(self) -> int:
+        """The last step at which a state can be unsafe."""
+        return max(rule.last for rule in self.rules)
+
     def __call__(self, states: StateBatch) -> BoolArray:
         """Whether states ``[N]``, all of one step, break a rule ``[N]``."""
         step = int(states.step)

@@ -1,0 +1,89 @@
+"""Taking states that are alike for one, and neighbours too where there are too many."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.chunks import distinct
+from pemviz.proposals.twisted_cells import cell_keys
+from pemviz.types import StateBatch
+
+Pause = Callable[[], None]
+"""Called now and then during long work; may raise to stop it."""
+
+MERGE_DISTANCE = 1e-6
+LARGEST_LAYER = 2_000_000
+LARGEST_TOTAL = 40_000_000
+COARSE_LAYER = 300_000
+COARSE_LAYER_SHARE = 0.25
+FIRST_COARSE_SHARE = 3e-4
+COARSENING = 1.5
+
+
+def no_pause() -> None:
+    """Go on."""
+
+
+class Merger:
+    """Merges the states of one step after the other.
+
+    Once there were too many, at one step or in all, memory and time are spent as sparingly as
+    the approximation is good for. Cells that were wide enough for one step are the first to be
+    tried for the next.
+    """
+
+    def __init__(self, largest_layer: int, pause: Pause = no_pause) -> None:
+        """Merge neighbours where a step has more than ``largest_layer`` states."""
+        self._largest = largest_layer
+        self._pause = pause
+        self._total = 0
+        self._share = FIRST_COARSE_SHARE
+        self.exact = True
+        """Whether all states taken for one so far were closer than MERGE_DISTANCE."""
+
+    def merge(self, states: StateBatch) -> tuple[StateBatch, IntArray]:
+        """The first of the states ``[n]`` in each cell, and the index of each state's ``[n]``."""
+        columns = _varying(state_columns(states))
+        if not columns:
+            return states.take(slice(0, 1)), np.zeros(states.shape[0], dtype=np.int64)
+        self._pause()
+        first, index = distinct(cell_keys(columns, [MERGE_DISTANCE] * len(columns)))
+        self._pause()
+        if self._total + first.size > LARGEST_TOTAL:
+            self._largest = min(self._largest, COARSE_LAYER)
+        if first.size > self._largest:
+            self._largest = min(self._largest, COARSE_LAYER)
+            self.exact = False
+            first, index = self._coarsely(columns)
+        self._total += first.size
+        return states.take(first), index
+
+    def _coarsely(self, columns: list[FloatArray]) -> tuple[IntArray, IntArray]:
+        spans = [float(np.ptp(column)) for column in columns]
+        self._share /= COARSENING
+        while True:
+            self._pause()
+            self._share *= COARSENING
+            cells = [max(span * self._share, MERGE_DISTANCE) for span in spans]
+            first, index = distinct(cell_keys(columns, cells))
+            if first.size <= self._largest * COARSE_LAYER_SHARE or self._share >= 1.0:
+                return first, index
+
+
+def state_names(states: StateBatch) -> tuple[str, ...]:
+    """Names of all signals and of the controller's memory, in the order keys use."""
+    return (*sorted(states.signals), *sorted(states.memory))
+
+
+def state_columns(states: StateBatch) -> list[FloatArray]:
+    """Signals and memory in the order of :func:`state_names`."""
+    return [
+        *(states.signals[name] for name in sorted(states.signals)),
+        *(np.asarray(states.memory[name], dtype=np.float64) for name in sorted(states.memory)),
+    ]
+
+
+def _varying(columns: list[FloatArray]) -> list[FloatArray]:
+    """Columns ``[n]`` that are not the same throughout: the others tell no states apart."""
+    return [column for column in columns if column.size and (column != column[0]).any()]

@@ -1,0 +1,92 @@
+"""Probabilities of violation over the graph of states: one recursion backward, one forward."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.sampling.value_twisted.merging import Pause, no_pause
+from pemviz.sampling.value_twisted.reachable_states import UNSAFE_NODE, Layer, StateGraph
+from pemviz.types import outcome_log_likelihood
+
+
+@dataclass(frozen=True)
+class Values:
+    """Log probabilities over the layers of a graph [nats].
+
+    Attributes:
+        log_value: By layer ``[n]``, the log probability of violation from each state.
+        log_reached: By layer ``[n]``, the log probability of coming through each state.
+        proposal_logit: By layer ``[n]``, logit of 'detected' given that the rollout violates.
+        log_probability: Log of the failure probability; -inf where it is 0.
+    """
+
+    log_value: tuple[FloatArray, ...]
+    log_reached: tuple[FloatArray, ...]
+    proposal_logit: tuple[FloatArray, ...]
+    log_probability: float
+
+
+def solve(graph: StateGraph, *, pause: Pause = no_pause) -> Values:
+    """Backward for the probability of violation, forward for that of being reached.
+
+    ``pause`` is called once a layer and direction.
+    """
+    layers = graph.layers
+    log_value: list[FloatArray] = []
+    proposal_logit: list[FloatArray] = []
+    following = np.empty(0)
+    for layer in reversed(layers):
+        pause()
+        miss, hit = _outcome_values(layer, following)
+        following = np.logaddexp(miss, hit)
+        log_value.insert(0, following)
+        proposal_logit.insert(0, _difference(hit, miss))
+    log_reached = [np.zeros(1)] if layers else []
+    for layer, after in itertools.pairwise(layers):
+        pause()
+        log_reached.append(_reached(layer, log_reached[-1], after.count))
+    settled = 0.0 if graph.start == UNSAFE_NODE else -np.inf
+    return Values(
+        log_value=tuple(log_value),
+        log_reached=tuple(log_reached),
+        proposal_logit=tuple(proposal_logit),
+        log_probability=float(log_value[0][0]) if layers else settled,
+    )
+
+
+def log_sum_by(group: IntArray, log_values: FloatArray, count: int) -> FloatArray:
+    """Log of the sums of exp of ``log_values [M]`` in each of ``count`` groups."""
+    largest = np.full(count, -np.inf)
+    np.maximum.at(largest, group, log_values)
+    shift = np.where(np.isfinite(largest), largest, 0.0)
+    total = np.bincount(group, weights=np.exp(log_values - shift[group]), minlength=count)
+    with np.errstate(divide="ignore"):  # log 0 is -inf: nothing arrives there
+        return np.log(total) + shift
+
+
+def _outcome_values(layer: Layer, following: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Log of outcome probability times value afterwards, for a miss and a hit, ``[n]``."""
+    ends = np.concatenate([following, [0.0, -np.inf]])  # indices -2 and -1
+    miss = outcome_log_likelihood(layer.pem_logit, np.zeros(layer.count, dtype=np.bool_))
+    hit = outcome_log_likelihood(layer.pem_logit, np.ones(layer.count, dtype=np.bool_))
+    return miss + ends[layer.after_miss], hit + ends[layer.after_hit]
+
+
+def _difference(hit: FloatArray, miss: FloatArray) -> FloatArray:
+    """Hit - miss, 0 where both are -inf."""
+    both = np.isneginf(hit) & np.isneginf(miss)
+    return np.where(both, 0.0, np.where(both, 0.0, hit) - np.where(both, 0.0, miss))
+
+
+def _reached(layer: Layer, log_reached: FloatArray, count: int) -> FloatArray:
+    arriving = np.concatenate(
+        [
+            log_reached + outcome_log_likelihood(layer.pem_logit, np.full(layer.count, hit))
+            for hit in (False, True)
+        ]
+    )
+    node = np.concatenate([layer.after_miss, layer.after_hit])
+    kept = node >= 0
+    return log_sum_by(node[kept], arriving[kept], count)
