@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pemviz.config import ExperimentConfig, ScenarioConfig
     from pemviz.errors import ConfigError, InputError, PemvizError, RunError
     from pemviz.pem import DetectorModel
-    from pemviz.reports.summary_text import summary_text
+    from pemviz.reports.estimate_text import summary_text
     from pemviz.runs.engine import run, run_experiment
     from pemviz.runs.experiment import Experiment, build_experiment
     from pemviz.runs.least_robust import LeastRobust, Rollout
@@ -50,7 +50,7 @@ _HOMES = {
     "read_result": "runs.result_file",
     "run": "runs.engine",
     "run_experiment": "runs.engine",
-    "summary_text": "reports.summary_text",
+    "summary_text": "reports.estimate_text",
 }
 
 __all__ = [

@@ -6,13 +6,13 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from pemviz.cli.gate import gate_exit_code
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.progress import progress_observer
 from pemviz.cli.record_arguments import RecordArguments
 from pemviz.cli.summary import print_summary
 from pemviz.cli.workers import check_workers, with_workers
 from pemviz.errors import EXIT_DONE, EXIT_FAILED
+from pemviz.reports.gate import decide_run
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import Experiment, build_experiment, device_notes
@@ -119,3 +119,10 @@ def _gate(arguments: RecordArguments, result: RunResult) -> int:
     if arguments.fail_above is None:
         return EXIT_DONE
     return gate_exit_code(result, fail_above=arguments.fail_above)
+
+
+def gate_exit_code(result: RunResult, *, fail_above: float) -> int:
+    """1 if the upper bound is above ``fail_above``, 4 if the run cannot tell, else 0."""
+    decision = decide_run(result, limit=fail_above)
+    print(f"pemviz: gate {decision.sentence}", file=sys.stderr)
+    return decision.exit_code

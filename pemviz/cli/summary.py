@@ -8,7 +8,7 @@ from rich.table import Table
 
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
-from pemviz.reports.words import (
+from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
     interval_text,
     model_range_text,

@@ -1,18 +1,26 @@
-"""The panel's server: a session for every browser."""
+"""The panel's server: a session for every browser, and what it shows first."""
 
 import logging
 import threading
+from dataclasses import replace
+from pathlib import Path
 
 import viser
 
-from pemviz.panel.browser import Hub
+from pemviz.config.toml_files import load_preset
+from pemviz.errors import InputError
+from pemviz.panel.browser import TABS_WIDTH_PX, Hub
+from pemviz.panel.controller import Controller
+from pemviz.panel.loading import load_run
 from pemviz.panel.memory import give_back
+from pemviz.panel.recordings import RecordingsFolder, sample_folder
 from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
 from pemviz.panel.server import guarded_server
 from pemviz.panel.session import Session
-from pemviz.panel.widgets import TABS_WIDTH_PX
 
 LOG = logging.getLogger(__name__)
+
+QUICK_ROLLOUTS = 200
 
 
 class App:
@@ -69,3 +77,21 @@ class App:
             session.join()
             del session
             give_back()
+
+
+def show_something(controller: Controller, recordings: RecordingsFolder) -> None:
+    """Show the shipped sample, else the newest readable run, else a quick look that is not kept."""
+    candidates: list[Path] = []
+    sample = sample_folder()
+    if sample is not None:
+        candidates.append(sample)
+    candidates += [recordings.root / name for name in recordings.names()]
+    for folder in candidates:
+        try:
+            controller.show(load_run(folder))
+        except InputError as error:
+            LOG.warning("%s", error)
+        else:
+            return
+    quick = replace(load_preset("paper"), method="naive", final_rollouts=QUICK_ROLLOUTS)
+    controller.start(quick, keep=False)

@@ -18,6 +18,8 @@ from pemviz.panel.loading import LoadedRuns
 from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.run_data import RunData
 
+TABS_WIDTH_PX = 500
+
 OpenRecording = Callable[[Path], str]
 
 
@@ -115,3 +117,14 @@ class Browser:
 
 def _nothing() -> None:
     """Time passes."""
+
+
+def set_html(handle: viser.GuiHtmlHandle, content: str) -> None:
+    """Replace what an HTML element shows, if it differs."""
+    if handle.content != content:
+        handle.content = content
+
+
+def element_id(handle: viser.GuiInputHandle[int]) -> str:
+    """The id of the input's element in the page."""
+    return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]

@@ -5,6 +5,7 @@ x = 0 when the rollout begins.
 """
 
 import math
+import threading
 
 import numpy as np
 import viser
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from pemviz.arrays import FloatArray
 from pemviz.colors import BLUE, DETECTED, EGO, LEAD, MISSED, rgb
 from pemviz.panel import meshes
+from pemviz.panel.server import guarded_server
 from pemviz.panel.views.rollout import Track
 
 ROAD = (72, 76, 84)
@@ -24,12 +26,15 @@ LAMP_ON, LAMP_OFF = (255, 20, 20), (84, 12, 12)
 SAFE, CLOSE = np.array([120.0, 130.0, 140.0]), np.array([225.0, 20.0, 20.0])
 FOCAL_PX, IMAGE_PX = 721.5, (1242, 375)
 VIEW_DEPTH_M = 2.0
+REST_S = 1.0
 LOOK_AHEAD_WXYZ = (0.5, -0.5, 0.5, -0.5)
 FIRST_VIEW_POSITION = (-15.0, -19.0, 12.0)
 FIRST_VIEW_TARGET = (4.5, 0.0, -3.6)
 FIRST_VIEW_FOV = 0.66
 BRAKING_MPS2 = 1.0
 LIMIT_M = 2.0
+
+_ONE_PAGE_AT_A_TIME = threading.Lock()
 
 
 class Scene:
@@ -236,3 +241,28 @@ def gap_color(gap_m: float, *, wide_m: float) -> NDArray[np.uint8]:
     """RGB ``[3]`` from 0 to 255: grey at ``wide_m`` and beyond, red at the limit and below."""
     share = float(np.clip((wide_m - gap_m) / max(wide_m - LIMIT_M, 1e-9), 0.0, 1.0))
     return np.rint(SAFE + share * (CLOSE - SAFE)).astype(np.uint8)
+
+
+def scene_html(track: Track) -> str:
+    """The scene as an HTML page that plays without a server, and rests a moment at its end."""
+    with _ONE_PAGE_AT_A_TIME:
+        return _scene_html(track)
+
+
+def _scene_html(track: Track) -> str:
+    server = guarded_server(host="127.0.0.1", port=0, closed=True)
+    try:
+        server.initial_camera.position = FIRST_VIEW_POSITION
+        server.initial_camera.look_at = FIRST_VIEW_TARGET
+        server.initial_camera.fov = FIRST_VIEW_FOV
+        scene = Scene(server.scene)
+        scene.show(track)
+        scene.at(0)
+        serializer = server.get_scene_serializer()
+        for step in range(1, track.states):
+            serializer.insert_sleep(track.scenario.dt_s)
+            scene.at(step)
+        serializer.insert_sleep(REST_S)
+        return serializer.as_html()
+    finally:
+        server.stop()

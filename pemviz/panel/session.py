@@ -11,9 +11,8 @@ from pemviz.errors import PemvizError
 from pemviz.panel.browser import Browser, Hub
 from pemviz.panel.tabs.compare import CompareTab
 from pemviz.panel.tabs.experiment import ExperimentTab
-from pemviz.panel.tabs.head import Head
-from pemviz.panel.tabs.learning_and_why import LearningTab, WhyTab
 from pemviz.panel.tabs.player import Player
+from pemviz.panel.tabs.read_only import Head, LearningTab, WhyTab
 from pemviz.panel.tabs.recordings import RecordingsTab
 from pemviz.panel.tabs.trajectories import TrajectoriesTab
 

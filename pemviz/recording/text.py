@@ -9,7 +9,7 @@ from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
-from pemviz.reports.words import RELIABLE_TAIL
+from pemviz.reports.estimate_text import RELIABLE_TAIL
 from pemviz.runs.judge import data_warnings, run_diagnostics
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document

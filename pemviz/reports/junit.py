@@ -3,8 +3,13 @@
 from xml.etree import ElementTree as Xml
 
 from pemviz.reports.escape import printable_line, printable_lines
+from pemviz.reports.estimate_text import (
+    interval_text,
+    model_range_text,
+    probability_text,
+    violations_text,
+)
 from pemviz.reports.gate import GateDecision
-from pemviz.reports.words import interval_text, model_range_text, probability_text, violations_text
 from pemviz.runs.result import RunResult
 
 DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>'

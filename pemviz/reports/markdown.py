@@ -7,9 +7,7 @@ from dataclasses import fields
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.reports.escape import markdown_block, markdown_code, markdown_table, markdown_text
-from pemviz.reports.gate import GateDecision
-from pemviz.reports.interval_plot import IntervalRow, interval_plot
-from pemviz.reports.words import (
+from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
     interval_text,
     model_range_text,
@@ -19,6 +17,8 @@ from pemviz.reports.words import (
     share_text,
     violations_text,
 )
+from pemviz.reports.gate import GateDecision
+from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.runs.judge import data_warnings, run_diagnostics
 from pemviz.runs.result import RunResult
 from pemviz.sampling.registry import by_name

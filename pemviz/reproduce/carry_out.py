@@ -13,6 +13,7 @@ from pemviz.reproduce import artefacts
 from pemviz.reproduce.artefacts import Artefact, DetectionAxis, table_artefact
 from pemviz.reproduce.experiments import (
     RepetitionOutcome,
+    exact_reference,
     metric_experiments,
     run_repetition,
     table_2_experiments,
@@ -20,7 +21,6 @@ from pemviz.reproduce.experiments import (
 from pemviz.reproduce.failure_tables import table_2, table_3
 from pemviz.reproduce.least_safe import LeastSafeSearch, find_least_safe
 from pemviz.reproduce.page import page_markdown
-from pemviz.reproduce.reference import exact_reference
 from pemviz.reproduce.settings import METRICS, Settings
 from pemviz.reproduce.table_one import score_model, table_1, trainable_models
 from pemviz.reproduce.workers import Job, OnProgress, no_progress, run_jobs

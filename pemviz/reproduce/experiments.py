@@ -11,6 +11,7 @@ from pemviz.arrays import FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.reproduce.settings import METRICS, Settings
 from pemviz.runs.experiment import Experiment, build_experiment
+from pemviz.sampling.value_twisted.reference import Reference, reference
 from pemviz.types import Estimate, Proposal, Simulator
 
 
@@ -72,3 +73,14 @@ def proposal_curve(simulator: Simulator, proposal: Proposal) -> FloatArray:
     gap_m = gap_grid(simulator)
     logit = proposal.logit(initial_states(simulator, gap_m=gap_m), np.zeros(gap_m.size))
     return np.asarray(expit(logit), dtype=np.float64)
+
+
+def exact_reference(config: ExperimentConfig, rollouts: int) -> Reference:
+    """The exact probability of ``config``'s experiment, to a fraction of a per cent.
+
+    Raises:
+        InputError: Single states do not decide the specification, or the simulator has no twin.
+    """
+    experiment = build_experiment(replace(config, reference=True))
+    assert experiment.twin is not None  # noqa: S101  else no reference could be asked for
+    return reference(experiment.problem, twin=experiment.twin, rollouts=rollouts)

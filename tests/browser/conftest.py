@@ -2,16 +2,17 @@
 
 import os
 import shutil
+import threading
 from pathlib import Path
 
 import pytest
 
-from pemviz.panel.app import App
+from pemviz.panel.app import App, show_something
 from pemviz.panel.browser import Hub
 from pemviz.panel.controller import Controller
 from pemviz.panel.loading import load_run
 from pemviz.panel.recordings import RecordingsFolder
-from pemviz.panel.start import show_something
+from pemviz.runs.events import StageDone
 from tests.panel.conftest import SMALL, wait_until
 
 ARGUMENTS = [
@@ -70,12 +71,31 @@ def first_run(tmp_path_factory) -> Path:
     return state.run.folder
 
 
+class Gate:
+    """Observer that holds a run after each stage while it is shut."""
+
+    def __init__(self) -> None:
+        self._open = threading.Event()
+        self.open()
+
+    def open(self) -> None:
+        self._open.set()
+
+    def shut(self) -> None:
+        self._open.clear()
+
+    def notify(self, event) -> None:
+        if isinstance(event, StageDone):
+            self._open.wait(WAIT_MS / 1000)
+
+
 class Panel:
     """The panel under test."""
 
     def __init__(self, root: Path, *, open_recording=None) -> None:
         self.root = root
-        self.controller = Controller(root)
+        self.gate = Gate()
+        self.controller = Controller(root, observers=lambda folder: [self.gate])
         recordings = RecordingsFolder(root)
         hub = Hub(self.controller, recordings, open_recording=open_recording)
         self.app = App(hub, host="127.0.0.1", port=0)
@@ -85,6 +105,7 @@ class Panel:
         self.address = f"http://127.0.0.1:{self.app.port}"
 
     def close(self) -> None:
+        self.gate.open()
         self.controller.close()
         self.app.stop()
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load
 
-from pemviz.cli.gate import gate_exit_code
+from pemviz.cli.record_run import gate_exit_code
 from pemviz.cli.summary import print_summary
 from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import load_config

@@ -6,13 +6,13 @@ from pemviz.config import ExperimentConfig
 from pemviz.pem import load_pem
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.reproduce.experiments import (
+    exact_reference,
     metric_experiments,
     run_repetition,
     table_2_experiments,
 )
 from pemviz.reproduce.least_safe import find_least_safe
 from pemviz.reproduce.published import AUTHORS_PEM_DIGEST
-from pemviz.reproduce.reference import exact_reference
 from pemviz.reproduce.settings import METRICS
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.experiment import build_experiment

@@ -1,10 +1,9 @@
 """The Compare tab: metrics against each other, and two runs."""
 
-from pemviz.panel.browser import Browser
+from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.compare import metrics_page, runs_page
-from pemviz.panel.widgets import set_html
 
 NONE = "none"
 

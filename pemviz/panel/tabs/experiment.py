@@ -5,14 +5,13 @@ from typing import cast, get_args
 
 import viser
 
-from pemviz.config import METHODS, ExperimentConfig, MetricName
+from pemviz.config import METHODS, ExperimentConfig, MetricName, ScenarioConfig
 from pemviz.config.toml_files import load_preset, preset_names
 from pemviz.errors import InputError
-from pemviz.panel.browser import Browser
+from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import hint, limits
-from pemviz.panel.views.experiment import scenario_text, spec_verdict
-from pemviz.panel.widgets import set_html
+from pemviz.panel.views.html import block, good, quiet, warning
 from pemviz.pem import shipped_pems
 from pemviz.runs.experiment import build_formula, build_simulator
 from pemviz.sampling.registry import by_name
@@ -181,3 +180,26 @@ class ExperimentTab:
             browser.tell("Not started", "Another experiment is running; stop it first.")
             return
         browser.look_at(None)
+
+
+def scenario_text(scenario: ScenarioConfig) -> str:
+    """The scenario in a sentence."""
+    end_s = (scenario.states - 1) * scenario.dt_s
+    return block(
+        quiet(
+            f"Scenario: both cars drive {scenario.initial_speed_kmh:g} km/h, "
+            f"{scenario.initial_gap_m:g} m apart, when the lead car brakes at "
+            f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. A detection below "
+            f"{scenario.emergency_gap_m:g} m makes the ego brake at "
+            f"{scenario.emergency_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
+            f"{scenario.states} states, {scenario.dt_s:g} s apart ({end_s:.2f} s)."
+        )
+    )
+
+
+def spec_verdict(complaint: str | None, *, spec: str) -> str:
+    """What the parser says of a specification; the text itself is not repeated."""
+    if complaint is None:
+        return block(good("The specification is understood."))
+    message = complaint.removeprefix(f"spec = {spec!r}: ")
+    return block(f"<div role='alert'>{warning(message)}</div>")

@@ -7,12 +7,11 @@ from typing import Literal
 import numpy as np
 import viser
 
-from pemviz.panel.browser import Browser
+from pemviz.panel.browser import TABS_WIDTH_PX, Browser, set_html
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData
 from pemviz.panel.scene import LIMIT_M, Scene
 from pemviz.panel.views.rollout import Track, track, track_plots, with_cursor
-from pemviz.panel.widgets import TABS_WIDTH_PX, set_html
 
 Key = Literal["space", "arrowleft", "arrowright"]
 

@@ -1,13 +1,12 @@
 """The Recordings tab: runs that are kept, loading, downloads."""
 
 from pemviz.errors import InputError
-from pemviz.panel.browser import Browser
+from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
-from pemviz.panel.export import scene_html
 from pemviz.panel.ranking import rank, ranking_csv
+from pemviz.panel.scene import scene_html
 from pemviz.panel.tabs.player import Player
 from pemviz.panel.views.recordings import recordings_table, viewer_link
-from pemviz.panel.widgets import set_html
 
 NONE = "no runs yet"
 DOWNLOAD_HINT = (

@@ -7,13 +7,12 @@ import viser
 
 from pemviz.config import MetricName
 from pemviz.errors import InputError
-from pemviz.panel.browser import Browser
+from pemviz.panel.browser import Browser, element_id, set_html
 from pemviz.panel.ranking import Ranking, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tabs.player import Player
+from pemviz.panel.views.html import block, quiet
 from pemviz.panel.views.ranking_table import ranking_table
-from pemviz.panel.views.words import block, quiet
-from pemviz.panel.widgets import element_id, set_html
 
 METRIC_HINT = (
     "Metric that ranks the rollouts shown; re-ranks what is stored at once, without a new run. "

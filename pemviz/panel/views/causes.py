@@ -9,7 +9,7 @@ from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.colors import MISSED
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import FAINT, GRID, nice_ticks, svg, text
-from pemviz.panel.views.words import MINUS, grid, heading, number, percent, quiet
+from pemviz.panel.views.html import MINUS, grid, heading, number, percent, quiet
 
 SHOWN_CHAINS = 8
 SMALLEST_SHOWN = 0.005

@@ -11,8 +11,8 @@ from pemviz.config import MetricName
 from pemviz.panel.ranking import elites, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
+from pemviz.panel.views.html import block, grid, heading, number, quiet
 from pemviz.panel.views.learning import logs_of_answer
-from pemviz.panel.views.words import block, grid, heading, number, quiet
 from pemviz.runs.same_run import setting_differences
 
 DASHES = {"classical": "", "agm": "7 3", "smooth-cumulative": "2 3"}

@@ -5,7 +5,7 @@ from html import escape
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
-from pemviz.panel.views.words import block, number, quiet, warning
+from pemviz.panel.views.html import block, number, quiet, warning
 from pemviz.runs.judge import run_diagnostics
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
-from pemviz.panel.views.words import block, number, quiet
+from pemviz.panel.views.html import block, number, quiet
 from pemviz.runs.result import StageSummary
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.registry import by_name

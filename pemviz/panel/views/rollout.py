@@ -10,7 +10,7 @@ from pemviz.config import ScenarioConfig
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
 from pemviz.panel.svg import Axis, Plot, svg, text
-from pemviz.panel.views.words import number
+from pemviz.panel.views.html import number
 from pemviz.simulators.braking.scenario import scenario_signals
 
 WIDTH, HEIGHT = 900, 190

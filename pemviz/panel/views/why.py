@@ -11,7 +11,7 @@ from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.causes import causes_part
-from pemviz.panel.views.words import block, good, grid, heading, number, percent, quiet, warning
+from pemviz.panel.views.html import block, good, grid, heading, number, percent, quiet, warning
 from pemviz.runs.judge import data_warnings, run_diagnostics
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.registry import by_name

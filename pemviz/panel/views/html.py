@@ -1,4 +1,4 @@
-"""Numbers and small tables as HTML."""
+"""Pieces of HTML that the panel's views are made of: numbers, headings, remarks, tables."""
 
 import math
 from collections.abc import Sequence

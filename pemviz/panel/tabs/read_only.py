@@ -1,10 +1,11 @@
-"""Above all tabs: the answer, what runs, how far it is."""
+"""What only shows: the head above all tabs, and the tabs Learning and Why."""
 
-from pemviz.panel.browser import Browser
+from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.headline import headline, status
-from pemviz.panel.widgets import set_html
+from pemviz.panel.views.learning import learning
+from pemviz.panel.views.why import why
 
 
 class Head:
@@ -23,3 +24,25 @@ class Head:
         if self._bar.visible != state.running:
             self._bar.visible = state.running
         self._bar.value = 100.0 * state.progress.share if state.progress is not None else 0.0
+
+
+class LearningTab:
+    """How the proposal forms."""
+
+    def __init__(self, browser: Browser) -> None:
+        self._page = browser.client.gui.add_html("")
+
+    def refresh(self, run: RunData | None) -> None:
+        """Show a run."""
+        set_html(self._page, learning(run))
+
+
+class WhyTab:
+    """Which misses cause violations, and how far to trust the number."""
+
+    def __init__(self, browser: Browser) -> None:
+        self._page = browser.client.gui.add_html("")
+
+    def refresh(self, run: RunData | None) -> None:
+        """Show a run."""
+        set_html(self._page, why(run))

@@ -1,6 +1,7 @@
-"""Figures of an estimate in words, the same on the terminal and in reports."""
+"""An estimate and its diagnostics in words, the same on the terminal and in reports."""
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.runs.result import RunResult
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate
@@ -57,3 +58,20 @@ def number_text(value: float | None, *, unit: str = "") -> str:
 def share_text(value: float | None) -> str:
     """A share in per cent, or a dash."""
     return "-" if value is None else f"{value:.0%}"
+
+
+def summary_text(result: RunResult) -> str:
+    """Probability, interval, violations and every warning, for a terminal or a notebook."""
+    name = f"{result.config.method} on {result.config.simulator}"
+    if result.estimate is None:
+        return f"{name}: no estimate, the run {result.status}"
+    estimate = result.estimate
+    lines = [
+        f"{name}: {probability_text(estimate)}",
+        f"  95 % interval: {interval_text(estimate)}",
+        f"  violations: {violations_text(estimate)}",
+    ]
+    if result.reference is not None:
+        lines.append(f"  reference: {reference_text(result.reference, estimate)}")
+    warnings = (*estimate.warnings, *result.warnings)
+    return "\n".join([*lines, *(f"  warning: {warning}" for warning in warnings)])
