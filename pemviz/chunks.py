@@ -5,12 +5,12 @@ one size, the last padded, a row's result depends on nothing but the row; so row
 alike, as those of rollouts that have met the same misses, need only be evaluated once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import FloatArray, IntArray, is_tensor
 
 ROWS = 256
 FEWEST = 4 * ROWS
@@ -19,7 +19,12 @@ MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # odd; 2^64 over the golden ratio
 
 
 def map_rows(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
-    """Apply ``function`` (``[ROWS, D]`` to ``[ROWS]``) to rows ``[N, D]``, giving ``[N]``."""
+    """Apply ``function`` (``[ROWS, D]`` to ``[ROWS]``) to rows ``[N, D]``, giving ``[N]``.
+
+    Tensors go through in one piece: on a device no last digit is promised.
+    """
+    if is_tensor(rows):
+        return function(rows)
     return map_distinct(lambda distinct: _map_chunks(function, distinct), rows)
 
 
@@ -37,12 +42,14 @@ def distinct_rows(rows: FloatArray) -> tuple[IntArray, IntArray] | None:
 
     ``None`` where more than half are distinct, so that it does not pay to know.
     """
-    bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
-    first, place = distinct(_hashes(bits).view(np.int64))
+    bits = np.asarray(rows, dtype=np.float64).view(np.uint64)
+    columns = [column for column in bits.T if not (column == column[:1]).all()]
+    first, place = distinct(_hashes(columns, rows.shape[0]).view(np.int64))
     if 2 * first.size > rows.shape[0]:
         return None
-    if not np.array_equal(bits[first[place]], bits):  # two rows share a hash
-        return None
+    like = first[place]
+    if not all(np.array_equal(column[like], column) for column in columns):
+        return None  # two rows share a hash
     return first, place
 
 
@@ -70,12 +77,10 @@ def distinct(keys: IntArray) -> tuple[IntArray, IntArray]:
     return np.flatnonzero(is_first), (np.cumsum(is_first) - 1)[first]
 
 
-def _hashes(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """One number ``[N]`` for each row of bits ``[N, D]``; alike rows have the same."""
-    result = np.zeros(bits.shape[0], dtype=np.uint64)
-    for column in bits.T:
-        if column.size and (column == column[0]).all():
-            continue
+def _hashes(columns: Sequence[NDArray[np.uint64]], count: int) -> NDArray[np.uint64]:
+    """One number ``[count]`` for each row of columns ``[count]``; alike rows have the same."""
+    result = np.zeros(count, dtype=np.uint64)
+    for column in columns:
         result ^= column
         result *= MULTIPLIER
         result ^= result >> np.uint64(29)

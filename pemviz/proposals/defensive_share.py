@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from pemviz.arrays import FloatArray
-from pemviz.types import outcome_log_likelihood
+from pemviz.arrays import FloatArray, namespace
 
 LARGEST_SHARE = 0.1
 
@@ -19,13 +18,17 @@ def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> Float
     Hesterberg's defensive mixture (1995), applied to every outcome: a single outcome's
     weight is at most 1 / share, whatever the proposal. ``share`` lies in (0, 1).
     """
-    sides: list[FloatArray] = []
-    for hit in (True, False):
-        detected = np.full(logit.shape, hit)
-        sides.append(
-            np.logaddexp(
-                np.log1p(-share) + outcome_log_likelihood(logit, detected),
-                np.log(share) + outcome_log_likelihood(pem_logit, detected),
-            )
+    xp = namespace(logit)
+    detected, missed = (
+        xp.logaddexp(
+            _log_expit(sign * logit) + float(np.log1p(-share)),
+            _log_expit(sign * pem_logit) + float(np.log(share)),
         )
-    return sides[0] - sides[1]
+        for sign in (1.0, -1.0)
+    )
+    return detected - missed
+
+
+def _log_expit(logit: FloatArray) -> FloatArray:
+    xp = namespace(logit)
+    return -xp.logaddexp(-logit, xp.zeros_like(logit))

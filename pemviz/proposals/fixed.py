@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import AnyArray, FloatArray, Move, namespace
 from pemviz.types import StateBatch
 
 
@@ -16,6 +17,10 @@ class PemProposal:
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:  # noqa: ARG002
         """The model's own logit ``[...]``."""
         return pem_logit
+
+    def moved(self, move: Move) -> Self:  # noqa: ARG002
+        """Itself: it holds no arrays."""
+        return self
 
     def arrays(self) -> Mapping[str, AnyArray]:
         """No parameters."""
@@ -31,7 +36,12 @@ class ConstantProposal:
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:  # noqa: ARG002
         """The constant's logit, ``[...]``."""
         probability = self.detection_probability
-        return np.full(pem_logit.shape, np.log(probability) - np.log1p(-probability))
+        logit = float(np.log(probability) - np.log1p(-probability))
+        return namespace(pem_logit).full_like(pem_logit, logit)
+
+    def moved(self, move: Move) -> Self:  # noqa: ARG002
+        """Itself: it holds no arrays."""
+        return self
 
     def arrays(self) -> Mapping[str, AnyArray]:
         """The probability, a scalar."""

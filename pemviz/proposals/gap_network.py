@@ -1,11 +1,12 @@
 """The paper's proposal: a small network that sees nothing but the gap."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import AnyArray, FloatArray, Move, namespace
 from pemviz.chunks import map_rows
 from pemviz.types import StateBatch
 
@@ -32,7 +33,7 @@ class GapNetwork:
 
     def logit_at(self, gap_m: FloatArray) -> FloatArray:
         """Logit of 'detected' at gaps of any shape ``[...]``."""
-        rows = np.ravel(gap_m)[:, None] / self.gap_scale_m
+        rows = gap_m.reshape(-1)[:, None] / self.gap_scale_m
         return map_rows(self._forward, rows).reshape(gap_m.shape)
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:  # noqa: ARG002
@@ -47,10 +48,20 @@ class GapNetwork:
             named[f"{layer}.bias"] = bias
         return named
 
+    def moved(self, move: Move) -> Self:
+        """The same for tensors."""
+        weights, biases = (
+            tuple(move(array) for array in arrays) for arrays in (self.weights, self.biases)
+        )
+        return replace(self, weights=weights, biases=biases)
+
     def _forward(self, rows: FloatArray) -> FloatArray:
-        hidden = rows
+        xp, hidden = namespace(rows), rows
+        zero = xp.zeros((), dtype=rows.dtype, device=rows.device)
         for weight, bias in zip(self.weights[:2], self.biases[:2], strict=True):
-            hidden = np.maximum(hidden @ weight.T + bias, 0.0)
+            hidden = hidden @ weight.T
+            hidden += bias
+            xp.maximum(hidden, zero, out=hidden)
         outputs = hidden @ self.weights[2].T + self.biases[2]
         return outputs[:, 1] - outputs[:, 0]
 

@@ -2,12 +2,12 @@
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, Move, moved, namespace
 from pemviz.proposals.defensive_share import defended
 from pemviz.types import Signal, StateBatch
 
@@ -36,12 +36,22 @@ class SignalFeatures:
     def values(self, states: StateBatch) -> FloatArray:
         """Signals in their order, then the step, ``[..., D]``."""
         columns = [states.signals[signal.name] for signal in self.signals]
-        step = np.broadcast_to(states.step, columns[0].shape).astype(np.float64)
-        return np.stack([*columns, step], axis=-1)
+        first, shape = columns[0], (*columns[0].shape, len(columns) + 1)
+        xp = namespace(first)
+        values = xp.empty(shape, dtype=xp.float64, device=first.device)
+        for index, column in enumerate((*columns, states.step * 1.0)):
+            values[..., index] = column
+        return values
 
     def reacts(self, states: StateBatch) -> BoolArray:
         """True everywhere."""
-        return np.ones(states.signals[self.signals[0].name].shape, dtype=np.bool_)
+        like = states.signals[self.signals[0].name]
+        xp = namespace(like)
+        return xp.ones_like(like, dtype=xp.bool)
+
+    def moved(self, move: Move) -> Self:  # noqa: ARG002
+        """Itself: it holds no arrays."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -61,7 +71,7 @@ class PolynomialBasis:
     @property
     def exponents(self) -> tuple[tuple[int, ...], ...]:
         """Feature indices that are multiplied in each of the ``B`` monomials."""
-        features = range(self.mean.size)
+        features = range(len(self.mean))
         return tuple(
             chosen
             for order in range(self.degree + 1)
@@ -70,8 +80,9 @@ class PolynomialBasis:
 
     def evaluate(self, values: FloatArray) -> FloatArray:
         """Monomials ``[n, B]`` of features ``[n, D]``, standardised and kept within +-3."""
-        standard = np.clip((values - self.mean) / self.spread, -STANDARD_RANGE, STANDARD_RANGE)
-        result = np.ones((values.shape[0], len(self.exponents)))
+        standard = ((values - self.mean) / self.spread).clip(-STANDARD_RANGE, STANDARD_RANGE)
+        shape = (values.shape[0], len(self.exponents))
+        result = namespace(values).ones(shape, dtype=values.dtype, device=values.device)
         for column, chosen in enumerate(self.exponents):
             for feature in chosen:
                 result[:, column] *= standard[:, feature]
@@ -101,14 +112,24 @@ class OffsetLogisticProposal:
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]``."""
-        shape = pem_logit.shape
+        xp, shape = namespace(pem_logit), pem_logit.shape
         acts = acting(self.features, states, shape, violated=self.violated)
-        values = np.broadcast_to(self.features.values(states), (*shape, self.basis.mean.size))[acts]
-        result = pem_logit.copy()
+        values = self.features.values(states)
+        values = xp.broadcast_to(values, (*shape, len(self.basis.mean)))[acts]
+        result = xp.asarray(pem_logit, copy=True)
         under_pem = pem_logit[acts]
         logit = under_pem - shift(self.basis.evaluate(values), self.coefficients)
         result[acts] = defended(logit, under_pem, share=self.defensive)
         return result
+
+    def moved(self, move: Move) -> Self | None:
+        """The same for tensors, if the features can."""
+        features = moved(self.features, move)
+        if features is None:
+            return None
+        basis = replace(self.basis, mean=move(self.basis.mean), spread=move(self.basis.spread))
+        coefficients = move(self.coefficients)
+        return replace(self, features=features, basis=basis, coefficients=coefficients)
 
     def arrays(self) -> Mapping[str, AnyArray]:
         """Coefficients and standardisation."""
@@ -124,13 +145,15 @@ class OffsetLogisticProposal:
 def shift(basis: FloatArray, coefficients: FloatArray) -> FloatArray:
     """How much the logit of a miss is raised ``[n]``, for monomials ``[n, B]``."""
     # einsum, unlike a library's matrix product, gives a row the same in any batch
-    raised = np.einsum("nb,b->n", basis, coefficients)
-    return np.clip(raised, -LARGEST_SHIFT, LARGEST_SHIFT)
+    raised = namespace(basis).einsum("nb,b->n", basis, coefficients)
+    return raised.clip(-LARGEST_SHIFT, LARGEST_SHIFT)
 
 
 def acting(
     features: StateFeatures, states: StateBatch, shape: tuple[int, ...], *, violated: str
 ) -> BoolArray:
     """Where a proposal may leave the error model: ``shape``."""
-    before = np.asarray(states.memory.get(violated, np.False_), dtype=np.bool_)
-    return np.broadcast_to(features.reacts(states) & ~before, shape)
+    acts = features.reacts(states)
+    if violated in states.memory:
+        acts = acts & ~states.memory[violated]
+    return namespace(acts).broadcast_to(acts, shape)

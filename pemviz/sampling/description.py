@@ -59,7 +59,7 @@ class MethodDescription:
             has been reached on the way to a violation.
         follows_model: Whether rollouts are drawn from the error model itself.
         proposal_on_device: Whether what final rollouts are drawn from is computed on a device
-            too, see ``pemviz.sampling.rollouts.tensor_twins``.
+            too, see :class:`pemviz.arrays.Movable`.
         curve_name: What the proposal is called where it is drawn; ``None``: that of a stage.
         learning_words: What there is to see of the proposal, in a few sentences.
     """

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, Move, moved, to_numpy
 from pemviz.types import Signal, Simulator, StateBatch
 
 VIOLATED = "violated"
@@ -83,6 +83,18 @@ class LatchedSimulator(_Wrapped):
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
         """The back end's next states; a violation stays."""
         return self._latched(self.scenario.step(states, detected), states.memory[VIOLATED])
+
+    def moved(self, move: Move) -> "LatchedSimulator | None":
+        """The same for tensors, if the scenario can; a rule that cannot is asked through numpy."""
+        scenario = moved(self.scenario, move)
+        if scenario is None:
+            return None
+
+        def unsafe_here(states: StateBatch) -> Any:
+            return move(self.unsafe(states.map(to_numpy)))
+
+        unsafe = moved(self.unsafe, move) or unsafe_here
+        return LatchedSimulator(scenario=scenario, unsafe=unsafe)
 
     def _latched(self, states: StateBatch, before: BoolArray) -> StateBatch:
         return replace(states, memory={**states.memory, VIOLATED: before | self.unsafe(states)})

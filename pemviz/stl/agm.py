@@ -21,7 +21,7 @@ from pemviz.errors import InputError
 from pemviz.stl.bounds import Interval, check_interval, margin_range
 from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Predicate
-from pemviz.stl.numpy_base import NumpySemantics
+from pemviz.stl.numbers import NumberSemantics
 from pemviz.stl.windows import fold, sliding
 
 SCENARIO_BOUNDS: Mapping[str, Interval] = {
@@ -70,7 +70,7 @@ def clipping_flips(predicate: Predicate, low: float, high: float) -> InputError:
     )
 
 
-class AgmSemantics(NumpySemantics):
+class AgmSemantics(NumberSemantics):
     """Agm robustness of every operator."""
 
     def __init__(self, metric: Agm) -> None:

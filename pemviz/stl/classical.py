@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 
-import numpy as np
-
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, namespace
 from pemviz.stl.expressions import Predicate
-from pemviz.stl.numpy_base import NumpySemantics
+from pemviz.stl.numbers import NumberSemantics
 from pemviz.stl.windows import fold, sliding_idempotent
 
 
@@ -25,8 +23,8 @@ class Classical:
     """The metric by which violations are decided; ``true`` is +inf."""
 
 
-class ClassicalSemantics(NumpySemantics):
-    """Classical robustness of every operator."""
+class ClassicalSemantics(NumberSemantics):
+    """Classical robustness of every operator; it takes tensors too."""
 
     def opposite(self) -> ClassicalSemantics:
         return self
@@ -41,14 +39,14 @@ class ClassicalSemantics(NumpySemantics):
         return -value
 
     def conjunction(self, values: Sequence[FloatArray]) -> FloatArray:
-        return reduce(np.minimum, values)
+        return reduce(namespace(values[0]).minimum, values)
 
     def disjunction(self, values: Sequence[FloatArray]) -> FloatArray:
-        return reduce(np.maximum, values)
+        return reduce(namespace(values[0]).maximum, values)
 
     def always(self, value: FloatArray, width: int) -> FloatArray:
         if len(value) == width:
-            return fold(np.minimum, value)
+            return fold(namespace(value).minimum, value)
         return sliding_idempotent(_minimum, (value,), width)[0]
 
     def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
@@ -56,7 +54,7 @@ class ClassicalSemantics(NumpySemantics):
 
     def eventually(self, value: FloatArray, width: int) -> FloatArray:
         if len(value) == width:
-            return fold(np.maximum, value)
+            return fold(namespace(value).maximum, value)
         return sliding_idempotent(_maximum, (value,), width)[0]
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
@@ -65,33 +63,35 @@ class ClassicalSemantics(NumpySemantics):
             return _until_once(left, right, first)
         # Over [t, t'] with t' >= t + first: [t, t + first - 1] is common to all t'.
         later = left[first:]
-        reached = sliding_idempotent(_then, (later, np.minimum(later, right)), width)[1]
-        return reached if first == 0 else np.minimum(self.always(left[:-width], first), reached)
+        minimum = namespace(left).minimum
+        reached = sliding_idempotent(_then, (later, minimum(later, right)), width)[1]
+        return reached if first == 0 else minimum(self.always(left[:-width], first), reached)
 
 
 def _minimum(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> tuple[FloatArray]:
-    return (np.minimum(earlier[0], later[0]),)
+    return (namespace(earlier[0]).minimum(earlier[0], later[0]),)
 
 
 def _maximum(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> tuple[FloatArray]:
-    return (np.maximum(earlier[0], later[0]),)
+    return (namespace(earlier[0]).maximum(earlier[0], later[0]),)
 
 
 def _then(
     earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]
 ) -> tuple[FloatArray, FloatArray]:
     """Two stretches of time after one another: (left held throughout, right reached)."""
-    held, reached = earlier
-    return np.minimum(held, later[0]), np.maximum(reached, np.minimum(held, later[1]))
+    (held, reached), xp = earlier, namespace(earlier[0])
+    return xp.minimum(held, later[0]), xp.maximum(reached, xp.minimum(held, later[1]))
 
 
 def _until_once(left: FloatArray, right: FloatArray, first: int) -> FloatArray:
     """Until at a single step, by a running minimum: [1, n]."""
-    held = left[: first + 1].min(axis=0)
-    reached = np.minimum(held, right[0])
-    met = np.empty_like(held)
+    xp = namespace(left)
+    held = xp.amin(left[: first + 1], 0)
+    reached = xp.minimum(held, right[0])
+    met = xp.empty_like(held)
     for now, target in zip(left[first + 1 :], right[1:], strict=True):
-        np.minimum(held, now, out=held)
-        np.minimum(held, target, out=met)
-        np.maximum(reached, met, out=reached)
-    return reached[np.newaxis]
+        xp.minimum(held, now, out=held)
+        xp.minimum(held, target, out=met)
+        xp.maximum(reached, met, out=reached)
+    return reached[None]

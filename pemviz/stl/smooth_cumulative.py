@@ -21,7 +21,7 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
 from pemviz.stl.expressions import Predicate
-from pemviz.stl.numpy_base import NumpySemantics
+from pemviz.stl.numbers import NumberSemantics
 from pemviz.stl.windows import fold, sliding
 
 Part: TypeAlias = Literal["positive", "negative"]
@@ -50,7 +50,7 @@ class SmoothCumulative:
         return SmoothCumulative(self.beta, "negative" if self.part == "positive" else "positive")
 
 
-class SmoothCumulativeSemantics(NumpySemantics):
+class SmoothCumulativeSemantics(NumberSemantics):
     """One part of the smooth cumulative robustness of every operator."""
 
     def __init__(self, metric: SmoothCumulative) -> None:

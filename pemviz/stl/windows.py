@@ -8,9 +8,7 @@ instead of ``width`` passes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, Self, TypeVar
-
-import numpy as np
+from typing import Any, Protocol, Self, TypeVar
 
 from pemviz.arrays import FloatArray
 
@@ -74,14 +72,14 @@ def _doubled(combine: Combine[ArrayT], parts: Parts[ArrayT], stretch: int) -> Pa
     return combine(_from(parts, 0, length), _from(parts, stretch, length))
 
 
-def fold(ufunc: np.ufunc, values: FloatArray) -> FloatArray:
+def fold(ufunc: Callable[..., Any], values: FloatArray) -> FloatArray:
     """``ufunc`` over the whole time axis, half upon half, in place.
 
     Unlike numpy's own reductions it adds in an order that does not depend on the number
     of rollouts, and its rounding error grows with log T only.
 
     Args:
-        ufunc: elementwise, associative and commutative.
+        ufunc: elementwise, associative and commutative; takes ``out``.
         values: [T, n], T >= 1; overwritten.
 
     Returns:

@@ -14,7 +14,11 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import ConfigError
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.gap_network import GapNetwork
-from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis
+from pemviz.proposals.offset_logistic import (
+    OffsetLogisticProposal,
+    PolynomialBasis,
+    SignalFeatures,
+)
 from pemviz.runs.back_ends import batch_rollouts
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.experiment import build_experiment, device_notes
@@ -22,6 +26,7 @@ from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.devices import (
     DeviceRunner,
     check_device,
+    has_tensors,
     missing_cuda,
     simulate_on_device,
 )
@@ -30,6 +35,8 @@ from pemviz.sampling.rollouts.final_batch import LARGEST_PART
 from pemviz.sampling.value_twisted.method import with_latch
 from pemviz.simulators.braking.features import BrakingFeatures
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from pemviz.simulators.latched import LatchedSimulator
+from pemviz.types import StateBatch
 from tests.simulators.strategies import scenarios
 from tests.toy import ConstantPem, MissCounter
 
@@ -49,7 +56,7 @@ def device(request):
 
 @dataclass(frozen=True)
 class HalfTheLogit:
-    """A proposal that no twin is known of; it looks at what it is given."""
+    """A proposal that is not said to compute with tensors; it looks at what it is given."""
 
     def logit(self, states, pem_logit):
         assert states.signals["gap"].shape == pem_logit.shape
@@ -84,7 +91,13 @@ PROPOSALS = {
     "constant": ConstantProposal(0.4),
     "network": gap_network(3),
     "offset": offset_logistic(0, SCENARIO),
-    "no twin": HalfTheLogit(),
+    "any signals": replace(
+        offset_logistic(0, SCENARIO),
+        features=SignalFeatures(VectorizedSimulator(SCENARIO).signals),
+        basis=PolynomialBasis(np.array([9.0, 18.0, 17.0, 30.0]), np.full(4, 6.0), degree=2),
+        coefficients=np.random.default_rng(5).normal(size=15) / 4,
+    ),
+    "through numpy": HalfTheLogit(),
 }
 
 
@@ -187,7 +200,7 @@ def test_estimates_agree(device, method, budget):
     assert ours.estimate.failures == theirs.estimate.failures
 
 
-def test_a_simulator_without_a_twin_is_stepped_by_numpy(device, toy_problem):
+def test_a_simulator_that_cannot_go_there_is_stepped_by_numpy(device, toy_problem):
     parts = {
         "simulator": toy_problem.simulator,
         "pem": toy_problem.pem,
@@ -198,42 +211,58 @@ def test_a_simulator_without_a_twin_is_stepped_by_numpy(device, toy_problem):
     np.testing.assert_array_equal(ours.signals["gap"], theirs.signals["gap"])
 
 
+STEPS_TAKEN_ON = []
+
+
 @dataclass(frozen=True)
 class CountedMisses(MissCounter):
-    """A simulator of the user's own, for which a twin is registered below."""
+    """A simulator of the user's own that says that it computes with tensors as well."""
+
+    def step(self, states, detected):
+        STEPS_TAKEN_ON.append((int(states.step), type(detected).__module__))
+        gap = states.signals["gap"] - (~detected) * 1.0
+        return StateBatch(step=states.step + 1, signals={"gap": gap})
+
+    def moved(self, move):
+        return self
 
 
-def test_a_twin_of_ones_own_is_used(device):
-    from pemviz.sampling.rollouts.tensor_twins import TensorStates, as_tensor, twin  # noqa: PLC0415
-
-    steps_taken = []
-
-    class Twin:
-        def initial(self, *, count):
-            where = "cpu" if device == "torch-cpu" else device
-            gap_m = as_tensor(CountedMisses(states=7).initial(count=count).signals["gap"], where)
-            return TensorStates(step=0, signals={"gap": gap_m}, memory={})
-
-        def step(self, states, detected):
-            steps_taken.append(states.step)
-            gap_m = states.signals["gap"] - (~detected).double()
-            return TensorStates(step=states.step + 1, signals={"gap": gap_m}, memory={})
-
-        def salient(self, states):
-            return states.signals["gap"][None, :]
-
-    @twin.register
-    def _(part: CountedMisses, device: str) -> Twin:
-        return Twin()
-
+def test_a_simulator_of_ones_own_computes_with_tensors(device):
+    STEPS_TAKEN_ON.clear()
     parts = {
         "simulator": CountedMisses(states=7),
         "pem": ConstantPem(miss_probability=0.3),
         "proposal": PemProposal(),
         "uniforms": np.random.default_rng(0).random((50, 6)),
     }
-    check_alike(simulate_on_device(**parts, device=device), simulate(**parts))
-    assert steps_taken == list(range(6))
+    ours = simulate_on_device(**parts, device=device)
+    assert [(step, "torch") for step in range(6)] == STEPS_TAKEN_ON
+    check_alike(ours, simulate(**parts))
+
+
+def test_a_rule_of_ones_own_is_asked_through_numpy(device):
+    def close(states):
+        assert isinstance(states.signals["gap"], np.ndarray)
+        return states.signals["gap"] < 7.0
+
+    parts = {
+        "simulator": LatchedSimulator(VectorizedSimulator(SCENARIO), unsafe=close),
+        "pem": build_experiment(replace(PAPER, scenario=SCENARIO)).problem.pem,
+        "proposal": offset_logistic(0, SCENARIO),
+        "uniforms": np.random.default_rng(1).random((300, 59)) ** 3,
+    }
+    ours, theirs = simulate_on_device(**parts, device=device), simulate(**parts)
+    check_alike(ours, theirs)
+    assert 0.0 < theirs.memory["violated"].mean() < 1.0
+
+
+def test_what_cannot_go_to_a_device_says_so():
+    assert has_tensors(VectorizedSimulator(SCENARIO))
+    assert has_tensors(LatchedSimulator(VectorizedSimulator(SCENARIO), unsafe=bool))
+    assert not has_tensors(LatchedSimulator(MissCounter(states=7), unsafe=bool))
+    assert not has_tensors(HalfTheLogit())
+    blind = replace(offset_logistic(0, SCENARIO), features=HalfTheLogit())
+    assert not has_tensors(blind)
 
 
 @pytest.mark.parametrize("name", ["gpu", "cuda:", "cuda:-1", "CUDA", "", "cuda:0 ", "torch"])

@@ -6,7 +6,7 @@ rotation_y, each less its training mean and divided by its training standard dev
 
 import numpy as np
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, namespace
 from pemviz.pem.errors import PemError
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN, OCCLUSION_NAMES, SALIENT_COLUMNS
 
@@ -18,8 +18,6 @@ PAPER_INPUTS = (
 )
 POSE_INDEX = tuple(COLUMN[name] for name in POSE_COLUMNS)
 
-_CLASSES = np.arange(len(CLASS_NAMES), dtype=np.float64)[:, None]
-_OCCLUSIONS = np.arange(len(OCCLUSION_NAMES), dtype=np.float64)[:, None]
 _POSE = slice(POSE_INDEX[0], POSE_INDEX[-1] + 1)
 _FIRST_POSE = len(CLASS_NAMES) + len(OCCLUSION_NAMES)
 
@@ -50,10 +48,13 @@ def paper_inputs(rows: FloatArray, *, pose_mean: FloatArray, pose_std: FloatArra
         pose_mean: means of x, y, z [m] and rotation_y [rad] over the training data, shape [4].
         pose_std: their standard deviations, shape [4].
     """
-    columns = rows.T
-    inputs = np.empty((len(PAPER_INPUTS), len(rows)))
-    inputs[: len(CLASS_NAMES)] = columns[COLUMN["class_id"]] == _CLASSES
-    inputs[len(CLASS_NAMES) : _FIRST_POSE] = columns[COLUMN["occlusion"]] == _OCCLUSIONS
+    columns, xp = rows.T, namespace(rows)
+    inputs = xp.empty((len(PAPER_INPUTS), len(rows)), dtype=rows.dtype, device=rows.device)
+    known = xp.arange(len(CLASS_NAMES), dtype=rows.dtype, device=rows.device)[:, None]
+    inputs[: len(CLASS_NAMES)] = columns[COLUMN["class_id"]] == known
+    inputs[len(CLASS_NAMES) : _FIRST_POSE] = (
+        columns[COLUMN["occlusion"]] == known[: len(OCCLUSION_NAMES)]
+    )
     inputs[_FIRST_POSE:] = (columns[_POSE] - pose_mean[:, None]) / pose_std[:, None]
     return inputs
 

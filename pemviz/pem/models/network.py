@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import AnyArray, FloatArray, Move, namespace
 from pemviz.chunks import map_rows
 from pemviz.pem.errors import PemError
 from pemviz.pem.files.card import Carded, PemCard
@@ -84,11 +84,26 @@ class NetworkPem(Carded):
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""
         rows, shape = as_rows(salient)
         check_rows(rows)
-        return map_rows(self._logit_of_chunk, rows).reshape(shape)
+        answer = _Forward(self.pose_mean, self.pose_std, self.layers)
+        return map_rows(answer.logit, rows).reshape(shape)
 
-    def _logit_of_chunk(self, rows: FloatArray) -> FloatArray:
-        hidden = paper_inputs(rows, pose_mean=self.pose_mean, pose_std=self.pose_std)
-        return forward(self.layers, hidden)
+    def moved(self, move: Move) -> "_Forward":
+        """What answers for tensors."""
+        layers = tuple(Layer(move(layer.weight), move(layer.bias)) for layer in self.layers)
+        return _Forward(move(self.pose_mean), move(self.pose_std), layers)
+
+
+@dataclass(frozen=True)
+class _Forward:
+    """A network's answer to rows that are known to be in order."""
+
+    pose_mean: FloatArray
+    pose_std: FloatArray
+    layers: tuple[Layer, ...]
+
+    def logit(self, salient: FloatArray) -> FloatArray:
+        inputs = paper_inputs(salient, pose_mean=self.pose_mean, pose_std=self.pose_std)
+        return forward(self.layers, inputs)
 
 
 def forward(layers: Sequence[Layer], inputs: FloatArray) -> FloatArray:
@@ -97,12 +112,13 @@ def forward(layers: Sequence[Layer], inputs: FloatArray) -> FloatArray:
     numpy's own einsum adds up feature by feature, vectorised over n: unlike a matrix product of
     the linear algebra library, what one column gives cannot depend on the others or on threads.
     """
-    hidden = inputs
+    xp, hidden = namespace(inputs), inputs
+    zero = xp.zeros((), dtype=inputs.dtype, device=inputs.device)
     for layer in layers[:-1]:
-        hidden = np.einsum("hk,kn->hn", layer.weight, hidden)
+        hidden = xp.einsum("hk,kn->hn", layer.weight, hidden)
         hidden += layer.bias[:, None]
-        np.maximum(hidden, 0.0, out=hidden)
-    return np.einsum("hk,kn->hn", layers[-1].weight, hidden)[0] + layers[-1].bias[0]
+        xp.maximum(hidden, zero, out=hidden)
+    return xp.einsum("hk,kn->hn", layers[-1].weight, hidden)[0] + layers[-1].bias[0]
 
 
 def largest_output(pem: "NetworkPem") -> float:

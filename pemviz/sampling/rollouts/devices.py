@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, moved
 from pemviz.errors import ConfigError
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.batches import BatchRunner, BatchTask, run_here
@@ -56,8 +56,8 @@ def simulate_on_device(
     """What :func:`pemviz.sampling.rollouts.draw.simulate` gives, computed on ``device``.
 
     The outcomes come from the same uniforms, so that rollouts are the same; logits differ by
-    rounding. A simulator without a twin in :mod:`pemviz.sampling.rollouts.tensor_twins` is
-    stepped by numpy whatever the device.
+    rounding. A simulator that is not :class:`pemviz.arrays.Movable` is stepped by numpy whatever
+    the device.
 
     Args:
         simulator: The scenario.
@@ -86,9 +86,7 @@ def simulate_on_device(
 
 def has_tensors(part: object) -> bool:
     """Whether a simulator, error model or proposal computes with tensors on a torch device."""
-    from pemviz.sampling.rollouts.tensor_twins import twin  # noqa: PLC0415  torch is slow to import
-
-    return twin(part, "cpu") is not None
+    return moved(part, lambda array: array) is not None
 
 
 def torch_name(device: str) -> str:

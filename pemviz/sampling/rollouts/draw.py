@@ -1,17 +1,18 @@
 """Rollouts: the scenario stepped with outcomes drawn from a proposal."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from scipy.special import expit
+from scipy import special
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.pem.models.protocol import Pem
-from pemviz.types import Proposal, RolloutBatch, Simulator
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, is_tensor, namespace
+from pemviz.pem.models.own_detector import DetectorModel
+from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
 
 def simulate(
-    *, simulator: Simulator, pem: Pem, proposal: Proposal, uniforms: FloatArray
+    *, simulator: Simulator, pem: DetectorModel, proposal: Proposal, uniforms: FloatArray
 ) -> RolloutBatch:
     """Roll out the scenario once for each row of ``uniforms``.
 
@@ -25,18 +26,30 @@ def simulate(
     Returns:
         N rollouts.
     """
-    count = uniforms.shape[0]
-    steps = simulator.states - 1
-    detected = np.empty((steps, count), dtype=np.bool_)
-    under_pem = np.empty((steps, count))
-    under_proposal = np.empty((steps, count))
-    states = simulator.initial(count=count)
-    signals = _Track(states.signals, simulator.states)
-    memory = _Track(states.memory, simulator.states)
+    start = simulator.initial(count=uniforms.shape[0])
+    return roll_out(start, simulator=simulator, pem=pem, proposal=proposal, draws=uniforms.T)
+
+
+def roll_out(
+    states: StateBatch,
+    *,
+    simulator: Simulator,
+    pem: DetectorModel,
+    proposal: Proposal,
+    draws: FloatArray,
+) -> RolloutBatch:
+    """Rollouts from initial ``states`` ``[N]`` for draws ``[T-1, N]``, here or on a device."""
+    steps = draws.shape[0]
+    xp = namespace(draws)
+    detected = xp.empty(draws.shape, dtype=xp.bool, device=draws.device)
+    under_pem = xp.empty(draws.shape, dtype=draws.dtype, device=draws.device)
+    under_proposal = xp.empty(draws.shape, dtype=draws.dtype, device=draws.device)
+    signals = _Track(states.signals, steps + 1)
+    memory = _Track(states.memory, steps + 1)
     for step in range(steps):
         under_pem[step] = pem.logit(simulator.salient(states.signals))
         under_proposal[step] = proposal.logit(states, under_pem[step])
-        detected[step] = uniforms[:, step] >= expit(-under_proposal[step])
+        detected[step] = draws[step] >= _expit(-under_proposal[step])
         states = simulator.step(states, detected[step])
         signals.record(step + 1, states.signals)
         memory.record(step + 1, states.memory)
@@ -60,6 +73,11 @@ def replay(*, simulator: Simulator, detected: BoolArray) -> Mapping[str, FloatAr
     return signals.by_rollout()
 
 
+def _expit(logit: Any) -> Any:
+    # of one name in neither: scipy's for arrays, to the last digit
+    return logit.sigmoid() if is_tensor(logit) else special.expit(logit)
+
+
 class _Track:
     """Named values as they come, kept time-major: each step writes one contiguous row.
 
@@ -70,9 +88,11 @@ class _Track:
     def __init__(self, first: Mapping[str, AnyArray], states: int) -> None:
         self._values = dict(first)
         for dtype in {array.dtype for array in first.values()}:
-            names = [name for name, array in first.items() if array.dtype == dtype]
-            block = np.empty((len(names), states, *first[names[0]].shape), dtype)
-            self._values.update(zip(names, block, strict=True))
+            alike = {name: array for name, array in first.items() if array.dtype == dtype}
+            array = next(iter(alike.values()))
+            shape = (len(alike), states, *array.shape)
+            block = namespace(array).empty(shape, dtype=dtype, device=array.device)
+            self._values.update(zip(alike, block, strict=True))
         self.record(0, first)
 
     def record(self, index: int, values: Mapping[str, AnyArray]) -> None:

@@ -1,34 +1,27 @@
-"""Rollouts as double-precision tensors on a torch device: `sampling.rollout` once more.
+"""Rollouts as double-precision tensors on a torch device.
 
-Error models and proposals without a twin (see `tensor_twins`) are asked through numpy at every
-step: as right, but slow on a GPU, which then waits for copies.
+The simulator, error model and proposal are those that compute with numpy, moved to the device
+(:class:`pemviz.arrays.Movable`). An error model or proposal that cannot go there is asked
+through numpy at every step: as right, but slow on a GPU, which then waits for copies.
 """
 
-from collections.abc import Mapping
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from pemviz.arrays import AnyArray, FloatArray
-from pemviz.pem.models.protocol import Pem
+from pemviz.arrays import AnyArray, FloatArray, Move, moved, to_numpy
+from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.proposals.gap_network_fit import one_thread
-from pemviz.sampling.rollouts.tensor_twins import (
-    PemTwin,
-    ProposalTwin,
-    SimulatorTwin,
-    TensorStates,
-    as_tensor,
-    twin,
-)
-from pemviz.types import Proposal, RolloutBatch, Simulator
+from pemviz.sampling.rollouts.draw import roll_out
+from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
 
 def simulate(
     *,
     simulator: Simulator,
-    pem: Pem,
+    pem: DetectorModel,
     proposal: Proposal,
     uniforms: FloatArray,
     device: str,
@@ -43,69 +36,43 @@ def simulate(
         device: As torch calls it.
 
     Returns:
-        N rollouts; ``None`` for a simulator without a twin.
+        N rollouts; ``None`` for a simulator that cannot go there.
     """
-    scenario = cast(SimulatorTwin | None, twin(simulator, device))
+
+    def move(array: AnyArray) -> Any:
+        return torch.tensor(np.ascontiguousarray(array), device=device)
+
+    scenario: Simulator | None = moved(simulator, move)
     if scenario is None:
         return None
+    start = simulator.initial(count=uniforms.shape[0])
     with torch.inference_mode(), one_thread():
-        return _rolled_out(
-            scenario,
-            error_model=twin(pem, device) or _pem_through_numpy(pem, device),
-            sampled_from=twin(proposal, device) or _proposal_through_numpy(proposal, device),
-            draws=as_tensor(uniforms.T, device),
+        rollouts = roll_out(
+            replace(start.map(move), step=start.step),  # one number, the same for all: stays here
+            simulator=scenario,
+            pem=moved(pem, move) or _PemHere(pem, move),
+            proposal=moved(proposal, move) or _ProposalHere(proposal, move),
+            draws=move(uniforms.T),
         )
+        return rollouts.map(to_numpy)
 
 
-def _rolled_out(
-    scenario: SimulatorTwin, *, error_model: PemTwin, sampled_from: ProposalTwin, draws: Tensor
-) -> RolloutBatch:
-    """Rollouts for draws ``[T-1, N]``; time comes first, so that a step writes one row."""
-    steps, count = draws.shape
-    detected = torch.empty_like(draws, dtype=torch.bool)
-    under_pem, under_proposal = torch.empty_like(draws), torch.empty_like(draws)
-    states = scenario.initial(count=count)
-    signals, memory = _track(states.signals, steps + 1), _track(states.memory, steps + 1)
-    for step in range(steps):
-        under_pem[step] = error_model(scenario.salient(states))
-        under_proposal[step] = sampled_from(states, under_pem[step])
-        detected[step] = draws[step] >= torch.special.expit(-under_proposal[step])
-        states = scenario.step(states, detected[step])
-        _record(signals, states.signals, step + 1)
-        _record(memory, states.memory, step + 1)
-    return RolloutBatch(
-        signals={name: _by_rollout(values) for name, values in signals.items()},
-        memory={name: _by_rollout(values) for name, values in memory.items()},
-        detected=_by_rollout(detected),
-        pem_logit=_by_rollout(under_pem),
-        proposal_logit=_by_rollout(under_proposal),
-    )
+@dataclass(frozen=True)
+class _PemHere:
+    pem: DetectorModel
+    move: Move
+
+    def logit(self, salient: FloatArray) -> Any:
+        return self.move(self.pem.logit(np.ascontiguousarray(to_numpy(salient))))
 
 
-def _pem_through_numpy(pem: Pem, device: str) -> PemTwin:
-    return lambda salient: as_tensor(
-        pem.logit(np.ascontiguousarray(salient.cpu().numpy().T)), device
-    )
+@dataclass(frozen=True)
+class _ProposalHere:
+    proposal: Proposal
+    move: Move
 
+    def logit(self, states: StateBatch, pem_logit: FloatArray) -> Any:
+        return self.move(self.proposal.logit(states.map(to_numpy), to_numpy(pem_logit)))
 
-def _proposal_through_numpy(proposal: Proposal, device: str) -> ProposalTwin:
-    def logit(states: TensorStates, pem_logit: Tensor) -> Tensor:
-        return as_tensor(proposal.logit(states.to_numpy(), pem_logit.cpu().numpy()), device)
-
-    return logit
-
-
-def _track(first: Mapping[str, Tensor], states: int) -> dict[str, Tensor]:
-    """Room for ``states`` rows of each value, with the first filled in."""
-    tracks = {name: values.new_empty((states, *values.shape)) for name, values in first.items()}
-    _record(tracks, first, 0)
-    return tracks
-
-
-def _record(tracks: Mapping[str, Tensor], values: Mapping[str, Tensor], row: int) -> None:
-    for name, track in tracks.items():
-        track[row] = values[name]
-
-
-def _by_rollout(values: Tensor) -> AnyArray:
-    return values.cpu().numpy().T
+    def arrays(self) -> Any:
+        return self.proposal.arrays()

@@ -1,12 +1,14 @@
 """Specifications that single states decide: ``always (predicate on the state)``."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-import numpy as np
+from typing import Self
 
 from pemviz import stl
-from pemviz.arrays import BoolArray
+from pemviz.arrays import BoolArray, FloatArray, Move, is_tensor, namespace
+from pemviz.stl.classical import ClassicalSemantics
 from pemviz.stl.formulas import And, Formula
+from pemviz.stl.semantics import evaluate
 from pemviz.stl.temporal import Always
 from pemviz.types import StateBatch
 
@@ -38,13 +40,25 @@ class UnsafeStates:
     def __call__(self, states: StateBatch) -> BoolArray:
         """Whether states ``[N]``, all of one step, break a rule ``[N]``."""
         step = int(states.step)
-        shape = next(iter(states.signals.values())).shape
-        unsafe = np.zeros(shape, dtype=np.bool_)
+        like = next(iter(states.signals.values()))
+        xp = namespace(like)
+        unsafe = xp.zeros(like.shape, dtype=xp.bool, device=like.device)
         for rule in self.rules:
             if rule.first <= step <= rule.last:
-                single = {name: values[:, None] for name, values in states.signals.items()}
-                unsafe |= stl.violated(rule.predicate, single)
+                unsafe |= _broken(rule.predicate, states.signals)
         return unsafe
+
+    def moved(self, move: Move) -> Self:  # noqa: ARG002
+        """Itself: it holds no arrays."""
+        return self
+
+
+def _broken(predicate: Formula, signals: Mapping[str, FloatArray]) -> BoolArray:
+    """Whether states ``[N]`` violate a predicate; here their numbers are checked as well."""
+    if is_tensor(next(iter(signals.values()))):
+        single = {name: values[None] for name, values in signals.items()}
+        return evaluate(predicate, ClassicalSemantics(), single, start=0, steps=1)[0] < 0.0
+    return stl.violated(predicate, {name: values[:, None] for name, values in signals.items()})
 
 
 def unsafe_states(formula: Formula) -> UnsafeStates | None:

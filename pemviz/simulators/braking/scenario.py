@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, namespace
 from pemviz.config import ScenarioConfig
 from pemviz.types import Signal, StateBatch
 
@@ -100,7 +100,9 @@ def lead_car_salient(config: ScenarioConfig, signals: Mapping[str, FloatArray]) 
         0.0,
         HEADING_AWAY_RAD,
     )
-    salient = np.empty((*gap_m.shape, len(fixed)))
-    salient[...] = fixed
-    salient[..., 9] = gap_m + config.lead_length_m / 2
-    return salient
+    xp = namespace(gap_m)
+    salient = xp.empty((len(fixed), *gap_m.shape), dtype=xp.float64, device=gap_m.device)
+    for column, value in zip(salient, fixed, strict=True):
+        column[...] = value
+    salient[9] = gap_m + config.lead_length_m / 2
+    return xp.moveaxis(salient, 0, -1)

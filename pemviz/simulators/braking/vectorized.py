@@ -1,10 +1,11 @@
 """The braking scenario for a whole batch of rollouts at once."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, Move, namespace
 from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
@@ -21,8 +22,13 @@ class VectorizedSimulator(BrakingScenario):
     """Explicit Euler steps of ``pemviz.simulators.braking``: positions, then speeds.
 
     The arithmetic works in place on arrays that a step has itself made, since the time goes
-    into moving temporaries; the states it is given are never written to.
+    into moving temporaries; the states it is given are never written to. On a device all states
+    are of one step, whose number stays a number.
     """
+
+    def moved(self, move: Move) -> Self:  # noqa: ARG002
+        """Itself: it holds no arrays."""
+        return self
 
     @property
     def name(self) -> str:
@@ -60,12 +66,14 @@ class VectorizedSimulator(BrakingScenario):
         cruise_mps2 = error_mps
         cruise_mps2 *= config.speed_gain_per_s
         cruise_mps2 += config.speed_integral_gain_per_s2 * grown_m
-        np.maximum(cruise_mps2, -config.maximum_deceleration_mps2, out=cruise_mps2)
-        np.minimum(cruise_mps2, config.maximum_acceleration_mps2, out=cruise_mps2)
+        cruise_mps2 = cruise_mps2.clip(
+            -config.maximum_deceleration_mps2, config.maximum_acceleration_mps2
+        )
         emergency = brakes(detected, states.signals[GAP], config)
+        xp = namespace(emergency)
         return (
-            np.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),
-            np.where(emergency, held_m, grown_m),
+            xp.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),
+            xp.where(emergency, held_m, grown_m),
         )
 
     def _lead_acceleration(self, states: StateBatch) -> FloatArray:
@@ -76,5 +84,4 @@ class VectorizedSimulator(BrakingScenario):
 
 def _advance_speed(speed_mps: FloatArray, wanted_mps2: FloatArray, dt_s: float) -> FloatArray:
     """Speeds after one step; a car that would reverse stands instead."""
-    advanced_mps = speed_mps + wanted_mps2 * dt_s
-    return np.maximum(advanced_mps, 0.0, out=advanced_mps)
+    return (speed_mps + wanted_mps2 * dt_s).clip(0.0)

@@ -1,10 +1,4 @@
-"""The same robustness in torch, differentiable with respect to the signals.
-
-For gradients, not for ranking: values agree with `pemviz.stl.robustness` to 1e-9 in
-double precision. Where a minimum is attained more than once, its gradient is shared.
-"""
-
-# ruff: noqa: D102 (the operators are described by the Semantics protocol)
+"""The operators of the three metrics once more, in torch: stacked, not folded in place."""
 
 from __future__ import annotations
 
@@ -16,82 +10,24 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from pemviz.errors import InputError
 from pemviz.stl.agm import Agm, clipping_flips
 from pemviz.stl.bounds import margin_range
-from pemviz.stl.checks import check_finite, check_horizon, check_names
 from pemviz.stl.classical import Classical
-from pemviz.stl.errors import shorten
-from pemviz.stl.evaluation import Metric, check_signal, predicates_to_check
+from pemviz.stl.evaluation import Metric
 from pemviz.stl.expressions import Predicate
 from pemviz.stl.formulas import Formula
-from pemviz.stl.semantics import Semantics, evaluate, margin
+from pemviz.stl.semantics import Semantics, evaluate
 from pemviz.stl.smooth_cumulative import SmoothCumulative
 from pemviz.stl.windows import sliding, sliding_idempotent
 
 Pair: TypeAlias = tuple[Tensor, ...]
 
 
-def robustness(formula: Formula, signals: Mapping[str, Tensor], metric: Metric) -> Tensor:
-    """Robustness of every rollout at step 0.
-
-    Args:
-        formula: the specification.
-        signals: floating-point tensors [N, T] by name, of one shape, type and device.
-        metric: which robustness, with its parameters.
-
-    Returns:
-        [N], of the signals' type; gradients flow back to the signals.
-
-    Raises:
-        FormulaError: the formula uses an unknown signal or looks past the rollouts' end.
-        InputError: as for the numpy side.
-    """
-    return _evaluate(formula, signals, metric, steps=1)[:, 0]
-
-
 def robustness_trace(formula: Formula, signals: Mapping[str, Tensor], metric: Metric) -> Tensor:
-    """Robustness of every rollout at every step where the horizon fits.
-
-    Takes and raises what `robustness` does.
-
-    Returns:
-        [N, T - formula.horizon_steps()].
-    """
-    return _evaluate(formula, signals, metric, steps=None)
-
-
-def _evaluate(
-    formula: Formula, signals: Mapping[str, Tensor], metric: Metric, *, steps: int | None
-) -> Tensor:
-    check_names(formula, signals)
-    names = sorted(formula.signals()) or sorted(signals)[:1]
-    if not names:
-        raise InputError("no signals given; at least one is needed for the number of rollouts")
-    used = {name: signals[name] for name in names}
-    first = used[names[0]]
-    for name, values in used.items():
-        if values.ndim != 2 or values.shape != first.shape or not values.is_floating_point():
-            raise InputError(
-                f"signal {name!r} is {tuple(values.shape)} of {values.dtype}; all signals must"
-                " be real, [N, T] and alike"
-            )
-    states = first.shape[1]
-    check_horizon(formula, states)
-    time_first = {name: values.T for name, values in used.items()}
-    _check_values(formula, time_first, metric)
-    steps = states - formula.horizon_steps() if steps is None else steps
+    """What `pemviz.stl.robustness_trace` gives, [N, T - formula.horizon_steps()]."""
+    time_first = {name: values.T for name, values in signals.items()}
+    steps = len(next(iter(time_first.values()))) - formula.horizon_steps()
     return evaluate(formula, _semantics(metric), time_first, start=0, steps=steps).T
-
-
-def _check_values(formula: Formula, signals: Mapping[str, Tensor], metric: Metric) -> None:
-    for name in formula.signals():
-        check_signal(signals[name].detach().cpu().numpy().T, name, metric, first_rollout=0)
-    for predicate in predicates_to_check(formula):
-        with torch.no_grad():
-            steps = len(next(iter(signals.values())))
-            by = margin(predicate, TorchClassical(), signals, start=0, steps=steps)
-        check_finite(by.cpu().numpy().T, f"margin of '{shorten(predicate)}'", 0)
 
 
 def _semantics(metric: Metric) -> Semantics[Tensor]:
@@ -126,7 +62,7 @@ class TorchClassical(_TorchSemantics):
     def truth(self, like: Tensor, steps: int) -> Tensor:
         return self.constant(math.inf, like, steps)
 
-    def predicate(self, predicate: Predicate, margin: Tensor) -> Tensor:  # noqa: ARG002
+    def predicate(self, predicate: Predicate, margin: Tensor) -> Tensor:
         return margin
 
     def negate(self, value: Tensor) -> Tensor:
@@ -227,7 +163,7 @@ class TorchSmoothCumulative(_TorchSemantics):
     def truth(self, like: Tensor, steps: int) -> Tensor:
         return self.constant(math.inf if self.sign > 0.0 else 0.0, like, steps)
 
-    def predicate(self, predicate: Predicate, margin: Tensor) -> Tensor:  # noqa: ARG002
+    def predicate(self, predicate: Predicate, margin: Tensor) -> Tensor:
         scaled = self.sign * self.metric.beta * margin
         return self.sign * torch.logaddexp(scaled, torch.zeros_like(scaled)) / self.metric.beta
 
