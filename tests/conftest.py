@@ -12,7 +12,10 @@ settings.register_profile("repeatable", derandomize=True, deadline=None, max_exa
 settings.load_profile("repeatable")
 
 TESTS = Path(__file__).resolve().parent
-TOGETHER = ("browser", "recording", "reproduce", "sweep")
+TOGETHER = {
+    *("browser", "panel", "recording", "reproduce", "sweep"),
+    *("test_every_method.py", "test_judge.py", "test_kept_diagnostics.py", "test_store.py"),
+}
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -26,17 +29,18 @@ def shared(name: str) -> Path:
     return path
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Browser tests are slow, and share one worker: two cores are too few for two browsers.
 
-    So do the tests of the folders in ``TOGETHER``, each of which has a run that takes long to make.
+    So do the tests of what else is in ``TOGETHER``: each has runs that take long to make.
     """
     for item in items:
-        folder = item.path.relative_to(TESTS).parts[0]
-        if folder == "browser":
+        path = item.path.relative_to(TESTS)
+        if path.parts[0] == "browser":
             item.add_marker(pytest.mark.slow)
-        if folder in TOGETHER:
-            item.add_marker(pytest.mark.xdist_group(folder))
+        for shared_runs in {path.parts[0], path.name} & TOGETHER:
+            item.add_marker(pytest.mark.xdist_group(shared_runs))
 
 
 @pytest.fixture(scope="session")

@@ -177,7 +177,8 @@ def test_an_error_model_of_ones_own_travels_with_the_run(tiny, tmp_path, capsys,
         (["--preset", "paper", "--scheduler", "tcp://127.0.0.1:9"], ["cannot be reached"]),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, words, fragments):
+def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, monkeypatch, words, fragments):
+    monkeypatch.setattr("pemviz.sweep.cluster.CONNECT_S", 1.0)  # nobody answers, however long
     assert main(["sweep", *words, "--out", str(tmp_path / "out")]) == 2
     shown = capsys.readouterr()
     assert shown.out == ""
