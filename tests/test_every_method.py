@@ -16,8 +16,8 @@ from pemviz.panel.ranking import rank
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views import compare, headline, learning, why
 from pemviz.panel.views.ranking_table import ranking_table
-from pemviz.recording.read import read_stages
 from pemviz.sampling.registry import SHIPPED
+from tests.recording.read_back import read_stages
 
 EVERY = pytest.mark.parametrize("method", SHIPPED, ids=lambda method: method.name)
 CONFIG = """

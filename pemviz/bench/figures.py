@@ -1,8 +1,7 @@
 """The rows of a benchmark table."""
 
 import statistics
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -21,17 +20,6 @@ class Figure:
     value: float
     unit: str = ""
     goal: str = ""
-
-
-def median_time_s(function: Callable[[], object], *, repeats: int) -> float:
-    """Median wall time [s] of ``repeats`` calls, after one that is not counted."""
-    function()
-    times_s: list[float] = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        function()
-        times_s.append(time.perf_counter() - began)
-    return statistics.median(times_s)
 
 
 def median_ratio(numerators: Sequence[float], denominators: Sequence[float]) -> float:

@@ -1,4 +1,4 @@
-"""Where the shipped files (models, presets) lie, in a checkout and in an installed wheel."""
+"""Where the shipped files (models, presets, sample run) lie, in a checkout and in a wheel."""
 
 from importlib import resources
 from pathlib import Path
@@ -12,12 +12,11 @@ def asset_root() -> Path:
     Raises:
         InputError: neither exists, as in a partial copy of the package.
     """
-    installed = Path(str(resources.files("pemviz"))) / "_assets"
-    checkout = Path(__file__).resolve().parents[2] / "assets"
-    for candidate in (installed, checkout):
+    places = _places("_assets", "assets")
+    for candidate in places:
         if candidate.is_dir():
             return candidate
-    raise InputError(f"shipped files not found: neither {installed} nor {checkout} is a folder")
+    raise InputError(f"shipped files not found: neither {' nor '.join(map(str, places))} is there")
 
 
 def asset_path(*parts: str) -> Path:
@@ -33,6 +32,18 @@ def asset_path(*parts: str) -> Path:
     if not path.exists():
         raise InputError(f"no shipped file {'/'.join(parts)!r}; there are: {_listing(root, parts)}")
     return path
+
+
+def sample_run() -> Path | None:
+    """The run folder of the shipped sample; ``None`` if it is not there."""
+    runs = _places("_sample", "recordings/sample")
+    return next((folder for folder in runs if (folder / "result.json").is_file()), None)
+
+
+def _places(installed: str, checkout: str) -> tuple[Path, Path]:
+    """Where something lies in an installed wheel and in a checkout, the first of which counts."""
+    package = Path(str(resources.files("pemviz")))
+    return package / installed, Path(__file__).resolve().parents[2] / checkout
 
 
 def _listing(root: Path, parts: tuple[str, ...]) -> str:

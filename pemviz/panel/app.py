@@ -9,11 +9,12 @@ import viser
 
 from pemviz.config.toml_files import load_preset
 from pemviz.errors import InputError
+from pemviz.files.shipped import sample_run
 from pemviz.panel.browser import TABS_WIDTH_PX, Hub
 from pemviz.panel.controller import Controller
 from pemviz.panel.loading import load_run
 from pemviz.panel.memory import give_back
-from pemviz.panel.recordings import RecordingsFolder, sample_folder
+from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
 from pemviz.panel.server import guarded_server
 from pemviz.panel.session import Session
@@ -82,7 +83,7 @@ class App:
 def show_something(controller: Controller, recordings: RecordingsFolder) -> None:
     """Show the shipped sample, else the newest readable run, else a quick look that is not kept."""
     candidates: list[Path] = []
-    sample = sample_folder()
+    sample = sample_run()
     if sample is not None:
         candidates.append(sample)
     candidates += [recordings.root / name for name in recordings.names()]

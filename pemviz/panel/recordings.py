@@ -6,13 +6,11 @@ from typing import Literal
 
 from pemviz.config import MethodName, MetricName
 from pemviz.errors import InputError
-from pemviz.files.shipped import asset_root
 from pemviz.runs.result import RunResult, RunStatus
 from pemviz.runs.result_file import RESULT_FILE, has_result
 from pemviz.runs.same_run import read_whole_run
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
-SAMPLE = "sample"
 LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
 
 
@@ -124,15 +122,6 @@ class RecordingsFolder:
             entry = str(error)
         self._entries[name] = (changed_s, entry)
         return entry
-
-
-def sample_folder() -> Path | None:
-    """The sample run that is shipped, if it is there: in the wheel, or in the checkout."""
-    root = asset_root()
-    for candidate in (root / SAMPLE, root.parent / "_sample", root.parent / "recordings" / SAMPLE):
-        if has_result(candidate):
-            return candidate
-    return None
 
 
 def _entry_of(name: str, result: RunResult, *, folder: Path) -> RunEntry:

@@ -176,14 +176,6 @@ class Plot:
         if label:
             self._over.append(text(label, self.right - 3, py - 3, anchor="end", color=color))
 
-    def vline(self, x: float, *, color: str, width: float = 1.0, dash: str = "") -> None:
-        """A vertical line."""
-        px = self.px(x)
-        self._over.append(
-            f"<path d='M{px:.1f} {self.top}V{self.bottom}' stroke='{color}'"
-            f" stroke-width='{width}'{_dash(dash)}/>"
-        )
-
     def band(self, low: float, high: float, *, color: str, opacity: float = 0.18) -> None:
         """A horizontal band."""
         top, bottom = self.py(min(high, self.y.high)), self.py(max(low, self.y.low))

@@ -1,4 +1,4 @@
-"""Recordings of runs for the rerun viewer: writing, reading and opening ``run.rrd``."""
+"""Recordings of runs for the rerun viewer: writing and opening ``run.rrd``."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -18,7 +18,7 @@ from pemviz.analysis.sensitivity import band_sensitivities
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling
-from pemviz.simulators.toy import (
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_enumeration,

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from pemviz.cli.main import main
-from pemviz.files.sample_run import sample_run_path
+from pemviz.files.shipped import sample_run
 
 LONG = "x" * 300
 
@@ -24,7 +24,7 @@ def damaged(tmp_path, monkeypatch):
     (tmp_path / "labels" / "000000.txt").write_text("Car 0 0\n")
     (tmp_path / "found" / "000000.txt").write_text("")
     run = tmp_path / "run"
-    shutil.copytree(sample_run_path(), run)
+    shutil.copytree(sample_run(), run)
     (run / "run.rrd").write_bytes(b"RR")
     (run / "result.json").write_text("[" * 100_000)
     return tmp_path

@@ -53,13 +53,11 @@ class Target:
         carry_out: Damages an input and reads it; an AssertionError means that what was
             accepted is not sound.
         weight: Its share of a run's cases.
-        limits_memory: Off where a library ends the process when memory is refused.
     """
 
     name: str
     carry_out: Callable[[Case], None]
     weight: float
-    limits_memory: bool = True
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ def judge(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            with _time_limit(limited), _memory_limit(limited and target.limits_memory):
+            with _time_limit(limited), _memory_limit(limited):
                 target.carry_out(case)
         counts.accepted += 1
     except InputError as error:

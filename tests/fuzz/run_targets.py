@@ -27,7 +27,6 @@ from pemviz.panel.views.recordings import recordings_table
 from pemviz.panel.views.rollout import track, track_plots
 from pemviz.panel.views.why import why
 from pemviz.recording.open import find_recording
-from pemviz.recording.read import read_stages
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
 from pemviz.runs.result_file import has_result, read_result, result_document
@@ -169,14 +168,6 @@ def open_recording(case: Case) -> None:
     find_recording(case.folder)
 
 
-def read_recording(case: Case) -> None:
-    """A recording cut short anywhere, as by a kill; at other damage rerun's reader may abort."""
-    path = case.folder / "run.rrd"
-    content = case.valid.recording
-    path.write_bytes(content[: case.rng.randrange(len(content) + 1)])
-    read_stages(path)
-
-
 TARGETS = (
     Target("run", read_run, 6),
     Target("result", show_result, 6),
@@ -184,5 +175,4 @@ TARGETS = (
     Target("stage", read_stage, 4),
     Target("begun", read_begun, 3),
     Target("open", open_recording, 4),
-    Target("recording", read_recording, 1, limits_memory=False),
 )

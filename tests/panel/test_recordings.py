@@ -10,8 +10,9 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from pemviz.errors import InputError
+from pemviz.files.shipped import sample_run
 from pemviz.panel.loading import LoadedRuns, load_run
-from pemviz.panel.recordings import RecordingsFolder, sample_folder
+from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.views.recordings import recordings_table
 
 CRAFTED = (
@@ -228,9 +229,8 @@ def test_curves_come_from_the_rollouts_where_no_proposal_is_kept(folder):
 
 
 def test_the_sample_is_a_run_if_it_is_shipped():
-    sample = sample_folder()
-    if sample is None:
-        pytest.skip("no sample run is shipped in this checkout")
+    sample = sample_run()
+    assert sample is not None
     assert load_run(sample).kept > 0
 
 

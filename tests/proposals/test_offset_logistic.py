@@ -20,8 +20,8 @@ from pemviz.proposals.offset_logistic_fit import (
     leave_one_out_loss,
 )
 from pemviz.simulators.latched import VIOLATED
-from pemviz.simulators.toy import ToySimulator
 from pemviz.types import StateBatch
+from tests.lattice_walk import ToySimulator
 
 NO_RIDGE = 1e-9
 

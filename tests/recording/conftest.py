@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.recording import Recorder, read
+from pemviz.recording import Recorder
 from pemviz.runs.engine import run
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.result import RunResult
 from pemviz.runs.store import RunStore
 from pemviz.types import StageResult
+from tests.recording import read_back
 from tests.toy import constant_pem
 
 LEARNING = ExperimentConfig(stages=2, rollouts=40, final_rollouts=60, epochs=20)
@@ -66,7 +67,7 @@ def learned(tmp_path_factory) -> Recorded:
 
 
 def chunks(path: Path) -> list:
-    return list(read.chunks(path))
+    return list(read_back.chunks(path))
 
 
 def texts(path: Path) -> dict[str, str]:

@@ -12,7 +12,6 @@ from scipy.special import expit
 from pemviz.analysis.detection_curves import detection_curves, gap_grid
 from pemviz.arrays import row_sums
 from pemviz.recording import paths
-from pemviz.recording.read import read_stages
 from pemviz.runs.engine import run
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.rollouts.final_batch import weighed
@@ -24,6 +23,7 @@ from tests.recording.conftest import (
     scalars,
     with_blind_pem,
 )
+from tests.recording.read_back import read_stages
 
 RERUN = Path(rerun_cli.__file__).parent / "rerun"
 

@@ -3,8 +3,8 @@ import pytest
 
 from pemviz.recording import paths
 from pemviz.recording.pages import Page, write_pages
-from pemviz.recording.read import chunks
 from pemviz.reproduce.recording import write_recording
+from tests.recording.read_back import chunks
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,11 @@ from safetensors.numpy import load_file
 
 from pemviz.config.toml_files import config_from_table, load_config
 from pemviz.errors import InputError
-from pemviz.files import sample_run
-from pemviz.recording.read import chunks
+from pemviz.files import shipped
 from pemviz.reproduce.sample import MOST_BYTES, folder_bytes, make_sample, sample_config
 from pemviz.runs.result_file import SCHEMA
 from pemviz.runs.rollout_files import load_rollouts
+from tests.recording.read_back import chunks
 
 ROOT = Path(__file__).resolve().parents[2]
 HOW = "run `python -m pemviz.reproduce.sample` and commit the result"
@@ -22,7 +22,9 @@ HOW = "run `python -m pemviz.reproduce.sample` and commit the result"
 
 @pytest.fixture(scope="module")
 def sample():
-    return sample_run.sample_run_path()
+    found = shipped.sample_run()
+    assert found is not None
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -114,15 +116,16 @@ def test_running_it_again_gives_its_estimate(sample, fresh):
 def test_an_installed_wheel_finds_its_copy(tmp_path, monkeypatch):
     (tmp_path / "_sample").mkdir()
     (tmp_path / "_sample" / "result.json").write_text("{}")
-    monkeypatch.setattr(sample_run.resources, "files", lambda package: tmp_path)
-    assert sample_run.sample_run_path() == tmp_path / "_sample"
+    monkeypatch.setattr(shipped.resources, "files", lambda package: tmp_path)
+    assert shipped.sample_run() == tmp_path / "_sample"
 
 
-def test_a_missing_sample_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(sample_run.resources, "files", lambda package: tmp_path)
-    monkeypatch.setattr(sample_run, "__file__", str(tmp_path / "pemviz" / "sample_run.py"))
-    with pytest.raises(InputError, match="sample run not found"):
-        sample_run.sample_run_path()
+def test_a_missing_sample_is_none(tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "pemviz" / "files" / "shipped.py"))
+    assert shipped.sample_run() is None
+    with pytest.raises(InputError, match="shipped files not found: neither "):
+        shipped.asset_root()
 
 
 def test_the_wheel_takes_the_sample_along():

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 
 from pemviz.config import METHODS, ExperimentConfig, ScenarioConfig
 from pemviz.errors import LONGEST_MESSAGE, InputError
-from pemviz.files.sample_run import sample_run_path
+from pemviz.files.shipped import sample_run
 from pemviz.runs import result_file
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result_file import (
@@ -54,7 +54,7 @@ TINY = ExperimentConfig(
 @pytest.fixture(scope="module")
 def sample():
     """The document of the sample run with a reference; of every kind of entry, two."""
-    document = result_document(read_result(sample_run_path()))
+    document = result_document(read_result(sample_run()))
     causes = document["causes"]
     for entries in (document["stages"], document["least_robust"], causes["chains"],
                     causes["misses_by_distance"], causes["miss_probability_by_step"]):  # fmt: skip
@@ -115,10 +115,10 @@ def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
 
 
 def test_the_sample_run_is_read_and_written_to_the_same_bytes(tmp_path):
-    result = read_result(sample_run_path())
+    result = read_result(sample_run())
     write_result(tmp_path, result)
     written = (tmp_path / "result.json").read_bytes()
-    assert written == (sample_run_path() / "result.json").read_bytes()
+    assert written == (sample_run() / "result.json").read_bytes()
     assert result.run_id == "sample"
     assert result.estimate.probability == pytest.approx(10**result.estimate.log10_probability)
     assert len(result.least_robust) == 20

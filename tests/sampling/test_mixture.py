@@ -11,7 +11,7 @@ from pemviz.sampling.mixture.balance_heuristic import balance_weights
 from pemviz.sampling.mixture.fit import smoothing_exponent
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
-from pemviz.simulators.toy import (
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,

@@ -19,9 +19,9 @@ from pemviz.simulators.latched import (
     MonitoredSimulator,
     MonitoredStates,
 )
-from pemviz.simulators.toy import ToyPem, ToySimulator
 from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import StateBatch, outcome_log_likelihood
+from tests.lattice_walk import ToyPem, ToySimulator
 
 SIMULATOR, PEM = ToySimulator(initial_gap=5, states=15), ToyPem(at_zero=3.5)
 RESPOND = "always[0,10] (gap < 3 -> eventually[0,4] (gap >= 3))"

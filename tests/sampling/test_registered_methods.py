@@ -12,10 +12,10 @@ from pemviz.config.toml_files import config_text, load_config
 from pemviz.errors import ConfigError
 from pemviz.panel.loading import load_run
 from pemviz.panel.views import learning, why
-from pemviz.recording.read import read_stages
 from pemviz.runs.back_ends import check_method_fits, own_back_end
 from pemviz.runs.engine import run_experiment
 from pemviz.sampling.registry import by_name
+from tests.recording.read_back import read_stages
 from tests.toy import MissCounter
 
 MODULE = '''

@@ -9,7 +9,7 @@ from scipy import stats
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.method import SplittingSampling, split
 from pemviz.sampling.splitting.particles import draw_particles, restarted
-from pemviz.simulators.toy import (
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,

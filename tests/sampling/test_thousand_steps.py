@@ -15,7 +15,7 @@ from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.method import SplittingSampling
-from pemviz.simulators.toy import (
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,

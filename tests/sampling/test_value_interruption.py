@@ -8,7 +8,7 @@ from pemviz.sampling.problem import Problem
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling
 from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
 from pemviz.sampling.value_twisted.tables import build_twisted_proposal
-from pemviz.simulators.toy import (
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_robustness,

@@ -18,7 +18,7 @@ from pemviz.sampling.value_twisted.reference import (
     exact_log_probability,
     reference,
 )
-from pemviz.simulators.toy import (
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,

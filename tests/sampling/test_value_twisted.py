@@ -21,7 +21,8 @@ from pemviz.sampling.value_twisted.tables import build_twisted_proposal
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates, unsafe_states
 from pemviz.sampling.value_twisted.values import solve
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from pemviz.simulators.toy import (
+from pemviz.types import StateBatch, outcome_log_likelihood
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,
@@ -29,7 +30,6 @@ from pemviz.simulators.toy import (
     toy_unsafe,
     toy_violated,
 )
-from pemviz.types import StateBatch, outcome_log_likelihood
 from tests.toy import FunctionPem
 
 

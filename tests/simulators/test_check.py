@@ -7,8 +7,8 @@ import pytest
 
 import pemviz
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.toy import ToyPem, ToySimulator
 from pemviz.types import Signal
+from tests.lattice_walk import ToyPem, ToySimulator
 from tests.toy import MissCounter
 
 CONFIG = pemviz.ExperimentConfig(method="mixture", spec="always[0,5] (gap >= 0.5)")
@@ -265,7 +265,7 @@ def test_a_shipped_simulators_name_is_refused():
 
 def test_a_twin_of_ones_own_gives_the_reference():
     """The toy as its own twin: exact, so that the reference is the truth."""
-    from pemviz.simulators.toy import toy_probability_by_recursion  # noqa: PLC0415
+    from tests.lattice_walk import toy_probability_by_recursion  # noqa: PLC0415
 
     toy, pem = ToySimulator(states=11), ToyPem()
     config = replace(

@@ -8,7 +8,7 @@ import pytest
 
 import pemviz
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.simulators.toy import (
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,

@@ -18,7 +18,7 @@ MODULE = '''
 
 from dataclasses import dataclass, replace
 
-from pemviz.simulators.toy import ToySimulator
+from tests.lattice_walk import ToySimulator
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 

@@ -14,11 +14,11 @@ from pyarrow import parquet
 from pemviz.cli.main import main
 from pemviz.config.toml_files import load_config
 from pemviz.recording import paths
-from pemviz.recording.read import chunks
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result_file import result_document
 from pemviz.sweep.folders import sweep_folder
 from pemviz.sweep.table import FIGURES
+from tests.recording.read_back import chunks
 from tests.sweep.conftest import ROOT, VARIED, contents
 
 

@@ -1,8 +1,7 @@
 """A model's provenance: what it was trained on, how, how good it is, under which terms."""
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pemviz.pem.errors import PemError
@@ -75,11 +74,6 @@ class Carded:
     def licence(self) -> str:
         """Terms of use."""
         return self.card.licence
-
-
-def card_to_json(card: PemCard) -> str:
-    """One line of JSON with sorted keys, the same text for the same card."""
-    return json.dumps(asdict(card), sort_keys=True, allow_nan=False)
 
 
 def card_from_mapping(values: Mapping[str, Any], *, where: str) -> PemCard:

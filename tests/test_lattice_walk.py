@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.problem import Problem
-from pemviz.simulators.toy import (
+from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_enumeration,
