@@ -30,6 +30,10 @@ class ConfigError(InputError):
     """A configuration value is unknown, out of range or contradicts another."""
 
 
+class PemError(InputError):
+    """A perception error model, or the data for one, cannot be used; one line says why."""
+
+
 class RunError(PemvizError):
     """A run could not be carried to its end; the command line exits with code 3."""
 

@@ -3,15 +3,15 @@
 Running a model needs numpy and scipy; torch and scikit-learn are imported when one is fitted.
 """
 
+from pemviz.errors import PemError
+from pemviz.pem.data.support import SupportSummary, support_from_json, support_of
 from pemviz.pem.data.table import SalientTable, load_table, save_table
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import PemCard
 from pemviz.pem.files.load import ensemble_of, load_ensemble, load_pem, shipped_pems
 from pemviz.pem.files.model_files import save_pem
 from pemviz.pem.fitting.fit import KITTI_YOLOV3, Provenance, fit_ensemble, fit_pem
 from pemviz.pem.judging.reweight import compare_pems, pem_interval, reweight
-from pemviz.pem.judging.support import SupportSummary, support_from_json, support_of
 from pemviz.pem.judging.support_check import SupportReport, data_bound_pem, support_check
+from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.own_detector import DetectorModel, as_pem
 from pemviz.pem.models.protocol import (

@@ -14,8 +14,8 @@ from pemviz.config.toml_files import config_table, config_text, load_config
 from pemviz.pem import Pem, ensemble_of, load_pem
 from pemviz.pem.data.collect import CollectOptions, collect
 from pemviz.pem.data.detections import DetectionFormat
+from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE, SalientTable, load_table
-from pemviz.pem.judging.support import summarise_support
 from pemviz.runs.experiment import build_formula, build_metric, build_simulator
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.stl import parse

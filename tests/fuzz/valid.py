@@ -13,8 +13,8 @@ from safetensors.numpy import save
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.pem import PemCard, load_pem, save_pem, save_table
+from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.synthetic import synthetic_table
-from pemviz.pem.judging.support import summarise_support
 from pemviz.pem.models.encoding import PAPER_INPUTS
 from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.network import Layer, NetworkPem

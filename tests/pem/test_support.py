@@ -15,7 +15,7 @@ from pemviz.pem import (
     support_check,
     support_of,
 )
-from pemviz.pem.judging.support import (
+from pemviz.pem.data.support import (
     SHAPE,
     band_in_words,
     cell_of,

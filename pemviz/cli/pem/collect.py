@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import cast, get_args
 
 from pemviz.cli.pem.progress import progress_bar
+from pemviz.errors import PemError
 from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
 from pemviz.pem.data.collect_tracks import collect_tracks
 from pemviz.pem.data.detections import DetectionFormat
 from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.tracking import SequenceFormat
-from pemviz.pem.errors import PemError
 
 FASTEST_HZ = 1e4
 

@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.table import Table
 
 from pemviz.cli.pem.progress import progress_bar
+from pemviz.errors import PemError
+from pemviz.files.text_files import writing
 from pemviz.pem.data.table import load_table
-from pemviz.pem.data.text_files import writing
-from pemviz.pem.errors import PemError
 from pemviz.pem.fitting.fit import MODEL_KINDS, ModelKind
 
 QUICK_MODELS = ("guess-mu", "lr")

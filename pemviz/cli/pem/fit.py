@@ -9,16 +9,16 @@ import numpy as np
 
 from pemviz.arrays import AnyArray
 from pemviz.cli.pem.progress import progress_bar
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
+from pemviz.files.text_files import writing
 from pemviz.pem.data.table import SalientTable, load_table
-from pemviz.pem.data.text_files import writing
 from pemviz.pem.data.tracks import load_tracks
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import UNKNOWN_LICENCE, card_markdown
 from pemviz.pem.files.load import ENSEMBLE_ENDING, SUFFIX
-from pemviz.pem.files.memory_card import memory_line
 from pemviz.pem.files.model_files import StoredPem, save_pem
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_ensemble, fit_pem
+from pemviz.pem.judging.memory_report import memory_line
+from pemviz.pem.models.card import UNKNOWN_LICENCE, card_markdown
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def run(arguments: FitArguments) -> int:
 
 
 def _fit_with_memory(arguments: FitArguments) -> int:
-    from pemviz.pem.fitting.tracked import cross_fit, fit_report, fit_tracked_pem  # noqa: PLC0415
+    from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report, fit_tracked_pem  # noqa: PLC0415
 
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
     name = arguments.name or arguments.out.stem

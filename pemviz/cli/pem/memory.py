@@ -5,12 +5,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pemviz.cli.pem.progress import progress_bar
-from pemviz.pem.data.text_files import writing
+from pemviz.errors import PemError
+from pemviz.files.text_files import writing
 from pemviz.pem.data.tracks import load_tracks
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.memory_card import memory_line, memory_markdown, memory_table
 from pemviz.pem.fitting.fit import ModelKind
 from pemviz.pem.judging.independence import IndependenceCheck
+from pemviz.pem.judging.memory_report import memory_line, memory_table
+from pemviz.pem.models.memory_card import memory_markdown
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def run(arguments: MemoryArguments) -> int:
         raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
     # scikit-learn and scipy's distributions take seconds to import
-    from pemviz.pem.fitting.tracked import cross_fit, fit_report  # noqa: PLC0415
+    from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report  # noqa: PLC0415
     from pemviz.pem.judging.independence import check_independence  # noqa: PLC0415
 
     with progress_bar("folds of sequences") as tell:

@@ -7,13 +7,13 @@ from typing import Literal
 import numpy as np
 from rich.console import Console
 
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
-from pemviz.pem.data.text_files import writing
-from pemviz.pem.errors import PemError
+from pemviz.files.text_files import writing
+from pemviz.pem.data.support import support_of
 from pemviz.pem.files.load import ensemble_of, load_ensemble, load_pem
 from pemviz.pem.judging.distance_curve import ObstacleView, distance_curve
 from pemviz.pem.judging.distance_curve_picture import terminal_table, write_picture
-from pemviz.pem.judging.support import support_of
 from pemviz.pem.judging.support_check import support_check
 from pemviz.pem.models.protocol import CLASS_NAMES, OCCLUSION_NAMES
 

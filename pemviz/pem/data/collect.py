@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
 from pemviz.pem.data.detections import Detection, DetectionFormat, FrameDetections, open_detections
 from pemviz.pem.data.kitti_labels import MISC, TYPES, UNKNOWN_OCCLUSION, Obstacle, read_labels
 from pemviz.pem.data.matching import PAPER_IOU, match_boxes
 from pemviz.pem.data.table import OUTCOME_COLUMN
-from pemviz.pem.errors import PemError
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
 TABLE_COLUMNS = ("frame", "type", *SALIENT_COLUMNS, OUTCOME_COLUMN, "iou")

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.pem.data.collect import CLASS_ID, CollectOptions, is_unknown
 from pemviz.pem.data.detections import Detection
@@ -15,7 +16,6 @@ from pemviz.pem.data.tracking import (
     read_sequence_detections,
     read_tracking_labels,
 )
-from pemviz.pem.errors import PemError
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
 TRACK_COLUMNS = ("sequence", "frame", "track", "rate_hz")

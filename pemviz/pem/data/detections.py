@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.json_text import parse_json
+from pemviz.files.text_files import open_text
 from pemviz.pem.data.kitti_labels import (
     FARTHEST_PX,
     LABEL_COLUMNS,
@@ -20,8 +22,6 @@ from pemviz.pem.data.kitti_labels import (
     cells_of_lines,
     numbers,
 )
-from pemviz.pem.data.text_files import open_text
-from pemviz.pem.errors import PemError
 
 DetectionFormat = Literal["kitti", "yolo", "coco"]
 _WHOLE_NUMBER = re.compile("[0-9]{1,9}")

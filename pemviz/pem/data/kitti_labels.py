@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pemviz.pem.data.text_files import open_text
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
+from pemviz.files.text_files import open_text
 
 LABEL_COLUMNS = (
     "type",

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
-from pemviz.pem.data.text_files import open_text
-from pemviz.pem.errors import PemError
+from pemviz.files.text_files import open_text, read_numbers
 from pemviz.pem.models.encoding import check_rows
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
@@ -124,55 +124,3 @@ def read_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
                 )
             lines.append((number, cells))
     return header, lines
-
-
-def read_numbers(
-    path: Path,
-    *,
-    separator: str | None,
-    columns: tuple[str, ...],
-    picked: tuple[int, ...] | None = None,
-    skip_lines: int = 0,
-) -> FloatArray:
-    """Read a text table of numbers, shape [rows, picked columns]; lines with # are comments.
-
-    Args:
-        path: the file.
-        separator: between columns; None for white space.
-        columns: names of all columns, in order.
-        picked: which columns to read, all if None.
-        skip_lines: how many header lines to pass over.
-
-    Raises:
-        PemError: naming file, line and column of the first malformed value.
-    """
-    picked = tuple(range(len(columns))) if picked is None else picked
-    values: list[list[float]] = []
-    with open_text(path) as stream:
-        for number, line in enumerate(stream, start=1):
-            if number <= skip_lines or not line.strip() or line.lstrip().startswith("#"):
-                continue
-            cells = line.strip().split(separator)
-            if len(cells) != len(columns):
-                raise PemError(
-                    f"{path}:{number}: {len(cells)} columns where {len(columns)} are needed"
-                )
-            try:
-                values.append([float(cells[index]) for index in picked])
-            except ValueError:
-                raise _bad_cell(path, number, cells, columns, picked) from None
-    return np.asarray(values, dtype=np.float64).reshape(-1, len(picked))
-
-
-def _bad_cell(
-    path: Path, number: int, cells: list[str], columns: tuple[str, ...], picked: tuple[int, ...]
-) -> PemError:
-    for index in picked:
-        try:
-            float(cells[index])
-        except ValueError:
-            return PemError(
-                f"{path}:{number}: column {index + 1} ({columns[index]}) is {cells[index]!r}, "
-                "not a number"
-            )
-    return PemError(f"{path}:{number}: malformed")

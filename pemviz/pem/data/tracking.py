@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
 
+from pemviz.errors import PemError
+from pemviz.files.text_files import open_text
 from pemviz.pem.data.detections import Detection
 from pemviz.pem.data.kitti_labels import (
     LABEL_COLUMNS,
@@ -22,8 +24,6 @@ from pemviz.pem.data.kitti_labels import (
     numbers,
     obstacle_of,
 )
-from pemviz.pem.data.text_files import open_text
-from pemviz.pem.errors import PemError
 
 SequenceFormat = Literal["mot", "ab3dmot"]
 MOT_COLUMNS = ("frame", "left", "top", "right", "bottom", "score")

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
 from pemviz.pem.data.table import OUTCOME_COLUMN, SalientTable, read_cells
-from pemviz.pem.errors import PemError
 from pemviz.pem.models.encoding import check_rows
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
 from pemviz.files.shipped import asset_path
-from pemviz.pem.errors import PemError
 from pemviz.pem.files.model_files import load_file
 from pemviz.pem.models.protocol import Pem, PemEnsemble
 from pemviz.pem.models.python_object import is_object_name, load_object

@@ -16,16 +16,16 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pemviz.arrays import AnyArray
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, write_bytes
 from pemviz.files.json_text import parse_json
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import PemCard, card_from_mapping
-from pemviz.pem.files.tensors import as_double
 from pemviz.pem.models.authors_network import authors_pem, is_authors_checkpoint
+from pemviz.pem.models.card import PemCard, card_from_mapping
 from pemviz.pem.models.encoding import PAPER_INPUTS
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.network import Layer, NetworkPem
 from pemviz.pem.models.tabulated import TabulatedPem
+from pemviz.pem.models.tensors import as_double
 from pemviz.pem.models.tree_features import FEATURES, FeatureSet
 from pemviz.pem.models.trees import TreesPem
 

@@ -13,10 +13,10 @@ import numpy as np
 import torch
 
 from pemviz.arrays import FloatArray
+from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import PemCard
 from pemviz.pem.fitting.network import HIDDEN_UNITS, single_thread
+from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.encoding import PAPER_INPUTS, paper_inputs, pose_statistics
 from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.network import Layer, NetworkPem

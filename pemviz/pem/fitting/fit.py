@@ -6,10 +6,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from pemviz.errors import PemError
+from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import KITTI_LICENCE, UNKNOWN_LICENCE, PemCard
-from pemviz.pem.judging.support import summarise_support
+from pemviz.pem.models.card import KITTI_LICENCE, UNKNOWN_LICENCE, PemCard
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.tree_features import FeatureSet
 

@@ -3,9 +3,9 @@
 import numpy as np
 from sklearn.linear_model import LogisticRegression
 
+from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import PemCard
+from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.encoding import PAPER_INPUTS, paper_inputs, pose_statistics
 from pemviz.pem.models.network import Layer, NetworkPem
 

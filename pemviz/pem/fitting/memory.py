@@ -12,8 +12,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.errors import PemError
 from pemviz.pem.data.tracks import TrackTable
-from pemviz.pem.errors import PemError
 from pemviz.pem.models.memory import Memory, miss_quantile, persistence
 
 CONFIDENCE = 0.95

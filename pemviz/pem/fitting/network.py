@@ -14,8 +14,8 @@ from torch import nn
 
 from pemviz.arrays import FloatArray
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.files.card import PemCard
 from pemviz.pem.models.authors_network import fold_batch_norm
+from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.encoding import PAPER_INPUTS, paper_inputs, pose_statistics
 from pemviz.pem.models.network import Layer, NetworkPem
 

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.files.card import PemCard
+from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.tree_features import FEATURES, FeatureSet, tree_features
 from pemviz.pem.models.trees import LEAF, LEAF_UNIT, TreesPem
 

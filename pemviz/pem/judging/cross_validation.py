@@ -9,11 +9,11 @@ import numpy as np
 from sklearn.model_selection import StratifiedKFold
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.errors import PemError
+from pemviz.pem.data.support import DISTANCE_EDGES_M, band_in_words
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.errors import PemError
 from pemviz.pem.fitting.fit import ModelKind, fit_pem
 from pemviz.pem.judging.scores import ReliabilityBin, Scores, calibration_error, reliability, score
-from pemviz.pem.judging.support import DISTANCE_EDGES_M, band_in_words
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN
 from pemviz.processes import map_in_processes
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import FloatArray
-from pemviz.pem.judging.support import SupportSummary
+from pemviz.pem.data.support import SupportSummary
 from pemviz.pem.judging.support_check import BandSupport, support_check
 from pemviz.pem.models.protocol import COLUMN, SALIENT_COLUMNS, Pem, PemEnsemble
 

@@ -6,8 +6,8 @@ import numpy as np
 from rich.table import Table
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.pem.data.support import band_in_words
 from pemviz.pem.judging.distance_curve import DistanceCurve
-from pemviz.pem.judging.support import band_in_words
 from pemviz.pem.judging.support_check import BandSupport
 
 

@@ -1,16 +1,18 @@
 """How misses follow each other on video, and how well a fitted memory tells it."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.errors import PemError
 from pemviz.pem.data.tracks import TrackTable
-from pemviz.pem.errors import PemError
 from pemviz.pem.fitting.memory import MemoryFit, fit_memory
 from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
+from pemviz.pem.models.memory_card import FLATTERY
 from pemviz.pem.models.protocol import COLUMN, OCCLUSION_NAMES
 
 LAGS_S = (0.1, 0.2, 0.5, 1.0, 3.0)
@@ -237,3 +239,19 @@ def _tau_of(
 
 def _share(missed: BoolArray, among: BoolArray) -> float | None:
     return float(missed[among].mean()) if among.any() else None
+
+
+def memory_table(report: MemoryReport) -> dict[str, Any]:
+    """A report as JSON values for the card."""
+    return {**asdict(report), "flattery": FLATTERY}
+
+
+def memory_line(report: MemoryReport) -> str:
+    """The fitted memory in one line."""
+    fit = report.fit
+    low, high = fit.tau_interval_s
+    return (
+        f"memory time {fit.memory.tau_s:.3f} s ({low:.3f} to {high:.3f}), frailty "
+        f"{fit.memory.frailty:.2f}; {fit.nats_independent:.3f} nats an outcome if independent, "
+        f"{fit.nats:.3f} with memory"
+    )

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import logsumexp, ndtri
 
 from pemviz.arrays import BoolArray, FloatArray, row_sums
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
 from pemviz.pem.models.protocol import Pem
 
 

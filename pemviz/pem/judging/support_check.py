@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.pem.files.card import PemCard
-from pemviz.pem.judging.support import (
+from pemviz.pem.data.support import (
     DISTANCE_EDGES_M,
     SHAPE,
     SupportSummary,
@@ -17,6 +16,7 @@ from pemviz.pem.judging.support import (
     miss_interval,
     miss_upper_bound,
 )
+from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.protocol import Pem, as_rows
 from pemviz.pem.models.tabulated import TabulatedPem
 

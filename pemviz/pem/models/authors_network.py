@@ -9,12 +9,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import UNKNOWN_LICENCE, PemCard
-from pemviz.pem.files.tensors import as_double, check_finite
+from pemviz.errors import PemError
+from pemviz.pem.models.card import UNKNOWN_LICENCE, PemCard
 from pemviz.pem.models.encoding import POSE_INDEX
 from pemviz.pem.models.network import Layer, NetworkPem
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
+from pemviz.pem.models.tensors import as_double, check_finite
 
 BATCH_NORM_EPSILON = 1e-5
 """torch's default, which the checkpoint does not carry."""

@@ -7,7 +7,7 @@ rotation_y, each less its training mean and divided by its training standard dev
 import numpy as np
 
 from pemviz.arrays import FloatArray, namespace
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN, OCCLUSION_NAMES, SALIENT_COLUMNS
 
 POSE_COLUMNS = ("x_m", "y_m", "z_m", "rotation_y_rad")

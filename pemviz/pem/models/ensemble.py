@@ -9,11 +9,11 @@ from scipy.special import logsumexp
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import Carded, PemCard
-from pemviz.pem.files.tensors import tensors_digest
+from pemviz.errors import PemError
+from pemviz.pem.models.card import Carded, PemCard
 from pemviz.pem.models.network import NetworkPem
 from pemviz.pem.models.protocol import as_rows
+from pemviz.pem.models.tensors import tensors_digest
 from pemviz.pem.models.trees import TreesPem
 
 SingleModel = NetworkPem | TreesPem

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
 
 LONGEST_TAU_S = 60.0
 LARGEST_FRAILTY = 10.0

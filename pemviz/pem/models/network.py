@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, FloatArray, Move, namespace
 from pemviz.chunks import map_rows
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import Carded, PemCard
-from pemviz.pem.files.tensors import check_finite, tensors_digest
+from pemviz.errors import PemError
+from pemviz.pem.models.card import Carded, PemCard
 from pemviz.pem.models.encoding import PAPER_INPUTS, POSE_COLUMNS, check_rows, paper_inputs
 from pemviz.pem.models.protocol import as_rows
+from pemviz.pem.models.tensors import check_finite, tensors_digest
 
 FARTHEST = 1e6
 """Far beyond any x, y, z [m] or angle [rad] that a scenario holds."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from pemviz.arrays import FloatArray
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
 from pemviz.pem.models.protocol import Pem
 
 

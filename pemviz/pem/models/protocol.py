@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pemviz.arrays import FloatArray
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
 
 SALIENT_COLUMNS = (
     "class_id",

@@ -3,7 +3,7 @@
 import re
 from importlib import import_module
 
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
 from pemviz.pem.models.protocol import Pem
 
 _OBJECT_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")

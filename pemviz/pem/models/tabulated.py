@@ -9,14 +9,13 @@ from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
+from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
-from pemviz.pem.data.table import read_numbers
-from pemviz.pem.data.text_files import open_text
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import Carded, PemCard
-from pemviz.pem.files.tensors import check_finite, tensors_digest
+from pemviz.files.text_files import open_text, read_numbers
+from pemviz.pem.models.card import Carded, PemCard
 from pemviz.pem.models.encoding import check_rows
 from pemviz.pem.models.protocol import COLUMN, as_rows
+from pemviz.pem.models.tensors import check_finite, tensors_digest
 
 Between = Literal["linear", "step"]
 

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import ROWS, map_distinct
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import Carded, PemCard
-from pemviz.pem.files.tensors import check_finite, tensors_digest
+from pemviz.errors import PemError
+from pemviz.pem.models.card import Carded, PemCard
 from pemviz.pem.models.encoding import check_rows
 from pemviz.pem.models.protocol import as_rows
+from pemviz.pem.models.tensors import check_finite, tensors_digest
 from pemviz.pem.models.tree_features import FEATURES, FeatureSet, tree_features
 
 BLOCK_ROWS = 4 * ROWS

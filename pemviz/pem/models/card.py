@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.memory_card import memory_markdown
+from pemviz.errors import PemError
+from pemviz.pem.models.memory_card import memory_markdown
 
 KITTI_LICENCE = "CC BY-NC-SA 3.0 (KITTI, on which the model was trained; non-commercial)"
 UNKNOWN_LICENCE = "not stated (if trained on KITTI: CC BY-NC-SA 3.0, non-commercial)"
@@ -50,9 +50,9 @@ class PemCard:
     scores: Mapping[str, float] = field(default_factory=dict[str, float])
     """Scores by name, as measured when it was trained."""
     support: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Counts of training obstacles and misses by distance; see pemviz.pem.judging.support."""
+    """Counts of training obstacles and misses by distance; see pemviz.pem.data.support."""
     memory: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """How misses hang together, if fitted to video; see pemviz.pem.files.memory_card."""
+    """How misses hang together, if fitted to video; see pemviz.pem.models.memory_card."""
 
 
 class Carded:

@@ -2,14 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, cast
+from dataclasses import dataclass
+from typing import Any, cast
 
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
 from pemviz.pem.models.memory import Memory
-
-if TYPE_CHECKING:  # what fits a memory takes long to import
-    from pemviz.pem.judging.memory_report import MemoryReport
 
 FLATTERY = (
     "The detector was trained on images of the same drives, so its misses close by are fewer than "
@@ -44,11 +41,6 @@ class FittedMemory:
     rate_hz: float
 
 
-def memory_table(report: "MemoryReport") -> dict[str, Any]:
-    """A report as JSON values for the card."""
-    return {**asdict(report), "flattery": FLATTERY}
-
-
 def fitted_memory(card_memory: Mapping[str, Any], *, where: str) -> FittedMemory | None:
     """The fitted memory of a card; ``None`` if the model has none.
 
@@ -57,7 +49,7 @@ def fitted_memory(card_memory: Mapping[str, Any], *, where: str) -> FittedMemory
         where: The file, for the message.
 
     Raises:
-        PemError: The table is not as :func:`memory_table` writes it.
+        PemError: The table is not as ``pemviz.pem.judging.memory_report`` writes it.
     """
     if not card_memory:
         return None
@@ -88,17 +80,6 @@ def _number(value: object) -> float:
 def _pair(value: Any) -> tuple[float, float]:
     low, high = value
     return _number(low), _number(high)
-
-
-def memory_line(report: "MemoryReport") -> str:
-    """The fitted memory in one line."""
-    fit = report.fit
-    low, high = fit.tau_interval_s
-    return (
-        f"memory time {fit.memory.tau_s:.3f} s ({low:.3f} to {high:.3f}), frailty "
-        f"{fit.memory.frailty:.2f}; {fit.nats_independent:.3f} nats an outcome if independent, "
-        f"{fit.nats:.3f} with memory"
-    )
 
 
 def memory_markdown(memory: Mapping[str, Any]) -> str:

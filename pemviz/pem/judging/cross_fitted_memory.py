@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import FloatArray
+from pemviz.errors import PemError
 from pemviz.pem.data.tracks import TrackTable
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.memory_card import memory_table
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_pem
 from pemviz.pem.fitting.memory import fit_memory
-from pemviz.pem.judging.memory_report import MemoryReport, report_memory
+from pemviz.pem.judging.memory_report import MemoryReport, memory_table, report_memory
 from pemviz.pem.judging.scores import score
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 

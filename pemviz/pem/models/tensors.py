@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray
-from pemviz.pem.errors import PemError
+from pemviz.errors import PemError
 
 
 def check_finite(tensors: Mapping[str, AnyArray], *, where: str) -> None:

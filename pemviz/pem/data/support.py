@@ -12,9 +12,9 @@ import numpy as np
 from scipy.stats import binomtest
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.errors import PemError
-from pemviz.pem.files.card import PemCard
+from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN, OCCLUSION_NAMES, Pem, as_rows
 
 DISTANCE_EDGES_M = (0.0, 3.0, 5.0, 7.0, 13.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0)

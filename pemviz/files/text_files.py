@@ -1,0 +1,90 @@
+"""Text files that a user names: opening, reading numbers, saying what could not be written."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from pemviz.arrays import FloatArray
+from pemviz.errors import PemError
+
+
+@contextmanager
+def open_text(path: Path) -> Generator[TextIO, None, None]:
+    """A file's text, what is not UTF-8 replaced; line ends are left to who reads.
+
+    Raises:
+        PemError: it is not there, or cannot be read.
+    """
+    try:
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            yield stream
+    except OSError as error:
+        raise PemError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+@contextmanager
+def writing(path: Path) -> Generator[None, None, None]:
+    """What is written to ``path``, or below it.
+
+    Raises:
+        PemError: it cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise PemError(f"out = {path}: cannot be written ({error.strerror or error})") from None
+
+
+def read_numbers(
+    path: Path,
+    *,
+    separator: str | None,
+    columns: tuple[str, ...],
+    picked: tuple[int, ...] | None = None,
+    skip_lines: int = 0,
+) -> FloatArray:
+    """Read a text table of numbers, shape [rows, picked columns]; lines with # are comments.
+
+    Args:
+        path: the file.
+        separator: between columns; None for white space.
+        columns: names of all columns, in order.
+        picked: which columns to read, all if None.
+        skip_lines: how many header lines to pass over.
+
+    Raises:
+        PemError: naming file, line and column of the first malformed value.
+    """
+    picked = tuple(range(len(columns))) if picked is None else picked
+    values: list[list[float]] = []
+    with open_text(path) as stream:
+        for number, line in enumerate(stream, start=1):
+            if number <= skip_lines or not line.strip() or line.lstrip().startswith("#"):
+                continue
+            cells = line.strip().split(separator)
+            if len(cells) != len(columns):
+                raise PemError(
+                    f"{path}:{number}: {len(cells)} columns where {len(columns)} are needed"
+                )
+            try:
+                values.append([float(cells[index]) for index in picked])
+            except ValueError:
+                raise _bad_cell(path, number, cells, columns, picked) from None
+    return np.asarray(values, dtype=np.float64).reshape(-1, len(picked))
+
+
+def _bad_cell(
+    path: Path, number: int, cells: list[str], columns: tuple[str, ...], picked: tuple[int, ...]
+) -> PemError:
+    for index in picked:
+        try:
+            float(cells[index])
+        except ValueError:
+            return PemError(
+                f"{path}:{number}: column {index + 1} ({columns[index]}) is {cells[index]!r}, "
+                "not a number"
+            )
+    return PemError(f"{path}:{number}: malformed")
