@@ -30,10 +30,10 @@ def map_rows(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> 
 
 def map_distinct(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
     """Apply ``function`` (``[M, D]`` to ``[M]``, row by row) to rows ``[N, D]``, giving ``[N]``."""
-    found = distinct_rows(rows) if rows.shape[0] >= FEWEST else None
-    if found is None:
+    merged = distinct_rows(rows) if rows.shape[0] >= FEWEST else None
+    if merged is None:
         return function(rows)
-    first, place = found
+    first, place = merged
     return function(rows[first])[place]
 
 

@@ -142,11 +142,11 @@ def data_bound(problem: Problem, *, seed: int) -> DataBound | None:
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
     )
     drawn = WeighedRollouts.concatenate([weighed(batch) for batch in batches])
-    found = monte_carlo_estimate(drawn, method="monte-carlo")
+    allowed = monte_carlo_estimate(drawn, method="monte-carlo")
     return DataBound(
-        probability=1.0 if found.ci_high is None else found.ci_high,
+        probability=1.0 if allowed.ci_high is None else allowed.ci_high,
         rollouts=DATA_BOUND_ROLLOUTS,
-        failures=found.failures,
+        failures=allowed.failures,
         confidence=CONFIDENCE,
     )
 
@@ -164,8 +164,8 @@ def extrapolation_warnings(
             f"error model {pem.name}: carries no counts of its training data, so where it "
             "extrapolates cannot be told",
         )
-    shown = scored.rollouts.take(slice(SHOWN_ROLLOUTS))
-    salient = simulator.salient(shown.decision_states().signals)
+    checked = scored.rollouts.take(slice(SHOWN_ROLLOUTS))
+    salient = simulator.salient(checked.decision_states().signals)
     return support_check(salient, support=support, pem=pem).warnings
 
 

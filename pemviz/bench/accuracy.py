@@ -192,11 +192,11 @@ def _run_once(method: Method[Any], problem: Problem, truth: float) -> Outcome:
     began = time.perf_counter()
     while not method.is_done(state):
         state, _ = method.step(problem, state)
-    found = method.estimate(state)
-    low, high = found.ci_low, found.ci_high
+    estimate = method.estimate(state)
+    low, high = estimate.ci_low, estimate.ci_high
     return Outcome(
-        ratio=found.probability / truth,
+        ratio=estimate.probability / truth,
         covers=low is not None and high is not None and low <= truth <= high,
-        rollouts=found.rollouts_simulated,
+        rollouts=estimate.rollouts_simulated,
         wall_s=time.perf_counter() - began,
     )

@@ -81,11 +81,11 @@ def run_scale(study: ScaleStudy) -> Iterator[ScaleRow]:
 
 
 def _sizes(case: str) -> tuple[int, int]:
-    found = re.fullmatch(r"([0-9]{1,8})x([0-9]{1,6})", case)
-    if found is None or int(found[1]) < 2 or not 2 <= int(found[2]) <= 100_000:
+    match = re.fullmatch(r"([0-9]{1,8})x([0-9]{1,6})", case)
+    if match is None or int(match[1]) < 2 or not 2 <= int(match[2]) <= 100_000:
         message = f"cases = {case!r}: must be rollouts and states, such as 1000x100; both from 2"
         raise ConfigError(message)
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])
 
 
 def _row(*, rollouts: int, states: int, device: str) -> ScaleRow:

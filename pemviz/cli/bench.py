@@ -45,9 +45,9 @@ def run(words: Sequence[str]) -> int:
     measured = {part: list(_measure(part)()) for part in arguments.part if part != "scale"}
     grown = list(run_scale(ScaleStudy())) if "scale" in arguments.part else None
     if arguments.json:
-        shown = {part: [asdict(f) for f in figures] for part, figures in measured.items()}
+        figures_by_part = {part: [asdict(f) for f in figures] for part, figures in measured.items()}
         scale = {} if grown is None else {"scale": [asdict(row) for row in grown]}
-        print(json.dumps({**shown, **scale}))
+        print(json.dumps({**figures_by_part, **scale}))
         return EXIT_DONE
     if measured:
         _print_figures(measured)

@@ -171,7 +171,7 @@ def _carry_out(
     quiet: bool,
 ) -> tuple[list[RunState], str | None]:
     """How all runs stand in the end, and why the workers were lost, if they were."""
-    known = {state.planned.name: state for state in before}
+    states = {state.planned.name: state for state in before}
     waiting: list[PlannedRun] = [state.planned for state in before if state.status != "done"]
     total, done = len(before), len(before) - len(waiting)
     if done:
@@ -185,7 +185,7 @@ def _carry_out(
         ):
 
             def keep_state(state: RunState) -> None:
-                known[state.planned.name] = state
+                states[state.planned.name] = state
 
             lost = _until_lost(
                 lambda: carry_out_runs(
@@ -199,7 +199,7 @@ def _carry_out(
                     should_stop=should_stop,
                 )
             )
-    return [known[state.planned.name] for state in before], lost
+    return [states[state.planned.name] for state in before], lost
 
 
 def _until_lost(carry_out: Callable[[], None]) -> str | None:

@@ -66,8 +66,8 @@ def tell_done_before(done: int, total: int) -> None:
 
 def done_text(report: RunReport) -> str:
     """A run that is done, with what it found."""
-    found = report.state.estimate
-    answer = "" if found is None else f": probability {found.probability:.3g}"
+    estimate = report.state.estimate
+    answer = "" if estimate is None else f": probability {estimate.probability:.3g}"
     return f"{report.state.planned.label}{answer}"
 
 

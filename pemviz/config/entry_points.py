@@ -67,15 +67,17 @@ class NamedPart:
             ConfigError: There is none, two packages register it, or it cannot be loaded, made
                 or used.
         """
-        found = {point.value: point for point in metadata.entry_points(group=self.group, name=name)}
+        points = {
+            point.value: point for point in metadata.entry_points(group=self.group, name=name)
+        }
         where = f"{self.kind} = {name!r}"
-        if not found:
+        if not points:
             message = f"{where}: {self.complaint(name)}"
             raise ConfigError(message)
-        if len(found) > 1:
-            message = f"{where}: registered more than once, as {' and '.join(found)}"
+        if len(points) > 1:
+            message = f"{where}: registered more than once, as {' and '.join(points)}"
             raise ConfigError(message)
-        (point,) = found.values()
+        (point,) = points.values()
         try:
             part = made(point.load())
             is_fit = fits(part)

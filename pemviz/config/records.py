@@ -64,8 +64,8 @@ def read_value(
     try:
         return _reader(annotation, ignore_unknown)(value)
     except _UnfitError as error:
-        found = error.inside(name) if name else error
-        raise ConfigError(f"{found.name}{found.words}") from None
+        complaint = error.inside(name) if name else error
+        raise ConfigError(f"{complaint.name}{complaint.words}") from None
 
 
 @cache

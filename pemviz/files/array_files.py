@@ -131,9 +131,9 @@ def _read_header(content: IO[bytes], name: str) -> tuple[np.dtype, str, tuple[in
     layout = "<H" if start[6] == 1 else "<I"
     (length,) = struct.unpack(layout, content.read(struct.calcsize(layout)))
     text = content.read(min(length, LONGEST_HEADER + 1)).decode("latin-1")
-    found = _HEADER.fullmatch(text)
-    if found is None or len(text) != length:
+    header = _HEADER.fullmatch(text)
+    if header is None or len(text) != length:
         message = f"{name}: its header does not describe an array of numbers"
         raise ValueError(message)
-    shape = tuple(int(word) for word in found["shape"].split(",") if word.strip())
-    return np.dtype(found["type"]), found["order"], shape, 8 + struct.calcsize(layout) + length
+    shape = tuple(int(word) for word in header["shape"].split(",") if word.strip())
+    return np.dtype(header["type"]), header["order"], shape, 8 + struct.calcsize(layout) + length

@@ -114,9 +114,9 @@ class RecordingsFolder:
         except OSError as error:
             return f"run {name}: cannot be read ({error.strerror or error})"
         try:
-            known = self._entries.get(name)
-            if known is not None and known[0] == changed_s:
-                return known[1]
+            cached = self._entries.get(name)
+            if cached is not None and cached[0] == changed_s:
+                return cached[1]
             entry = _entry_of(name, read_whole_run(path.parent), folder=path.parent)
         except InputError as error:
             entry = str(error)

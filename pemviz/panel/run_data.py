@@ -197,8 +197,8 @@ def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, wher
     for name in (*PER_ROLLOUT, *widths):
         shape = (count, widths[name]) if name in widths else (count,)
         if name not in table or table[name].shape != shape:
-            found = "is absent" if name not in table else f"has shape {table[name].shape}"
-            message = f"rollouts {where}: {name} {found}, must have shape {shape}"
+            state = "is absent" if name not in table else f"has shape {table[name].shape}"
+            message = f"rollouts {where}: {name} {state}, must have shape {shape}"
             raise InputError(message)
         fault = _fault(name, table[name])
         if fault is not None:

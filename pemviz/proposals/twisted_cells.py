@@ -29,8 +29,8 @@ class CellTable:
         if self.keys.size == 0:
             return np.zeros(keys.size), np.zeros(keys.size, dtype=np.bool_)
         place = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
-        found = self.keys[place] == keys
-        return np.where(found, self.logit[place], 0.0), found
+        is_cell = self.keys[place] == keys
+        return np.where(is_cell, self.logit[place], 0.0), is_cell
 
 
 def cell_keys(columns: Sequence[FloatArray], cells: Sequence[float]) -> IntArray:

@@ -34,8 +34,8 @@ def shown(path: str, logged: Collection[str]) -> bool:
 
 def views_with_data(views: ContainerSpec, logged: Collection[str]) -> ContainerSpec:
     """The views without those that would be empty."""
-    kept = keep_views(views, lambda view: shown(view.paths[-1], logged))
-    return views if kept is None else kept
+    with_data = keep_views(views, lambda view: shown(view.paths[-1], logged))
+    return views if with_data is None else with_data
 
 
 def _container(spec: ContainerSpec) -> rrb.Container:

@@ -158,16 +158,16 @@ def _log_bar(
     shift: float = 0.0,
 ) -> None:
     """Bars centred on the stage's number plus ``shift``; rerun places them by the left edge."""
-    known = [
+    points = [
         (row.stage, float(getattr(row, name))) for row in rows if getattr(row, name) is not None
     ]
-    if not known:
+    if not points:
         return
-    stages = np.array([stage for stage, _ in known], dtype=np.float64)
+    stages = np.array([stage for stage, _ in points], dtype=np.float64)
     file.at_stage(
         path,
         rr.BarChart(
-            np.array([value for _, value in known]),
+            np.array([value for _, value in points]),
             abscissa=stages + shift - width / 2,
             widths=np.full(stages.size, width),
             color=color,
@@ -178,14 +178,14 @@ def _log_bar(
 
 def log_repetitions(file: RecordingFile, log10_probabilities: Sequence[float | None]) -> None:
     """One bar for each repetition's estimate."""
-    known = [(i, value) for i, value in enumerate(log10_probabilities) if value is not None]
-    if not known:
+    estimates = [(i, value) for i, value in enumerate(log10_probabilities) if value is not None]
+    if not estimates:
         return
-    places = np.array([place for place, _ in known], dtype=np.float64)
+    places = np.array([place for place, _ in estimates], dtype=np.float64)
     file.static(
         paths.REPETITIONS,
         rr.BarChart(
-            np.array([value for _, value in known]),
+            np.array([value for _, value in estimates]),
             abscissa=places - BAR_WIDTH / 2,
             widths=np.full(places.size, BAR_WIDTH),
             color=rgba(ORANGE),

@@ -210,13 +210,13 @@ class Recorder:
         if self._figures:
             self._write_stage_table(file, run)
             self._write_worst(file, run)
-        kept = views_with_data(run.views, file.logged)
-        if kept != run.views:
-            file.blueprint(blueprint(kept))
+        with_data = views_with_data(run.views, file.logged)
+        if with_data != run.views:
+            file.blueprint(blueprint(with_data))
         file.close()
         self._file = None
         if self._compacted:
-            compact(self.path, blueprint=blueprint(kept))
+            compact(self.path, blueprint=blueprint(with_data))
 
     def _write_worst(self, file: RecordingFile, run: _Run) -> None:
         dt_s = run.started.simulator.dt_s

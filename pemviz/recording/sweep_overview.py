@@ -171,9 +171,11 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
     for number, (setting, first) in enumerate(zip(settings, frame.first_rows, strict=True)):
         for place, one in enumerate(setting.estimates):
             row = first + place
-            known = one.log10_probability
-            color = rgba(GREY) if known is None else COLORS[number % len(COLORS)]
-            points.append((frame.x(frame.low if known is None else known), row))
+            log10_probability = one.log10_probability
+            color = rgba(GREY) if log10_probability is None else COLORS[number % len(COLORS)]
+            points.append(
+                (frame.x(frame.low if log10_probability is None else log10_probability), row)
+            )
             labels.append(_label(setting, one))
             colors.append(color)
             if one.log10_ci_low is not None and one.log10_ci_high is not None:
@@ -190,8 +192,12 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
 
 def _label(setting: SweepSetting, one: SweepEstimate) -> str:
     where = f"{setting.title}, seed {one.seed}"
-    known = one.log10_probability
-    return f"{where}: {one.note}" if known is None else f"{where}: {10.0**known:.3g}"
+    log10_probability = one.log10_probability
+    return (
+        f"{where}: {one.note}"
+        if log10_probability is None
+        else f"{where}: {10.0**log10_probability:.3g}"
+    )
 
 
 def _log_grid(recording: RecordingFile, frame: _Frame) -> None:

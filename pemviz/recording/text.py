@@ -49,10 +49,12 @@ def _headline(estimate: Estimate | None, *, running: bool) -> str:
         return "# The run goes on" if running else "# No estimate"
     if estimate.failures == 0:
         return f"# No violation was seen\n\n{_interval(estimate)}{_caution(estimate)}"
-    shown = number(estimate.probability)
+    probability = number(estimate.probability)
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
-        shown = f"10^{estimate.log10_probability:.1f}"
-    return f"# Probability of a violation: {shown}\n\n{_interval(estimate)}{_caution(estimate)}"
+        probability = f"10^{estimate.log10_probability:.1f}"
+    return (
+        f"# Probability of a violation: {probability}\n\n{_interval(estimate)}{_caution(estimate)}"
+    )
 
 
 def _interval(estimate: Estimate) -> str:

@@ -56,12 +56,12 @@ def update_tracks(
     tracks: Sequence[Track], stage: StageResult, result: RunResult
 ) -> tuple[Track, ...]:
     """The tracks of ``result``'s least robust rollouts, kept ones and those of a new stage."""
-    known = {_key(track.ranked): track for track in tracks}
+    logged = {_key(track.ranked): track for track in tracks}
     current: list[Track] = []
     for ranked in result.least_robust:
         key = _key(ranked)
-        if key in known:
-            current.append(known[key])
+        if key in logged:
+            current.append(logged[key])
         elif (ranked.repetition, ranked.stage) == (stage.repetition, stage.stage):
             current.append(_track(stage, ranked))
     return tuple(current)

@@ -37,8 +37,8 @@ def markdown_text(text: str) -> str:
     Whatever markdown could act on becomes a numeric character reference: neither a table's
     bars nor HTML, links, mentions or formulas can come out of ``text``.
     """
-    shown = MARKDOWN_ACTIVE.sub(lambda found: f"&#{ord(found[0])};", printable_line(text))
-    return shown.replace("www.", "www&#46;")
+    escaped = MARKDOWN_ACTIVE.sub(lambda found: f"&#{ord(found[0])};", printable_line(text))
+    return escaped.replace("www.", "www&#46;")
 
 
 def markdown_code(text: str) -> str:
@@ -48,13 +48,13 @@ def markdown_code(text: str) -> str:
 
 def markdown_block(text: str, *, language: str = "text") -> str:
     """Several lines in a fence that is longer than any run of backticks in them."""
-    shown = printable_lines(text)
+    printable = printable_lines(text)
     longest = run = 0
-    for character in shown:
+    for character in printable:
         run = run + 1 if character == "`" else 0
         longest = max(longest, run)
     fence = "`" * max(3, longest + 1)
-    return f"{fence}{language}\n{shown}\n{fence}"
+    return f"{fence}{language}\n{printable}\n{fence}"
 
 
 def markdown_table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

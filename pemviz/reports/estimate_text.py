@@ -27,10 +27,10 @@ def interval_text(estimate: Estimate) -> str:
 
 def reference_text(reference: Reference, estimate: Estimate) -> str:
     """The reference with its standard error, and the estimate as a multiple of it."""
-    known = f"{reference.probability:.4g} +- {reference.std_error:.1g}"
+    exact = f"{reference.probability:.4g} +- {reference.std_error:.1g}"
     if not reference.probability:
-        return known
-    return f"{known}; the estimate is {estimate.probability / reference.probability:.3g} times that"
+        return exact
+    return f"{exact}; the estimate is {estimate.probability / reference.probability:.3g} times that"
 
 
 def violations_text(estimate: Estimate) -> str:

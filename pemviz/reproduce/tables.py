@@ -46,10 +46,10 @@ class Table:
 
     def markdown(self) -> str:
         """Heading, table and remarks."""
-        shown = [index for index, column in enumerate(self.columns) if column.title]
-        header = tuple(self.columns[index].title for index in shown)
+        titled = [index for index, column in enumerate(self.columns) if column.title]
+        header = tuple(self.columns[index].title for index in titled)
         rows = [
-            tuple(_shown(row[index], self.columns[index]) for index in shown) for row in self.rows
+            tuple(_shown(row[index], self.columns[index]) for index in titled) for row in self.rows
         ]
         parts = [f"## {self.title}", markdown_table(header, rows)]
         if self.remarks:

@@ -222,10 +222,10 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
 
 def versions() -> dict[str, str]:
     """Versions of pemviz and of what its results may depend on, by package."""
-    found = {"pemviz": __version__}
+    by_package = {"pemviz": __version__}
     for name in VERSIONED:
         try:
-            found[name] = metadata.version(name)
+            by_package[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return found
+    return by_package

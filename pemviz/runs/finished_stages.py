@@ -36,10 +36,10 @@ class Archive:
         if not path.exists():
             return None
         try:
-            found = finished_stage(path, self._signals)
+            finished = finished_stage(path, self._signals)
         except InputError as error:
             LOG.warning("%s; it is computed again", error)
             return None
         self.restored.add(key)
-        self._last = key, found
-        return found
+        self._last = key, finished
+        return finished

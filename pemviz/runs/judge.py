@@ -77,8 +77,8 @@ def _asked_of_members(judged: Judged, experiment: Experiment, stage: StageResult
     if ensemble is None or before >= ENOUGH_FAILURES:
         return judged
     simulator = experiment.problem.simulator
-    found = member_estimates(stage.scored, simulator=simulator, ensemble=ensemble)
-    members = (*judged.members, found)
+    answers = member_estimates(stage.scored, simulator=simulator, ensemble=ensemble)
+    members = (*judged.members, answers)
     if any(part.failures for part in result.stages if part.kind == "final"):
         result = replace(result, pem_interval=model_interval(members))
     return Judged(result=result, members=members)

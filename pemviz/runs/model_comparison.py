@@ -85,7 +85,7 @@ def compare_models(
     salient = experiments[0].problem.simulator.salient(drawn.decision_states().signals)
     log_q = _log_mixture(drawn, experiments, proposals)
     pems = [experiment.pem for experiment in experiments]
-    found = reweight(
+    answers = reweight(
         detected=drawn.detected,
         salient=salient,
         log_q=log_q,
@@ -113,9 +113,9 @@ def compare_models(
         for index, (pem, log_mu, relative, effective) in enumerate(
             zip(
                 pems,
-                found.log_mu.tolist(),
-                found.relative_std_error.tolist(),
-                found.effective_failures.tolist(),
+                answers.log_mu.tolist(),
+                answers.relative_std_error.tolist(),
+                answers.effective_failures.tolist(),
                 strict=True,
             )
         )

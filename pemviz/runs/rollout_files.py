@@ -161,11 +161,11 @@ def join_parts(parts: Sequence[Path], target: Path) -> None:
 
 def _documented(names: Sequence[str]) -> list[str]:
     """Of a stage's file, what stands in ``rollouts.npz``, in its order."""
-    kept = [n for n in names if not n.startswith((MEMORY, KEPT)) and n not in LOGITS.values()]
-    if "log_p" in kept:
-        return kept
-    after = kept.index("detected") + 1
-    return [*kept[:after], *LOGITS, *kept[after:]]
+    columns = [n for n in names if not n.startswith((MEMORY, KEPT)) and n not in LOGITS.values()]
+    if "log_p" in columns:
+        return columns
+    after = columns.index("detected") + 1
+    return [*columns[:after], *LOGITS, *columns[after:]]
 
 
 def _array(arrays: Any, name: str) -> AnyArray:

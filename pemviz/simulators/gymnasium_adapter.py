@@ -149,10 +149,10 @@ class GymnasiumSimulator:
 
     def _restored(self, states: StateBatch, row: int) -> Environment:
         """An environment that may be stepped: the states given are never touched."""
-        kept = self._stored(states, row)
+        stored = self._stored(states, row)
         if self.set_state is None or self.get_state is None:
-            return copy.deepcopy(kept)
-        self.set_state(self.environment, kept)
+            return copy.deepcopy(stored)
+        self.set_state(self.environment, stored)
         return self.environment
 
     def _batch(self, rows: "list[_Row]", *, step: AnyArray) -> StateBatch:
@@ -162,9 +162,9 @@ class GymnasiumSimulator:
             for signal in self.signals
         }
         ended = np.array([over for _, _, over in rows], dtype=np.bool_)
-        kept = [snapshot for _, snapshot, _ in rows]
+        snapshots = [snapshot for _, snapshot, _ in rows]
         return StateBatch(
-            step=step, signals=signals, memory={ENDED: ended, **self._remembered(kept)}
+            step=step, signals=signals, memory={ENDED: ended, **self._remembered(snapshots)}
         )
 
     def _remembered(self, kept: list[Any]) -> dict[str, AnyArray]:

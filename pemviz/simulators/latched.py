@@ -136,10 +136,10 @@ class MonitoredSimulator(_Wrapped):
         return self._monitored(self.scenario.step(states, detected), states.known)
 
     def _monitored(self, states: StateBatch, before: Any) -> MonitoredStates:
-        known = self.monitor.advance(before, step=int(states.step), signals=states.signals)
+        verdict = self.monitor.advance(before, step=int(states.step), signals=states.signals)
         return MonitoredStates(
             step=states.step,
             signals=states.signals,
-            memory={**states.memory, VIOLATED: self.monitor.violated(known)},
-            known=known,
+            memory={**states.memory, VIOLATED: self.monitor.violated(verdict)},
+            known=verdict,
         )

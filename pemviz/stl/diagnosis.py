@@ -69,10 +69,10 @@ def explain_token(before: str, token: Token, expected: Collection[str]) -> str:
         expected: names of the terminals that could stand there.
     """
     at_end = token.type == "$END"
-    found = "the formula ends here" if at_end else f"unexpected '{shorten(token)}'"
+    met = "the formula ends here" if at_end else f"unexpected '{shorten(token)}'"
     last = _LAST_WORD.search(before)
     hint = _hint(last.group(1) if last else "", token)
-    return f"{found}; {hint or 'expected ' + describe(expected)}"
+    return f"{met}; {hint or 'expected ' + describe(expected)}"
 
 
 def _hint(last_word: str, token: Token) -> str:  # noqa: PLR0911 (one case per mistake)

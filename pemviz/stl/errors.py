@@ -55,7 +55,9 @@ def error_at(text: str, position: int, message: str) -> FormulaError:
     line_text = text[line_start : line_end if line_end >= 0 else len(text)]
     column = position - line_start
     first = max(0, column - EXCERPT_WIDTH // 2)
-    shown = "".join(c if c.isprintable() else " " for c in line_text[first : first + EXCERPT_WIDTH])
-    excerpt = f"  {shown}\n  {' ' * (column - first)}^"
+    printable = "".join(
+        c if c.isprintable() else " " for c in line_text[first : first + EXCERPT_WIDTH]
+    )
+    excerpt = f"  {printable}\n  {' ' * (column - first)}^"
     line = text.count("\n", 0, position) + 1
     return FormulaError(message, line=line, column=column + 1, excerpt=excerpt)

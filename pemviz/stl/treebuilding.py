@@ -176,13 +176,13 @@ class TreeBuilder:
     def bound(self, children: Sequence[Token]) -> tuple[int, int]:
         position = _position(children[0])
         digits = str(children[-1])
-        shown = shorten("".join(children), 20)
+        bound = shorten("".join(children), 20)
         if len(children) > 1:
-            raise Mistake(position, f"interval bound {shown} is negative; steps count from 0")
+            raise Mistake(position, f"interval bound {bound} is negative; steps count from 0")
         if not digits.isdigit():
-            raise Mistake(position, f"interval bound {shown} must be a whole number of steps")
+            raise Mistake(position, f"interval bound {bound} must be a whole number of steps")
         if len(digits) > len(str(MAX_BOUND)):
-            raise Mistake(position, f"interval bound {shown} is too large; at most {MAX_BOUND}")
+            raise Mistake(position, f"interval bound {bound} is too large; at most {MAX_BOUND}")
         return int(digits), position
 
 

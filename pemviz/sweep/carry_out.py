@@ -56,8 +56,8 @@ OnReport = Callable[[RunReport], None]
 
 def finished_before(runs: Path, planned: Sequence[PlannedRun], *, keep: Keep) -> list[RunState]:
     """How every run stands before anything is done."""
-    found = [(one, read_finished(runs, one, keep=keep)) for one in planned]
-    return [RunState(one, "not run" if e is None else "done", e) for one, e in found]
+    estimates = [(one, read_finished(runs, one, keep=keep)) for one in planned]
+    return [RunState(one, "not run" if e is None else "done", e) for one, e in estimates]
 
 
 def carry_out_runs(

@@ -122,15 +122,15 @@ def _replaced(instance: Any, path: list[str], value: Value) -> Any:
 
 
 def _annotation(name: str) -> object:
-    known = field_annotations()
-    if name in known:
-        return known[name]
-    tables = {one.partition(".")[0] for one in known if "." in one}
+    annotations = field_annotations()
+    if name in annotations:
+        return annotations[name]
+    tables = {one.partition(".")[0] for one in annotations if "." in one}
     if name in tables:
-        example = next(one for one in known if one.startswith(f"{name}."))
+        example = next(one for one in annotations if one.startswith(f"{name}."))
         message = f"vary {name}: is a table; vary one of its fields, such as {example}"
         raise ConfigError(message)
-    raise ConfigError(_unknown(name, list(known)))
+    raise ConfigError(_unknown(name, list(annotations)))
 
 
 def _unknown(name: str, known: list[str]) -> str:

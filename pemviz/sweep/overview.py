@@ -51,17 +51,17 @@ def write_overview(
 
 
 def _estimate(state: RunState) -> SweepEstimate:
-    found = state.estimate
+    estimate = state.estimate
     seed = state.planned.config.seed
-    if found is None:
+    if estimate is None:
         return SweepEstimate(seed, None, note=state.message or state.status)
-    if found.log10_probability is None:
+    if estimate.log10_probability is None:
         return SweepEstimate(seed, None, note="no violation seen")
     return SweepEstimate(
         seed,
-        found.log10_probability,
-        log10_ci_low=_log10(found.ci_low),
-        log10_ci_high=_log10(found.ci_high),
+        estimate.log10_probability,
+        log10_ci_low=_log10(estimate.ci_low),
+        log10_ci_high=_log10(estimate.ci_high),
     )
 
 
@@ -71,10 +71,10 @@ def _log10(value: float | None) -> float | None:
 
 def _runs_page(plan: Plan, states: Sequence[RunState]) -> str:
     header = (*plan.fields, "seed", "probability", "95 % interval", "violations", "ESS", "status")
-    shown = [_run_row(state) for state in states[:MOST_ROWS]]
-    left_out = len(states) - len(shown)
+    rows = [_run_row(state) for state in states[:MOST_ROWS]]
+    left_out = len(states) - len(rows)
     more = f"\n\n{left_out} more are in sweep.csv." if left_out else ""
-    return f"# Runs\n\n{markdown_table(header, shown)}{more}"
+    return f"# Runs\n\n{markdown_table(header, rows)}{more}"
 
 
 def _run_row(state: RunState) -> tuple[str, ...]:

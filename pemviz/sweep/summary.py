@@ -92,5 +92,5 @@ def _row(one: SettingSummary) -> tuple[str, ...]:
 
 
 def _over(combine: Callable[[list[float]], float], values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    return f"{combine(known):.3g}" if known else NOTHING
+    defined = [value for value in values if value is not None]
+    return f"{combine(defined):.3g}" if defined else NOTHING

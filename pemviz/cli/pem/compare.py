@@ -56,13 +56,13 @@ def run(arguments: CompareArguments) -> int:
         print(json.dumps({"models": [asdict(one) for one in figures]}, allow_nan=False))
         return 0
     title = f"{config.spec}, {arguments.rollouts} rollouts a model"
-    shown = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left")
     for column in ("error model", "probability", "times the first", "95 % interval"):
-        shown.add_column(column, justify="left" if column == "error model" else "right")
+        table.add_column(column, justify="left" if column == "error model" else "right")
     for one in figures:
-        shown.add_row(*_cells(one))
+        table.add_row(*_cells(one))
     console = Console()
-    console.print(shown)
+    console.print(table)
     for one in figures:
         if one.log10_probability is not None and not one.is_reliable:
             few = f"only {one.effective_failures:.1f} effective rollouts violate"

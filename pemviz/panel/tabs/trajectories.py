@@ -123,5 +123,5 @@ class TrajectoriesTab:
             & (table["stage"] == self._picked[2])
             & (table["rollout"] == self._picked[3])
         )
-        found = same[ranking.order].nonzero()[0]
-        return int(found[0]) if found.size else 0
+        ranks = same[ranking.order].nonzero()[0]
+        return int(ranks[0]) if ranks.size else 0

@@ -133,11 +133,11 @@ def estimates_plot(first: RunData, second: RunData) -> str:
     """Both answers with their intervals on a log axis."""
     answers = [logs_of_answer(run.result.estimate) for run in (first, second)]
     every = [value for answer, interval in answers for value in (*answer, *interval)]
-    shown = [v for v in every if v > -60.0] or [-20.0, 0.0]
+    exponents = [v for v in every if v > -60.0] or [-20.0, 0.0]
     plot = Plot(
         title="Estimates with 95 % intervals",
         x=Axis(-0.5, 1.5, "run", ticks=()),
-        y=Axis(float(np.floor(min(shown))) - 1, min(0.0, float(np.ceil(max(shown))) + 1),
+        y=Axis(float(np.floor(min(exponents))) - 1, min(0.0, float(np.ceil(max(exponents))) + 1),
                "probability", log10=True),
         height=150,
         left=52,

@@ -47,9 +47,9 @@ def _answer(run: RunData) -> str:
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
-    found = run_diagnostics(run.result)
-    for first in found[:1]:
-        others = len(found) - 1
+    diagnostics = run_diagnostics(run.result)
+    for first in diagnostics[:1]:
+        others = len(diagnostics) - 1
         lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
     return lines
 

@@ -33,8 +33,8 @@ def percent(value: float | None) -> str:
     """A share from 0 to 1 in per cent, a dash if there is none."""
     if value is None or not math.isfinite(value):
         return "\N{EN DASH}"
-    found = 100.0 * value
-    return f"{found:.0f} %" if found >= 9.95 or found == 0.0 else f"{number(found, 2)} %"
+    points = 100.0 * value
+    return f"{points:.0f} %" if points >= 9.95 or points == 0.0 else f"{number(points, 2)} %"
 
 
 def block(body: str) -> str:

@@ -106,16 +106,16 @@ def failure_plot(
     each: str = "stage",
 ) -> str:
     """Share of violating rollouts a stage."""
-    kept = [s for s in stages if s.rollouts]
-    xs = np.array([float(s.stage) for s in kept])
-    ys = np.array([100.0 * s.failures / s.rollouts for s in kept])
+    with_rollouts = [s for s in stages if s.rollouts]
+    xs = np.array([float(s.stage) for s in with_rollouts])
+    ys = np.array([100.0 * s.failures / s.rollouts for s in with_rollouts])
     plot = Plot(
         title=title,
         x=_stage_axis(stages, each),
         y=Axis(0.0, 100.0, "share [%]", ticks=(0.0, 50.0, 100.0)),
         height=118,
     )
-    for x, y, stage in zip(xs, ys, kept, strict=True):
+    for x, y, stage in zip(xs, ys, with_rollouts, strict=True):
         tip = f"{each} {stage.stage}: {stage.failures} of {stage.rollouts}"
         edges = np.array([x - 0.35, x + 0.35])
         plot.bars(edges, np.array([y]), color=ORANGE, tips=[tip])
@@ -124,9 +124,9 @@ def failure_plot(
 
 def ess_plot(stages: Sequence[StageSummary]) -> str:
     """Effective sample size of each stage's failing weights."""
-    kept = [(s.stage, s.ess) for s in stages if s.ess is not None]
-    xs = [float(stage) for stage, _ in kept]
-    ys = [ess for _, ess in kept]
+    ess_by_stage = [(s.stage, s.ess) for s in stages if s.ess is not None]
+    xs = [float(stage) for stage, _ in ess_by_stage]
+    ys = [ess for _, ess in ess_by_stage]
     top = max([1.2 * SMALL_ESS, *ys]) * 1.1
     plot = Plot(
         title="Effective sample size of the violations",
@@ -136,9 +136,9 @@ def ess_plot(stages: Sequence[StageSummary]) -> str:
     )
     plot.hline(SMALL_ESS, color=GREY, label=f"below {SMALL_ESS:g}: do not quote")
     plot.line(np.array(xs), np.array(ys), color=GREEN)
-    tips = [f"stage {stage}: {number(ess)}" for stage, ess in kept]
+    tips = [f"stage {stage}: {number(ess)}" for stage, ess in ess_by_stage]
     plot.points(xs, ys, color=GREEN, tips=tips)
-    if not kept:
+    if not ess_by_stage:
         plot.note("no violation yet", (plot.left + plot.right) / 2, plot.top + 30, anchor="middle")
     return plot.text()
 
@@ -156,8 +156,8 @@ def estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
     ]
     answer, interval = logs_of_answer(estimate)
     bound = [] if answer or estimate is None else logs(estimate.ci_high)
-    known = [] if reference is None else logs(reference.probability)
-    low, high = _decades([*(v for _, v in points), *known, *answer, *interval])
+    exact = [] if reference is None else logs(reference.probability)
+    low, high = _decades([*(v for _, v in points), *exact, *answer, *interval])
     x = _stage_axis(stages, each) if several else Axis(-1.0, 1.0, "all rollouts", ticks=())
     plot = Plot(
         title="Estimate of P(violation)",
@@ -167,16 +167,16 @@ def estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
         left=52,
         bottom=48,
     )
-    for value in known:
+    for value in exact:
         plot.hline(value, color=GREEN, dash="", label="reference")
     for value in bound:
         plot.hline(value, color=VERMILLION, label="no violation seen: 95 % upper bound")
-    kept = [(s, v) for s, v in points if v >= low]
-    tips = [f"{each} {s:g} alone: {number(10.0**v)}" for s, v in kept]
-    plot.points([s for s, _ in kept], [v for _, v in kept], color=GREY, tips=tips)
+    in_range = [(s, v) for s, v in points if v >= low]
+    tips = [f"{each} {s:g} alone: {number(10.0**v)}" for s, v in in_range]
+    plot.points([s for s, _ in in_range], [v for _, v in in_range], color=GREY, tips=tips)
     if estimate is not None:
         _draw_answer(plot, estimate, x=x.high - 0.35 if several else 0.0)
-    if not (answer or kept or bound):
+    if not (answer or in_range or bound):
         words = "no violation yet" if run.running else "no violation seen"
         plot.note(words, (plot.left + plot.right) / 2, plot.top + 50, anchor="middle")
     entries = [(f"a {each} alone", GREY)] * several + [("the answer, 95 % interval", VERMILLION)]
@@ -197,11 +197,11 @@ def _draw_answer(plot: Plot, estimate: Estimate, *, x: float) -> None:
 
 def _decades(values: Sequence[float]) -> tuple[float, float]:
     """Whole powers of ten around decimal logarithms; what is lower by far does not count."""
-    shown = [value for value in values if value > FAR_BELOW]
-    if not shown:
+    in_range = [value for value in values if value > FAR_BELOW]
+    if not in_range:
         return -20.0, 0.0
-    least = max(min(shown), float(np.median(shown)) - MOST_DECADES)
-    return math.floor(least) - 1.0, min(math.ceil(max(shown)) + 1.0, 0.0)
+    least = max(min(in_range), float(np.median(in_range)) - MOST_DECADES)
+    return math.floor(least) - 1.0, min(math.ceil(max(in_range)) + 1.0, 0.0)
 
 
 def _legend_places(entries: Sequence[tuple[str, str]]) -> list[int]:

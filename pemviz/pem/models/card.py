@@ -86,8 +86,8 @@ def card_from_mapping(values: Mapping[str, Any], *, where: str) -> PemCard:
     Raises:
         PemError: a field is missing, unknown or of the wrong type.
     """
-    known = {item.name for item in fields(PemCard)}
-    unknown = set(values) - known
+    names = {item.name for item in fields(PemCard)}
+    unknown = set(values) - names
     missing = {"name", "model", "data", "licence"} - set(values)
     if unknown or missing:
         raise PemError(f"{where}: metadata has unknown {sorted(unknown)}, lacks {sorted(missing)}")

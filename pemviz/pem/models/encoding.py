@@ -36,8 +36,8 @@ def check_rows(rows: FloatArray) -> None:
         wrong = (values < 0) | (values >= len(allowed)) | (values != np.floor(values))
         if wrong.any():
             row = int(np.argmax(wrong))
-            known = ", ".join(f"{index} {label}" for index, label in enumerate(allowed))
-            raise PemError(f"salient row {row}: {name} is {values[row]:g}, allowed: {known}")
+            labels = ", ".join(f"{index} {label}" for index, label in enumerate(allowed))
+            raise PemError(f"salient row {row}: {name} is {values[row]:g}, allowed: {labels}")
 
 
 def paper_inputs(rows: FloatArray, *, pose_mean: FloatArray, pose_std: FloatArray) -> FloatArray:
@@ -50,10 +50,10 @@ def paper_inputs(rows: FloatArray, *, pose_mean: FloatArray, pose_std: FloatArra
     """
     columns, xp = rows.T, namespace(rows)
     inputs = xp.empty((len(PAPER_INPUTS), len(rows)), dtype=rows.dtype, device=rows.device)
-    known = xp.arange(len(CLASS_NAMES), dtype=rows.dtype, device=rows.device)[:, None]
-    inputs[: len(CLASS_NAMES)] = columns[COLUMN["class_id"]] == known
+    codes = xp.arange(len(CLASS_NAMES), dtype=rows.dtype, device=rows.device)[:, None]
+    inputs[: len(CLASS_NAMES)] = columns[COLUMN["class_id"]] == codes
     inputs[len(CLASS_NAMES) : _FIRST_POSE] = (
-        columns[COLUMN["occlusion"]] == known[: len(OCCLUSION_NAMES)]
+        columns[COLUMN["occlusion"]] == codes[: len(OCCLUSION_NAMES)]
     )
     inputs[_FIRST_POSE:] = (columns[_POSE] - pose_mean[:, None]) / pose_std[:, None]
     return inputs

@@ -32,16 +32,16 @@ def load_object(text: str, *, allowed: bool) -> Pem:
         )
     module_name, attribute = text.split(":")
     try:
-        found: object = import_module(module_name)
+        model: object = import_module(module_name)
         for part in attribute.split("."):
-            found = getattr(found, part)
+            model = getattr(model, part)
         # A class passes for a model by its attributes: it is an instance that answers.
-        if isinstance(found, type) or (not isinstance(found, Pem) and callable(found)):
-            found = found()
+        if isinstance(model, type) or (not isinstance(model, Pem) and callable(model)):
+            model = model()
     except Exception as error:
         raise PemError(f"{text!r} cannot be imported: {type(error).__name__}: {error}") from error
-    if not isinstance(found, Pem):
+    if not isinstance(model, Pem):
         raise PemError(
             f"{text!r} is no perception error model: it needs name, digest, data, licence, logit"
         )
-    return found
+    return model

@@ -293,8 +293,8 @@ def _of_repetition(estimate: Estimate) -> Sequence[Diagnostic]:
         *([] if estimate.failures else [none]),
         *_uneven_weights(figures, failures=estimate.failures),
     ]
-    known = {one.kind for one in by_figures}
-    return (*by_figures, *(one for one in estimate.diagnostics if one.kind not in known))
+    kinds = {one.kind for one in by_figures}
+    return (*by_figures, *(one for one in estimate.diagnostics if one.kind not in kinds))
 
 
 def classified(texts: Sequence[str], estimate: Estimate) -> tuple[Diagnostic, ...]:

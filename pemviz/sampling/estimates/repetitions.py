@@ -51,10 +51,10 @@ def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
 
 def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None]:
     """Mean of the repetitions' unbiased figures and its standard error; ``None`` without any."""
-    known = [e.unbiased_probability for e in estimates if e.unbiased_probability is not None]
-    if len(known) < len(estimates):
+    unbiased = [e.unbiased_probability for e in estimates if e.unbiased_probability is not None]
+    if len(unbiased) < len(estimates):
         return None, None
-    return float(np.mean(known)), float(np.std(known, ddof=1)) / math.sqrt(len(known))
+    return float(np.mean(unbiased)), float(np.std(unbiased, ddof=1)) / math.sqrt(len(unbiased))
 
 
 def _repetition_interval(
@@ -84,24 +84,24 @@ def _mean_log10(estimates: Sequence[Estimate]) -> float | None:
 
 def _pooled_nll_log_mean(estimates: Sequence[Estimate]) -> float | None:
     """-log of the mean likelihood over the failures of all repetitions."""
-    known = [
+    nlls = [
         (e.nll_log_mean, e.failures) for e in estimates if e.nll_log_mean is not None and e.failures
     ]
-    if not known:
+    if not nlls:
         return None
-    smallest = min(nll for nll, _ in known)
-    total = sum(failures * math.exp(smallest - nll) for nll, failures in known)
-    return smallest - math.log(total / sum(failures for _, failures in known))
+    smallest = min(nll for nll, _ in nlls)
+    total = sum(failures * math.exp(smallest - nll) for nll, failures in nlls)
+    return smallest - math.log(total / sum(failures for _, failures in nlls))
 
 
 def _weighted_mean(values: Sequence[tuple[float | None, int]]) -> float | None:
-    known = [(value, weight) for value, weight in values if value is not None]
-    total = sum(weight for _, weight in known)
-    return sum(value * weight for value, weight in known) / total if total else None
+    weighted = [(value, weight) for value, weight in values if value is not None]
+    total = sum(weight for _, weight in weighted)
+    return sum(value * weight for value, weight in weighted) / total if total else None
 
 
 def _extreme(
     choose: Callable[[Sequence[float]], float], values: Sequence[float | None]
 ) -> float | None:
-    known = [value for value in values if value is not None]
-    return choose(known) if known else None
+    defined = [value for value in values if value is not None]
+    return choose(defined) if defined else None

@@ -74,8 +74,8 @@ def check_numbers(rollouts: RolloutBatch, *, first_rollout: int, simulator: str)
             continue
         by_step = np.argwhere(~allowed.T)
         step, rollout = int(by_step[0, 0]), int(by_step[0, 1])
-        found = f"{what} is {values[rollout, step]} in rollout {first_rollout + rollout}"
+        complaint = f"{what} is {values[rollout, step]} in rollout {first_rollout + rollout}"
         if worst is None or step < worst[0]:
-            worst = (step, rollout, found)
+            worst = (step, rollout, complaint)
     if worst is not None:
         raise SimulationError(f"{worst[2]}, step {worst[0]}: must be a finite number")

@@ -100,10 +100,10 @@ def check_device(device: str) -> None:
     Raises:
         ConfigError: One line that says what there is.
     """
-    found = re.fullmatch(r"cuda(?::(\d+))?", device)
-    if found is None:
+    match = re.fullmatch(r"cuda(?::(\d+))?", device)
+    if match is None:
         return
-    missing = missing_cuda(int(found[1] or 0))
+    missing = missing_cuda(int(match[1] or 0))
     if missing:
         message = f"device = {device!r}: {missing}; use cpu"
         raise ConfigError(message)

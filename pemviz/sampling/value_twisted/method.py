@@ -113,12 +113,12 @@ class ValueTwistedSampling:
         Raises:
             ValueError: They are not drawn yet.
         """
-        found = importance_sampling_estimate(
+        estimate = importance_sampling_estimate(
             state.batch.weighed(), method=self.name, rollouts_simulated=self.rollouts
         )
-        relative = found.std_error / found.probability if found.std_error else None
+        relative = estimate.std_error / estimate.probability if estimate.std_error else None
         doubts = called_safe(state.proposal.left_out, relative_error=relative)
-        return replace(found, diagnostics=(*found.diagnostics, *doubts))
+        return replace(estimate, diagnostics=(*estimate.diagnostics, *doubts))
 
 
 def require_unsafe(problem: Problem, *, method: str = "value-twisted") -> Unsafe:

@@ -55,12 +55,12 @@ def reference(
     state = method.init(problem, repetition=0)
     while not method.is_done(state):
         state, _ = method.step(problem, state)
-    found = method.estimate(state)
+    estimate = method.estimate(state)
     return Reference(
-        probability=found.probability,
-        std_error=found.std_error or 0.0,
-        log10_probability=found.log10_probability,
-        warnings=tuple(map(reason, undermining(found.diagnostics, basis="weights"))),
+        probability=estimate.probability,
+        std_error=estimate.std_error or 0.0,
+        log10_probability=estimate.log10_probability,
+        warnings=tuple(map(reason, undermining(estimate.diagnostics, basis="weights"))),
     )
 
 

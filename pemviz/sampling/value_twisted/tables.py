@@ -99,15 +99,15 @@ def _tables(
 ) -> TwistedTables:
     logit = values.proposal_logit[index]
     log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
-    kept = log_share > np.log(NEGLIGIBLE_SHARE)
-    columns = [column[kept] for column in state_columns(layer.states)]
+    counts = log_share > np.log(NEGLIGIBLE_SHARE)
+    columns = [column[counts] for column in state_columns(layer.states)]
     keys = cell_keys(columns, [MERGE_DISTANCE] * len(columns))
     signals = columns[: len(layer.states.signals)]
     coarse: list[CellTable] = []
     for sizes in cells:
         pause()
-        coarse.append(averaged(cell_keys(signals, sizes), logit[kept], log_share[kept]))
-    return TwistedTables(states=_sorted(keys, logit[kept]), coarse=tuple(coarse))
+        coarse.append(averaged(cell_keys(signals, sizes), logit[counts], log_share[counts]))
+    return TwistedTables(states=_sorted(keys, logit[counts]), coarse=tuple(coarse))
 
 
 def averaged(keys: IntArray, logit: FloatArray, log_share: FloatArray) -> CellTable:

@@ -77,8 +77,12 @@ def _rules(formula: Formula) -> tuple[StateRule, ...] | None:
         return (StateRule(0, 0, formula),)
     if isinstance(formula, And):
         parts = [_rules(part) for part in formula.parts]
-        known = [part for part in parts if part is not None]
-        return tuple(r for part in known for r in part) if len(known) == len(parts) else None
+        constrained = [part for part in parts if part is not None]
+        return (
+            tuple(r for part in constrained for r in part)
+            if len(constrained) == len(parts)
+            else None
+        )
     if isinstance(formula, Always):
         inner = _rules(formula.operand)
         if inner is None:

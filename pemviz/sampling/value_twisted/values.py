@@ -88,5 +88,5 @@ def _reached(layer: Layer, log_reached: FloatArray, count: int) -> FloatArray:
         ]
     )
     node = np.concatenate([layer.after_miss, layer.after_hit])
-    kept = node >= 0
-    return log_sum_by(node[kept], arriving[kept], count)
+    arrives = node >= 0
+    return log_sum_by(node[arrives], arriving[arrives], count)
