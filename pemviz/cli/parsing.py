@@ -61,5 +61,6 @@ def one_line(complaint: str, *, command: str) -> str:
     text = " ".join(FRAME.sub(" ", COLOUR.sub("", complaint)).split())
     text = re.sub(r" ?(Argument helptext:|For full helptext,).*$", "", text)
     text = re.sub(r" ?Perhaps you meant: (\S+).*$", r"; did you mean \1?", text)
+    text = re.sub(r"^(Unrecognized options) \1:", r"\1:", text)
     text = re.sub(r"^(Value error|Missing argument|Parsing error|Invalid choice) ", "", text)
     return f"{text.strip() or 'the arguments cannot be read'} (see pemviz {command} --help)"

@@ -98,6 +98,7 @@ def parse(words: Sequence[str]) -> RecordArguments:
             "the options that differ from it"
         )
         raise ConfigError(message)
+    arguments.experiment.validate()  # before anything slow is imported
     return arguments
 
 
@@ -123,7 +124,8 @@ def _start(source: Source) -> ExperimentConfig:
         raise ConfigError(message)
     if source.resume is not None:
         if not (source.resume / "config.toml").is_file():
-            message = f"resume = {source.resume}: must be a run folder, has no config.toml"
+            lacks = "has no config.toml" if source.resume.is_dir() else "there is no such folder"
+            message = f"resume = {source.resume}: must be a run folder, {lacks}"
             raise ConfigError(message)
         return load_config(source.resume / "config.toml")
     if source.config is not None:

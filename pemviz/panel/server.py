@@ -20,6 +20,13 @@ from pemviz.errors import InputError
 
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
+HEADERS = {
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+
 _PATCH = threading.Lock()
 _SERVE = websockets.asyncio.server.serve
 
@@ -153,8 +160,9 @@ def _guarding(
                 return text_response(http.HTTPStatus.FORBIDDEN, reason)
             return inner(connection, request)
 
+        options.update(process_request=process, process_response=add_headers)
         used.set()
-        return _SERVE(ws_handler, sock=listening, process_request=process, **options)
+        return _SERVE(ws_handler, sock=listening, **options)
 
     with _PATCH:
         module = cast(Any, websockets.asyncio.server)
@@ -163,6 +171,12 @@ def _guarding(
             yield used.is_set
         finally:
             module.serve = _SERVE
+
+
+def add_headers(connection: ServerConnection, request: Request, response: Response) -> None:  # noqa: ARG001
+    """Tell the browser that no page may frame this one, nor guess what a file is."""
+    for name, value in HEADERS.items():
+        response.headers[name] = value
 
 
 def text_response(status: http.HTTPStatus, text: str) -> Response:

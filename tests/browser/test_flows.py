@@ -295,6 +295,20 @@ def test_open_in_rerun_shows_the_recording_in_a_new_tab(chromium, tmp_path, shot
         viewers.close()
 
 
+def test_a_page_elsewhere_cannot_frame_the_panel(chromium, panel, tmp_path, shots):
+    outside = tmp_path / "outside.html"
+    outside.write_text(f'<iframe id="framed" src="{panel.address}" width="900" height="500">')
+    context = chromium.new_context()
+    page = context.new_page()
+    refusals = []
+    page.on("console", lambda message: refusals.append(message.text))
+    page.goto(outside.as_uri())
+    until(page, lambda: any("frame-ancestors" in text for text in refusals))
+    page.screenshot(path=shots / "framed-by-another-page.png")
+    assert page.frame_locator("#framed").get_by_role("button", name="Run").count() == 0
+    context.close()
+
+
 def test_two_browsers_and_a_reload_in_mid_run(open_page, shots, panel):
     first, second = open_page(), open_page()
     for page in (first, second):

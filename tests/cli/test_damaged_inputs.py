@@ -53,8 +53,8 @@ def damaged(tmp_path, monkeypatch):
         f"pem evaluate --table {LONG}",
         "pem fit --table table.csv --out out.safetensors",
         f"pem fit --table table.csv --out {LONG}/out.safetensors",
-        "pem show --pem pem.safetensors",
-        "pem show --pem pem.csv",
+        "pem show pem.safetensors",
+        "pem show pem.csv",
         f"pem show --ensemble {LONG}",
     ],
 )

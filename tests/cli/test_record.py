@@ -65,6 +65,7 @@ def test_a_runs_config_runs_again_to_the_same_estimate(tmp_path, capsys):
     [
         (["--sigma", "1.2"], ["sigma = 1.2", "at least 0.95 and below 1"]),
         (["--alpha", "two"], ["--alpha", "two"]),
+        (["--alpha", "nan"], ["alpha = nan", "at least 0 and at most 1"]),
         (["--alhpa", "0.2"], ["--alhpa", "--alpha"]),
         (["--stages", "0"], ["stages = 0", "at least 1 and at most 1000"]),
         (["--method", "magic"], ["magic", "monte-carlo"]),

@@ -208,7 +208,10 @@ def test_the_command_resumes_and_keeps_the_old_recording_until_the_new_is_whole(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--resume", "nowhere"], "resume = nowhere: must be a run folder, has no config.toml"),
+        (
+            ["--resume", "nowhere"],
+            "resume = nowhere: must be a run folder, there is no such folder",
+        ),
         (["--resume", "{run}", "--seed", "12"], "goes on with its own configuration"),
         (["--resume", "{run}", "--preset", "paper"], "give only one of them"),
     ],

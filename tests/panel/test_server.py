@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.http11 import Request
 
 from pemviz.errors import InputError
-from pemviz.panel.server import allowed_hosts, guarded_server, is_loopback, refusal
+from pemviz.panel.server import HEADERS, allowed_hosts, guarded_server, is_loopback, refusal
 
 ROOT = Path(__file__).resolve().parents[2]
 PROTOCOL = f"viser-v{viser.__version__}"
@@ -63,6 +63,17 @@ def test_own_page_and_its_websocket_are_served(server):
         assert status == 200
     with connect(port, origin=f"http://127.0.0.1:{port}") as socket_:
         assert socket_.recv(timeout=10)
+
+
+def test_answers_tell_browsers_to_frame_nothing_and_guess_nothing(server):
+    for path, wanted in (("/", 200), ("/nowhere", 404)):
+        connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=10)
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        assert answer.status == wanted
+        for name, value in HEADERS.items():
+            assert answer.getheader(name) == value
+        connection.close()
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import tyro
 from rich.console import Console
 
 from pemviz.errors import PemError
@@ -25,7 +26,7 @@ OcclusionName = Literal["none", "partly", "largely"]
 class ShowArguments:
     """Show P(missed) against distance, with the ensemble's band and the training data's own."""
 
-    pem: str = "ml-nn"
+    pem: tyro.conf.Positional[str] = "ml-nn"
     """Name of a shipped model, or a file (.safetensors, .csv)."""
     ensemble: str | None = None
     """Ensemble for the band, by name or file; the one that belongs to the model if not given."""

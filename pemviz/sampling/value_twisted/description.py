@@ -37,7 +37,7 @@ VALUE_TWISTED = MethodDescription(
     stages="parts",
     curve_name="optimal proposal",
     learning_words=(
-        "Black: how likely the detector is to see the car ahead. Red: the optimal proposal, "
+        "Black: how likely the detector is to see the car ahead. Orange: the optimal proposal, "
         "computed from the probability of a violation from each state, along the typical path."
     ),
 )
