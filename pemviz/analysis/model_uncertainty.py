@@ -22,6 +22,11 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import log_sum
+from pemviz.sampling.memory import (
+    remembering_as,
+    single_outcome_model,
+    single_outcome_salient,
+)
 from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.rollouts.final_batch import WeighedRollouts, weighed
@@ -127,16 +132,17 @@ def data_bound(problem: Problem, *, seed: int) -> DataBound | None:
     misses where there is no data, make a model of their own; plain Monte Carlo carries it to
     the failure probability. ``None`` for a model without counts.
     """
-    support = support_of(problem.pem)
+    support = support_of(single_outcome_model(problem.pem))
     if support is None:
         return None
     simulator = problem.simulator
     outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
     outcomes[1] = True
     visited = simulator.salient(replay(simulator=simulator, detected=outcomes))
+    visited = single_outcome_salient(problem.pem, visited)
     bound = data_bound_pem(visited, support=support, confidence=CONFIDENCE)
     batches = sample_batches(
-        replace(problem, pem=bound),
+        replace(problem, pem=remembering_as(bound, problem.pem)),
         proposal=PemProposal(),
         count=DATA_BOUND_ROLLOUTS,
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
@@ -158,7 +164,8 @@ def extrapolation_warnings(
 
     Models that carry no counts of their training data are met with one warning that says so.
     """
-    support = support_of(pem)
+    own = single_outcome_model(pem)
+    support = support_of(own)
     if support is None:
         return (
             f"error model {pem.name}: carries no counts of its training data, so where it "
@@ -166,7 +173,8 @@ def extrapolation_warnings(
         )
     checked = scored.rollouts.take(slice(SHOWN_ROLLOUTS))
     salient = simulator.salient(checked.decision_states().signals)
-    return support_check(salient, support=support, pem=pem).warnings
+    salient = single_outcome_salient(pem, salient)
+    return support_check(salient, support=support, pem=own).warnings
 
 
 def _log_mean(log_values: FloatArray) -> float:

@@ -11,6 +11,7 @@ from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
     interval_text,
+    memory_text,
     model_range_text,
     number_text,
     probability_text,
@@ -51,6 +52,7 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     table.add_row("error model", result.pem.name)
     table.add_row("probability", probability_text(estimate))
     table.add_row("95 % interval", interval_text(estimate))
+    table.add_row("misses", memory_text(result.memory))
     if result.reference is not None:
         table.add_row("reference", reference_text(result.reference, estimate))
     table.add_row("range over error models", model_range_text(result.pem_interval))

@@ -85,6 +85,10 @@ class ExperimentConfig:
     intervals count steps."""
     pem: str = "ml-nn"
     """Perception error model: a shipped name or a file."""
+    memory_s: Annotated[float, Range(low=0.0, high=60.0)] = 0.0
+    """Memory time of misses [s]: after a miss, or a hit, the same is likelier again, the less so
+    the longer ago, by exp(-time / memory_s); how often the error model misses in all is as
+    without; 0 to 60. 0: misses are independent of each other given the state."""
     simulator: str = "vectorized"
     """Back end that steps the scenario: vectorized, highway-env, or a name that an installed
     package registers as an entry point of the group pemviz.simulators."""

@@ -1,6 +1,7 @@
 """An estimate and its diagnostics in words, the same on the terminal and in reports."""
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K
 from pemviz.sampling.value_twisted.reference import Reference
@@ -50,6 +51,18 @@ def model_range_text(interval: ModelInterval | None) -> str:
     return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} models)"
 
 
+def memory_text(memory: RunMemory | None) -> str:
+    """How misses hang together in the answer, and in the video that the model was fitted to."""
+    if memory is None or memory.tau_s == 0.0:
+        assumed = "independent of each other given the state: an assumption"
+    else:
+        assumed = f"in bursts, memory time {memory.tau_s:g} s"
+    if memory is None or memory.fitted is None or memory.interval is None:
+        return assumed
+    low_s, high_s = memory.interval
+    return f"{assumed}; measured for this model {memory.fitted:.2g} s ({low_s:.2g} to {high_s:.2g})"
+
+
 def number_text(value: float | None, *, unit: str = "") -> str:
     """A number with its unit, or a dash."""
     return "-" if value is None else f"{value:.3g} {unit}".strip()
@@ -71,6 +84,8 @@ def summary_text(result: RunResult) -> str:
         f"  95 % interval: {interval_text(estimate)}",
         f"  violations: {violations_text(estimate)}",
     ]
+    if result.config.memory_s:
+        lines.append(f"  misses: {memory_text(result.memory)}")
     if result.reference is not None:
         lines.append(f"  reference: {reference_text(result.reference, estimate)}")
     warnings = (*estimate.warnings, *result.warnings)

@@ -23,22 +23,22 @@ from pemviz.runs.events import (
 )
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.judge import Judged, beside_reference, judge
+from pemviz.runs.memory import memory_of
 from pemviz.runs.result import PemInfo, RunResult, with_stage
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.types import StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
 
+INDEPENDENT = "misses are independent of each other given the state"
 ASSUMPTIONS = (
     "perception never reports an obstacle that is not there",
-    "misses are independent of each other given the state",
     "there is one obstacle, the lead car",
     "the dynamics are those of the simulator, not of a real car",
     "the perception error model holds where the scenario goes, beyond its training data too",
 )
 OWN_SYSTEM_ASSUMPTIONS = (
     "perception reports one thing, detected or not, at every step",
-    "misses are independent of each other given the state",
     "the simulator says how the system behaves; it gives the same again for the same outcomes",
     "the detector model holds where the scenario goes",
 )
@@ -215,9 +215,17 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         config=experiment.config,
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
         versions=versions(),
-        assumptions=OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS,
+        memory=memory_of(experiment.pem),
+        assumptions=_assumptions(experiment),
         warnings=experiment.warnings,
     )
+
+
+def _assumptions(experiment: Experiment) -> tuple[str, ...]:
+    first, *others = OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS
+    tau_s = experiment.config.memory_s
+    bursts = f"given the state, misses hang together with a memory time of {tau_s:g} s and no more"
+    return (first, bursts if tau_s else INDEPENDENT, *others)
 
 
 def versions() -> dict[str, str]:

@@ -11,11 +11,13 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
+from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.runs.back_ends import build_back_end, check_method_fits, own_back_end
 from pemviz.runs.error_model_check import check_error_model
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.memory import with_memory
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
@@ -117,8 +119,11 @@ def build_experiment(
     """
     config, model, back_end = _named_parts(config, simulator, pem, twin, allow_python=allow_python)
     check_method_fits(config, back_end)
-    formula = build_formula(config, back_end.simulator)
     warnings = check_error_model(model, back_end.simulator)
+    ensemble = ensemble_of(config.pem) if pem is None else None
+    memory = Memory(tau_s=config.memory_s)
+    back_end, model, ensemble = with_memory(back_end, model, ensemble, memory=memory)
+    formula = build_formula(config, back_end.simulator)
     problem = _problem(config, formula, model, back_end)
     description = by_name(config.method)
     if "single states" in description.needs:
@@ -127,7 +132,7 @@ def build_experiment(
         require_unsafe(problem)
     return Experiment(
         config=config,
-        ensemble=ensemble_of(config.pem) if pem is None else None,
+        ensemble=ensemble,
         formula=formula,
         problem=problem,
         back_end=back_end,

@@ -16,6 +16,7 @@ from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10
+from pemviz.runs.memory import RunMemory
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate, StageKind, StageResult
 
@@ -101,6 +102,8 @@ class RunResult:
         repetitions: The estimate of each repetition that is done.
         stages: Every stage that is done.
         least_robust: The least robust rollouts of all, least robust first.
+        memory: What was assumed of how misses hang together, and what the model's own data say
+            of it; ``None`` in results of versions that knew no memory.
         reference: The answer by the value-twisted reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
         data_bound: What the model's training data alone allow.
@@ -120,6 +123,7 @@ class RunResult:
     repetitions: tuple[Estimate, ...] = ()
     stages: tuple[StageSummary, ...] = ()
     least_robust: tuple[RankedRollout, ...] = ()
+    memory: RunMemory | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
     data_bound: DataBound | None = None

@@ -94,6 +94,7 @@ def result_document(result: RunResult) -> Table:
         "config": config_table(result.config),
         "pem": asdict(result.pem),
         "estimate": None if result.estimate is None else _estimate_table(result.estimate),
+        "memory": None if result.memory is None else asdict(result.memory),
         "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
         "data_bound": None if result.data_bound is None else asdict(result.data_bound),

@@ -29,11 +29,8 @@ class Monitor(Protocol):
 
 
 @dataclass(frozen=True)
-class _Wrapped:
-    """The same scenario; its states' memory also holds ``violated``.
-
-    A proposal that makes violations likely must know when there has been one: from then on
-    nothing is to be gained, and leaving the error model only spreads the weights.
+class WrappedSimulator:
+    """The same scenario, of whose states something more is known.
 
     Attributes:
         scenario: The back end itself.
@@ -67,8 +64,11 @@ class _Wrapped:
 
 
 @dataclass(frozen=True)
-class LatchedSimulator(_Wrapped):
-    """Remembers violations where single states decide them.
+class LatchedSimulator(WrappedSimulator):
+    """Remembers violations where single states decide them, as ``violated`` in the memory.
+
+    A proposal that makes violations likely must know when there has been one: from then on
+    nothing is to be gained, and leaving the error model only spreads the weights.
 
     Attributes:
         unsafe: States ``[N]`` to whether being in them is a violation.
@@ -108,8 +108,8 @@ class MonitoredStates(StateBatch):
 
 
 @dataclass(frozen=True)
-class MonitoredSimulator(_Wrapped):
-    """Remembers violations where it takes a monitor of the states so far to tell them.
+class MonitoredSimulator(WrappedSimulator):
+    """Remembers violations, likewise, where it takes a monitor of the states so far to tell them.
 
     Its states continue rollouts that it began itself.
 

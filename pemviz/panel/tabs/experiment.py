@@ -25,6 +25,7 @@ PRESET_HINT = (
 RUN_HINT = "Run what is set up below. One experiment runs at a time; all browsers see it."
 STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
+MEMORY_STEP_S = 0.01
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
 
 
@@ -59,6 +60,7 @@ class ExperimentTab:
             seed=self.seed.value,
             pem=self.pem.value,
             simulator=self.simulator.value,
+            memory_s=float(self.memory.value),
             reference=self.reference.value,
             spec=self.spec.value,
         )
@@ -106,6 +108,10 @@ class ExperimentTab:
     def _add_specification(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
         self.pem = gui.add_dropdown("Error model", tuple(shipped_pems()), hint=hint("pem"))
+        low_s, high_s = limits("memory_s", step=MEMORY_STEP_S)
+        self.memory = gui.add_number(
+            "Memory [s]", 0.0, min=low_s, max=high_s, step=MEMORY_STEP_S, hint=hint("memory_s")
+        )
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
@@ -144,6 +150,7 @@ class ExperimentTab:
         if config.simulator not in self.simulator.options:
             self.simulator.options = (*self.simulator.options, config.simulator)
         self.pem.value, self.simulator.value = config.pem, config.simulator
+        self.memory.value = config.memory_s
         self.reference.value, self.spec.value = config.reference, config.spec
         set_html(self._facts, scenario_text(config.scenario))
         self._enable()

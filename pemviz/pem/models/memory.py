@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, namespace
 from pemviz.errors import PemError
 
 LONGEST_TAU_S = 60.0
@@ -55,22 +55,24 @@ def persistence(since_s: FloatArray | float, tau_s: float) -> FloatArray:
 def remembering_logit(
     logit: FloatArray, *, missed_before: BoolArray, rho: FloatArray | float
 ) -> FloatArray:
-    """Logit of P(detected | state, outcome before), elementwise ``[...]``.
+    """Logit of P(detected | state, outcome before), elementwise ``[...]``; here or on a device.
 
     Args:
         logit: The error model's own logit of P(detected) ``[...]``.
         missed_before: Whether the outcome before was a miss ``[...]``.
         rho: Correlation with the outcome before, from 0 to below 1; 0 gives ``logit`` itself.
     """
-    rho = np.asarray(rho, dtype=np.float64)
+    xp = namespace(logit)
+    zero = xp.zeros_like(logit)
     with np.errstate(divide="ignore"):
-        log_rho, log_rest = np.log(rho), np.log1p(-rho)
-    fresh_hit = log_rest - np.logaddexp(0.0, -logit)
-    fresh_miss = log_rest - np.logaddexp(0.0, logit)
-    kept_hit = np.where(missed_before, -np.inf, log_rho)
-    kept_miss = np.where(missed_before, log_rho, -np.inf)
-    remembered = np.logaddexp(fresh_hit, kept_hit) - np.logaddexp(fresh_miss, kept_miss)
-    return np.where(rho == 0.0, logit, remembered)
+        log_rho, log_rest = zero + np.log(rho), zero + np.log1p(np.negative(rho))
+    never = zero - np.inf
+    fresh_hit = log_rest - xp.logaddexp(zero, -logit)
+    fresh_miss = log_rest - xp.logaddexp(zero, logit)
+    kept_hit = xp.where(missed_before, never, log_rho)
+    kept_miss = xp.where(missed_before, log_rho, never)
+    remembered = xp.logaddexp(fresh_hit, kept_hit) - xp.logaddexp(fresh_miss, kept_miss)
+    return xp.where(zero + rho == 0.0, logit, remembered)
 
 
 def frail_logit(logit: FloatArray, *, visibility: FloatArray, frailty: float) -> FloatArray:

@@ -1,0 +1,43 @@
+"""What a run assumes of how misses hang together, and what is known of it."""
+
+from dataclasses import dataclass
+
+from pemviz.config.ranges import AtLeastZero
+from pemviz.pem import Pem
+from pemviz.pem.models.card import PemCard
+from pemviz.pem.models.memory_card import FittedMemory, fitted_memory
+from pemviz.sampling.memory import memory_of_pem, single_outcome_model
+
+
+@dataclass(frozen=True)
+class RunMemory:
+    """The memory of misses behind an answer.
+
+    Attributes:
+        tau_s: Memory time that the answer is for [s]; 0: misses independent given the state.
+        fitted: The error model's own memory time, measured on video [s]; ``None`` where the model
+            was fitted to single frames, which tell nothing of it.
+        interval: Of ``fitted``, low and high [s].
+    """
+
+    tau_s: AtLeastZero
+    fitted: AtLeastZero | None = None
+    interval: tuple[AtLeastZero, ...] | None = None
+
+
+def memory_of(pem: Pem) -> RunMemory:
+    """The memory that a run with this error model assumes."""
+    tau_s, own = memory_of_pem(pem).tau_s, own_memory(single_outcome_model(pem))
+    if own is None:
+        return RunMemory(tau_s=tau_s)
+    return RunMemory(tau_s=tau_s, fitted=own.memory.tau_s, interval=own.tau_interval_s)
+
+
+def own_memory(pem: Pem) -> FittedMemory | None:
+    """The memory that a model's card tells of; ``None`` for a model of single frames.
+
+    Raises:
+        PemError: The card is damaged.
+    """
+    card: object = getattr(pem, "card", None)
+    return fitted_memory(card.memory, where=pem.name) if isinstance(card, PemCard) else None

@@ -1,0 +1,150 @@
+"""Misses in bursts: scenario and error model with the last outcome as part of the state.
+
+:mod:`pemviz.pem.models.memory` gives the formula. Here it becomes an error model like any other
+on a back end like any other, so that a method needs to know nothing of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
+from pemviz.pem import Pem, PemEnsemble
+from pemviz.pem.models.memory import Memory, persistence, remembering_logit
+from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.sampling.back_end import BackEnd
+from pemviz.simulators.remembering import LAST_OUTCOME, remembering
+from pemviz.types import StateBatch
+
+
+@dataclass(frozen=True, eq=False)
+class RememberingPem:
+    """An error model whose misses hang together; name, digest and data are the model's own.
+
+    Attributes:
+        pem: The error model, for single outcomes.
+        memory: How they hang together.
+        dt_s: Time between two outcomes [s].
+    """
+
+    pem: Pem
+    memory: Memory
+    dt_s: float
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+        return self.pem.name
+
+    @property
+    def digest(self) -> str:
+        """The model's digest."""
+        return self.pem.digest
+
+    @property
+    def data(self) -> str:
+        """What the model was trained on."""
+        return self.pem.data
+
+    @property
+    def licence(self) -> str:
+        """Terms of the model's use."""
+        return self.pem.licence
+
+    @property
+    def rho(self) -> float:
+        """Correlation of one outcome with the next, 0 to below 1."""
+        return float(persistence(self.dt_s, self.memory.tau_s))
+
+    def logit(self, salient: FloatArray) -> FloatArray:
+        """Logit of P(detected) ``[...]``, of the model's variables and the last outcome."""
+        own, last = self.pem.logit(salient[..., :-1]), salient[..., -1]
+        after = remembering_logit(own, missed_before=last < 0.0, rho=self.rho)
+        return namespace(own).where(last == 0.0, own, after)
+
+    def moved(self, move: Move) -> "RememberingPem | None":
+        """The same for tensors, if the model can."""
+        pem = moved(self.pem, move)
+        return None if pem is None else replace(self, pem=pem)
+
+
+@dataclass(frozen=True)
+class RememberingEnsemble:
+    """Models that the data could as well have produced, with the same memory each."""
+
+    name: str
+    members: Sequence[Pem]
+
+
+@dataclass(frozen=True)
+class RememberingFeatures:
+    """What a scenario offers to look at, and the last outcome.
+
+    An outcome to which the scenario does not react is remembered: it matters as well.
+
+    Attributes:
+        features: The scenario's own.
+    """
+
+    features: StateFeatures
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """The scenario's features and the last outcome, ``[..., D + 1]``."""
+        last = states.signals[LAST_OUTCOME.name]
+        xp, own = namespace(last), self.features.values(states)
+        return xp.concatenate((own, xp.broadcast_to(last, own.shape[:-1])[..., None]), -1)
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """True everywhere."""
+        last = states.signals[LAST_OUTCOME.name]
+        return namespace(last).ones_like(last, dtype=namespace(last).bool)
+
+    def moved(self, move: Move) -> "RememberingFeatures | None":
+        """The same for tensors, if the scenario's features can."""
+        features = moved(self.features, move)
+        return None if features is None else RememberingFeatures(features)
+
+
+def with_memory(
+    back_end: BackEnd, pem: Pem, ensemble: PemEnsemble | None, *, memory: Memory
+) -> tuple[BackEnd, Pem, PemEnsemble | None]:
+    """Back end, error model and its ensemble with a memory; as they are without.
+
+    Raises:
+        ConfigError: The scenario has a signal named like the last outcome.
+    """
+    if memory.tau_s == 0.0:
+        return back_end, pem, ensemble
+    dt_s = back_end.simulator.dt_s
+    wrapped = replace(
+        back_end,
+        simulator=remembering(back_end.simulator),
+        twin=None if back_end.twin is None else remembering(back_end.twin),
+        features=RememberingFeatures(back_end.features),
+    )
+    members = None
+    if ensemble is not None:
+        members = RememberingEnsemble(
+            name=ensemble.name,
+            members=[RememberingPem(member, memory, dt_s) for member in ensemble.members],
+        )
+    return wrapped, RememberingPem(pem, memory, dt_s), members
+
+
+def memory_of_pem(pem: Pem) -> Memory:
+    """How an error model's misses hang together."""
+    return pem.memory if isinstance(pem, RememberingPem) else Memory()
+
+
+def single_outcome_model(pem: Pem) -> Pem:
+    """The model of single outcomes beneath a memory."""
+    return pem.pem if isinstance(pem, RememberingPem) else pem
+
+
+def single_outcome_salient(pem: Pem, salient: FloatArray) -> FloatArray:
+    """What the model of single outcomes sees ``[..., D]``, of what ``pem`` sees."""
+    return salient[..., :-1] if isinstance(pem, RememberingPem) else salient
+
+
+def remembering_as(pem: Pem, like: Pem) -> Pem:
+    """``pem``, a model of single outcomes, with the memory that ``like`` has."""
+    return replace(like, pem=pem) if isinstance(like, RememberingPem) else pem

@@ -1,0 +1,74 @@
+"""A back end whose states also say what perception's last outcome was."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
+from pemviz.errors import ConfigError
+from pemviz.simulators.latched import WrappedSimulator
+from pemviz.types import Signal, Simulator, StateBatch
+
+LAST_OUTCOME = Signal(name="last_outcome", key="last_outcome", unit="", low=-1.0, high=1.0)
+"""Missed (-1), detected (1), or none yet (0)."""
+
+
+@dataclass(frozen=True)
+class RememberingSimulator(WrappedSimulator):
+    """The same scenario with :data:`LAST_OUTCOME` as one more signal and salient variable.
+
+    Whatever perception remembers of its last outcome then is a function of the state, and a
+    simulator of rollouts with memory is one of rollouts without.
+    """
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The back end's signals, and the last outcome."""
+        return (*self.scenario.signals, LAST_OUTCOME)
+
+    def initial(self, *, count: int) -> StateBatch:
+        """The back end's initial states, before any outcome."""
+        return _after(self.scenario.initial(count=count), np.zeros(count))
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The back end's next states after outcomes ``[N]``."""
+        own = {name: v for name, v in states.signals.items() if name != LAST_OUTCOME.name}
+        last = namespace(detected).where(detected, _ones(states), -_ones(states))
+        return _after(self.scenario.step(replace(states, signals=own), detected), last)
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """The back end's salient variables and the last outcome, ``[..., D + 1]``."""
+        own = self.scenario.salient({n: v for n, v in signals.items() if n != LAST_OUTCOME.name})
+        last = signals[LAST_OUTCOME.name]
+        return namespace(last).concatenate((own, last[..., None]), -1)
+
+    def moved(self, move: Move) -> "RememberingSimulator | None":
+        """The same for tensors, if the scenario can."""
+        scenario = moved(self.scenario, move)
+        return None if scenario is None else RememberingSimulator(scenario)
+
+
+def remembering(simulator: Simulator) -> RememberingSimulator:
+    """A back end that carries the last outcome.
+
+    Raises:
+        ConfigError: It has a signal of that name of its own.
+    """
+    if any(LAST_OUTCOME.name in (signal.name, signal.key) for signal in simulator.signals):
+        message = (
+            f"simulator {simulator.name!r}: the signal {LAST_OUTCOME.name!r} is pemviz's own "
+            "where memory_s is above 0; choose another name"
+        )
+        raise ConfigError(message)
+    return RememberingSimulator(simulator)
+
+
+def _after(states: StateBatch, last: FloatArray) -> StateBatch:
+    return replace(states, signals={**states.signals, LAST_OUTCOME.name: last})
+
+
+def _ones(states: StateBatch) -> Any:
+    last = states.signals[LAST_OUTCOME.name]
+    return namespace(last).ones_like(last)
