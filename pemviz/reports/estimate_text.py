@@ -57,10 +57,11 @@ def memory_text(memory: RunMemory | None) -> str:
         assumed = "independent of each other given the state: an assumption"
     else:
         assumed = f"in bursts, memory time {memory.tau_s:g} s"
-    if memory is None or memory.fitted is None or memory.interval is None:
+    own = None if memory is None else memory.fitted
+    if own is None:
         return assumed
-    low_s, high_s = memory.interval
-    return f"{assumed}; measured for this model {memory.fitted:.2g} s ({low_s:.2g} to {high_s:.2g})"
+    measured = f"{own.tau_s:.2g} s ({own.low_s:.2g} to {own.high_s:.2g})"
+    return f"{assumed}; this model's own memory time, measured on video, is {measured}"
 
 
 def number_text(value: float | None, *, unit: str = "") -> str:

@@ -2,11 +2,21 @@
 
 from dataclasses import dataclass
 
-from pemviz.config.ranges import AtLeastZero
+from pemviz.config.ranges import AtLeastZero, Confidence
 from pemviz.pem import Pem
 from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.memory_card import FittedMemory, fitted_memory
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model
+
+
+@dataclass(frozen=True)
+class MeasuredTau:
+    """A memory time measured on video [s], with its interval."""
+
+    tau_s: AtLeastZero
+    low_s: AtLeastZero
+    high_s: AtLeastZero
+    confidence: Confidence
 
 
 @dataclass(frozen=True)
@@ -15,14 +25,12 @@ class RunMemory:
 
     Attributes:
         tau_s: Memory time that the answer is for [s]; 0: misses independent given the state.
-        fitted: The error model's own memory time, measured on video [s]; ``None`` where the model
-            was fitted to single frames, which tell nothing of it.
-        interval: Of ``fitted``, low and high [s].
+        fitted: The error model's own memory time; ``None`` where the model was fitted to single
+            frames, which tell nothing of it.
     """
 
     tau_s: AtLeastZero
-    fitted: AtLeastZero | None = None
-    interval: tuple[AtLeastZero, ...] | None = None
+    fitted: MeasuredTau | None = None
 
 
 def memory_of(pem: Pem) -> RunMemory:
@@ -30,7 +38,9 @@ def memory_of(pem: Pem) -> RunMemory:
     tau_s, own = memory_of_pem(pem).tau_s, own_memory(single_outcome_model(pem))
     if own is None:
         return RunMemory(tau_s=tau_s)
-    return RunMemory(tau_s=tau_s, fitted=own.memory.tau_s, interval=own.tau_interval_s)
+    low_s, high_s = own.tau_interval_s
+    fitted = MeasuredTau(own.memory.tau_s, low_s, high_s, own.confidence)
+    return RunMemory(tau_s=tau_s, fitted=fitted)
 
 
 def own_memory(pem: Pem) -> FittedMemory | None:

@@ -27,7 +27,7 @@ from tests.reports.runs import result as made_up_result
 from tests.runs.results import results
 
 MAY_BE_NULL = re.compile(
-    r"message|config\.target|reference|reference\.log10_probability|pem_interval"
+    r"message|config\.target|memory|memory\.fitted|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median)|data_bound"
     r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning)"
     r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
@@ -37,7 +37,7 @@ MAY_BE_NULL = re.compile(
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|warnings|timings_s|(estimate|repetitions\[\d+\])\.(diagnostics|confidence)"
+    r"|memory|memory\.fitted|warnings|timings_s|(estimate|repetitions\[\d+\])\.(diagnostics|confidence)"
     r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
 OTHER_TYPE = {
@@ -61,6 +61,8 @@ def sample():
         del entries[2:]
     del document["sensitivity"][3:]
     document["reference"] = {"probability": 1e-18, "std_error": 1e-21, "log10_probability": -18.0}
+    fitted = {"tau_s": 0.24, "low_s": 0.2, "high_s": 0.3, "confidence": 0.95}
+    document["memory"]["fitted"] = fitted
     assert document["causes"]["chains"]
     assert document["pem_interval"]["warnings"]
     return document
@@ -109,8 +111,8 @@ def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
     assert text == f"{json.dumps(document, indent=1, ensure_ascii=False)}\n"
     assert list(json.loads(text)) == [
         "schema", "run_id", "status", "message", "seed", "versions", "config", "pem", "estimate",
-        "reference", "pem_interval", "data_bound", "sensitivity", "causes", "repetitions",
-        "stages", "least_robust", "assumptions", "warnings", "timings_s",
+        "memory", "reference", "pem_interval", "data_bound", "sensitivity", "causes",
+        "repetitions", "stages", "least_robust", "assumptions", "warnings", "timings_s",
     ]  # fmt: skip
 
 
@@ -239,11 +241,11 @@ def test_another_schema_is_refused(sample, schema):
 
 def test_what_is_unknown_is_ignored_but_for_settings(sample):
     document = changed(sample, ("ladder",), [1])
-    document = changed(document, ("estimate", "memory_s"), "x")
+    document = changed(document, ("estimate", "ladder"), "x")
     document = changed(document, ("stages", 0, "rules"), {})
     assert result_from_document(document) == result_from_document(sample)
-    with pytest.raises(InputError, match=r"^config\.memory_s: no such field"):
-        result_from_document(changed(sample, ("config", "memory_s"), 0.2))
+    with pytest.raises(InputError, match=r"^config\.laziness: no such field"):
+        result_from_document(changed(sample, ("config", "laziness"), 0.2))
 
 
 @pytest.mark.parametrize(
