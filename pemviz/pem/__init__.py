@@ -13,6 +13,8 @@ from pemviz.pem.judging.reweight import compare_pems, pem_interval, reweight
 from pemviz.pem.judging.support_check import SupportReport, data_bound_pem, support_check
 from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.ensemble import EnsemblePem
+from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.memory_card import memory_of
 from pemviz.pem.models.own_detector import DetectorModel, as_pem
 from pemviz.pem.models.protocol import (
     CLASS_NAMES,
@@ -29,6 +31,7 @@ __all__ = [
     "SALIENT_COLUMNS",
     "DetectorModel",
     "EnsemblePem",
+    "Memory",
     "Pem",
     "PemCard",
     "PemEnsemble",
@@ -46,6 +49,7 @@ __all__ = [
     "load_ensemble",
     "load_pem",
     "load_table",
+    "memory_of",
     "pem_interval",
     "reweight",
     "save_pem",

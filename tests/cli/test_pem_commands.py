@@ -195,6 +195,16 @@ def test_independence_is_judged_in_one_command(tmp_path, capsys):
     needed = [each["sequences"] for each in independence["needed"]]
     assert needed == sorted(needed, reverse=True)
     assert "misses right after a miss" in page.read_text()
+    assert page.with_suffix(".png").stat().st_size > 10_000
+
+
+def test_a_memory_is_shown_beside_its_model(tmp_path, capsys):
+    out = tmp_path / "rrc.png"
+    assert show.run(show.ShowArguments(pem="rrc", out=out)) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    assert "Memory of misses" in words
+    assert "these figures flatter it" in words
+    assert (tmp_path / "rrc-memory.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
@@ -202,6 +212,7 @@ def test_independence_is_judged_in_one_command(tmp_path, capsys):
     [
         ({"rate_hz": None}, "lacks rate_hz; give the rate"),
         ({"rate_hz": -1.0}, "rate_hz is -1, allowed"),
+        ({"out": Path("page.txt")}, "must end in .md"),
         ({"folds": 9}, "allowed: 2 to the number of sequences, 6"),
         ({"table": Path("nowhere.csv")}, "no such table of tracks"),
     ],

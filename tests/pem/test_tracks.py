@@ -76,6 +76,13 @@ def test_both_formats_of_detections_give_the_same(tmp_path):
     assert rows["mot"] == rows["ab3dmot"]
 
 
+def test_scores_below_zero_count_unless_told_otherwise(tmp_path):
+    """PointRCNN's scores are logits."""
+    paths = sequence(tmp_path, [label(0)], [MOT.format(frame=0).replace("0.9", "-0.4")])
+    assert collect_tracks(**paths).missed == 0
+    assert collect_tracks(**paths, options=CollectOptions(score_from=0.0)).missed == 1
+
+
 def test_truncation_levels_become_shares_and_persons_sit(tmp_path):
     paths = sequence(tmp_path, [label(0, truncated=1), label(0, track=4, type="Person")], [])
     collect_tracks(**paths)

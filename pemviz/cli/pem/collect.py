@@ -1,5 +1,6 @@
 """``pemviz pem collect``."""
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,8 +41,8 @@ class CollectArguments:
     """A pair of boxes counts as a detection above this overlap (0 to below 1)."""
     class_aware: bool = False
     """Count only detections of the obstacle's own class."""
-    score_from: float = 0.0
-    """Ignore detections with a lower score (0 to 1)."""
+    score_from: float | None = None
+    """Ignore detections with a lower score, on the detector's own scale (any number)."""
     drop_unknown: bool = False
     """Leave out obstacles of class Misc or unknown occlusion; no model can be fitted to them."""
     class_names: tuple[str, ...] = NUMBERED_CLASSES
@@ -62,12 +63,13 @@ def run(arguments: CollectArguments) -> int:
     """
     if not 0.0 <= arguments.iou_above < 1.0:
         raise PemError(f"iou_above is {arguments.iou_above:g}, allowed: 0 to below 1")
-    if not 0.0 <= arguments.score_from <= 1.0:
-        raise PemError(f"score_from is {arguments.score_from:g}, allowed: 0 to 1")
+    score_from = -math.inf if arguments.score_from is None else arguments.score_from
+    if arguments.score_from is not None and not math.isfinite(score_from):
+        raise PemError(f"score_from is {score_from:g}, allowed: any finite number")
     options = CollectOptions(
         iou_above=arguments.iou_above,
         class_aware=arguments.class_aware,
-        score_from=arguments.score_from,
+        score_from=score_from,
         drop_unknown=arguments.drop_unknown,
         skip_bad=arguments.skip_bad,
     )

@@ -10,6 +10,7 @@ from pemviz.files.text_files import writing
 from pemviz.pem.data.tracks import load_tracks
 from pemviz.pem.fitting.fit import ModelKind
 from pemviz.pem.judging.independence import IndependenceCheck
+from pemviz.pem.judging.memory_picture import write_memory_picture
 from pemviz.pem.judging.memory_report import memory_line, memory_table
 from pemviz.pem.models.memory_card import memory_markdown
 
@@ -29,7 +30,7 @@ class MemoryArguments:
     seed: int = 0
     """Seed of fits, bootstrap and simulation (0 or more)."""
     out: Path | None = None
-    """Page of markdown to write; none if not given."""
+    """Page of markdown to write (.md), and a picture of the same name (.png); none if not given."""
     json: bool = False
     """Print the results as one JSON object instead of text."""
 
@@ -44,6 +45,8 @@ def run(arguments: MemoryArguments) -> int:
         raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
     if arguments.rate_hz is not None and not 0.0 < arguments.rate_hz < float("inf"):
         raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
+    if arguments.out is not None and arguments.out.suffix != ".md":
+        raise PemError(f"out is {str(arguments.out)!r}, must end in .md")
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
     # scikit-learn and scipy's distributions take seconds to import
     from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report  # noqa: PLC0415
@@ -65,6 +68,8 @@ def run(arguments: MemoryArguments) -> int:
     if arguments.out is not None:
         with writing(arguments.out):
             arguments.out.write_text(f"{page}\n{_verdict(check)}\n", encoding="utf-8")
+            picture = arguments.out.with_suffix(".png")
+            write_memory_picture(table, picture, title=tracks.obstacles.source)
     if arguments.json:
         print(json.dumps({"memory": table, "independence": asdict(check)}, allow_nan=False))
         return 0

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.markdown import Markdown
 
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
@@ -15,8 +16,11 @@ from pemviz.pem.data.support import support_of
 from pemviz.pem.files.load import ensemble_of, load_ensemble, load_pem
 from pemviz.pem.judging.distance_curve import ObstacleView, distance_curve
 from pemviz.pem.judging.distance_curve_picture import terminal_table, write_picture
+from pemviz.pem.judging.memory_picture import write_memory_picture
 from pemviz.pem.judging.support_check import support_check
-from pemviz.pem.models.protocol import CLASS_NAMES, OCCLUSION_NAMES
+from pemviz.pem.models.card import PemCard
+from pemviz.pem.models.memory_card import memory_markdown
+from pemviz.pem.models.protocol import CLASS_NAMES, OCCLUSION_NAMES, Pem
 
 ClassName = Literal["Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram"]
 OcclusionName = Literal["none", "partly", "largely"]
@@ -24,14 +28,16 @@ OcclusionName = Literal["none", "partly", "largely"]
 
 @dataclass(frozen=True)
 class ShowArguments:
-    """Show P(missed) against distance, with the ensemble's band and the training data's own."""
+    """Show P(missed) against distance, with the ensemble's band and the training data's own; and
+    how misses follow each other, if the model has a memory."""
 
     pem: tyro.conf.Positional[str] = "ml-nn"
     """Name of a shipped model, or a file (.safetensors, .csv)."""
     ensemble: str | None = None
     """Ensemble for the band, by name or file; the one that belongs to the model if not given."""
     out: Path | None = None
-    """Picture to write (.png); none if not given."""
+    """Picture to write (.png); none if not given. A model with a memory gets a second one beside
+    it, NAME-memory.png."""
     class_name: ClassName = "Car"
     """Class of the obstacle."""
     occlusion: OcclusionName = "none"
@@ -79,7 +85,21 @@ def run(arguments: ShowArguments) -> int:
         with writing(arguments.out):
             write_picture(curve, arguments.out, title=title)
         console.print(f"written: {arguments.out}", soft_wrap=True)
+    _show_memory(pem, console, out=arguments.out)
     return 0
+
+
+def _show_memory(pem: Pem, console: Console, *, out: Path | None) -> None:
+    """What the model's card says of its memory, if it has one."""
+    card: object = getattr(pem, "card", None)
+    if not isinstance(card, PemCard) or not card.memory:
+        return
+    console.print(Markdown(memory_markdown(card.memory)))
+    if out is not None:
+        picture = out.with_name(f"{out.stem}-memory.png")
+        with writing(picture):
+            write_memory_picture(card.memory, picture, title=pem.name)
+        console.print(f"written: {picture}", soft_wrap=True)
 
 
 def _validate(arguments: ShowArguments) -> None:

@@ -1,5 +1,6 @@
 """From label and detection files to the table that models learn from, one frame at a time."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,8 +29,8 @@ class CollectOptions:
     """A pair of boxes counts as a detection above this overlap."""
     class_aware: bool = False
     """Whether only a detection of the obstacle's own class counts."""
-    score_from: float = 0.0
-    """Detections with a lower score are ignored."""
+    score_from: float = -math.inf
+    """Detections with a lower score are ignored; scores may be logits, as below 0."""
     drop_unknown: bool = False
     """Whether obstacles of class Misc or of unknown occlusion are left out."""
     skip_bad: bool = False

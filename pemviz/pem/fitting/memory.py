@@ -11,19 +11,22 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.pem.data.tracks import TrackTable
 from pemviz.pem.models.memory import Memory, miss_quantile, persistence
 
 CONFIDENCE = 0.95
 REPLICATES = 2000
-TAU_GRID_S = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 46)])
+TAU_GRID_S = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 31)])
 FRAILTY_GRID = np.linspace(0.0, 3.0, 13)
-NODES = np.linspace(-6.0, 6.0, 97)
+NODES = np.linspace(-6.0, 6.0, 65)
 FEWEST_SEQUENCES = 2
 CHUNK_TRACKS = 64
-SMALLEST = 1e-300
+BLOCK_ROWS = 4
+"""Outcomes of a track whose probabilities are multiplied before a logarithm is taken."""
+SMALLEST = 1e-75
+"""Below this a probability counts as this, so that the product of a block is no 0."""
 
 Progress = Callable[[int, int], None]
 
@@ -58,7 +61,7 @@ def fit_memory(
     logit: FloatArray,
     *,
     with_frailty: bool = True,
-    weight: FloatArray | None = None,
+    chosen: BoolArray | None = None,
     seed: int = 0,
     on_progress: Progress | None = None,
 ) -> MemoryFit:
@@ -69,7 +72,7 @@ def fit_memory(
         logit: Out-of-fold logits of P(detected | state) of a model that saw none of the
             observation's own sequence, ``[n]``.
         with_frailty: Whether f is fitted too; else it is 0.
-        weight: How much each outcome counts, ``[n]``; all alike if ``None``.
+        chosen: Which outcomes count, ``[n]``; all if ``None``.
         seed: Of the bootstrap.
         on_progress: Told (tracks done, tracks in all).
 
@@ -87,12 +90,12 @@ def fit_memory(
         logit,
         taus_s=TAU_GRID_S,
         frailties=frailties,
-        weight=weight,
+        chosen=chosen,
         on_progress=on_progress,
     )
     tau_s, frailty, best = _maximum(surface.sum(axis=0)[None], frailties)
     taus_s, drawn_frailties, _ = _maximum(_resampled(surface, seed=seed), frailties)
-    total = len(tracks) if weight is None else float(weight.sum())
+    total = len(tracks) if chosen is None else int(np.count_nonzero(chosen))
     return MemoryFit(
         memory=Memory(tau_s=float(tau_s[0]), frailty=float(frailty[0])),
         tau_interval_s=_interval(float(tau_s[0]), taus_s, sequences=count, on_log=True),
@@ -103,7 +106,7 @@ def fit_memory(
         ),
         confidence=CONFIDENCE,
         sequences=count,
-        observations=len(tracks) if weight is None else int(np.count_nonzero(weight)),
+        observations=total,
         nats_independent=-float(surface[:, 0, 0].sum()) / total,
         nats=-float(best[0]) / total,
     )
@@ -123,7 +126,7 @@ def log_likelihoods(
     *,
     taus_s: FloatArray,
     frailties: FloatArray,
-    weight: FloatArray | None = None,
+    chosen: BoolArray | None = None,
     on_progress: Progress | None = None,
 ) -> FloatArray:
     """Log likelihood of each sequence ``[S, taus, frailties]`` [nats].
@@ -133,7 +136,7 @@ def log_likelihoods(
         logit: ``[n]`` logits of P(detected | state).
         taus_s: Memory times [s].
         frailties: Values of f.
-        weight: How much each outcome counts, ``[n]``; all alike if ``None``.
+        chosen: Which outcomes count, ``[n]``; all if ``None``.
         on_progress: Told (tracks done, tracks in all).
     """
     sequences, of_sequence = np.unique(tracks.sequence, return_inverse=True)
@@ -141,13 +144,13 @@ def log_likelihoods(
     starts = np.flatnonzero(~tracks.follows)
     ends = np.append(starts[1:], len(tracks))
     quantile = miss_quantile(logit)
-    weights = np.ones(len(tracks)) if weight is None else weight
+    counts = np.ones(len(tracks), dtype=np.bool_) if chosen is None else chosen
     for first in range(0, starts.size, CHUNK_TRACKS):
         last = min(first + CHUNK_TRACKS, starts.size)
         rows = slice(int(starts[first]), int(ends[last - 1]))
         inner = starts[first:last] - starts[first]
         table = _tracks_log_likelihood(
-            tracks, quantile, weights, rows, inner, taus_s=taus_s, frailties=frailties
+            tracks, quantile, counts, rows, inner, taus_s=taus_s, frailties=frailties
         )
         np.add.at(result, of_sequence[starts[first:last]], table)
         if on_progress is not None:
@@ -158,7 +161,7 @@ def log_likelihoods(
 def _tracks_log_likelihood(
     tracks: TrackTable,
     quantile: FloatArray,
-    weight: FloatArray,
+    chosen: BoolArray,
     rows: slice,
     starts: IntArray,
     *,
@@ -166,30 +169,39 @@ def _tracks_log_likelihood(
     frailties: FloatArray,
 ) -> FloatArray:
     """Log likelihood of each track that begins at ``starts``, ``[tracks, taus, frailties]``."""
-    missed = ~tracks.detected[rows, None]
-    before = tracks.missed_before[rows, None]
-    since_s = tracks.since_s[rows, None]
+    missed, left_out = ~tracks.detected[rows], ~chosen[rows]
+    repeats = (missed == tracks.missed_before[rows]) | left_out
+    blocks, of_track = _blocks(starts, rows=missed.size)
+    since_s = tracks.since_s[rows]
     table = np.empty((starts.size, taus_s.size, frailties.size))
     for column, frailty in enumerate(frailties):
         nodes = NODES if frailty > 0.0 else np.zeros(1)
         moved = quantile[rows, None] * np.sqrt(1.0 + frailty**2) + frailty * nodes
-        miss, hit = ndtr(moved), ndtr(-moved)
+        own = ndtr(np.where(missed[:, None], moved, -moved))
+        own[left_out] = 1.0
+        after = np.empty_like(own)
         log_weight = -0.5 * nodes**2
         log_weight = log_weight - np.log(np.exp(log_weight).sum())
         for row, tau_s in enumerate(taus_s):
             rho = persistence(since_s, float(tau_s))
-            after = np.where(
-                missed,
-                miss * (1.0 - rho) + rho * before,
-                hit * (1.0 - rho) + rho * ~before,
-            )
-            log_track = np.add.reduceat(
-                weight[rows, None] * np.log(np.maximum(after, SMALLEST)), starts, axis=0
-            )
+            np.multiply(own, (1.0 - rho)[:, None], out=after)
+            after += (rho * repeats)[:, None]
+            np.maximum(after, SMALLEST, out=after)
+            log_block = np.log(np.multiply.reduceat(after, blocks, axis=0))
+            log_track = np.add.reduceat(log_block, of_track, axis=0)
             joint = log_track + log_weight
             largest = joint.max(axis=1, keepdims=True)
             table[:, row, column] = largest[:, 0] + np.log(np.exp(joint - largest).sum(axis=1))
     return table
+
+
+def _blocks(starts: IntArray, *, rows: int) -> tuple[IntArray, IntArray]:
+    """First rows of blocks that stay within a track, and which block is each track's first."""
+    sizes = np.diff(np.append(starts, rows))
+    count = -(-sizes // BLOCK_ROWS)
+    of_track = np.cumsum(count) - count
+    within = np.arange(int(count.sum())) - np.repeat(of_track, count)
+    return np.repeat(starts, count) + BLOCK_ROWS * within, of_track
 
 
 def _maximum(

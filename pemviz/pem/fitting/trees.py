@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
-from sklearn.model_selection import StratifiedKFold
+from sklearn.model_selection import GroupKFold, StratifiedKFold
 from threadpoolctl import threadpool_limits
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
@@ -26,17 +26,18 @@ LEAVES = 63
 LEAF_ROWS = 30
 RIDGE = 5.0
 CROSS_FITS = 3
+BOTH_OUTCOMES = 2
 MOST_UNEVEN = 30
 """Obstacles of the rarer outcome below which the logits are left uncalibrated."""
 
 
-def recipe_in_words(feature_set: FeatureSet) -> str:
+def recipe_in_words(feature_set: FeatureSet, *, by_group: bool = False) -> str:
     """For the model card."""
     return (
         f"scikit-learn HistGradientBoostingClassifier on {', '.join(FEATURES[feature_set])}; "
         f"{ROUNDS} rounds, learning rate {LEARNING_RATE:g}, at most {LEAVES} leaves of at least "
         f"{LEAF_ROWS} obstacles, L2 penalty {RIDGE:g}; then Platt scaling of the logit, fitted "
-        f"to {CROSS_FITS}-fold cross-fitted logits"
+        f"to {CROSS_FITS}-fold cross-fitted logits{' of sequences' if by_group else ''}"
     )
 
 
@@ -46,6 +47,7 @@ def fit_trees(
     card: PemCard,
     feature_set: FeatureSet,
     seed: int,
+    groups: IntArray | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> TreesPem:
     """Train and calibrate; the same table and seed give the same arrays.
@@ -55,6 +57,8 @@ def fit_trees(
         card: the model's provenance.
         feature_set: what the trees may look at.
         seed: of the trees' construction.
+        groups: what hangs together, ``[n]``: calibration keeps a group in one fold. None, or fewer
+            groups than folds: folds of obstacles.
         on_progress: told (fits done, fits in all).
     """
     features = tree_features(table.salient, feature_set=feature_set).T
@@ -64,7 +68,7 @@ def fit_trees(
         if on_progress is not None:
             on_progress(done, steps)
 
-    calibration = _calibrate(features, table.detected, seed=seed, tell=tell)
+    calibration = _calibrate(features, table.detected, groups, seed=seed, tell=tell)
     booster = _boost(features, table.detected, seed=seed)
     tell(steps)
     return _to_arrays(booster, card=card, feature_set=feature_set, calibration=calibration)
@@ -91,15 +95,25 @@ def _boost(
 
 
 def _calibrate(
-    features: FloatArray, detected: BoolArray, *, seed: int, tell: Callable[[int], None]
+    features: FloatArray,
+    detected: BoolArray,
+    groups: IntArray | None,
+    *,
+    seed: int,
+    tell: Callable[[int], None],
 ) -> tuple[float, float]:
     """Slope and intercept, (1, 0) where there are too few of one outcome to cross-fit."""
     if min(detected.sum(), (~detected).sum()) < MOST_UNEVEN:
         return 1.0, 0.0
     logits = np.empty(len(detected))
-    fold = _fold_of_row(features, detected, seed=seed)
+    if groups is None or np.unique(groups).size < CROSS_FITS:
+        fold = _fold_of_row(features, detected, seed=seed)
+    else:
+        fold = _fold_of_group(groups)
     for index in range(CROSS_FITS):
         train, held_out = fold != index, fold == index
+        if np.unique(detected[train]).size < BOTH_OUTCOMES:
+            return 1.0, 0.0
         booster = _boost(features[train], detected[train], seed=seed)
         logits[held_out] = booster.decision_function(features[held_out])
         tell(index + 1)
@@ -116,6 +130,15 @@ def _fold_of_row(features: FloatArray, detected: BoolArray, *, seed: int) -> Int
     for index, (_, held_out) in enumerate(splitter.split(first, detected[first])):
         fold_of_group[held_out] = index
     return fold_of_group[np.ravel(group)]
+
+
+def _fold_of_group(groups: IntArray) -> IntArray:
+    """Fold of each row, shape [n]: groups stay whole, and folds are of about equal size."""
+    fold = np.empty(len(groups), dtype=np.int64)
+    parts = GroupKFold(CROSS_FITS).split(groups, groups=groups)
+    for index, (_, held_out) in enumerate(parts):
+        fold[held_out] = index
+    return fold
 
 
 def _to_arrays(

@@ -13,6 +13,7 @@ from pemviz.pem.fitting.memory import fit_memory
 from pemviz.pem.judging.memory_report import MemoryReport, memory_table, report_memory
 from pemviz.pem.judging.scores import score
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
+from pemviz.pem.models.memory_card import FLATTERY_IF
 
 Progress = Callable[[int, int], None]
 FOLDS = 5
@@ -59,7 +60,9 @@ def cross_fit(
     logit = np.empty(len(tracks))
     parts = GroupKFold(folds).split(logit, groups=tracks.sequence)
     for done, (train, held_out) in enumerate(parts, start=1):
-        pem = fit_pem(tracks.obstacles.take(train), model=model, seed=seed)
+        pem = fit_pem(
+            tracks.obstacles.take(train), model=model, seed=seed, groups=tracks.sequence[train]
+        )
         logit[held_out] = pem.logit(tracks.obstacles.salient[held_out])
         if on_progress is not None:
             on_progress(done, folds)
@@ -93,6 +96,7 @@ def fit_tracked_pem(
     provenance: Provenance,
     cross_fitted: CrossFitted,
     report: MemoryReport,
+    flattery: str = FLATTERY_IF,
     seed: int = 0,
 ) -> SingleModel | EnsemblePem:
     """A model of all tracks whose card holds their memory and scores by held-out sequences.
@@ -104,16 +108,24 @@ def fit_tracked_pem(
         provenance: For the card.
         cross_fitted: Held-out logits, of which the scores are.
         report: The memory.
+        flattery: What the training of the detector does to its figures, for the card.
         seed: Of the fit.
 
     Raises:
         PemError: The table cannot be fitted.
     """
-    pem = fit_pem(tracks.obstacles, model=model, seed=seed, name=name, provenance=provenance)
+    pem = fit_pem(
+        tracks.obstacles,
+        model=model,
+        seed=seed,
+        name=name,
+        provenance=provenance,
+        groups=tracks.sequence,
+    )
     words = f"{cross_fitted.folds} folds of sequences"
     held_out = score(cross_fitted.logit, tracks.detected)
     scores = {f"bce, {words}": held_out.bce, f"brier, {words}": held_out.brier}
     if held_out.roc_auc is not None:
         scores[f"roc_auc, {words}"] = held_out.roc_auc
-    card = replace(pem.card, scores=scores, memory=memory_table(report))
+    card = replace(pem.card, scores=scores, memory=memory_table(report, flattery=flattery))
     return replace(pem, card=card)

@@ -12,13 +12,15 @@ from pemviz.errors import PemError
 from pemviz.pem.data.tracks import TrackTable
 from pemviz.pem.fitting.memory import MemoryFit, fit_memory
 from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
-from pemviz.pem.models.memory_card import FLATTERY
+from pemviz.pem.models.memory_card import FLATTERY_IF
 from pemviz.pem.models.protocol import COLUMN, OCCLUSION_NAMES
 
 LAGS_S = (0.1, 0.2, 0.5, 1.0, 3.0)
 LAG_TOLERANCE = 0.5
 """Of a frame: how far a pair may be from a lag."""
 DISTANCE_BANDS_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0), (50.0, 200.0))
+AHEAD_M = 1.5
+AHEAD_WITHIN_M = 40.0
 FEWEST_MISSES = 20
 """In a band, for a memory time of its own."""
 SIMULATED = 40
@@ -66,6 +68,23 @@ class GroupMemory:
 
 
 @dataclass(frozen=True)
+class PlainView:
+    """How much the data say of obstacles in plain view: neither occluded nor truncated.
+
+    Attributes:
+        name: Where they are.
+        observations: How many.
+        misses: How many of them were missed.
+        misses_after_miss: How many of those follow a miss.
+    """
+
+    name: str
+    observations: int
+    misses: int
+    misses_after_miss: int
+
+
+@dataclass(frozen=True)
 class MemoryReport:
     """What a memory's card shows.
 
@@ -76,6 +95,7 @@ class MemoryReport:
         expected_run_lengths: Mean over outcomes drawn from the fitted model.
         independent_run_lengths: Mean over independent outcomes.
         groups: All observations, by distance, by occlusion.
+        plain_view: Misses of obstacles neither occluded nor truncated.
         gaps: How often a track goes on after frames without it.
         rate_changes: How often the frame rate changes within a track.
         rate_hz: The most common frame rate.
@@ -87,6 +107,7 @@ class MemoryReport:
     expected_run_lengths: tuple[float, ...]
     independent_run_lengths: tuple[float, ...]
     groups: tuple[GroupMemory, ...]
+    plain_view: tuple[PlainView, ...]
     gaps: int
     rate_changes: int
     rate_hz: float
@@ -116,6 +137,7 @@ def report_memory(
         expected_run_lengths=_mean_runs(tracks, drawn),
         independent_run_lengths=_mean_runs(tracks, independent),
         groups=_groups(tracks, logit),
+        plain_view=plain_view(tracks),
         gaps=tracks.gaps,
         rate_changes=tracks.rate_changes,
         rate_hz=float(rates[np.argmax(counts)]),
@@ -195,6 +217,30 @@ def _mean_runs(tracks: TrackTable, drawn: list[BoolArray]) -> tuple[float, ...]:
     return tuple(np.mean([run_lengths(tracks, each) for each in drawn], axis=0).tolist())
 
 
+def plain_view(tracks: TrackTable) -> tuple[PlainView, ...]:
+    """Counts of obstacles in plain view: by distance, and straight ahead."""
+    salient = tracks.obstacles.salient
+    z_m, x_m = salient[:, COLUMN["z_m"]], salient[:, COLUMN["x_m"]]
+    plain = (salient[:, COLUMN["occlusion"]] == 0.0) & (salient[:, COLUMN["truncation"]] == 0.0)
+    parts = [
+        (f"{low:g} to {high:g} m", (z_m >= low) & (z_m < high)) for low, high in DISTANCE_BANDS_M
+    ]
+    ahead = (np.abs(x_m) < AHEAD_M) & (z_m < AHEAD_WITHIN_M)
+    parts.append((f"straight ahead, nearer than {AHEAD_WITHIN_M:g} m", ahead))
+    missed = ~tracks.detected
+    return tuple(
+        PlainView(
+            name=name,
+            observations=int(np.count_nonzero(plain & chosen)),
+            misses=int(np.count_nonzero(plain & chosen & missed)),
+            misses_after_miss=int(
+                np.count_nonzero(plain & chosen & missed & tracks.missed_before)
+            ),
+        )
+        for name, chosen in parts
+    )
+
+
 def _groups(tracks: TrackTable, logit: FloatArray) -> tuple[GroupMemory, ...]:
     salient = tracks.obstacles.salient
     z_m, occlusion = salient[:, COLUMN["z_m"]], salient[:, COLUMN["occlusion"]]
@@ -231,7 +277,7 @@ def _tau_of(
     if np.count_nonzero(chosen & ~tracks.detected) < FEWEST_MISSES:
         return None, None
     try:
-        fit = fit_memory(tracks, logit, with_frailty=False, weight=chosen.astype(np.float64))
+        fit = fit_memory(tracks, logit, with_frailty=False, chosen=chosen)
     except PemError:
         return None, None
     return fit.memory.tau_s, fit.tau_interval_s
@@ -241,9 +287,14 @@ def _share(missed: BoolArray, among: BoolArray) -> float | None:
     return float(missed[among].mean()) if among.any() else None
 
 
-def memory_table(report: MemoryReport) -> dict[str, Any]:
-    """A report as JSON values for the card."""
-    return {**asdict(report), "flattery": FLATTERY}
+def memory_table(report: MemoryReport, *, flattery: str = FLATTERY_IF) -> dict[str, Any]:
+    """A report as JSON values for the card.
+
+    Args:
+        report: What the card shows.
+        flattery: What the training of the detector does to these figures, in words.
+    """
+    return {**asdict(report), "flattery": flattery}
 
 
 def memory_line(report: MemoryReport) -> str:

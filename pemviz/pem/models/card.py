@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pemviz.errors import PemError
-from pemviz.pem.models.memory_card import memory_markdown
+from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.memory_card import fitted_memory, memory_markdown
 
 KITTI_LICENCE = "CC BY-NC-SA 3.0 (KITTI, on which the model was trained; non-commercial)"
 UNKNOWN_LICENCE = "not stated (if trained on KITTI: CC BY-NC-SA 3.0, non-commercial)"
@@ -75,6 +76,16 @@ class Carded:
         """Terms of use."""
         return self.card.licence
 
+    @property
+    def memory(self) -> Memory | None:
+        """How misses hang together, as fitted to video; None without one.
+
+        Raises:
+            PemError: the card's table of it is not as pemviz writes it.
+        """
+        fitted = fitted_memory(self.card.memory, where=self.card.name)
+        return None if fitted is None else fitted.memory
+
 
 def card_from_mapping(values: Mapping[str, Any], *, where: str) -> PemCard:
     """Read a card back.
@@ -97,6 +108,7 @@ def card_from_mapping(values: Mapping[str, Any], *, where: str) -> PemCard:
     for name in ("scores", "support", "memory"):
         if not isinstance(values.get(name, {}), dict):
             raise PemError(f"{where}: metadata field {name!r} must be a table")
+    fitted_memory(values.get("memory", {}), where=where)
     seed = values.get("seed", 0)
     if isinstance(seed, bool) or not isinstance(seed, int):
         raise PemError(f"{where}: metadata field 'seed' must be a whole number")

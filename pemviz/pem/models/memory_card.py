@@ -8,14 +8,24 @@ from typing import Any, cast
 from pemviz.errors import PemError
 from pemviz.pem.models.memory import Memory
 
+FLATTERY_IF = (
+    "If the detector was trained on these drives or on ones like them, its misses close by are "
+    "fewer than on new roads. How misses follow each other close by rests on the misses counted "
+    "under 'plain view'."
+)
 FLATTERY = (
-    "The detector was trained on images of the same drives, so its misses close by are fewer than "
-    "on new roads: how misses follow each other near the camera rests on very few of them."
+    "The detector was trained on images of the same drives: its misses close by are fewer than on "
+    "new roads, and these figures flatter it. How misses follow each other close by rests on the "
+    "few misses counted under 'plain view'."
 )
 CAUTION = (
     "A model of P(missed | state) that knows too little of the state passes for memory: the "
     "better that model, the shorter the memory time."
 )
+
+
+CLEARLY = 0.05
+"""Difference of correlations that a card speaks of."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +49,24 @@ class FittedMemory:
     sequences: int
     observations: int
     rate_hz: float
+
+
+def memory_of(pem: object) -> Memory | None:
+    """The memory that a model carries; ``None`` if it has none.
+
+    A model of one's own carries one as its attribute ``memory``.
+
+    Args:
+        pem: Any error model.
+
+    Raises:
+        PemError: Its attribute ``memory`` is neither ``None`` nor a :class:`Memory`.
+    """
+    memory: object = getattr(pem, "memory", None)
+    if memory is None or isinstance(memory, Memory):
+        return memory
+    name = getattr(pem, "name", type(pem).__name__)
+    raise PemError(f"{name}: its memory is a {type(memory).__name__}, must be a Memory")
 
 
 def fitted_memory(card_memory: Mapping[str, Any], *, where: str) -> FittedMemory | None:
@@ -83,10 +111,18 @@ def _pair(value: Any) -> tuple[float, float]:
 
 
 def memory_markdown(memory: Mapping[str, Any]) -> str:
-    """The card's section on memory; empty for a model without one."""
+    """The card's section on memory; empty for a model without one.
+
+    Raises:
+        PemError: The table is not as ``pemviz.pem.judging.memory_report`` writes it.
+    """
     if not memory:
         return ""
-    parts = (_facts(memory), _lag_table(memory), _run_table(memory), _group_table(memory))
+    tables = (_lag_table, _run_table, _group_table, _plain_view_table)
+    try:
+        parts = [_facts(memory), *(table(memory) for table in tables)]
+    except (KeyError, TypeError, ValueError) as error:
+        raise PemError("metadata field 'memory' is not as pemviz writes it") from error
     return "\n\n".join(["## Memory of misses", *("\n".join(part) for part in parts)]) + "\n"
 
 
@@ -104,11 +140,27 @@ def _facts(memory: Mapping[str, Any]) -> list[str]:
         "P(missed | state) cross-fitted by sequence.",
         f"- Negative log-likelihood of an outcome: {fit['nats_independent']:.3f} nats if misses "
         f"are independent, {fit['nats']:.3f} with this memory.",
-        "- Runs take misses as independent given the state: this memory is measured, and not part "
-        "of what the model answers.",
+        "- The model's own answer is P(missed | state) without this memory.",
         f"- {memory['gaps']} gaps in tracks, {memory['rate_changes']} changes of rate.",
+        *_misfit(memory),
         f"- {CAUTION}",
         f"- {memory['flattery']}",
+    ]
+
+
+def _misfit(memory: Mapping[str, Any]) -> list[str]:
+    """A line on the lags at which the fitted model has less correlation than the data."""
+    lags = [
+        f"{row['lag_s']:g} s"
+        for row in memory["correlations"]
+        if None not in (row["measured"], row["fitted"])
+        and row["measured"] > row["fitted"] + CLEARLY
+    ]
+    if not lags:
+        return []
+    return [
+        f"- At {', '.join(lags)} residuals hang together more than in the fitted model (below): one "
+        "memory time and one frailty do not tell all, and bursts may last longer than they say."
     ]
 
 
@@ -133,6 +185,15 @@ def _group_table(memory: Mapping[str, Any]) -> list[str]:
         for row in memory["groups"]
     ]
     return _table(("observations", "n", "missed", "after a miss", "after a hit", "tau alone"), rows)
+
+
+def _plain_view_table(memory: Mapping[str, Any]) -> list[str]:
+    rows = [
+        (row["name"], *(str(row[key]) for key in ("observations", "misses", "misses_after_miss")))
+        for row in memory["plain_view"]
+    ]
+    header = ("plain view: not occluded, not truncated", "n", "missed", "of them after a miss")
+    return _table(header, rows)
 
 
 def _run_table(memory: Mapping[str, Any]) -> list[str]:
