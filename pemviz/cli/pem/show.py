@@ -28,8 +28,7 @@ OcclusionName = Literal["none", "partly", "largely"]
 
 @dataclass(frozen=True)
 class ShowArguments:
-    """Show P(missed) against distance, with the ensemble's band and the training data's own; and
-    how misses follow each other, if the model has a memory."""
+    """Show P(missed) against distance, beside the training data, and the memory of misses."""
 
     pem: tyro.conf.Positional[str] = "ml-nn"
     """Name of a shipped model, or a file (.safetensors, .csv)."""

@@ -69,9 +69,7 @@ def fit_pem(
         PemError: unknown kind, a missing optional package, or a table without both outcomes.
     """
     card = _card(table, model=model, name=name or model, seed=seed, provenance=provenance)
-    return _fit(
-        table, model=model, card=card, seed=seed, groups=groups, on_progress=on_progress
-    )
+    return _fit(table, model=model, card=card, seed=seed, groups=groups, on_progress=on_progress)
 
 
 def fit_ensemble(
@@ -166,16 +164,10 @@ def _fit(
     if model in _FEATURE_SETS:
         from pemviz.pem.fitting.trees import fit_trees, recipe_in_words  # noqa: PLC0415
 
-        features = _FEATURE_SETS[model]
-        card = replace(card, recipe=recipe_in_words(features, by_group=groups is not None))
-        return fit_trees(
-            table,
-            card=card,
-            feature_set=features,
-            seed=seed,
-            groups=groups,
-            on_progress=on_progress,
-        )
+        sees = _FEATURE_SETS[model]
+        card = replace(card, recipe=recipe_in_words(sees, by_group=groups is not None))
+        return fit_trees(table, card=card, feature_set=sees, seed=seed, groups=groups,
+                         on_progress=on_progress)  # fmt: skip
     if model in MODEL_KINDS:
         from pemviz.pem.fitting import linear  # noqa: PLC0415
 

@@ -233,9 +233,7 @@ def plain_view(tracks: TrackTable) -> tuple[PlainView, ...]:
             name=name,
             observations=int(np.count_nonzero(plain & chosen)),
             misses=int(np.count_nonzero(plain & chosen & missed)),
-            misses_after_miss=int(
-                np.count_nonzero(plain & chosen & missed & tracks.missed_before)
-            ),
+            misses_after_miss=int(np.count_nonzero(plain & chosen & missed & tracks.missed_before)),
         )
         for name, chosen in parts
     )

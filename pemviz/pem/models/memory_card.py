@@ -159,8 +159,8 @@ def _misfit(memory: Mapping[str, Any]) -> list[str]:
     if not lags:
         return []
     return [
-        f"- At {', '.join(lags)} residuals hang together more than in the fitted model (below): one "
-        "memory time and one frailty do not tell all, and bursts may last longer than they say."
+        f"- At {', '.join(lags)} residuals hang together more than in the fitted model (below): "
+        "one memory time and one frailty do not tell all, and bursts may last longer than they say."
     ]
 
 
