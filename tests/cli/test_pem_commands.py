@@ -124,7 +124,7 @@ def test_tyro_makes_flags_of_every_field(kind, line, capsys):
         tyro.cli(kind, args=["--help"])
     printed = capsys.readouterr().out
     for name in kind.__dataclass_fields__:
-        flag = "PEM" if (kind, name) == (show.ShowArguments, "pem") else f"--{name}"
+        flag = "[STR]" if (kind, name) == (show.ShowArguments, "pem") else f"--{name}"
         assert flag.replace("_", "-") in printed
 
 
