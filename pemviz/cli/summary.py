@@ -10,6 +10,7 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
+    interval_name,
     interval_text,
     memory_text,
     model_range_text,
@@ -20,6 +21,7 @@ from pemviz.reports.estimate_text import (
     violations_text,
 )
 from pemviz.runs.result import RunResult
+from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
@@ -33,7 +35,8 @@ def print_summary(result: RunResult, folder: Path) -> None:
         console.print(_table(result, result.estimate))
         if result.explanation is not None:
             console.print(_causes(result.explanation, target=result.config.target))
-        for warning in (*result.estimate.warnings, *result.warnings):
+        about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))
+        for warning in (*about_answer, *data_warnings(result)):
             console.print(f"warning: {warning}", style="yellow", markup=False)
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 
@@ -51,11 +54,13 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     )
     table.add_row("error model", result.pem.name)
     table.add_row("probability", probability_text(estimate))
-    table.add_row("95 % interval", interval_text(estimate))
+    caveats = run_interval_caveats(result)
+    called = interval_name(estimate, caveats=caveats)
+    table.add_row(called, interval_text(estimate, caveats=caveats))
     table.add_row("misses", memory_text(result.memory))
     if result.reference is not None:
         table.add_row("reference", reference_text(result.reference, estimate))
-    table.add_row("range over error models", model_range_text(result.pem_interval))
+    table.add_row("range over refits", model_range_text(result.pem_interval))
     table.add_row("violations", violations_text(estimate))
     table.add_row("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)"))
     if by_name(estimate.method).rests_on_weights:

@@ -9,6 +9,7 @@ from pemviz.errors import InputError
 from pemviz.runs.result import RunResult, RunStatus
 from pemviz.runs.result_file import RESULT_FILE, has_result
 from pemviz.runs.same_run import read_whole_run
+from pemviz.runs.trust import run_unreliable_because
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
@@ -25,6 +26,7 @@ class RunEntry:
         metric: The metric.
         seed: The seed.
         probability: The estimate; ``None`` if there is none.
+        unreliable: Why it must not decide anything; empty if nothing speaks against it.
         has_recording: Whether there is a ``run.rrd``.
     """
 
@@ -34,6 +36,7 @@ class RunEntry:
     metric: MetricName
     seed: int
     probability: float | None
+    unreliable: tuple[str, ...]
     has_recording: bool
 
 
@@ -132,5 +135,6 @@ def _entry_of(name: str, result: RunResult, *, folder: Path) -> RunEntry:
         metric=result.config.metric,
         seed=result.config.seed,
         probability=None if result.estimate is None else result.estimate.probability,
+        unreliable=run_unreliable_because(result),
         has_recording=(folder / "run.rrd").is_file(),
     )

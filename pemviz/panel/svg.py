@@ -157,12 +157,13 @@ class Plot:
         path = "".join(f"M{px:.1f} {y_px[0]}V{y_px[1]}" for px in self._xs(x))
         self._parts.append(f"<path d='{path}' stroke='{color}' stroke-width='2'/>")
 
-    def whisker(self, x: float, low: float, high: float, *, color: str) -> None:
+    def whisker(self, x: float, low: float, high: float, *, color: str, dash: str = "") -> None:
         """A vertical interval."""
         px, top, bottom = self.px(x), self.py(min(high, self.y.high)), self.py(max(low, self.y.low))
         self._parts.append(
             f"<path d='M{px:.1f} {top:.1f}V{bottom:.1f}M{px - 4:.1f} {top:.1f}h8"
-            f"M{px - 4:.1f} {bottom:.1f}h8' stroke='{color}' stroke-width='1.6' fill='none'/>"
+            f"M{px - 4:.1f} {bottom:.1f}h8' stroke='{color}' stroke-width='1.6' fill='none'"
+            f"{_dash(dash)}/>"
         )
 
     def hline(self, y: float, *, color: str, label: str = "", dash: str = "4 3") -> None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import rerun as rr
@@ -11,6 +12,7 @@ from pemviz.analysis.detection_curves import DetectionCurves
 from pemviz.arrays import FloatArray
 from pemviz.colors import (
     GREEN,
+    GREY,
     ORANGE,
     PEM_BARS_ON_BLACK,
     PROPOSAL_BARS_ON_BLACK,
@@ -46,12 +48,14 @@ class StageFigures:
     log10_probability: float | None
     log10_ci_low: float | None
     log10_ci_high: float | None
+    caveats: tuple[str, ...] = ()
+    """Why the bounds are no 95 % interval; empty if they are one."""
 
 
 def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
     """The stage's figures, with the interval of its own estimate."""
     interval = by_name(method).stage_interval
-    low, high = stage_interval(stage.scored, interval=interval, method=method)
+    bounds = stage_interval(stage.scored, interval=interval, method=method)
     return StageFigures(
         stage=stage.stage,
         kind=stage.kind,
@@ -62,8 +66,9 @@ def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
         ess=stage.ess,
         loss=stage.loss,
         log10_probability=None if interval == "none" else stage.log10_probability,
-        log10_ci_low=_log10(low),
-        log10_ci_high=_log10(high),
+        log10_ci_low=_log10(bounds.low),
+        log10_ci_high=_log10(bounds.high),
+        caveats=bounds.caveats,
     )
 
 
@@ -128,6 +133,7 @@ def is_redrawn(stage: int, *, stages: int) -> bool:
 
 
 def _log_bars(file: RecordingFile, rows: Sequence[StageFigures]) -> None:
+    draw = partial(_log_bar, file, newest=rows[-1].stage)
     plain: Mapping[str, Rgba] = {
         "threshold": rgba(GREEN),
         "failures": rgba(VERMILLION),
@@ -135,16 +141,15 @@ def _log_bars(file: RecordingFile, rows: Sequence[StageFigures]) -> None:
         "loss": rgba(PURPLE),
     }
     for name, color in plain.items():
-        _log_bar(file, rows, name=name, path=paths.bars(name), color=color, width=BAR_WIDTH)
-    width = BAR_WIDTH / 3
-    beside = {
-        "log10_ci_low": (rgba(SKY), -width),
-        "log10_probability": (rgba(ORANGE), 0.0),
-        "log10_ci_high": (rgba(SKY), width),
-    }
-    for name, (color, shift) in beside.items():
-        path = paths.bars(name)
-        _log_bar(file, rows, name=name, path=path, color=color, width=width, shift=shift)
+        draw(rows, name=name, path=paths.bars(name), color=color, width=BAR_WIDTH)
+    middle, width = "log10_probability", BAR_WIDTH / 3
+    draw(rows, name=middle, path=paths.bars(middle), color=rgba(ORANGE), width=width)
+    held = [row for row in rows if not row.caveats]
+    doubted = [row for row in rows if row.caveats]
+    for name, shift in (("log10_ci_low", -width), ("log10_ci_high", width)):
+        end = partial(draw, name=name, width=width, shift=shift)
+        end(held, path=paths.bars(name), color=rgba(SKY))
+        end(doubted, path=paths.doubted_bars(name), color=rgba(GREY))
 
 
 def _log_bar(
@@ -155,6 +160,7 @@ def _log_bar(
     path: str,
     color: Rgba,
     width: float,
+    newest: int,
     shift: float = 0.0,
 ) -> None:
     """Bars centred on the stage's number plus ``shift``; rerun places them by the left edge."""
@@ -172,7 +178,7 @@ def _log_bar(
             widths=np.full(stages.size, width),
             color=color,
         ),
-        stage=rows[-1].stage,
+        stage=newest,
     )
 
 

@@ -63,6 +63,11 @@ def bars(name: str) -> str:
     return f"/learning/by_stage/{name}"
 
 
+def doubted_bars(name: str) -> str:
+    """As :func:`bars`, of stages whose interval is no 95 % interval."""
+    return f"/learning/by_stage/doubted/{name}"
+
+
 def stage_curve(stage: int) -> str:
     """The proposal that a stage sampled from, against gap."""
     return f"/learning/proposals/stage_{stage:03d}"

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -30,8 +31,8 @@ SETTING_GAP = 1.5  # between settings, in rows
 MARGIN_ROWS = 1.5
 MOST_GRID_LINES = 12
 POINT_RADIUS = rr.Radius.ui_points(4.0)
-LINE_RADIUS = rr.Radius.ui_points(1.5)
-THIN = rr.Radius.ui_points(0.5)
+LINE_RADIUS: Any = rr.Radius.ui_points(1.5)
+THIN: Any = rr.Radius.ui_points(0.5)
 TEXT_ANCHOR = rr.Radius.ui_points(0.1)
 
 
@@ -44,6 +45,7 @@ class SweepEstimate:
         log10_probability: Of its estimate; ``None`` if nothing failed or it is not done.
         log10_ci_low: Lower bound; ``None`` where unknown.
         log10_ci_high: Upper bound; ``None`` where unknown.
+        caveats: Why the bounds are no 95 % interval; empty if they are one.
         note: Shown where there is no estimate: 'no violation', 'failed', 'not run'.
     """
 
@@ -51,6 +53,7 @@ class SweepEstimate:
     log10_probability: float | None
     log10_ci_low: float | None = None
     log10_ci_high: float | None = None
+    caveats: tuple[str, ...] = ()
     note: str = ""
 
 
@@ -109,7 +112,7 @@ def write_sweep_overview(
 def sweep_blueprint() -> rrb.Blueprint:
     """Tabs: all estimates above the summary, runs, settings."""
     estimates = rrb.Spatial2DView(
-        name="Estimate and 95 % interval (log10 of the probability)",
+        name="Estimate and 95 % interval (thin grey: not a 95 % interval), log10",
         origin=paths.SWEEP_ESTIMATES,
         background=[20, 20, 22],
     )
@@ -168,6 +171,7 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
     colors: list[Rgba] = []
     strips: list[list[tuple[float, float]]] = []
     strip_colors: list[Rgba] = []
+    strip_radii: list[Any] = []
     for number, (setting, first) in enumerate(zip(settings, frame.first_rows, strict=True)):
         for place, one in enumerate(setting.estimates):
             row = first + place
@@ -181,8 +185,9 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
             if one.log10_ci_low is not None and one.log10_ci_high is not None:
                 ends = (frame.x(one.log10_ci_low), frame.x(one.log10_ci_high))
                 strips.append([(ends[0], row), (ends[1], row)])
-                strip_colors.append(color)
-    intervals = rr.LineStrips2D(strips, colors=strip_colors, radii=LINE_RADIUS)
+                strip_colors.append(rgba(GREY) if one.caveats else color)
+                strip_radii.append(THIN if one.caveats else LINE_RADIUS)
+    intervals = rr.LineStrips2D(strips, colors=strip_colors, radii=strip_radii)
     recording.static(paths.sweep_estimates("intervals"), intervals)
     recording.static(
         paths.sweep_estimates("points"),
@@ -193,11 +198,10 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
 def _label(setting: SweepSetting, one: SweepEstimate) -> str:
     where = f"{setting.title}, seed {one.seed}"
     log10_probability = one.log10_probability
-    return (
-        f"{where}: {one.note}"
-        if log10_probability is None
-        else f"{where}: {10.0**log10_probability:.3g}"
-    )
+    if log10_probability is None:
+        return f"{where}: {one.note}"
+    words = f"; not a 95 % interval: {'; '.join(one.caveats)}" if one.caveats else ""
+    return f"{where}: {10.0**log10_probability:.3g}{words}"
 
 
 def _log_grid(recording: RecordingFile, frame: _Frame) -> None:

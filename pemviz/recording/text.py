@@ -9,10 +9,10 @@ from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
-from pemviz.reports.estimate_text import RELIABLE_TAIL
-from pemviz.runs.judge import data_warnings, run_diagnostics
+from pemviz.reports.estimate_text import REFITS, RELIABLE_TAIL, interval_name, no_interval_text
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
+from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.types import Estimate
 
 NOTHING = "none"
@@ -25,8 +25,11 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def answer_text(result: RunResult, *, running: bool) -> str:
     """The answer, its interval and diagnostics, and how to go on reading."""
-    estimate = result.estimate
-    parts = [_headline(estimate, running=running), *_status(result, running=running)]
+    estimate, caveats = result.estimate, run_interval_caveats(result)
+    parts = [
+        _headline(estimate, caveats=caveats, running=running),
+        *_status(result, running=running),
+    ]
     if estimate is not None:
         parts.append(_model_range(result.pem_interval))
         parts.append(_diagnostics(estimate))
@@ -44,38 +47,42 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     return "\n\n".join(parts)
 
 
-def _headline(estimate: Estimate | None, *, running: bool) -> str:
+def _headline(estimate: Estimate | None, *, caveats: Sequence[str], running: bool) -> str:
     if estimate is None:
         return "# The run goes on" if running else "# No estimate"
+    interval = f"{_interval(estimate, caveats=caveats)}{_caution(estimate, caveats=caveats)}"
     if estimate.failures == 0:
-        return f"# No violation was seen\n\n{_interval(estimate)}{_caution(estimate)}"
+        return f"# No violation was seen\n\n{interval}"
     probability = number(estimate.probability)
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
         probability = f"10^{estimate.log10_probability:.1f}"
-    return (
-        f"# Probability of a violation: {probability}\n\n{_interval(estimate)}{_caution(estimate)}"
-    )
+    return f"# Probability of a violation: {probability}\n\n{interval}"
 
 
-def _interval(estimate: Estimate) -> str:
+def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:
     low, high = estimate.ci_low, estimate.ci_high
     if low is None or high is None:
         return "No interval is known."
-    return f"{estimate.confidence:.0%} interval: **{number(low)} to {number(high)}**"
+    called = interval_name(estimate, caveats=caveats)
+    interval = f"{called[0].upper()}{called[1:]}: **{number(low)} to {number(high)}**"
+    if not caveats:
+        return interval
+    return f"{interval}, **{no_interval_text(estimate)}**: {'; '.join(caveats)}"
 
 
 def _model_range(interval: ModelInterval | None) -> str:
     if interval is None or interval.high is None:
-        return "Over other error models: unknown."
+        return f"Over refits of the error model ({REFITS}): unknown."
     low = "0" if interval.low is None else number(interval.low)
     return (
-        f"Over {interval.members} error models that fit the same data: "
-        f"**{low} to {number(interval.high)}**"
+        f"Over {interval.members} {REFITS}: {interval.confidence:.0%} of them between "
+        f"**{low} and {number(interval.high)}**"
     )
 
 
-def _caution(estimate: Estimate) -> str:
-    return "\n\n**Read the warnings below before quoting this.**" if estimate.warnings else ""
+def _caution(estimate: Estimate, *, caveats: Sequence[str]) -> str:
+    read = estimate.warnings or caveats
+    return "\n\n**Read the warnings below before quoting this.**" if read else ""
 
 
 def _status(result: RunResult, *, running: bool) -> list[str]:
@@ -147,15 +154,20 @@ def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
         "violations",
         "ESS",
         "loss [nats a step]",
-        "log10 estimate (95 % interval)",
+        "log10 estimate (interval)",
     )
-    return "# Stages\n\n" + _table(header, [_stage_row(row) for row in rows])
+    note = (
+        "Intervals are those of a stage's own estimate, at 95 % unless something speaks against "
+        "it.\n\n"
+    )
+    return f"# Stages\n\n{note}" + _table(header, [_stage_row(row) for row in rows])
 
 
 def _stage_row(row: StageFigures) -> tuple[str, ...]:
     estimate = number(row.log10_probability, 4)
     if row.log10_ci_low is not None and row.log10_ci_high is not None:
-        estimate += f" ({row.log10_ci_low:.1f} to {row.log10_ci_high:.1f})"
+        words = f", not a 95 % interval: {'; '.join(row.caveats)}" if row.caveats else ""
+        estimate += f" ({row.log10_ci_low:.1f} to {row.log10_ci_high:.1f}{words})"
     return (
         f"{row.stage} {row.kind}",
         f"{row.rollouts}",

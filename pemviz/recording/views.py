@@ -141,10 +141,15 @@ def _title(signal: Signal) -> str:
 
 
 def _estimate_view() -> ViewSpec:
+    ends = ("log10_ci_low", "log10_ci_high")
     return ViewSpec(
         "bars",
-        "log10 estimate with interval against stage",
-        tuple(paths.bars(n) for n in ("log10_ci_low", "log10_probability", "log10_ci_high")),
+        "log10 estimate with 95 % interval (grey ends: not a 95 % interval) against stage",
+        (
+            paths.bars("log10_probability"),
+            *map(paths.bars, ends),
+            *map(paths.doubted_bars, ends),
+        ),
     )
 
 

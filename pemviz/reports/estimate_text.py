@@ -1,14 +1,19 @@
 """An estimate and its diagnostics in words, the same on the terminal and in reports."""
 
+from collections.abc import Sequence
+
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
+from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate
 
 RELIABLE_TAIL = f"(reliable up to {RELIABLE_PARETO_K:g})"
 """What stands beside Pareto k-hat."""
+REFITS = "refits of one architecture on the same data, not other model families"
+"""What the error model's ensemble is."""
 
 
 def probability_text(estimate: Estimate) -> str:
@@ -19,11 +24,37 @@ def probability_text(estimate: Estimate) -> str:
     return f"{estimate.probability:.3g}{error}"
 
 
-def interval_text(estimate: Estimate) -> str:
-    """The confidence interval in words."""
+def level_text(estimate: Estimate) -> str:
+    """The level of an estimate's interval: '95 %'."""
+    return f"{100.0 * estimate.confidence:g} %"
+
+
+def no_interval_text(estimate: Estimate) -> str:
+    """What an interval is called that does not hold at its level."""
+    return f"not a {level_text(estimate)} interval"
+
+
+def interval_name(estimate: Estimate, *, caveats: Sequence[str]) -> str:
+    """What an interval with these caveats may be called."""
+    return "interval" if caveats else f"{level_text(estimate)} interval"
+
+
+def interval_text(estimate: Estimate, *, caveats: Sequence[str]) -> str:
+    """The confidence interval in words, and with ``caveats`` that and why it is none."""
     if estimate.ci_low is None or estimate.ci_high is None:
         return "unknown"
-    return f"{estimate.ci_low:.2g} to {estimate.ci_high:.2g}"
+    ends = f"{estimate.ci_low:.2g} to {estimate.ci_high:.2g}"
+    return f"{ends}, {no_interval_text(estimate)}: {'; '.join(caveats)}" if caveats else ends
+
+
+def bound_text(estimate: Estimate, *, caveats: Sequence[str]) -> str:
+    """The interval's upper end in words, and with ``caveats`` that and why it is no bound."""
+    level = level_text(estimate)
+    if estimate.ci_high is None:
+        return f"the upper {level} bound, unknown,"
+    if not caveats:
+        return f"the upper {level} bound {estimate.ci_high:.3g}"
+    return f"the upper bound {estimate.ci_high:.3g} (not a {level} bound: {'; '.join(caveats)})"
 
 
 def reference_text(reference: Reference, estimate: Estimate) -> str:
@@ -43,12 +74,12 @@ def violations_text(estimate: Estimate) -> str:
 
 
 def model_range_text(interval: ModelInterval | None) -> str:
-    """The answer's range over other models that fit the same data."""
+    """The answer's range over refits of the error model."""
     if interval is None:
         return "unknown: the model has no ensemble, or nothing failed"
     low = "0" if interval.low is None else f"{interval.low:.2g}"
     high = "unknown" if interval.high is None else f"{interval.high:.2g}"
-    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} models)"
+    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} {REFITS})"
 
 
 def memory_text(memory: RunMemory | None) -> str:
@@ -79,15 +110,17 @@ def summary_text(result: RunResult) -> str:
     name = f"{result.config.method} on {result.config.simulator}"
     if result.estimate is None:
         return f"{name}: no estimate, the run {result.status}"
-    estimate = result.estimate
+    estimate, caveats = result.estimate, run_interval_caveats(result)
+    called = interval_name(estimate, caveats=caveats)
     lines = [
         f"{name}: {probability_text(estimate)}",
-        f"  95 % interval: {interval_text(estimate)}",
+        f"  {called}: {interval_text(estimate, caveats=caveats)}",
         f"  violations: {violations_text(estimate)}",
     ]
     if result.config.memory_s:
         lines.append(f"  misses: {memory_text(result.memory)}")
     if result.reference is not None:
         lines.append(f"  reference: {reference_text(result.reference, estimate)}")
-    warnings = (*estimate.warnings, *result.warnings)
+    about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))
+    warnings = (*about_answer, *data_warnings(result))
     return "\n".join([*lines, *(f"  warning: {warning}" for warning in warnings)])

@@ -6,14 +6,11 @@ from itertools import product
 from typing import Literal, get_args
 
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_UNDECIDED
-from pemviz.runs.judge import run_diagnostics
+from pemviz.reports.estimate_text import bound_text
 from pemviz.runs.result import RunResult
-from pemviz.sampling.estimates.diagnostics import (
-    MEANINGS,
-    IntervalBasis,
-    reason,
-    undermining,
-)
+from pemviz.runs.trust import run_diagnostics
+from pemviz.sampling.estimates.diagnostics import MEANINGS, IntervalBasis
+from pemviz.sampling.estimates.trust import interval_caveats, unreliable_because
 from pemviz.sampling.registry import by_name
 from pemviz.types import Diagnostic, DiagnosticKind, Estimate
 
@@ -85,16 +82,6 @@ def decide_gate(estimate: Estimate, *, limit: float) -> GateDecision:
     return _decide(estimate, estimate.diagnostics, limit=limit)
 
 
-def unreliable_because(estimate: Estimate) -> tuple[str, ...]:
-    """Why an estimate must not decide anything; empty if nothing speaks against it."""
-    return _against(estimate, estimate.diagnostics)
-
-
-def _against(estimate: Estimate, diagnostics: tuple[Diagnostic, ...]) -> tuple[str, ...]:
-    basis = by_name(estimate.method).interval_basis
-    return tuple(map(reason, undermining(diagnostics, basis=basis)))
-
-
 def _decide(
     estimate: Estimate, diagnostics: tuple[Diagnostic, ...], *, limit: float
 ) -> GateDecision:
@@ -113,7 +100,8 @@ def _reason(
 ) -> str:
     if estimate.ci_high is None:
         return "there is no upper bound"
-    words = f"the upper {estimate.confidence:.0%} bound {estimate.ci_high:.3g}".replace("%", " %")
-    if bound == "above":
-        return f"{words} is above {limit:g}"
-    return "; ".join(_against(estimate, diagnostics)) or f"{words} is not above {limit:g}"
+    against = unreliable_because(estimate, diagnostics)
+    if against and bound != "above":
+        return "; ".join(against)
+    caveats = interval_caveats(estimate, diagnostics)
+    return f"{bound_text(estimate, caveats=caveats)} is {bound} {limit:g}"

@@ -21,6 +21,7 @@ class IntervalRow:
         low: Left end of the interval; 0 is drawn as an arrow to the left, ``None`` not at all.
         high: Right end.
         mark: What stands for the value.
+        holds: Whether the interval holds at its level; one that does not is dotted.
     """
 
     label: str
@@ -28,6 +29,7 @@ class IntervalRow:
     low: float | None = None
     high: float | None = None
     mark: str = "o"
+    holds: bool = True
 
 
 def interval_plot(rows: list[IntervalRow], *, width: int = WIDTH) -> str:
@@ -87,9 +89,10 @@ def _draw(row: IntervalRow, axis: _Axis) -> str:
     if row.low is not None and _drawable(row.high):
         first = axis.column(math.log10(row.low)) if row.low > 0.0 else 0
         last = axis.column(math.log10(row.high))
-        line[first : last + 1] = "-" * (last + 1 - first)
-        line[first] = "|" if row.low > 0.0 else "<"
-        line[last] = "|"
+        between, end = ("-", "|") if row.holds else (".", ":")
+        line[first : last + 1] = between * (last + 1 - first)
+        line[first] = end if row.low > 0.0 else "<"
+        line[last] = end
     if _drawable(row.value):
         line[axis.column(math.log10(row.value))] = row.mark
     if not "".join(line).strip():

@@ -4,6 +4,7 @@ from xml.etree import ElementTree as Xml
 
 from pemviz.reports.escape import printable_line, printable_lines
 from pemviz.reports.estimate_text import (
+    interval_name,
     interval_text,
     model_range_text,
     probability_text,
@@ -11,6 +12,7 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.gate import GateDecision
 from pemviz.runs.result import RunResult
+from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 
 DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>'
 
@@ -90,11 +92,14 @@ def _facts(result: RunResult) -> list[str]:
     estimate = result.estimate
     lines = [f"run {result.run_id}, status {result.status}"]
     if estimate is not None:
+        caveats = run_interval_caveats(result)
+        about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))
         lines += [
             f"probability {probability_text(estimate)}",
-            f"interval {interval_text(estimate)}",
+            f"{interval_name(estimate, caveats=caveats)} "
+            f"{interval_text(estimate, caveats=caveats)}",
             f"violations {violations_text(estimate)}",
-            f"range over error models {model_range_text(result.pem_interval)}",
-            *(f"warning: {warning}" for warning in (*estimate.warnings, *result.warnings)),
+            f"range over refits {model_range_text(result.pem_interval)}",
+            *(f"warning: {warning}" for warning in (*about_answer, *data_warnings(result))),
         ]
     return [printable_lines(line) for line in lines]

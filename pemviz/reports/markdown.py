@@ -9,6 +9,7 @@ from pemviz.config.toml_files import config_text
 from pemviz.reports.escape import markdown_block, markdown_code, markdown_table, markdown_text
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
+    interval_name,
     interval_text,
     memory_text,
     model_range_text,
@@ -20,13 +21,15 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
-from pemviz.runs.judge import data_warnings, run_diagnostics
 from pemviz.runs.result import RunResult
+from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
 MOST_REPETITIONS = 20
 BUDGET_FIELDS = frozenset({"stages", "rollouts", "final_rollouts"})
+DOTTED = "dotted is not a 95 % interval (the table and the warnings say why)"
 GATE_MARKS = {"passed": "✅", "tripped": "❌", "undecided": "⚠️"}
 
 Row = tuple[str, str]
@@ -66,12 +69,14 @@ def _status(result: RunResult, gate: GateDecision | None) -> list[str]:
 
 
 def _answer(result: RunResult, estimate: Estimate) -> str:
+    caveats = run_interval_caveats(result)
+    interval = interval_text(estimate, caveats=caveats)
     rows: list[Row] = [
         ("probability of a violation", f"**{probability_text(estimate)}**"),
         ("log10", number_text(estimate.log10_probability)),
-        (f"{estimate.confidence:.0%} interval".replace("%", " %"), interval_text(estimate)),
+        (interval_name(estimate, caveats=caveats), markdown_text(interval)),
         ("misses", memory_text(result.memory)),
-        ("range over error models", model_range_text(result.pem_interval)),
+        ("range over refits", model_range_text(result.pem_interval)),
         *_beside(result, estimate),
         ("violations", violations_text(estimate)),
         ("NLL of violations", number_text(estimate.nll_mean, unit="nats (mean)")),
@@ -98,10 +103,13 @@ def _beside(result: RunResult, estimate: Estimate) -> list[Row]:
 
 
 def _plot(result: RunResult, gate: GateDecision | None) -> list[str]:
-    plot = interval_plot(interval_rows(result, limit=None if gate is None else gate.limit))
+    rows = interval_rows(result, limit=None if gate is None else gate.limit)
+    plot = interval_plot(rows)
     if not plot:
         return []
-    return ["Probability with its interval, logarithmic axis:", markdown_block(plot)]
+    dotted = "" if all(row.holds for row in rows) else f"; {DOTTED}"
+    words = f"Probability with its interval, logarithmic axis{dotted}:"
+    return [words, markdown_block(plot)]
 
 
 def interval_rows(result: RunResult, *, limit: float | None) -> list[IntervalRow]:
@@ -110,12 +118,15 @@ def interval_rows(result: RunResult, *, limit: float | None) -> list[IntervalRow
         return []
     repetitions = result.repetitions if len(result.repetitions) > 1 else ()
     shown = repetitions[:MOST_REPETITIONS]
-    rows = [_row(f"repetition {number + 1}", one) for number, one in enumerate(shown)]
+    rows = [
+        _row(f"repetition {number + 1}", one, caveats=interval_caveats(one))
+        for number, one in enumerate(shown)
+    ]
     name = result.estimate.method if not repetitions else f"mean of {len(repetitions)}"
-    rows.append(_row(name, result.estimate))
+    rows.append(_row(name, result.estimate, caveats=run_interval_caveats(result)))
     models = result.pem_interval
     if models is not None and models.high is not None:
-        rows.append(IntervalRow("error models", models.median, models.low or 0.0, models.high))
+        rows.append(IntervalRow("refits", models.median, models.low or 0.0, models.high))
     if result.reference is not None:
         rows.append(IntervalRow("reference", result.reference.probability, mark="*"))
     if limit is not None:
@@ -123,14 +134,14 @@ def interval_rows(result: RunResult, *, limit: float | None) -> list[IntervalRow
     return rows
 
 
-def _row(label: str, estimate: Estimate) -> IntervalRow:
-    return IntervalRow(label, estimate.probability, estimate.ci_low, estimate.ci_high)
+def _row(label: str, estimate: Estimate, *, caveats: Sequence[str]) -> IntervalRow:
+    ends = (estimate.ci_low, estimate.ci_high)
+    return IntervalRow(label, estimate.probability, *ends, holds=not caveats)
 
 
 def _warnings(result: RunResult) -> list[str]:
     about_answer = [diagnostic.text for diagnostic in run_diagnostics(result)]
-    interval = () if result.pem_interval is None else result.pem_interval.warnings
-    about_data = (*data_warnings(result), *interval)
+    about_data = data_warnings(result)
     sections: list[str] = []
     if about_answer:
         sections += ["### Warnings", _list(about_answer)]

@@ -7,7 +7,9 @@ from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.published import NOT_GIVEN, NOTHING, TABLE_2, TABLE_3, Published
 from pemviz.reproduce.summary import RowSummary, summarise
 from pemviz.reproduce.tables import Cell, Column, Table
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.types import Estimate
 
 Outcomes = Mapping[str, Sequence[RepetitionOutcome]]
 
@@ -22,7 +24,8 @@ COLUMNS = (
     Column("median_probability", "median"),
     Column("probability_paper", "probability, paper", ".2g", NOT_GIVEN),
     Column("std_error_paper_as_printed", "+- as printed", ".2g", NOT_GIVEN),
-    Column("upper_95_bound", "upper 95 % bound", ".2g"),
+    Column("upper_95_bound", "upper bound", ".2g"),
+    Column("upper_95_bound_caveats", "is it a 95 % bound?"),
     Column("reference", "exact", ".3g", "not known"),
     Column("median_over_reference", "median / exact", ".2g"),
     Column("nll_mean_nats", "NLL, mean [nats]", ".3g"),
@@ -77,6 +80,7 @@ def _row(
         paper.probability,
         paper.std_error,
         row.pooled.ci_high,
+        _is_bound(row.pooled),
         exact,
         ratio,
         row.pooled.nll_mean,
@@ -84,3 +88,11 @@ def _row(
         row.pooled.ess,
         row.pooled.pareto_k,
     )
+
+
+def _is_bound(pooled: Estimate) -> str | None:
+    """Whether the interval's upper end is a bound at its level, and why not."""
+    if pooled.ci_high is None:
+        return None
+    caveats = interval_caveats(pooled)
+    return f"no: {'; '.join(caveats)}" if caveats else "yes"

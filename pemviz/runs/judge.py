@@ -18,9 +18,9 @@ from pemviz.analysis.model_uncertainty import (
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import RunResult, StageSummary
-from pemviz.sampling.estimates.diagnostics import reference_disagreement, unreliable_reference
+from pemviz.runs.trust import reference_diagnostics
 from pemviz.sampling.value_twisted.reference import reference
-from pemviz.types import Diagnostic, StageResult
+from pemviz.types import StageResult
 
 
 @dataclass(frozen=True)
@@ -126,30 +126,5 @@ def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
     if not experiment.config.reference or result.estimate is None or twin is None:
         return result
     compared = replace(result, reference=reference(experiment.problem, twin=twin))
-    words = tuple(one.text for one in _about_reference(compared))
+    words = tuple(one.text for one in reference_diagnostics(compared))
     return replace(compared, warnings=(*result.warnings, *words))
-
-
-def run_diagnostics(result: RunResult) -> tuple[Diagnostic, ...]:
-    """What is wrong with a run's answer: with its estimate, and beside the reference."""
-    own = () if result.estimate is None else result.estimate.diagnostics
-    return (*own, *_about_reference(result))
-
-
-def data_warnings(result: RunResult) -> tuple[str, ...]:
-    """The run's warnings about the error model and its data, in words."""
-    about_answer = {diagnostic.text for diagnostic in run_diagnostics(result)}
-    return tuple(warning for warning in result.warnings if warning not in about_answer)
-
-
-def _about_reference(result: RunResult) -> tuple[Diagnostic, ...]:
-    estimate, known = result.estimate, result.reference
-    if estimate is None or known is None:
-        return ()
-    disagreement = reference_disagreement(
-        estimate,
-        probability=known.probability,
-        std_error=known.std_error,
-        trusted=not known.warnings,
-    )
-    return (*disagreement, *unreliable_reference(known.warnings))

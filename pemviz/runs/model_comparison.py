@@ -11,9 +11,17 @@ from scipy.special import logsumexp
 from pemviz.arrays import FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.pem.judging.reweight import RatioInterval, compare_pems, reweight
+from pemviz.pem import Pem
+from pemviz.pem.judging.reweight import (
+    RatioInterval,
+    compare_pems,
+    failing_log_weights,
+    reweight,
+)
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+from pemviz.sampling.estimates.diagnostics import weight_diagnostics
+from pemviz.sampling.estimates.importance_weights import log_sum, weight_figures
+from pemviz.sampling.estimates.trust import caveats
 from pemviz.sampling.problem import sample
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, with_latch
 from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, outcome_log_likelihood
@@ -30,8 +38,10 @@ class ModelFigures:
         log10_probability: ``None`` if no rollout violates.
         std_error: Of the probability.
         effective_failures: How many equally weighted violations carry it.
+        unreliable_because: Why it must not be quoted; empty if nothing speaks against it.
         to_first: Ratio to the first model's, with its interval; ``None`` for the first, and if no
             rollout violates.
+        interval_caveats: Why that interval does not hold at its level; empty if it does.
     """
 
     name: str
@@ -40,12 +50,9 @@ class ModelFigures:
     log10_probability: float | None
     std_error: float
     effective_failures: float
+    unreliable_because: tuple[str, ...]
     to_first: RatioInterval | None
-
-    @property
-    def is_reliable(self) -> bool:
-        """Whether enough rollouts carry it."""
-        return self.effective_failures >= SMALL_ESS
+    interval_caveats: tuple[str, ...]
 
 
 def compare_models(
@@ -92,6 +99,7 @@ def compare_models(
         violated=scored.violated,
         members=pems,
     )
+    against = [_unreliable_because(scored, salient=salient, log_q=log_q, pem=pem) for pem in pems]
     ratio = partial(
         compare_pems,
         detected=drawn.detected,
@@ -108,6 +116,8 @@ def compare_models(
             log10_probability=log_mu / math.log(10.0) if math.isfinite(log_mu) else None,
             std_error=math.exp(log_mu) * relative if math.isfinite(log_mu) else 0.0,
             effective_failures=effective,
+            unreliable_because=against[index],
+            interval_caveats=_of_ratio(against[index], against[0]) if index else (),
             to_first=ratio(new=pem) if index and scored.violated.any() else None,
         )
         for index, (pem, log_mu, relative, effective) in enumerate(
@@ -120,6 +130,35 @@ def compare_models(
             )
         )
     ]
+
+
+def _unreliable_because(
+    scored: ScoredRollouts, *, salient: FloatArray, log_q: FloatArray, pem: Pem
+) -> tuple[str, ...]:
+    """Why one model's figure must not be quoted, by the diagnostics of its weights."""
+    log_weight = failing_log_weights(
+        detected=scored.rollouts.detected,
+        salient=salient,
+        log_q=log_q,
+        violated=scored.violated,
+        pem=pem,
+    )
+    count = scored.rollouts.count
+    log10_probability = (
+        (log_sum(log_weight) - math.log(count)) / math.log(10.0) if log_weight.size else None
+    )
+    found = weight_diagnostics(
+        weight_figures(log_weight),
+        failures=log_weight.size,
+        rollouts=count,
+        log10_probability=log10_probability,
+    )
+    return caveats(found, method="value-twisted")
+
+
+def _of_ratio(own: Sequence[str], first: Sequence[str]) -> tuple[str, ...]:
+    """A ratio's interval rests on both models' weights."""
+    return (*own, *(f"the first model: {words}" for words in first))
 
 
 def _proposal(experiment: Experiment) -> Proposal:

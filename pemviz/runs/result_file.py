@@ -9,6 +9,9 @@ What a result.json may hold (schema 1):
 - ``seed``, the configuration's, for scripts that look for it.
 - An estimate's unbiased figures in a table ``unbiased`` of ``probability`` and ``std_error``,
   and its ``warnings``, the texts of its ``diagnostics``.
+- Beside ``confidence`` an estimate's ``interval_caveats``: why ``ci_low`` and ``ci_high`` are no
+  interval at that level, in words; empty if they are one. They follow from the rest of the
+  document and are not kept when it is read.
 - The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
   ``sensitivity``, and its other fields under ``causes``.
 - Null for the robustness of a rollout where it is infinite.
@@ -19,7 +22,7 @@ says what the figures mean. A result of another schema is refused.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -34,7 +37,9 @@ from pemviz.errors import InputError
 from pemviz.files.atomic import write_json
 from pemviz.files.json_text import parse_json
 from pemviz.runs.result import RunResult
+from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import classified
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Estimate
 
 SCHEMA = 1
@@ -93,13 +98,20 @@ def result_document(result: RunResult) -> Table:
         "versions": dict(result.versions),
         "config": config_table(result.config),
         "pem": asdict(result.pem),
-        "estimate": None if result.estimate is None else _estimate_table(result.estimate),
+        "estimate": (
+            None
+            if result.estimate is None
+            else _estimate_table(result.estimate, caveats=run_interval_caveats(result))
+        ),
         "memory": None if result.memory is None else asdict(result.memory),
         "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
         "data_bound": None if result.data_bound is None else asdict(result.data_bound),
         **_explanation_tables(result.explanation),
-        "repetitions": [_estimate_table(estimate) for estimate in result.repetitions],
+        "repetitions": [
+            _estimate_table(estimate, caveats=interval_caveats(estimate))
+            for estimate in result.repetitions
+        ],
         "stages": [asdict(stage) for stage in result.stages],
         "least_robust": [asdict(rollout) for rollout in result.least_robust],
         "assumptions": list(result.assumptions),
@@ -154,7 +166,7 @@ class _Unbiased:
     std_error: AtLeastZero | None
 
 
-def _estimate_table(estimate: Estimate) -> Table:
+def _estimate_table(estimate: Estimate, *, caveats: Sequence[str]) -> Table:
     table = asdict(estimate)
     probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
     diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
@@ -162,6 +174,7 @@ def _estimate_table(estimate: Estimate) -> Table:
         **table,
         "warnings": list(estimate.warnings),
         "confidence": confidence,
+        "interval_caveats": list(caveats),
         "unbiased": {"probability": probability, "std_error": std_error},
         "diagnostics": diagnostics,
     }
@@ -185,6 +198,7 @@ def _estimate(entry: object, *, name: str) -> object:
         name=name,
         ignore_unknown=True,
     )
+    read_value(tuple[str, ...], table.get("interval_caveats", []), name=f"{name}.interval_caveats")
     warnings = read_value(tuple[str, ...], table.get("warnings", []), name=f"{name}.warnings")
     if "diagnostics" not in table:
         return replace(estimate, diagnostics=classified(warnings, estimate))

@@ -50,6 +50,8 @@ class MethodDescription:
         needs: What must be there for it.
         interval_basis: What the estimate and its interval rest on; diagnostics of weights apply
             to ``weights`` alone.
+        interval_caveat: Why the method's intervals, even those that no diagnostic speaks against,
+            are none at their level; ``None`` where they are.
         stages: What the stages of a repetition are: one ``learning`` from the other, independent
             ``runs``, or ``parts`` of one batch.
         stage_interval: Of a stage's own estimate: ``log-normal`` from its weights, ``binomial``,
@@ -72,6 +74,7 @@ class MethodDescription:
     with_budget: Callable[[ExperimentConfig, int], ExperimentConfig]
     needs: frozenset[Need] = frozenset()
     interval_basis: IntervalBasis = "weights"
+    interval_caveat: str | None = None
     stages: StageMeaning = "learning"
     stage_interval: StageInterval = "log-normal"
     counting: Counting = "rollouts"

@@ -3,6 +3,7 @@
 import contextlib
 import shutil
 from collections.abc import Generator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pemviz.config.toml_files import config_text
@@ -11,6 +12,7 @@ from pemviz.files.atomic import write_bytes
 from pemviz.files.locks import held
 from pemviz.runs.result_file import read_result
 from pemviz.runs.same_run import run_differs
+from pemviz.runs.trust import run_diagnostics
 from pemviz.sweep.plan import PlannedRun
 from pemviz.sweep.runs import RESULT_FILES, File, Keep
 from pemviz.types import Estimate
@@ -71,7 +73,8 @@ def write_folder(runs: Path, name: str, files: Sequence[File]) -> None:
 def read_finished(runs: Path, planned: PlannedRun, *, keep: Keep) -> Estimate | None:
     """The answer of a run that is done, as configured, with that error model; else ``None``.
 
-    Whatever is damaged counts as not done.
+    Its diagnostics are those of the run: what the reference says is among them. Whatever is
+    damaged counts as not done.
     """
     folder = runs / planned.name
     if keep == "all" and not all((folder / name).is_file() for name in ALL_FILES):
@@ -83,7 +86,9 @@ def read_finished(runs: Path, planned: PlannedRun, *, keep: Keep) -> Estimate | 
     except InputError:
         return None
     difference = run_differs(result, config=planned.config, pem_digest=planned.pem_digest)
-    return result.estimate if result.status == "done" and difference is None else None
+    if result.status != "done" or difference is not None or result.estimate is None:
+        return None
+    return replace(result.estimate, diagnostics=run_diagnostics(result))
 
 
 def _same_text(path: Path, text: str) -> bool:

@@ -14,6 +14,8 @@ from pemviz.recording.sweep_overview import (
     write_sweep_overview,
 )
 from pemviz.reports.escape import markdown_block, markdown_table, markdown_text
+from pemviz.reports.estimate_text import interval_text, level_text
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.plan import Plan, setting_label, value_text
 from pemviz.sweep.summary import by_setting, summary_markdown
@@ -62,6 +64,7 @@ def _estimate(state: RunState) -> SweepEstimate:
         estimate.log10_probability,
         log10_ci_low=_log10(estimate.ci_low),
         log10_ci_high=_log10(estimate.ci_high),
+        caveats=interval_caveats(estimate),
     )
 
 
@@ -70,7 +73,7 @@ def _log10(value: float | None) -> float | None:
 
 
 def _runs_page(plan: Plan, states: Sequence[RunState]) -> str:
-    header = (*plan.fields, "seed", "probability", "95 % interval", "violations", "ESS", "status")
+    header = (*plan.fields, "seed", "probability", "interval", "violations", "ESS", "status")
     rows = [_run_row(state) for state in states[:MOST_ROWS]]
     left_out = len(states) - len(rows)
     more = f"\n\n{left_out} more are in sweep.csv." if left_out else ""
@@ -78,18 +81,20 @@ def _runs_page(plan: Plan, states: Sequence[RunState]) -> str:
 
 
 def _run_row(state: RunState) -> tuple[str, ...]:
-    planned, found = state.planned, state.estimate
+    planned, estimate = state.planned, state.estimate
     head = (*(value_text(value) for _, value in planned.setting), str(planned.config.seed))
     status = state.status if state.message is None else f"{state.status}: {state.message}"
-    if found is None:
+    if estimate is None:
         return (*map(markdown_text, head), "", "", "", "", markdown_text(status))
-    bounds = [_short(found.ci_low), _short(found.ci_high)]
+    caveats = interval_caveats(estimate)
+    interval = interval_text(estimate, caveats=caveats)
+    level = "" if caveats or estimate.ci_high is None else f" ({level_text(estimate)})"
     return (
         *map(markdown_text, head),
-        _short(found.probability),
-        " to ".join(bounds),
-        str(found.failures),
-        _short(found.ess),
+        _short(estimate.probability),
+        markdown_text(f"{interval}{level}"),
+        str(estimate.failures),
+        _short(estimate.ess),
         status,
     )
 

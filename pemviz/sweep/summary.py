@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pemviz.reports.escape import markdown_table, markdown_text
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+from pemviz.sampling.estimates.trust import unreliable_because
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.fields import Setting
 from pemviz.sweep.plan import Plan, value_text
@@ -50,7 +51,8 @@ def summary_markdown(plan: Plan, states: Sequence[RunState]) -> str:
         settings_table(plan, states),
         "Probability: median over the seeds, and the least and greatest estimate. A seed whose "
         "rollouts held no violation counts as 0. Effective sample size: median; below "
-        f"{SMALL_ESS:g}, do not quote an estimate.",
+        f"{SMALL_ESS:g}, do not quote an estimate. Unreliable: runs whose diagnostics say that "
+        "neither estimate nor interval may be relied on.",
     ]
     failed = [s for s in states if s.status == "failed"]
     if failed:
@@ -72,6 +74,7 @@ def settings_table(plan: Plan, states: Sequence[RunState]) -> str:
         "seeds without violation",
         "effective sample size",
         "largest Pareto k-hat",
+        "unreliable",
     )
     return markdown_table(header, [_row(one) for one in by_setting(states)])
 
@@ -88,6 +91,7 @@ def _row(one: SettingSummary) -> tuple[str, ...]:
         str(sum(e.failures == 0 for e in estimates)),
         _over(statistics.median, [e.ess for e in estimates]),
         _over(max, [e.pareto_k for e in estimates]),
+        f"{sum(bool(unreliable_because(e)) for e in estimates)} of {len(estimates)}",
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pemviz.reports.escape import printable_line
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.fields import field_annotations, value_type
 from pemviz.sweep.folders import RUNS
@@ -16,6 +17,8 @@ FIGURES = (
     "pareto_k", "max_weight_share", "rollouts_simulated",
 )  # fmt: skip
 """Of an :class:`~pemviz.types.Estimate`, those that the table has."""
+CAVEATS = "interval_caveats"
+"""Why ``ci_low`` and ``ci_high`` are no 95 % interval; empty if they are one."""
 WHOLE = ("failures", "rollouts_simulated")
 TEXTS = ("status", "message", "run_folder")
 KINDS: dict[type | None, str] = {bool: "bool", int: "int64", float: "float64"}
@@ -29,7 +32,7 @@ def columns(plan: Plan) -> dict[str, str]:
     annotations = field_annotations()
     varied = {name: KINDS.get(value_type(annotations[name]), "string") for name in plan.fields}
     figures = {name: "int64" if name in WHOLE else "float64" for name in FIGURES}
-    return {**varied, "seed": "int64", **figures, **dict.fromkeys(TEXTS, "string")}
+    return {**varied, "seed": "int64", **figures, **dict.fromkeys((CAVEATS, *TEXTS), "string")}
 
 
 def rows(plan: Plan, states: Sequence[RunState]) -> list[Row]:
@@ -43,6 +46,7 @@ def _row(plan: Plan, state: RunState) -> Row:
     row["seed"] = state.planned.config.seed
     for name in FIGURES:
         row[name] = None if state.estimate is None else getattr(state.estimate, name)
+    row[CAVEATS] = None if state.estimate is None else "; ".join(interval_caveats(state.estimate))
     row["status"] = state.status
     row["message"] = None if state.message is None else printable_line(state.message)
     row["run_folder"] = f"{RUNS}/{state.planned.name}"

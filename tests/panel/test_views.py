@@ -25,8 +25,8 @@ from pemviz.panel.views import compare, headline, learning, recordings, why
 from pemviz.panel.views.html import number
 from pemviz.panel.views.ranking_table import first_place, ranking_table
 from pemviz.panel.views.rollout import track, track_plots, with_cursor
-from pemviz.runs.judge import run_diagnostics
 from pemviz.runs.result import PemInfo
+from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Diagnostic
 
@@ -106,7 +106,9 @@ def test_a_strangers_recording_cannot_smuggle_markup(naive_run):
         explanation=replace(whole.explanation, sensitivity=sensitivity),
         timings_s={CRAFTED: 1.0},
     )
-    entry = recordings.RunEntry(CRAFTED, CRAFTED, CRAFTED, CRAFTED, 0, None, False)
+    entry = recordings.RunEntry(
+        CRAFTED, CRAFTED, CRAFTED, CRAFTED, 0, None, (CRAFTED,), has_recording=False
+    )
     for page in (
         headline.headline(run),
         learning.learning(run),

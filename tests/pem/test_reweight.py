@@ -91,7 +91,7 @@ def test_the_interval_lies_between_the_members_and_knows_when_few_rollouts_carry
     assert log10_mu.min() < interval.log10_low < interval.log10_high < log10_mu.max()
     assert interval.members == 3
     assert any("fewer than 10 effective" in text for text in interval.warnings)
-    assert any("3 models are few" in text for text in interval.warnings)
+    assert any("3 refits are few" in text for text in interval.warnings)
 
 
 def test_relative_standard_error_is_that_of_the_mean():

@@ -22,7 +22,7 @@ from pemviz.recording.views import (
 from pemviz.runs.engine import run
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.judge import run_diagnostics
+from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.value_twisted.reference import Reference
 from tests.recording.conftest import LEARNING, chunks, record, texts, with_blind_pem
 

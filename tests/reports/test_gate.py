@@ -27,6 +27,7 @@ from pemviz.sampling.estimates.diagnostics import (
     SMALL_ESS,
     IntervalBasis,
 )
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Diagnostic, DiagnosticKind
@@ -103,11 +104,20 @@ def test_every_method_with_every_diagnostic(method, kind):
         assert found.outcome == "undecided" or bound != "unknown"
         if bound == "not above":
             assert (found.outcome == "undecided") == bool(unreliable_because(one))
-            assert found.reason == ("; ".join(unreliable_because(one)) or bound_words(LIMIT))
+            words = bound_words(upper, interval_caveats(one))
+            assert found.reason == (
+                "; ".join(unreliable_because(one)) or f"{words} is not above {LIMIT:g}"
+            )
+        if bound == "above":
+            words = bound_words(upper, interval_caveats(one))
+            assert found.reason == f"{words} is above {LIMIT:g}"
 
 
-def bound_words(upper):
-    return f"the upper 95 % bound {upper:.3g} is not above {LIMIT:g}"
+def bound_words(upper, caveats):
+    """A bound is never called a 95 % bound that is none."""
+    if not caveats:
+        return f"the upper 95 % bound {upper:.3g}"
+    return f"the upper bound {upper:.3g} (not a 95 % bound: {'; '.join(caveats)})"
 
 
 @pytest.mark.parametrize("first", KINDS)

@@ -13,7 +13,7 @@ from pemviz.reports.escape import (
 )
 from pemviz.reports.gate import decide_gate, decide_run
 from pemviz.reports.markdown import summary_markdown
-from pemviz.runs.judge import run_diagnostics
+from pemviz.runs.trust import run_diagnostics
 from tests.reports.runs import NASTY, estimate, nasty_result, result, warned
 
 
@@ -100,7 +100,8 @@ def test_the_page_tells_the_whole_story():
         "ab" * 32,
         "37498 obstacles",
         "misses are independent",
-        "1e-17 to 1e-13 (95% of 20 models)",
+        "1e-17 to 1e-13 (95% of 20 refits of one architecture on the same data, "
+        "not other model families)",
         "no obstacle closer than 7 m",
         "few effective failures",
         "6.69e-15 +- 6e-18",

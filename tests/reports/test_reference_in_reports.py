@@ -8,7 +8,7 @@ from pemviz.cli.summary import print_summary
 from pemviz.reports.estimate_text import reference_text, summary_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.markdown import summary_markdown
-from pemviz.runs.judge import run_diagnostics
+from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.value_twisted.reference import Reference
 from tests.reports.runs import estimate, result
 

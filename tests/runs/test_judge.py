@@ -12,8 +12,9 @@ from pemviz.reports.gate import decide_run
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.judge import Judged, beside_reference, judge, run_diagnostics
+from pemviz.runs.judge import Judged, beside_reference, judge
 from pemviz.runs.result import with_stage
+from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.method import final_stage
 from pemviz.sampling.value_twisted.reference import Reference
 

@@ -46,7 +46,7 @@ def test_every_model_gets_its_exact_probability(models):
         truth.append(math.exp(exact))
         assert abs(one.probability - truth[-1]) < 4 * one.std_error
         assert one.std_error < 0.1 * truth[-1]
-        assert one.is_reliable
+        assert one.unreliable_because == one.interval_caveats == ()
     ratio = figures[1].to_first
     assert figures[0].to_first is None
     half = (ratio.log10_high - ratio.log10_low) / 2
@@ -58,7 +58,7 @@ def test_without_violations_there_is_no_ratio(models):
     figures = compare_models(config, models, rollouts=5, allow_python=True)
     assert [one.log10_probability for one in figures] == [None, None]
     assert [one.to_first for one in figures] == [None, None]
-    assert not any(one.is_reliable for one in figures)
+    assert all(one.unreliable_because for one in figures)
 
 
 def test_code_runs_only_if_the_command_line_says_so(models, capsys, tmp_path):

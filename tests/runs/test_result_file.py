@@ -37,7 +37,8 @@ MAY_BE_NULL = re.compile(
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|memory|memory\.fitted|warnings|timings_s|(estimate|repetitions\[\d+\])\.(diagnostics|confidence)"
+    r"|memory|memory\.fitted|warnings|timings_s"
+    r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
 OTHER_TYPE = {

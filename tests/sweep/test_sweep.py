@@ -86,7 +86,7 @@ def test_the_overview_shows_every_estimate(serial):
     (labels,) = found[paths.sweep_estimates("points"), "labels"]
     expected = [
         f"alpha {row['alpha']}, metric {row['metric']}, seed {row['seed']}: "
-        f"{float(row['probability']):.3g}"
+        f"{float(row['probability']):.3g}; not a 95 % interval: {row['interval_caveats']}"
         for row in rows_of(serial)
     ]
     assert labels == expected

@@ -57,16 +57,17 @@ def run(arguments: CompareArguments) -> int:
         return 0
     title = f"{config.spec}, {arguments.rollouts} rollouts a model"
     table = Table(title=title, title_justify="left")
-    for column in ("error model", "probability", "times the first", "95 % interval"):
+    for column in ("error model", "probability", "times the first", "interval of the ratio"):
         table.add_column(column, justify="left" if column == "error model" else "right")
     for one in figures:
         table.add_row(*_cells(one))
     console = Console()
     console.print(table)
     for one in figures:
-        if one.log10_probability is not None and not one.is_reliable:
-            few = f"only {one.effective_failures:.1f} effective rollouts violate"
-            console.print(f"warning: {one.name}: {few}: do not quote its number", soft_wrap=True)
+        if one.log10_probability is not None and one.unreliable_because:
+            reasons = "; ".join(one.unreliable_because)
+            words = f"warning: {one.name}: {reasons}: do not quote its number"
+            console.print(words, soft_wrap=True, markup=False)
     return 0
 
 
@@ -81,5 +82,9 @@ def _cells(one: ModelFigures) -> tuple[str, str, str, str]:
         one.name,
         probability,
         f"{10.0**ratio.log10_ratio:.3g}",
-        f"{10.0**ratio.log10_low:.3g} to {10.0**ratio.log10_high:.3g}",
+        f"{10.0**ratio.log10_low:.3g} to {10.0**ratio.log10_high:.3g} {_level(one)}",
     )
+
+
+def _level(one: ModelFigures) -> str:
+    return "(not a 95 % interval)" if one.interval_caveats else "(95 %)"

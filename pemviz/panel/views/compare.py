@@ -12,8 +12,10 @@ from pemviz.panel.ranking import elites, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.html import block, grid, heading, number, quiet
-from pemviz.panel.views.learning import logs_of_answer
+from pemviz.panel.views.learning import DOUBTED, logs_of_answer
+from pemviz.reports.estimate_text import no_interval_text
 from pemviz.runs.same_run import setting_differences
+from pemviz.runs.trust import run_interval_caveats
 
 DASHES = {"classical": "", "agm": "7 3", "smooth-cumulative": "2 3"}
 
@@ -131,11 +133,13 @@ def curves_plot(first: RunData, second: RunData) -> str:
 
 def estimates_plot(first: RunData, second: RunData) -> str:
     """Both answers with their intervals on a log axis."""
+    doubted = [bool(run_interval_caveats(run.result)) for run in (first, second)]
+    kind = "intervals (dashed: not 95 %)" if any(doubted) else "95 % intervals"
     answers = [logs_of_answer(run.result.estimate) for run in (first, second)]
     every = [value for answer, interval in answers for value in (*answer, *interval)]
     exponents = [v for v in every if v > -60.0] or [-20.0, 0.0]
     plot = Plot(
-        title="Estimates with 95 % intervals",
+        title=f"Estimates with {kind}",
         x=Axis(-0.5, 1.5, "run", ticks=()),
         y=Axis(float(np.floor(min(exponents))) - 1, min(0.0, float(np.ceil(max(exponents))) + 1),
                "probability", log10=True),
@@ -145,7 +149,8 @@ def estimates_plot(first: RunData, second: RunData) -> str:
     for place, (answer, interval) in enumerate(answers):
         color = (VERMILLION, BLUE)[place]
         if len(interval) == 2:
-            plot.whisker(place, interval[0], interval[1], color=color)
+            dash = DOUBTED if doubted[place] else ""
+            plot.whisker(place, interval[0], interval[1], color=color, dash=dash)
         for value in answer:
             plot.points([place], [value], color=color, radius=4.0)
         plot.note("AB"[place], plot.px(place), plot.bottom + 13, anchor="middle")
@@ -157,8 +162,8 @@ def estimates_table(first: RunData, second: RunData) -> str:
     names = (
         ("P(violation)", "probability"),
         ("standard error", "std_error"),
-        ("95 % from", "ci_low"),
-        ("95 % to", "ci_high"),
+        ("interval from", "ci_low"),
+        ("interval to", "ci_high"),
         ("violations", "failures"),
         ("rollouts simulated", "rollouts_simulated"),
         ("effective sample size", "ess"),
@@ -170,7 +175,17 @@ def estimates_table(first: RunData, second: RunData) -> str:
         [label, *(number(None if a is None else getattr(a, field), 3) for a in answers)]
         for label, field in names
     ]
+    after = 1 + [field for _, field in names].index("ci_high")
+    lines.insert(after, ["does it hold at 95 %?", *map(_is_interval, (first, second))])
     return grid(["", "A", "B"], lines, name="Estimates of two runs")
+
+
+def _is_interval(run: RunData) -> str:
+    """Whether the answer's interval holds at its level, and why not."""
+    estimate, caveats = run.result.estimate, run_interval_caveats(run.result)
+    if estimate is None or estimate.ci_high is None:
+        return number(None)
+    return escape(f"{no_interval_text(estimate)}: {'; '.join(caveats)}") if caveats else "yes"
 
 
 def differences_table(first: RunData, second: RunData) -> str:

@@ -1,12 +1,15 @@
 """The answer and how far to trust it, in a few lines above all tabs; and the progress."""
 
+from collections.abc import Sequence
 from html import escape
 
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
 from pemviz.panel.views.html import block, number, quiet, warning
-from pemviz.runs.judge import run_diagnostics
+from pemviz.reports.estimate_text import interval_name, level_text, no_interval_text
+from pemviz.runs.trust import run_diagnostics, run_interval_caveats
+from pemviz.types import Estimate
 
 
 def headline(run: RunData | None) -> str:
@@ -28,19 +31,14 @@ def _answer(run: RunData) -> str:
         words = "no estimate yet" if run.running else "no estimate: the run did not come to its end"
         return quiet(words)
     if not estimate.failures:
-        upper = estimate.ci_high
-        bound = (
-            f"; 95 % upper bound {number(upper)}"
-            if upper is not None
-            else " and there is no upper bound"
-        )
+        bound = _upper_bound(estimate, run_interval_caveats(run.result))
         answer = f"P(violation): no violation was seen{bound}"
     else:
         answer = (
             f"P(violation) = {number(estimate.probability)}"
             f" \N{PLUS-MINUS SIGN} {number(estimate.std_error, 2)}"
         )
-    interval = f"95 % interval {number(estimate.ci_low, 2)} to {number(estimate.ci_high, 2)}"
+    interval = _interval(estimate, run_interval_caveats(run.result))
     counts = (
         f"{number(estimate.failures, 6)} of {number(estimate.rollouts_in_estimate, 6)} rollouts"
         f" violate, {number(estimate.rollouts_simulated, 6)} simulated"
@@ -52,6 +50,26 @@ def _answer(run: RunData) -> str:
         others = len(diagnostics) - 1
         lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
     return lines
+
+
+def _interval(estimate: Estimate, caveats: Sequence[str]) -> str:
+    words = interval_name(estimate, caveats=caveats)
+    interval = f"{words} {number(estimate.ci_low, 2)} to {number(estimate.ci_high, 2)}"
+    return f"{interval}, {_doubt(estimate, caveats)}" if caveats else interval
+
+
+def _upper_bound(estimate: Estimate, caveats: Sequence[str]) -> str:
+    if estimate.ci_high is None:
+        return " and there is no upper bound"
+    if caveats:
+        return f"; upper bound {number(estimate.ci_high)}, {_doubt(estimate, caveats)}"
+    return f"; {level_text(estimate)} upper bound {number(estimate.ci_high)}"
+
+
+def _doubt(estimate: Estimate, caveats: Sequence[str]) -> str:
+    """What an interval is not, and the first reason; the tab Why has them all."""
+    more = f" (and {len(caveats) - 1} more in Why)" if len(caveats) > 1 else ""
+    return f"{no_interval_text(estimate)}: {caveats[0]}{more}"
 
 
 def status(state: PanelState) -> str:

@@ -10,12 +10,15 @@ from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.html import block, number, quiet
 from pemviz.runs.result import StageSummary
+from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
 FAR_BELOW = -60.0
 MOST_DECADES = 10.0
+DOUBTED = "3 3"
+"""How an interval is dashed that is no 95 % interval."""
 
 
 def learning(run: RunData | None) -> str:
@@ -149,11 +152,7 @@ def estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
     method = by_name(run.config.method)
     each = method.stage_name
     several = has_stages(run, stages) and method.stage_interval != "none"
-    points = [
-        (float(s.stage), s.log10_probability)
-        for s in stages
-        if several and s.log10_probability is not None
-    ]
+    points = _stage_points(stages) if several else []
     answer, interval = logs_of_answer(estimate)
     bound = [] if answer or estimate is None else logs(estimate.ci_high)
     exact = [] if reference is None else logs(reference.probability)
@@ -167,30 +166,37 @@ def estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
         left=52,
         bottom=48,
     )
+    caveats = run_interval_caveats(run.result)
+    of_level, dash = ("not a 95 %", DOUBTED) if caveats else ("95 %", "")
     for value in exact:
         plot.hline(value, color=GREEN, dash="", label="reference")
     for value in bound:
-        plot.hline(value, color=VERMILLION, label="no violation seen: 95 % upper bound")
+        plot.hline(value, color=VERMILLION, label=f"no violation seen: {of_level} upper bound")
     in_range = [(s, v) for s, v in points if v >= low]
     tips = [f"{each} {s:g} alone: {number(10.0**v)}" for s, v in in_range]
     plot.points([s for s, _ in in_range], [v for _, v in in_range], color=GREY, tips=tips)
     if estimate is not None:
-        _draw_answer(plot, estimate, x=x.high - 0.35 if several else 0.0)
+        _draw_answer(plot, estimate, x=x.high - 0.35 if several else 0.0, dash=dash)
     if not (answer or in_range or bound):
         words = "no violation yet" if run.running else "no violation seen"
         plot.note(words, (plot.left + plot.right) / 2, plot.top + 50, anchor="middle")
-    entries = [(f"a {each} alone", GREY)] * several + [("the answer, 95 % interval", VERMILLION)]
-    entries += [("reference", GREEN)] * (reference is not None)
-    for place, (label, color) in zip(_legend_places(entries), entries, strict=True):
-        plot.legend([(label, color, "")], x=plot.left + place, y=plot.height - 6)
+    answer_entry = (f"the answer, {of_level} interval", VERMILLION, dash)
+    entries = [(f"a {each} alone", GREY, "")] * several + [answer_entry]
+    _legend(plot, entries + [("reference", GREEN, "")] * (reference is not None))
     return plot.text()
 
 
-def _draw_answer(plot: Plot, estimate: Estimate, *, x: float) -> None:
+def _stage_points(stages: Sequence[StageSummary]) -> list[tuple[float, float]]:
+    """Each stage with the decimal logarithm of its own estimate, if it has one."""
+    every = ((float(s.stage), s.log10_probability) for s in stages)
+    return [(stage, value) for stage, value in every if value is not None]
+
+
+def _draw_answer(plot: Plot, estimate: Estimate, *, x: float, dash: str) -> None:
     answer, interval = logs_of_answer(estimate)
     for value in answer:
         if len(interval) == 2:
-            plot.whisker(x, interval[0], interval[1], color=VERMILLION)
+            plot.whisker(x, interval[0], interval[1], color=VERMILLION, dash=dash)
         tip = f"answer {number(estimate.probability)}"
         plot.points([x], [value], color=VERMILLION, radius=4.0, tips=[tip])
 
@@ -204,9 +210,11 @@ def _decades(values: Sequence[float]) -> tuple[float, float]:
     return math.floor(least) - 1.0, min(math.ceil(max(in_range)) + 1.0, 0.0)
 
 
-def _legend_places(entries: Sequence[tuple[str, str]]) -> list[int]:
-    lengths = [27 + round(5.3 * len(label)) for label, _ in entries]
-    return [sum(lengths[:place]) for place in range(len(entries))]
+def _legend(plot: Plot, entries: Sequence[tuple[str, str, str]]) -> None:
+    """Label, colour and dash of each entry, side by side beneath the plot."""
+    lengths = [27 + round(5.3 * len(label)) for label, _, _ in entries]
+    for place, entry in enumerate(entries):
+        plot.legend([entry], x=plot.left + sum(lengths[:place]), y=plot.height - 6)
 
 
 def _last_repetition(stages: Sequence[StageSummary]) -> list[StageSummary]:

@@ -23,7 +23,7 @@ def recordings_table(
         [
             escape(entry.name),
             f"{escape(entry.method)}<br>{escape(entry.metric)}",
-            number(entry.probability),
+            _probability(entry),
             str(entry.seed),
             escape(entry.status),
             "yes" if entry.has_recording else "no",
@@ -33,6 +33,15 @@ def recordings_table(
     header = ("run", "method, metric", "P(violation)", "seed", "status", ".rrd")
     table = grid(header, lines, name="Recordings")
     return block(table + complaints + quiet(f"Folder: {folder}"))
+
+
+def _probability(entry: RunEntry) -> str:
+    """The estimate, and that it is unreliable, with the reasons where the pointer rests."""
+    shown = number(entry.probability)
+    if not entry.unreliable:
+        return shown
+    reasons = escape("; ".join(entry.unreliable), quote=True)
+    return f"{shown}<br><span title='{reasons}'>\N{WARNING SIGN} unreliable</span>"
 
 
 def viewer_link(address: str, *, name: str) -> str:

@@ -12,7 +12,8 @@ from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import Axis, Plot
 from pemviz.panel.views.causes import causes_part
 from pemviz.panel.views.html import block, good, grid, heading, number, percent, quiet, warning
-from pemviz.runs.judge import data_warnings, run_diagnostics
+from pemviz.reports.estimate_text import REFITS
+from pemviz.runs.trust import data_warnings, run_diagnostics
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
@@ -228,6 +229,8 @@ def _trust(run: RunData) -> str:
         parts.append(quiet(UNWEIGHTED.format(method.name.capitalize())))
     elif estimate is not None and not words:
         parts.append(good("The diagnostics give no warning."))
+    if method.interval_caveat is not None:
+        parts.append(quiet(f"The interval: {method.interval_caveat}."))
     if method.rests_on_weights and estimate is not None and estimate.ess is not None:
         parts.append(diagnostics_table(estimate))
     parts += [_reference(run), _interval(run)]
@@ -270,11 +273,11 @@ def _interval(run: RunData) -> str:
     if interval is None:
         return ""
     return quiet(
-        f"Other error models: of {number(interval.members, 6)} models that the same data "
-        f"could have produced, {100 * interval.confidence:.3g} % put P(violation) between "
+        f"Refits of the error model: of {number(interval.members, 6)} {REFITS}, "
+        f"{100 * interval.confidence:.3g} % put P(violation) between "
         f"{number(interval.low, 2)} and {number(interval.high, 2)} "
         f"(median {number(interval.median, 2)})."
-    ) + "".join(warning(w) for w in interval.warnings)
+    )
 
 
 def _assumptions(run: RunData) -> str:

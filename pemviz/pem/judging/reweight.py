@@ -244,16 +244,16 @@ def _interval_warnings(
     warnings: list[str] = []
     members = len(estimates.log_mu)
     if not np.isfinite(estimates.log_mu).all():
-        warnings.append("no rollout violates under some models: the interval has no lower end")
+        warnings.append("no rollout violates under some refits: the range has no lower end")
     weak = int((estimates.effective_failures < few_effective).sum())
     if weak:
         warnings.append(
-            f"under {weak} of {members} models fewer than {few_effective:g} effective rollouts "
-            "carry the estimate: sample more before trusting the interval over models"
+            f"under {weak} of {members} refits fewer than {few_effective:g} effective rollouts "
+            "carry the estimate: sample more before trusting the range over refits"
         )
     if members < 2.0 / (1.0 - confidence):
         warnings.append(
-            f"{members} models are few for a {confidence:.0%} interval: its ends lie between the "
+            f"{members} refits are few for a range of {confidence:.0%}: its ends lie between the "
             "most extreme models"
         )
     return warnings

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import stats
 
-from pemviz.sampling.estimates.diagnostics import repetition_diagnostics
+from pemviz.sampling.estimates.diagnostics import count_diagnostics, repetition_diagnostics
 from pemviz.sampling.estimates.estimate import CONFIDENCE, log_normal_interval
 from pemviz.sampling.registry import by_name
-from pemviz.types import Estimate
+from pemviz.types import Diagnostic, Estimate
 
 
 def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
@@ -45,8 +45,26 @@ def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
         max_weight_share=_extreme(max, [e.max_weight_share for e in estimates]),
         unbiased_probability=unbiased,
         unbiased_std_error=unbiased_error if failures else None,
-        diagnostics=repetition_diagnostics(estimates, log10_probability=log10_probability),
+        diagnostics=_diagnostics(estimates, upper=high, log10_probability=log10_probability),
     )
+
+
+def _diagnostics(
+    estimates: Sequence[Estimate], *, upper: float | None, log10_probability: float | None
+) -> tuple[Diagnostic, ...]:
+    """Counts are pooled and judged as one; weights and runs are judged repetition by repetition."""
+    if upper is None or not _are_counts(estimates):
+        return repetition_diagnostics(estimates, log10_probability=log10_probability)
+    return count_diagnostics(
+        failures=sum(estimate.failures for estimate in estimates),
+        rollouts=sum(estimate.rollouts_in_estimate for estimate in estimates),
+        upper=upper,
+        confidence=CONFIDENCE,
+    )
+
+
+def _are_counts(estimates: Sequence[Estimate]) -> bool:
+    return all(by_name(estimate.method).interval_basis == "counts" for estimate in estimates)
 
 
 def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None]:
@@ -60,7 +78,7 @@ def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None
 def _repetition_interval(
     estimates: Sequence[Estimate], *, mean: float, error: float
 ) -> tuple[float | None, float | None]:
-    if all(by_name(estimate.method).interval_basis == "counts" for estimate in estimates):
+    if _are_counts(estimates):
         count = sum(estimate.rollouts_in_estimate for estimate in estimates)
         failures = sum(estimate.failures for estimate in estimates)
         pooled = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")

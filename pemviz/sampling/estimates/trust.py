@@ -1,0 +1,63 @@
+"""Whether an interval may be read as a 95 % interval: decided here, asked by all that show one."""
+
+from collections.abc import Iterable
+
+from pemviz.errors import ConfigError
+from pemviz.sampling.description import IntervalBasis, MethodDescription
+from pemviz.sampling.estimates.diagnostics import reason, undermining
+from pemviz.sampling.registry import by_name
+from pemviz.types import Diagnostic, Estimate
+
+STRICTEST: IntervalBasis = "weights"
+"""What the interval of a method is taken to rest on that is not known here."""
+
+
+def unreliable_because(
+    estimate: Estimate, diagnostics: Iterable[Diagnostic] | None = None
+) -> tuple[str, ...]:
+    """Why an estimate must not decide anything; empty if nothing speaks against it.
+
+    Args:
+        estimate: What is judged.
+        diagnostics: All that is known to be wrong; ``None``: the estimate's own.
+    """
+    wrong = estimate.diagnostics if diagnostics is None else diagnostics
+    return _undermined(wrong, method=estimate.method)
+
+
+def interval_caveats(
+    estimate: Estimate, diagnostics: Iterable[Diagnostic] | None = None
+) -> tuple[str, ...]:
+    """Why ``ci_low`` and ``ci_high`` are no interval at ``confidence``; empty if they are one.
+
+    Args:
+        estimate: Whose interval.
+        diagnostics: All that is known to be wrong; ``None``: the estimate's own.
+    """
+    wrong = estimate.diagnostics if diagnostics is None else diagnostics
+    return caveats(wrong, method=estimate.method)
+
+
+def caveats(diagnostics: Iterable[Diagnostic], *, method: str) -> tuple[str, ...]:
+    """Why an interval of ``method`` with these diagnostics does not hold at its level.
+
+    What the method's description says of its intervals comes last: it holds of all of them.
+    """
+    reasons = _undermined(diagnostics, method=method)
+    described = _description(method)
+    of_method = None if described is None else described.interval_caveat
+    return reasons if of_method is None else (*reasons, of_method)
+
+
+def _undermined(diagnostics: Iterable[Diagnostic], *, method: str) -> tuple[str, ...]:
+    described = _description(method)
+    basis = STRICTEST if described is None else described.interval_basis
+    return tuple(map(reason, undermining(diagnostics, basis=basis)))
+
+
+def _description(method: str) -> MethodDescription | None:
+    """``None`` for a method that is not installed here: a recording may come from elsewhere."""
+    try:
+        return by_name(method)
+    except ConfigError:
+        return None

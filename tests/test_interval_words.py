@@ -1,0 +1,227 @@
+"""An interval that does not hold is called a 95 % interval nowhere; one that holds, everywhere.
+
+Every method, with a reliable and an unreliable estimate, in every place that shows an interval.
+"""
+
+import json
+import re
+import time
+from dataclasses import replace
+from functools import cache
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from pemviz.cli.summary import print_summary
+from pemviz.config import METHODS, ExperimentConfig
+from pemviz.config.toml_files import config_text
+from pemviz.panel.controller import Controller
+from pemviz.panel.recordings import RecordingsFolder
+from pemviz.panel.views import compare, headline, learning, recordings
+from pemviz.recording.sweep_overview import _label
+from pemviz.recording.text import answer_text
+from pemviz.reports.estimate_text import summary_text
+from pemviz.reports.gate import decide_run
+from pemviz.reports.junit import junit_xml
+from pemviz.reports.markdown import summary_markdown
+from pemviz.reproduce.experiments import RepetitionOutcome
+from pemviz.reproduce.failure_tables import table_2
+from pemviz.runs.result_file import result_document, write_result
+from pemviz.sampling.registry import by_name
+from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sweep.carry_out import RunState
+from pemviz.sweep.fields import parse_variation
+from pemviz.sweep.overview import _estimate, _runs_page
+from pemviz.sweep.plan import make_plan
+from pemviz.sweep.summary import summary_markdown as sweep_summary
+from pemviz.sweep.table import csv_text, rows
+from pemviz.types import Diagnostic
+from tests.reports.runs import estimate
+from tests.reports.runs import result as made_up
+
+METHOD = pytest.mark.parametrize("method", METHODS.names())
+DOUBT = re.compile(r"not\s+a\s+95\s+%\s+(interval|bound)")
+CLAIM = re.compile(r"(?<!not a )95\s+%\s+(interval|upper\s+bound|bound)")
+WRONG = Diagnostic(
+    "unlatched", None, None, "nothing tells during a rollout whether it has violated"
+)
+"""What makes an interval unreliable whatever it rests on."""
+
+
+def judged(method, *, reliable, repetitions=1):
+    """A run's result, and what is said against its interval."""
+    one = estimate(method=method, diagnostics=() if reliable else (WRONG,))
+    whole = replace(
+        made_up(one, repetitions=repetitions),
+        config=ExperimentConfig(method=method, repetitions=repetitions),
+        reference=None,
+    )
+    caveat = by_name(method).interval_caveat
+    return whole, [*([] if reliable else [WRONG.text]), *([] if caveat is None else [caveat])]
+
+
+def plain(text):
+    """Without line breaks, tables' frames and escapes."""
+    return " ".join(unescape(text).replace("\u2502", " ").split())
+
+
+def terminal(result, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    print_summary(result, Path("run"))
+    return capsys.readouterr().out
+
+
+@METHOD
+@pytest.mark.parametrize("reliable", [True, False])
+def test_every_report(method, reliable, capsys, monkeypatch):
+    result, against = judged(method, reliable=reliable)
+    gate = decide_run(result, limit=1e-20)
+    for text in (
+        terminal(result, capsys, monkeypatch),
+        summary_text(result),
+        summary_markdown(result),
+        junit_xml(result),
+        answer_text(result, running=False),
+        gate.sentence,
+    ):
+        checked(plain(text), against)
+
+
+def checked(text, against):
+    """Words that an interval is none where something speaks against it, and nowhere else."""
+    assert bool(DOUBT.search(text)) == bool(against)
+    assert bool(CLAIM.search(text)) == (not against)
+    for words in against:
+        assert words in text
+
+
+@METHOD
+@pytest.mark.parametrize("reliable", [True, False])
+def test_result_json_says_so_beside_the_bounds(method, reliable):
+    result, against = judged(method, reliable=reliable, repetitions=2)
+    document = json.loads(json.dumps(result_document(result)))
+    for table in (document["estimate"], *document["repetitions"]):
+        assert table["interval_caveats"] == against
+
+
+@METHOD
+@pytest.mark.parametrize("reliable", [True, False])
+def test_an_interval_that_does_not_hold_is_dotted(method, reliable):
+    result, against = judged(method, reliable=reliable, repetitions=3)
+    page = summary_markdown(replace(result, pem_interval=None))
+    drawn = [line for line in page.splitlines() if re.match(r"(repetition \d|mean of 3) ", line)]
+    assert len(drawn) == 4
+    for line in drawn:
+        assert (".." in line and ":" in line) == bool(against)
+        assert ("--" in line and "|" in line) == (not against)
+    assert ("dotted is not a 95 % interval" in page) == bool(against)
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """A run as the panel shows it; its answer is replaced by what a test needs."""
+    made = Controller(tmp_path_factory.mktemp("recordings"))
+    try:
+        made.start(ExperimentConfig(method="naive", final_rollouts=20))
+        while made.state.running:
+            time.sleep(0.05)
+    finally:
+        made.close()
+    assert made.state.run is not None
+    return made.state.run
+
+
+@METHOD
+@pytest.mark.parametrize("reliable", [True, False])
+def test_every_page_of_the_panel(method, reliable, shown, tmp_path):
+    result, against = judged(method, reliable=reliable)
+    run = replace(shown, result=result)
+    other = replace(shown, result=judged("mixture", reliable=True)[0])
+    for page in (headline.headline(run), learning.learning(run)):
+        text = plain(re.sub("<[^>]*>", " ", page))
+        assert bool(DOUBT.search(text)) == bool(against)
+        assert bool(CLAIM.search(text)) == (not against)
+    both = plain(compare.runs_page(run, other))
+    assert bool(CLAIM.search(both)) == (not against)
+    assert ("not a 95 % interval" in both) == bool(against)
+    assert all(words in both for words in against)
+    dashed = f"stroke-dasharray='{learning.DOUBTED}'"
+    assert (dashed in compare.estimates_plot(run, other)) == bool(against)
+    (tmp_path / "a-run").mkdir()
+    write_result(tmp_path / "a-run", result)
+    (tmp_path / "a-run" / "config.toml").write_text(config_text(result.config), encoding="utf-8")
+    (entry,) = RecordingsFolder(tmp_path).entries()
+    listed = recordings.recordings_table([entry], folder="x")
+    assert ("unreliable" in listed) == (not reliable)
+
+
+@cache
+def plan_of_one():
+    base = ExperimentConfig(method="naive", final_rollouts=20)
+    return make_plan(base, [parse_variation("seed=3")])
+
+
+@METHOD
+@pytest.mark.parametrize("reliable", [True, False])
+def test_every_table_of_a_sweep(method, reliable):
+    result, against = judged(method, reliable=reliable)
+    plan = plan_of_one()
+    states = [RunState(plan.runs[0], "done", result.estimate)]
+    checked_page = plain(_runs_page(plan, states))
+    assert bool(DOUBT.search(checked_page)) == bool(against)
+    assert ("8e-16 to 5e-15 (95 %)" in checked_page) == (not against)
+    (row,) = rows(plan, states)
+    assert row["interval_caveats"] == "; ".join(against)
+    assert all(words in csv_text(plan, [row]) for words in against)
+    drawn = _estimate(states[0])
+    assert drawn.caveats == tuple(against)
+    assert bool(DOUBT.search(_label(type("", (), {"title": "all"}), drawn))) == bool(against)
+    assert f"| {int(not reliable)} of 1 |" in sweep_summary(plan, states)
+
+
+@METHOD
+@pytest.mark.parametrize("reliable", [True, False])
+def test_the_papers_tables(method, reliable):
+    result, against = judged(method, reliable=reliable)
+    page = table_2({method: [RepetitionOutcome(result.estimate, curves={})]}, None).markdown()
+    assert "| is it a 95 % bound? |" in page
+    assert ("| yes |" in page) == (not against)
+    assert all(words in plain(page) for words in against)
+
+
+@METHOD
+def test_a_reference_that_disagrees_counts_too(method, capsys, monkeypatch):
+    far = Reference(probability=8e-14, std_error=2e-17, log10_probability=-13.097)
+    result = replace(judged(method, reliable=True)[0], reference=far)
+    for text in (
+        terminal(result, capsys, monkeypatch),
+        summary_text(result),
+        summary_markdown(result),
+        junit_xml(result),
+        answer_text(result, running=False),
+        json.dumps(result_document(result)["estimate"]["interval_caveats"]),
+    ):
+        assert "0.025 times the reference" in plain(text)
+        assert not CLAIM.search(plain(text))
+
+
+def test_the_range_over_refits_is_called_that_and_its_caveats_are_told(capsys, monkeypatch):
+    result, _ = judged("mixture", reliable=True)
+    (caveat,) = result.pem_interval.warnings
+    for text in (
+        terminal(result, capsys, monkeypatch),
+        summary_text(result),
+        summary_markdown(result),
+        junit_xml(result),
+    ):
+        assert caveat in plain(text)
+    for text in (
+        terminal(result, capsys, monkeypatch),
+        summary_markdown(result),
+        junit_xml(result),
+        answer_text(result, running=False),
+    ):
+        words = plain(text)
+        assert "refits of one architecture on the same data, not other model families" in words
+        assert "error models" not in words
