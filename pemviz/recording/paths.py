@@ -65,7 +65,7 @@ def bars(name: str) -> str:
 
 def doubted_bars(name: str) -> str:
     """As :func:`bars`, of stages whose interval is no 95 % interval."""
-    return f"/learning/by_stage/doubted/{name}"
+    return f"{bars(name)}/doubted"
 
 
 def stage_curve(stage: int) -> str:

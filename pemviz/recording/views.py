@@ -147,8 +147,7 @@ def _estimate_view() -> ViewSpec:
         "log10 estimate with 95 % interval (grey ends: not a 95 % interval) against stage",
         (
             paths.bars("log10_probability"),
-            *map(paths.bars, ends),
-            *map(paths.doubted_bars, ends),
+            *(paths.bars(end) + paths.SUBTREE for end in ends),
         ),
     )
 
