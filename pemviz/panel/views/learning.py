@@ -180,7 +180,7 @@ def estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
     if not (answer or in_range or bound):
         words = "no violation yet" if run.running else "no violation seen"
         plot.note(words, (plot.left + plot.right) / 2, plot.top + 50, anchor="middle")
-    answer_entry = (f"the answer, {of_level} interval", VERMILLION, dash)
+    answer_entry = (f"answer, {of_level} interval", VERMILLION, dash)
     entries = [(f"a {each} alone", GREY, "")] * several + [answer_entry]
     _legend(plot, entries + [("reference", GREEN, "")] * (reference is not None))
     return plot.text()
