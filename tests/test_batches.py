@@ -37,7 +37,12 @@ def scored(generator, count):
 
 
 def particles(generator, count):
-    return Particles(rollouts(generator, count), generator.normal(size=(count, STATES)))
+    return Particles(
+        rollouts=rollouts(generator, count),
+        score=generator.normal(size=(count, STATES)),
+        looks=generator.integers(9, size=(count, STATES)),
+        ancestor=np.arange(count),
+    )
 
 
 def states(generator, count, step):

@@ -98,10 +98,10 @@ def _decide(
 def _reason(
     estimate: Estimate, diagnostics: tuple[Diagnostic, ...], bound: Bound, *, limit: float
 ) -> str:
+    against = "; ".join(unreliable_because(estimate, diagnostics))
     if estimate.ci_high is None:
-        return "there is no upper bound"
-    against = unreliable_because(estimate, diagnostics)
+        return f"there is no upper bound: {against}" if against else "there is no upper bound"
     if against and bound != "above":
-        return "; ".join(against)
+        return against
     caveats = interval_caveats(estimate, diagnostics)
     return f"{bound_text(estimate, caveats=caveats)} is {bound} {limit:g}"

@@ -29,6 +29,12 @@ from pemviz.sampling.estimates.diagnostics import (
 )
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.registry import by_name
+from pemviz.sampling.splitting.diagnostics import (
+    FEW_RUNS,
+    LARGE_COMMON_ANCESTRY,
+    LARGE_SPREAD,
+    WIDE_FACTOR,
+)
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Diagnostic, DiagnosticKind
 from tests.reports.runs import estimate, result
@@ -83,7 +89,10 @@ def test_contributing_states_the_limits():
     assert f"above {RELIABLE_PARETO_K:g}" in words["heavy-tail"]
     assert f"over {100 * LARGE_SHARE:g} %" in words["large-weight"]
     assert f"below {sys.float_info.min:.2g}" in words["below-doubles"]
-    assert (FEW_FAILURES, AGREEMENT_ERRORS) == (10, 3.0)  # in words there
+    assert f"above {LARGE_SPREAD:g}" in words["runs-differ"]
+    assert f"over {100 * LARGE_COMMON_ANCESTRY:g} %" in words["few-ancestors"]
+    assert f"factor of {WIDE_FACTOR:g}" in words["wide-interval"]
+    assert (FEW_FAILURES, FEW_RUNS, AGREEMENT_ERRORS) == (10, 5, 3.0)  # in words there
 
 
 def test_the_codes_are_those_of_the_contract():

@@ -24,7 +24,6 @@ from pemviz.sampling.estimates.diagnostics import (
     classified,
     count_diagnostics,
     reference_disagreement,
-    run_diagnostics,
     unlatched,
     unreliable_reference,
     weight_diagnostics,
@@ -33,6 +32,11 @@ from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.estimates.importance_weights import WeightFigures
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.rollouts.final_batch import WeighedRollouts
+from pemviz.sampling.splitting.diagnostics import (
+    died_out,
+    spread_diagnostics,
+    width_diagnostics,
+)
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.types import DiagnosticKind
 
@@ -83,7 +87,7 @@ def impossible(problem):
 def test_equal_weights_and_many_failures_are_no_diagnosis(toy_problem):
     assert kinds(weighted(np.ones(30))) == []
     assert kinds(counted(toy_problem, rollouts=20_000)) == []
-    assert kinds(split(toy_problem, stages=2, rollouts=200)) == []
+    assert kinds(split(toy_problem, stages=5, rollouts=200)) == []
 
 
 def test_uneven_weights_with_figures_known_by_hand():
@@ -159,10 +163,12 @@ def test_nothing_seen_under_weights_says_nothing():
 def test_runs_of_splitting_that_die_out_or_stand_alone(toy_problem):
     dead = split(impossible(toy_problem), stages=3)
     assert kinds(dead) == ["died-out"]
-    assert dead.warnings == ("in 3 of 3 runs no particle reached a violation",)
+    assert dead.warnings == (
+        "in 3 of 3 runs no particle reached a violation: ask for more particles",
+    )
     assert dead.diagnostics[0].value == 3.0
     alone = split(toy_problem, stages=1, rollouts=200)
-    assert kinds(alone) == ["single-run"]
+    assert kinds(alone) == ["few-runs"]
     assert alone.std_error is None
     assert unreliable_because(dead)
     assert unreliable_because(alone)
@@ -211,12 +217,14 @@ def test_repetitions_of_splitting_tell_of_runs_that_died(toy_problem):
     assert unreliable_because(found)
 
 
-def test_repetitions_of_single_runs_give_the_error_that_one_lacks(toy_problem):
+def test_repetitions_of_single_runs_have_an_error_but_no_interval(toy_problem):
     found = summarise_repetitions(
         [split(toy_problem, stages=1, rollouts=200, repetition=r) for r in range(3)]
     )
     assert found.std_error is not None
-    assert kinds(found) == []
+    assert (found.ci_low, found.ci_high) == (None, None)
+    assert kinds(found) == ["few-runs"]
+    assert unreliable_because(found)
 
 
 def test_a_mean_below_doubles_says_so():
@@ -234,8 +242,9 @@ def one_of_each_kind():
         *count_diagnostics(failures=3, **asked),
         *weight_diagnostics(figures, failures=5, rollouts=100, log10_probability=-400.0),
         *weight_diagnostics(figures, failures=0, rollouts=100, log10_probability=None),
-        *run_diagnostics(died=1, runs=2),
-        *run_diagnostics(died=0, runs=1),
+        died_out(died=1, runs=2),
+        *spread_diagnostics(runs=2, spread_nats=3.0, common_ancestry=0.9),
+        *width_diagnostics(probability=1e-9, low=1e-10, high=2e-9),
         unlatched(),
         *unreliable_reference(["its tail is heavy"]),
         *called_safe(0.1, relative_error=0.01),

@@ -80,10 +80,8 @@ def test_what_is_made_of_rollouts_is_time_major(experiment, scored, tmp_path):
     again = finished_stage(path, signals)
     generator = np.random.default_rng(0)
     particles = draw_particles(experiment.problem, count=6, generator=generator)
-    cut = np.array([3, 50, 98])
-    further = restarted(
-        experiment.problem, particles.take(np.array([0, 2, 2])), cut=cut, generator=generator
-    )
+    parent, cut = np.array([0, 2, 2]), np.array([3, 50, 98])
+    further = restarted(experiment.problem, particles, parent=parent, cut=cut, generator=generator)
     for batch in (
         again.scored.rollouts,
         scored.rollouts.take(scored.violated),

@@ -1,4 +1,7 @@
-"""What is wrong with an estimate: every diagnostic is made here, with its limit and its words."""
+"""What is wrong with an estimate: every diagnostic is made here, with its limit and its words.
+
+But for those of splitting's runs, which stand beside it.
+"""
 
 import math
 import sys
@@ -85,8 +88,27 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         undermines=ALL,
         in_repetitions="nothing tells during a rollout whether it has violated",
     ),
-    # its repetitions differ, which gives a standard error
-    "single-run": Meaning(phrase="gives no standard error", undermines=ALL),
+    "few-runs": Meaning(
+        phrase="of splitting are too few",
+        undermines=ALL,
+        in_repetitions="there were too few runs for an interval",
+        worst=min,
+    ),
+    "runs-differ": Meaning(
+        phrase="the runs differ too much",
+        undermines=ALL,
+        in_repetitions="the runs differed too much for an interval",
+    ),
+    "few-ancestors": Meaning(
+        phrase="have a common ancestor",
+        undermines=ALL,
+        in_repetitions="violating particles descended from very few ancestors",
+    ),
+    "wide-interval": Meaning(
+        phrase="it tells only the order of magnitude",
+        undermines=NOTHING,
+        in_repetitions="the answer gave only the order of magnitude",
+    ),
     # the logarithm is as good as any
     "below-doubles": Meaning(
         phrase="too small for a floating-point number", undermines=NOTHING, worst=min
@@ -162,17 +184,6 @@ def _below_doubles(log10_probability: float) -> Sequence[Diagnostic]:
         "and shows as 0: read log10_probability"
     )
     return (Diagnostic("below-doubles", log10_probability, SMALLEST_LOG10, text),)
-
-
-def run_diagnostics(*, died: int, runs: int) -> tuple[Diagnostic, ...]:
-    """Of independent runs of splitting, in some of which all particles died out."""
-    if died:
-        text = f"in {died} of {runs} runs no particle reached a violation"
-        return (Diagnostic("died-out", float(died), 0.0, text),)
-    if runs < 2:
-        text = "one run of splitting gives no standard error: ask for at least two"
-        return (Diagnostic("single-run", float(runs), 2.0, text),)
-    return ()
 
 
 def unlatched() -> Diagnostic:

@@ -85,9 +85,31 @@ def _repetition_interval(
         return float(pooled.low), float(pooled.high)
     if mean <= 0.0:
         return None, None
+    if all(by_name(estimate.method).interval_basis == "runs" for estimate in estimates):
+        return _interval_of_mean(estimates, mean=mean)
     return log_normal_interval(
         math.log(mean), relative_error=error / mean, degrees_of_freedom=len(estimates) - 1
     )
+
+
+def _interval_of_mean(
+    estimates: Sequence[Estimate], *, mean: float
+) -> tuple[float | None, float | None]:
+    """From the repetitions' own intervals, if all have one: they know of the runs within them.
+
+    Distances from the estimates are added as standard errors are (Zou, Donner 2008), each side
+    for itself.
+    """
+    known = [
+        (estimate.probability, estimate.ci_low, estimate.ci_high)
+        for estimate in estimates
+        if estimate.ci_low is not None and estimate.ci_high is not None
+    ]
+    if len(known) < len(estimates):
+        return None, None
+    below = math.hypot(*(middle - low for middle, low, _ in known)) / len(known)
+    above = math.hypot(*(high - middle for middle, _, high in known)) / len(known)
+    return max(mean - below, 0.0), min(mean + above, 1.0)
 
 
 def _mean_log10(estimates: Sequence[Estimate]) -> float | None:

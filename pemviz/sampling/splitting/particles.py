@@ -1,13 +1,26 @@
-"""Particles of multilevel splitting: rollouts that can be cut and continued."""
+"""Particles of multilevel splitting: rollouts that can be cut and continued.
 
-from dataclasses import dataclass
+A particle keeps its states at all steps, so that it goes on from any of them without being
+replayed. N particles of T states take about N T (8 (signals + memory) + 33) bytes, and up to
+three times that while a level's particles are replaced.
+"""
+
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import Batch, FloatArray, IntArray
+from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray
+from pemviz.errors import ConfigError
 from pemviz.sampling.problem import Problem
-from pemviz.types import RolloutBatch, StateBatch
+from pemviz.sampling.rollouts.batches import check_numbers
+from pemviz.sampling.splitting.importance import importance, importance_at_end
+from pemviz.types import RolloutBatch, Simulator, StateBatch
+
+MOST_LOOKS = 64
+"""States of one rollout at which the importance function is computed at most, so that what a
+rollout costs grows with its length and not with its square; half of them may be at its start,
+the rest come evenly over the steps."""
 
 
 @dataclass(frozen=True)
@@ -16,90 +29,178 @@ class Particles(Batch):
 
     Attributes:
         rollouts: The rollouts.
-        score: ``[N, T]``: the robustness that each would have if, from each step on,
-            everything were detected; running minimum. Its last column is no larger than the
-            rollout's own robustness.
+        score: ``[N, T]``: the importance function at the states so far, running minimum; see
+            :func:`pemviz.sampling.splitting.importance.importance`.
+        looks: ``[N, T]``: at how many of the states so far it was computed.
+        ancestor: ``[N]``: which of the particles at the start of the run each descends from.
     """
 
     rollouts: RolloutBatch
     score: FloatArray
+    looks: IntArray
+    ancestor: IntArray
+
+    @property
+    def count(self) -> int:
+        """Number of particles N."""
+        return int(self.ancestor.size)
 
     @property
     def lowest(self) -> FloatArray:
-        """The lowest score of each rollout, ``[N]``."""
+        """The lowest score of each particle, ``[N]``."""
         return self.score[:, -1]
 
 
 def draw_particles(problem: Problem, *, count: int, generator: np.random.Generator) -> Particles:
-    """``count`` independent rollouts."""
-    steps = problem.simulator.states - 1
+    """``count`` independent rollouts.
+
+    Raises:
+        ConfigError: The simulator's states hold more than can be kept.
+        SimulationError: Something is no finite number.
+    """
     start = problem.simulator.initial(count=count)
-    empty = RolloutBatch(
-        signals={name: np.zeros((count, steps + 1)) for name in start.signals},
-        memory={
-            name: np.zeros((count, steps + 1), dtype=values.dtype)
-            for name, values in start.memory.items()
-        },
-        detected=np.zeros((count, steps), dtype=np.bool_),
-        pem_logit=np.zeros((count, steps)),
-        proposal_logit=np.zeros((count, steps)),
-    ).map(np.asfortranarray)
-    return _continued(problem, empty, np.zeros(count, dtype=np.int64), generator)
+    _check_can_be_kept(problem.simulator, start)
+    states = problem.simulator.states
+    unknown = np.zeros((count, states - 1))
+    blank = Particles(
+        rollouts=RolloutBatch(
+            signals={name: _first_column(v, states) for name, v in start.signals.items()},
+            memory={name: _first_column(v, states) for name, v in start.memory.items()},
+            detected=unknown.astype(np.bool_),
+            pem_logit=unknown,
+            proposal_logit=unknown,
+        ),
+        score=np.full((count, states), np.inf),
+        looks=np.zeros((count, states), dtype=np.int64),
+        ancestor=np.arange(count),
+    )
+    whole = np.zeros(count, dtype=np.int64)
+    return _continued(problem, blank.map(np.asfortranarray), cut=whole, generator=generator)
 
 
 def restarted(
-    problem: Problem, particles: Particles, *, cut: IntArray, generator: np.random.Generator
+    problem: Problem,
+    particles: Particles,
+    *,
+    parent: IntArray,
+    cut: IntArray,
+    generator: np.random.Generator,
 ) -> Particles:
-    """New rollouts that share the states up to ``cut [N]`` and go on independently."""
-    return _continued(problem, particles.rollouts, cut, generator)
+    """New particles that go on independently from states of others.
+
+    Args:
+        problem: The scenario and the error model.
+        particles: Some of them are gone on from; they stay as they are.
+        parent: Which particle each new one shares its states with, ``[M]``.
+        cut: The last state that they share, ``[M]``.
+        generator: Source of the outcomes after it.
+
+    Returns:
+        M particles in the order of ``cut``; those with the same keep theirs.
+
+    Raises:
+        SimulationError: Something is no finite number.
+    """
+    order = np.argsort(cut, kind="stable")
+    copies = particles.take(parent[order])
+    return _continued(problem, copies, cut=cut[order], generator=generator)
+
+
+def _check_can_be_kept(simulator: Simulator, states: StateBatch) -> None:
+    kept = {part.name for part in fields(StateBatch)}
+    more = [part.name for part in fields(states) if part.name not in kept]
+    if more:
+        message = (
+            f"simulator {simulator.name}: its states carry {', '.join(more)} beside signals and "
+            "memory; splitting goes on from kept states, so all of it must be in the memory"
+        )
+        raise ConfigError(message)
+
+
+def _first_column(values: AnyArray, states: int) -> AnyArray:
+    """``[N, T]`` with ``values [N]`` at the first state."""
+    result = np.zeros((values.size, states), dtype=values.dtype)
+    result[:, 0] = values
+    return result
 
 
 def _continued(
-    problem: Problem, old: RolloutBatch, cut: IntArray, generator: np.random.Generator
+    problem: Problem, paths: Particles, *, cut: IntArray, generator: np.random.Generator
 ) -> Particles:
-    """Rollouts ``[N]`` drawn anew from step ``cut`` on; 0 draws them whole."""
-    simulator = problem.simulator
-    count, steps = old.detected.shape
-    signals = {name: np.array(values) for name, values in old.signals.items()}
-    memory = {name: np.array(values) for name, values in old.memory.items()}
-    detected, logit = np.array(old.detected), np.array(old.pem_logit)
-    uniforms = generator.random((count, steps))
-    states = simulator.initial(count=count)
-    score = np.empty((count, steps + 1), order="F")
-    for step in range(steps + 1):
-        for name, values in states.signals.items():
-            signals[name][:, step] = values
-        for name, values in states.memory.items():
-            memory[name][:, step] = values
+    """Overwrite ``paths [N]`` after the states ``cut [N]``, ascending; 0 draws them whole."""
+    to_look = _moved_on(problem, paths, cut, generator)
+    rollouts = replace(paths.rollouts, proposal_logit=paths.rollouts.pem_logit)
+    check_numbers(rollouts, first_rollout=0, simulator=problem.simulator.name)
+    step, row = np.nonzero(to_look.T)
+    fresh = np.full_like(paths.score, np.inf)
+    fresh[row, step] = importance(problem, rollouts, row=row, step=step)
+    fresh[:, -1] = importance_at_end(problem.robustness(rollouts.signals))
+    moments = np.arange(paths.score.shape[1])[:, None]
+    shared = (moments <= np.where(cut > 0, cut, -1)).T
+    score = np.minimum.accumulate(np.where(shared, paths.score, fresh), axis=1)
+    return replace(paths, rollouts=rollouts, score=score)
+
+
+def _moved_on(
+    problem: Problem, paths: Particles, cut: IntArray, generator: np.random.Generator
+) -> BoolArray:
+    """Overwrite ``paths`` from ``cut`` on; at which states the importance function is computed.
+
+    That is where an outcome that was not the likelier one has just led elsewhere than the
+    other would have: outcomes that change nothing, and those that were to be expected, bring
+    a rollout no nearer. The last states are not among them, since nothing follows.
+    """
+    simulator, rollouts = problem.simulator, paths.rollouts
+    count, steps = rollouts.detected.shape
+    uniforms = generator.random((steps, count))
+    to_look = np.zeros((count, steps + 1), dtype=np.bool_, order="F")
+    pending = np.zeros(count, dtype=np.bool_)
+    for step in range(int(cut[0]), steps):
         problem.pause()
-        score[:, step] = problem.robustness(_if_detected(problem, signals, states, step))
-        if step == steps:
-            break
-        logit[:, step] = problem.pem.logit(simulator.salient(states.signals))
-        fresh = uniforms[:, step] >= expit(-logit[:, step])
-        detected[:, step] = np.where(step >= cut, fresh, detected[:, step])
-        states = simulator.step(states, detected[:, step])
-    return Particles(
-        rollouts=RolloutBatch(
-            signals=signals,
-            memory=memory,
-            detected=detected,
-            pem_logit=logit,
-            proposal_logit=logit,
-        ),
-        score=np.minimum.accumulate(score, axis=1),
+        active = int(np.searchsorted(cut, step, side="right"))
+        before = _states_at(rollouts, step, active)
+        logit = problem.pem.logit(simulator.salient(before.signals))
+        detected = uniforms[step, :active] >= expit(-logit)
+        after = simulator.step(before, detected)
+        rollouts.pem_logit[:active, step] = logit
+        rollouts.detected[:active, step] = detected
+        for kept, reached in ((rollouts.signals, after.signals), (rollouts.memory, after.memory)):
+            for name, values in reached.items():
+                kept[name][:active, step + 1] = values
+        unlikely = np.flatnonzero(detected != (logit >= 0.0))
+        if unlikely.size:
+            pending[unlikely] |= _mattered(simulator, before, after, detected, unlikely)
+        _mark(to_look, paths.looks, pending, step + 1, active)
+    return to_look
+
+
+def _mark(to_look: BoolArray, looks: AnyArray, pending: BoolArray, step: int, active: int) -> None:
+    """Decide which of the first ``active`` particles are looked from at ``step``."""
+    last = looks.shape[1] - 1
+    allowed = MOST_LOOKS * (last + step) // (2 * last) if step < last else 0
+    before = looks[:active, step - 1]
+    chosen = pending[:active] & (before < allowed)
+    to_look[:active, step] = chosen
+    looks[:active, step] = before + chosen
+    pending[:active] &= ~chosen
+
+
+def _states_at(rollouts: RolloutBatch, step: int, active: int) -> StateBatch:
+    """The kept states of the first ``active`` rollouts."""
+    return StateBatch(
+        step=np.array(step, dtype=np.int64),
+        signals={name: values[:active, step] for name, values in rollouts.signals.items()},
+        memory={name: values[:active, step] for name, values in rollouts.memory.items()},
     )
 
 
-def _if_detected(
-    problem: Problem, signals: dict[str, FloatArray], states: StateBatch, step: int
-) -> dict[str, FloatArray]:
-    """Signals ``[N, T]`` of the rollouts if everything is detected from ``step`` on."""
-    simulator = problem.simulator
-    result = {name: np.array(values) for name, values in signals.items()}
-    everything = np.ones(next(iter(states.signals.values())).size, dtype=np.bool_)
-    for later in range(step + 1, simulator.states):
-        states = simulator.step(states, everything)
-        for name, values in states.signals.items():
-            result[name][:, later] = values
-    return result
+def _mattered(
+    simulator: Simulator, before: StateBatch, after: StateBatch, detected: BoolArray, rows: IntArray
+) -> BoolArray:
+    """Whether the other outcome would have led elsewhere, for the chosen ``rows [M]``."""
+    other = simulator.step(before.take(rows), ~detected[rows])
+    differs = np.zeros(rows.size, dtype=np.bool_)
+    for reached, instead in ((after.signals, other.signals), (after.memory, other.memory)):
+        for name, values in instead.items():
+            differs |= np.asarray(reached[name][rows] != values, dtype=np.bool_)
+    return differs

@@ -1,0 +1,128 @@
+"""One run of adaptive multilevel splitting."""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, IntArray
+from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
+from pemviz.sampling.problem import Problem, in_time, score
+from pemviz.sampling.splitting.particles import Particles, draw_particles, restarted
+from pemviz.types import ScoredRollouts
+
+KILLED_SHARE = 0.5
+MOST_LEVELS = 10_000
+
+
+@dataclass(frozen=True)
+class SplittingRun:
+    """One independent run.
+
+    Attributes:
+        log_probability: Its estimate; -inf if the particles died out.
+        least_variance: Variance of ``log_probability`` if the importance function were the
+            probability of a violation itself: no other has a smaller one.
+        common_ancestry: Of two violating particles, how often both descend from one particle
+            at the start.
+        simulated: Rollouts begun or continued.
+        levels: How often particles were cut.
+        scored: The particles at the end.
+    """
+
+    log_probability: float
+    least_variance: float
+    common_ancestry: float
+    simulated: int
+    levels: int
+    scored: ScoredRollouts
+
+
+def split(problem: Problem, *, count: int, generator: np.random.Generator) -> SplittingRun:
+    """One run with ``count`` particles.
+
+    At every level the particles that have not come below it are replaced by continuations of
+    those that have, each as often as any other but for one. The estimate is unbiased, ties
+    included (Brehier, Gazeau, Goudenege, Lelievre, Rousset 2016).
+
+    Raises:
+        ConfigError: The simulator's states hold more than can be kept.
+        SimulationError: Something is no finite number, or a level takes too long.
+    """
+    particles = in_time(problem, lambda: draw_particles(problem, count=count, generator=generator))
+    shares: list[float] = []
+    simulated = count
+    while len(shares) < MOST_LEVELS:
+        level = _level(particles)
+        problem.progress(_on_the_way(sum(map(_log, shares)), level, count=count), count)
+        killed = particles.lowest >= level
+        if level < VIOLATION_THRESHOLD or killed.all():
+            break
+        shares.append(1.0 - float(killed.mean()))
+        simulated += int(killed.sum())
+        particles = in_time(problem, partial(_replaced, problem, particles, level, generator))
+    problem.progress(count, count)
+    scored = score(problem, particles.rollouts)
+    shares.append(float(scored.violated.mean()))
+    return SplittingRun(
+        log_probability=sum(map(_log, shares)),
+        least_variance=sum((1.0 - share) / share for share in shares if share > 0.0) / count,
+        common_ancestry=_common_ancestry(particles.ancestor[scored.violated]),
+        simulated=simulated,
+        levels=len(shares) - 1,
+        scored=scored,
+    )
+
+
+def _log(value: float) -> float:
+    return math.log(value) if value > 0.0 else -math.inf
+
+
+def _level(particles: Particles) -> float:
+    """The score from which on particles are replaced: the median, the higher if there are two."""
+    place = math.ceil((1.0 - KILLED_SHARE) * (particles.count - 1))
+    return float(np.partition(particles.lowest, place)[place])
+
+
+def _on_the_way(log_share: float, level: float, *, count: int) -> int:
+    """``count`` times the share of the way to a violation that is done.
+
+    How often particles are cut and continued is not known before. The logarithm of the share
+    that came this far tells how far a run is, and the level, about -log of the probability
+    of the rest, how far it has to go.
+    """
+    left = max(level, 0.0)
+    return int(count * -log_share / (left - log_share)) if log_share < 0.0 else 0
+
+
+def _copies(killed: BoolArray, generator: np.random.Generator) -> IntArray:
+    """Which of the survivors replaces each of the killed, ``[K]``: all alike but for one."""
+    lost = int(killed.sum())
+    survivors = killed.size - lost
+    whole, rest = divmod(lost, survivors)
+    some = generator.permutation(survivors)[:rest]
+    return np.concatenate([np.tile(np.arange(survivors), whole), some]).astype(np.int64)
+
+
+def _replaced(
+    problem: Problem, particles: Particles, level: float, generator: np.random.Generator
+) -> Particles:
+    """Survivors, and continuations of survivors from where they first came below the level."""
+    killed = particles.lowest >= level
+    alive = np.flatnonzero(~killed)
+    parent = alive[_copies(killed, generator)]
+    cut = np.argmax(particles.score[parent] < level, axis=1)
+    continued = restarted(problem, particles, parent=parent, cut=cut, generator=generator)
+    return Particles.concatenate([particles.take(alive), continued])
+
+
+def _common_ancestry(ancestor: IntArray) -> float:
+    """Of two of the particles ``[M]``, drawn with replacement, how often both have one ancestor.
+
+    What Lee and Whiteley 2018 (section 2.3) estimate a particle approximation's relative variance
+    from: near it where few pairs do, and at most 1 however large the variance is.
+    """
+    if not ancestor.size:
+        return 1.0
+    return float(np.sum((np.bincount(ancestor) / ancestor.size) ** 2))
