@@ -22,7 +22,7 @@ from pemviz.runs.events import (
     notify_all,
 )
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.runs.judge import Judged, beside_reference, judge
+from pemviz.runs.judge import Judged, beside_reference, judge, judge_repetition
 from pemviz.runs.memory import memory_of
 from pemviz.runs.result import PemInfo, RunResult, with_stage
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
@@ -155,6 +155,7 @@ class _Runner:
             for judged in judge(self._judged, experiment=self._experiment, stage=result):
                 self._judged = judged
             stage += 1
+        self._judged = judge_repetition(self._judged, experiment=self._experiment, state=state)
         estimate = method.estimate(state)
         estimates = (*self._judged.result.repetitions, estimate)
         result = replace(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from pemviz import stl
+from pemviz.analysis.model_families import families_beside
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.errors import ConfigError
@@ -17,7 +18,7 @@ from pemviz.runs.back_ends import build_back_end, check_method_fits, own_back_en
 from pemviz.runs.error_model_check import check_error_model
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
-from pemviz.sampling.memory import with_memory
+from pemviz.sampling.memory import remembering_as, with_memory
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
@@ -42,6 +43,7 @@ class Experiment:
     Attributes:
         config: What was asked, validated.
         ensemble: Models that its training data could as well have produced, if there are any.
+        families: Models of other families that were trained on the same data.
         formula: The specification.
         problem: What is to be estimated.
         back_end: The simulator with its twin, if it has one, and what proposals may look at.
@@ -58,6 +60,7 @@ class Experiment:
     back_end: BackEnd
     method: Method[Any]
     planned_rollouts: int
+    families: tuple[Pem, ...] = ()
     warnings: tuple[str, ...] = ()
 
     @property
@@ -121,6 +124,7 @@ def build_experiment(
     check_method_fits(config, back_end)
     warnings = check_error_model(model, back_end.simulator)
     ensemble = ensemble_of(config.pem) if pem is None else None
+    others = () if back_end.is_own else families_beside(model)
     memory = Memory(tau_s=config.memory_s)
     back_end, model, ensemble = with_memory(back_end, model, ensemble, memory=memory)
     formula = build_formula(config, back_end.simulator)
@@ -138,6 +142,7 @@ def build_experiment(
         back_end=back_end,
         method=build_method(config, back_end=back_end),
         planned_rollouts=config.repetitions * description.budget(config).rollouts,
+        families=tuple(remembering_as(family, model) for family in others),
         warnings=warnings,
     )
 

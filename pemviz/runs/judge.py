@@ -4,10 +4,14 @@ Nothing here changes what it is given: a run hands over what it has found so far
 comes back.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from pemviz.analysis.explanation import explain
+from pemviz.analysis.model_families import FamilyRatios, family_answers, family_ratios
 from pemviz.analysis.model_uncertainty import (
     ENOUGH_FAILURES,
     data_bound,
@@ -15,12 +19,35 @@ from pemviz.analysis.model_uncertainty import (
     member_estimates,
     model_interval,
 )
+from pemviz.arrays import FloatArray
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import RunResult, StageSummary
 from pemviz.runs.trust import reference_diagnostics
+from pemviz.sampling.method import PoolsStages
 from pemviz.sampling.value_twisted.reference import reference
 from pemviz.types import StageResult
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """Other families' ratios with the log weights ``[N]`` of the rollouts that they index."""
+
+    ratios: FamilyRatios
+    log_weight: FloatArray
+
+    @staticmethod
+    def concatenate(parts: "Sequence[_Weighed]") -> "_Weighed":
+        """All of at least one part, as if drawn in one."""
+        sizes = [part.log_weight.size for part in parts]
+        firsts = np.concatenate([[0], np.cumsum(sizes)])
+        moved = [
+            replace(part.ratios, rollout=part.ratios.rollout + first)
+            for part, first in zip(parts, firsts[:-1], strict=True)
+        ]
+        return _Weighed(
+            FamilyRatios.concatenate(moved), np.concatenate([part.log_weight for part in parts])
+        )
 
 
 @dataclass(frozen=True)
@@ -31,10 +58,16 @@ class Judged:
         result: The result.
         members: The answers of the error model's ensemble on which ``result.pem_interval``
             rests, one for each part of a final batch that was asked.
+        of_repetition: What other families make of the violations of the stages since the last
+            repetition ended, with the stages' own log weights ``[N]``.
+        of_repetitions: The same of each repetition that is done, with the log weights that its
+            estimate averages.
     """
 
     result: RunResult
     members: tuple[MemberEstimates, ...] = ()
+    of_repetition: tuple[_Weighed, ...] = ()
+    of_repetitions: tuple[_Weighed, ...] = ()
 
 
 def judge(judged: Judged, *, experiment: Experiment, stage: StageResult) -> Iterator[Judged]:
@@ -48,7 +81,14 @@ def judge(judged: Judged, *, experiment: Experiment, stage: StageResult) -> Iter
         experiment: What is run; its problem's ``pause`` may raise to stop.
         stage: The stage with its rollouts.
     """
-    if stage.kind != "final" or not experiment.has_likelihood_ratios:
+    if not experiment.has_likelihood_ratios:
+        return
+    pools = isinstance(experiment.method, PoolsStages)
+    if stage.kind == "final" or pools:
+        judged = _asked_of_families(judged, experiment, stage)
+    if stage.kind != "final":
+        if pools:
+            yield judged
         return
     for step in (_explained, _asked_of_members, _compared_with_data):
         judged = step(judged, experiment, stage)
@@ -81,7 +121,46 @@ def _asked_of_members(judged: Judged, experiment: Experiment, stage: StageResult
     members = (*judged.members, answers)
     if any(part.failures for part in result.stages if part.kind == "final"):
         result = replace(result, pem_interval=model_interval(members))
-    return Judged(result=result, members=members)
+    return replace(judged, result=result, members=members)
+
+
+def _asked_of_families(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
+    """What other families of models make of the stage's violations."""
+    if not experiment.families:
+        return judged
+    weighed = _Weighed(
+        family_ratios(
+            stage.scored, simulator=experiment.problem.simulator, families=experiment.families
+        ),
+        stage.scored.rollouts.log_weight,
+    )
+    return replace(judged, of_repetition=(*judged.of_repetition, weighed))
+
+
+def judge_repetition(judged: Judged, *, experiment: Experiment, state: Any) -> Judged:
+    """The answers of other families of models, once a repetition is done.
+
+    Args:
+        judged: All before, with every stage of the repetition.
+        experiment: What is run.
+        state: The method's, after its last stage.
+    """
+    if not judged.of_repetition:
+        return judged
+    weighed, method = _Weighed.concatenate(judged.of_repetition), experiment.method
+    if isinstance(method, PoolsStages):
+        weighed = replace(weighed, log_weight=method.pooled_log_weight(state))
+    of_repetitions = (*judged.of_repetitions, weighed)
+    pooled = _Weighed.concatenate(of_repetitions)
+    families = family_answers(
+        pooled.ratios, families=experiment.families, log_weight=pooled.log_weight
+    )
+    return replace(
+        judged,
+        result=replace(judged.result, families=families),
+        of_repetition=(),
+        of_repetitions=of_repetitions,
+    )
 
 
 def _compared_with_data(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:

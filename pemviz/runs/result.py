@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from pemviz.analysis.explanation import Explanation
+from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
@@ -106,6 +107,7 @@ class RunResult:
             of it; ``None`` in results of versions that knew no memory.
         reference: The answer by the value-twisted reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
+        families: The answer under other families of models that learnt from the same data.
         data_bound: What the model's training data alone allow.
         explanation: Where and when the detector misses before violations, and what would help.
         warnings: About the model and its data; those about sampling are the estimates' own.
@@ -126,6 +128,7 @@ class RunResult:
     memory: RunMemory | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
+    families: tuple[FamilyAnswer, ...] = ()
     data_bound: DataBound | None = None
     explanation: Explanation | None = None
     warnings: tuple[str, ...] = ()

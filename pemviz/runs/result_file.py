@@ -106,6 +106,7 @@ def result_document(result: RunResult) -> Table:
         "memory": None if result.memory is None else asdict(result.memory),
         "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
+        "families": [asdict(answer) for answer in result.families],
         "data_bound": None if result.data_bound is None else asdict(result.data_bound),
         **_explanation_tables(result.explanation),
         "repetitions": [

@@ -1,10 +1,11 @@
 """The shape that all methods share: immutable state, advanced one stage at a time."""
 
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from pemviz.arrays import FloatArray
 from pemviz.sampling.estimates.importance_weights import (
     effective_sample_size,
     log_mean_failing_weight,
@@ -13,6 +14,7 @@ from pemviz.sampling.problem import Problem, sample
 from pemviz.types import Estimate, Proposal, ScoredRollouts, StageResult
 
 State = TypeVar("State")
+State_contra = TypeVar("State_contra", contravariant=True)
 
 
 class Method(Protocol[State]):
@@ -46,6 +48,15 @@ class Method(Protocol[State]):
 
     def estimate(self, state: State) -> Estimate:
         """The repetition's estimate, once it is done."""
+        ...
+
+
+@runtime_checkable
+class PoolsStages(Protocol[State_contra]):
+    """A method whose estimate averages the rollouts of all stages, weighted together."""
+
+    def pooled_log_weight(self, state: State_contra) -> FloatArray:
+        """Log weights ``[N]`` of all rollouts of a repetition that is done, as drawn."""
         ...
 
 

@@ -37,7 +37,7 @@ MAY_BE_NULL = re.compile(
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|memory|memory\.fitted|warnings|timings_s"
+    r"|families|memory|memory\.fitted|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
@@ -112,7 +112,7 @@ def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
     assert text == f"{json.dumps(document, indent=1, ensure_ascii=False)}\n"
     assert list(json.loads(text)) == [
         "schema", "run_id", "status", "message", "seed", "versions", "config", "pem", "estimate",
-        "memory", "reference", "pem_interval", "data_bound", "sensitivity", "causes",
+        "memory", "reference", "pem_interval", "families", "data_bound", "sensitivity", "causes",
         "repetitions", "stages", "least_robust", "assumptions", "warnings", "timings_s",
     ]  # fmt: skip
 

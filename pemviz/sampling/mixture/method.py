@@ -174,6 +174,11 @@ class MixtureSampling:
             return found
         return replace(found, diagnostics=(*found.diagnostics, unlatched()))
 
+    def pooled_log_weight(self, state: MixtureState) -> FloatArray:
+        """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were drawn."""
+        pool = state.pool
+        return np.empty(0) if pool is None else pool.log_weight
+
     def _final_sizes(self) -> tuple[int, ...]:
         return part_sizes(self.final_rollouts, largest=self.largest_part)
 

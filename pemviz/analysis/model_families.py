@@ -1,0 +1,146 @@
+"""Other families of error models that the same data produced, asked with the same rollouts.
+
+A model's refits differ by chance; another family (logistic regression, trees, a Bayesian network)
+extends elsewhere to where there are no data, and nobody's labels say which is right. The
+simulator's answer to a chain of detections does not depend on the model, so rollouts with their
+weights under one model give the failure probability under another::
+
+    mu_f = 1 / N sum_i 1[i violates] w_i p_f(i) / p(i)
+
+with w_i the weight p(i) / q(i) that carries the estimate itself.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import Batch, FloatArray, IntArray, row_sums
+from pemviz.config.ranges import AtLeastZero, Log10
+from pemviz.errors import PemError
+from pemviz.pem import Pem, load_pem, shipped_pems
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
+from pemviz.types import ScoredRollouts, Simulator, outcome_log_likelihood
+
+MOST_VIOLATIONS = 2_000
+"""Of a stage: families differ by far more than 1 / sqrt of it."""
+
+
+@dataclass(frozen=True)
+class FamilyAnswer:
+    """The failure probability under one other family.
+
+    Attributes:
+        name: The model's.
+        probability: 0 where ``log10_probability`` is too small for a double.
+        log10_probability: Its decimal logarithm.
+        relative_std_error: Standard error over the probability.
+        effective_failures: Kish's effective number of violating rollouts that carry it.
+    """
+
+    name: str
+    probability: AtLeastZero
+    log10_probability: Log10
+    relative_std_error: AtLeastZero
+    effective_failures: AtLeastZero
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether enough rollouts carry it."""
+        return self.effective_failures >= SMALL_ESS
+
+
+def families_beside(pem: Pem) -> tuple[Pem, ...]:
+    """The shipped single models that were trained on the same data as ``pem``, but ``pem``."""
+    others: list[Pem] = []
+    for name in shipped_pems():
+        try:
+            model = load_pem(name)
+        except PemError:  # a damaged file is told where that model is asked for
+            continue
+        if model.data == pem.data and model.name != pem.name and not name.endswith("-ensemble"):
+            others.append(model)
+    return tuple(others)
+
+
+@dataclass(frozen=True)
+class FamilyRatios(Batch):
+    """Violations with what F other families make of them.
+
+    Attributes:
+        rollout: Index of each among N rollouts, ``[V]``.
+        log_ratio: Log p_f / p of each under each family, ``[V, F]``.
+        log_stands_for: Log of how many violations each stands for, ``[V]``.
+    """
+
+    rollout: IntArray
+    log_ratio: FloatArray
+    log_stands_for: FloatArray
+
+
+def family_ratios(
+    scored: ScoredRollouts, *, simulator: Simulator, families: Sequence[Pem], first: int = 0
+) -> FamilyRatios:
+    """What ``families`` make of a stage's violations, of many an evenly spaced part.
+
+    Args:
+        scored: A stage's rollouts.
+        simulator: That they come from.
+        families: F models.
+        first: How many rollouts came before the stage.
+    """
+    violations = np.flatnonzero(scored.violated)
+    count = violations.size
+    if count > MOST_VIOLATIONS:
+        violations = violations[np.arange(MOST_VIOLATIONS) * count // MOST_VIOLATIONS]
+    failing = scored.rollouts.take(violations)
+    salient = simulator.salient(failing.decision_states().signals)
+    log_p = row_sums(failing.log_p)
+    columns = [
+        row_sums(outcome_log_likelihood(model.logit(salient), failing.detected)) - log_p
+        for model in families
+    ]
+    return FamilyRatios(
+        rollout=first + violations,
+        log_ratio=np.stack(columns, axis=1),
+        log_stands_for=np.full(
+            violations.size, math.log(count / violations.size) if count else 0.0
+        ),
+    )
+
+
+def family_answers(
+    ratios: FamilyRatios, *, families: Sequence[Pem], log_weight: FloatArray
+) -> tuple[FamilyAnswer, ...]:
+    """The failure probability under each family, if any violation speaks for it.
+
+    Args:
+        ratios: Of all rollouts that the estimate averages.
+        families: F models.
+        log_weight: Those rollouts' log weights under the model itself, ``[N]``.
+    """
+    carried = log_weight[ratios.rollout] + ratios.log_stands_for
+    answers: list[FamilyAnswer] = []
+    for model, log_ratio in zip(families, ratios.log_ratio.T, strict=True):
+        log_mu = log_mean(carried + log_ratio, of=log_weight.size)
+        if not math.isfinite(log_mu):
+            continue
+        second = log_mean(2.0 * (carried + log_ratio), of=log_weight.size)
+        variance = max(math.expm1(second - 2.0 * log_mu), 0.0)
+        answers.append(
+            FamilyAnswer(
+                name=model.name,
+                probability=math.exp(log_mu),
+                log10_probability=log_mu / math.log(10.0),
+                relative_std_error=math.sqrt(variance / log_weight.size),
+                effective_failures=effective_sample_size(carried + log_ratio),
+            )
+        )
+    return tuple(answers)
+
+
+def log_mean(log_values: FloatArray, *, of: int) -> float:
+    """Log of the sum of exp of values ``[V]`` divided by ``of``; -inf of none."""
+    return log_sum(log_values) - math.log(of) if log_values.size else -math.inf
