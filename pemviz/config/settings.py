@@ -96,10 +96,13 @@ class ExperimentConfig:
     """Where rollouts are computed: cpu (numpy), cuda or cuda:N (a GPU, in double precision; the
     same estimate to 1e-6), or torch-cpu (the GPU's code on the CPU). Splitting, highway-env and
     everything that is fitted stay on the CPU."""
-    alpha: Annotated[float, Range(low=0.0, high=1.0)] = 0.1
-    """Exponent that smooths the training weights; 0 to 1. It never enters an estimate."""
+    alpha: Annotated[float, Range(low=0.0, high=1.0)] | None = None
+    """Exponent that smooths the training weights; 0 to 1. It never enters an estimate. Left out,
+    it is the method's own: the paper's 0.1 with adaptive; with mixture as large as the weights'
+    effective sample size allows, at each stage anew."""
     sigma: Annotated[float, Range(low=0.95, high=1.0, high_open=True)] = 0.95
-    """Elite quantile: a stage learns from the least robust 1 - sigma; at least 0.95, below 1."""
+    """Elite quantile: a stage learns from the least robust 1 - sigma (mixture: while it looks for
+    violations, by effective sample size and from 10 at least); at least 0.95, below 1."""
     stages: Annotated[int, Range(low=1, high=1000)] = 10
     """Learning stages (K); 1 to 1000."""
     rollouts: Annotated[int, Range(low=2, high=1_000_000)] = 100

@@ -36,7 +36,8 @@ def limits(name: str, *, step: float) -> tuple[float, float]:
         ValueError: The field declares no bounds.
     """
     annotation = get_type_hints(ExperimentConfig, include_extras=True)[name]
-    for limit in get_args(annotation):
+    arms = (annotation, *get_args(annotation))  # what may be left out is a union with None
+    for limit in (part for arm in arms for part in get_args(arm)):
         if isinstance(limit, Range) and limit.low is not None and limit.high is not None:
             low = limit.low + (step if limit.low_open else 0.0)
             return low, limit.high - (step if limit.high_open else 0.0)

@@ -23,6 +23,7 @@ from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
+from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
@@ -196,12 +197,19 @@ def _budget(config: ExperimentConfig) -> str:
     """What one repetition simulates, the method's other settings, and how many repetitions."""
     method = by_name(config.method)
     settings = [
-        f"{field.name} {getattr(config, field.name)}"
+        f"{field.name} {_setting(config, field.name, method)}"
         for field in fields(config)
         if field.name in method.settings - BUDGET_FIELDS
     ]
     repetitions = [f"{config.repetitions} repetitions"] if config.repetitions > 1 else []
     return markdown_text(", ".join([method.budget(config).words, *settings, *repetitions]))
+
+
+def _setting(config: ExperimentConfig, name: str, method: MethodDescription) -> object:
+    value = getattr(config, name)
+    if name == "alpha" and value is None:
+        return "chosen at each stage" if method.alpha is None else method.alpha
+    return value
 
 
 def _misses(config: ExperimentConfig, misses: int) -> str:

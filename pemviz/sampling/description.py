@@ -47,6 +47,8 @@ class MethodDescription:
         budget: Configuration to what one repetition simulates.
         with_budget: Configuration and a number of rollouts to the configuration that spends them;
             raises :class:`pemviz.errors.InputError` where they are too few.
+        alpha: Exponent of the training weights where the configuration leaves it out; ``None``: the
+            method chooses it at each stage, or has none.
         needs: What must be there for it.
         interval_basis: What the estimate and its interval rest on; diagnostics of weights apply
             to ``weights`` alone.
@@ -72,6 +74,7 @@ class MethodDescription:
     settings: frozenset[str]
     budget: Callable[[ExperimentConfig], Budget]
     with_budget: Callable[[ExperimentConfig, int], ExperimentConfig]
+    alpha: float | None = None
     needs: frozenset[Need] = frozenset()
     interval_basis: IntervalBasis = "weights"
     interval_caveat: str | None = None

@@ -24,6 +24,11 @@ PRESET_HINT = (
 )
 RUN_HINT = "Run what is set up below. One experiment runs at a time; all browsers see it."
 STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
+OWN_ALPHA_HINT = (
+    "The method chooses the exponent that smooths the training weights at each stage; without the "
+    "tick it is the alpha below."
+)
+ALPHA_AT_FIRST = 0.1
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
 MEMORY_STEP_S = 0.01
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
@@ -52,7 +57,7 @@ class ExperimentTab:
             self._base,
             method=self.method.value,
             metric=cast(MetricName, self.metric.value),
-            alpha=self.alpha.value,
+            alpha=self._alpha(),
             sigma=self.sigma.value,
             stages=self.stages.value,
             rollouts=self.rollouts.value,
@@ -98,6 +103,10 @@ class ExperimentTab:
         self.method.on_update(browser.on(self._enable))
 
     def _add_numbers(self) -> None:
+        self.own_alpha = self._browser.client.gui.add_checkbox(
+            "Method's own alpha", True, hint=OWN_ALPHA_HINT
+        )
+        self.own_alpha.on_update(self._browser.on(self._enable))
         self.alpha = self._float("alpha", "alpha", step=ALPHA_STEP)
         self.sigma = self._float("sigma", "sigma", step=SIGMA_STEP)
         self.stages = self._count("Stages", "stages")
@@ -121,7 +130,7 @@ class ExperimentTab:
 
     def _float(self, label: str, name: str, *, step: float) -> viser.GuiSliderHandle[float]:
         low, high = limits(name, step=step)
-        initial = float(getattr(self._base, name))
+        initial = low if getattr(self._base, name) is None else getattr(self._base, name)
         return self._browser.client.gui.add_slider(label, low, high, step, initial, hint=hint(name))
 
     def _count(self, label: str, name: str) -> viser.GuiNumberHandle[int]:
@@ -142,7 +151,8 @@ class ExperimentTab:
         if config.method not in self.method.options:
             self.method.options = (*self.method.options, config.method)
         self.method.value, self.metric.value = config.method, config.metric
-        self.alpha.value, self.sigma.value = config.alpha, config.sigma
+        self._fill_alpha(config)
+        self.sigma.value = config.sigma
         self.stages.value, self.rollouts.value = config.stages, config.rollouts
         self.final_rollouts.value, self.seed.value = config.final_rollouts, config.seed
         if config.pem not in self.pem.options:
@@ -156,12 +166,29 @@ class ExperimentTab:
         self._enable()
         self._check_spec()
 
+    def _fill_alpha(self, config: ExperimentConfig) -> None:
+        own = by_name(config.method).alpha
+        self.own_alpha.value = config.alpha is None
+        self.alpha.value = config.alpha if config.alpha is not None else own or ALPHA_AT_FIRST
+
+    def _alpha(self) -> float | None:
+        """What the controls say; ``None`` where this is what the method does by itself."""
+        own = by_name(self.method.value).alpha
+        left_out = self.own_alpha.value if own is None else self.alpha.value == own
+        return None if left_out else self.alpha.value
+
     def _enable(self) -> None:
         """Grey out what the method does not use; a slider's box cannot be, so sliders go."""
-        used = by_name(self.method.value).settings
-        for name, slider in (("alpha", self.alpha), ("sigma", self.sigma)):
-            if slider.visible != (name in used):
-                slider.visible = name in used
+        method = by_name(self.method.value)
+        used = method.settings
+        chooses = "alpha" in used and method.alpha is None
+        for control, shown in (
+            (self.own_alpha, chooses),
+            (self.alpha, "alpha" in used and not (chooses and self.own_alpha.value)),
+            (self.sigma, "sigma" in used),
+        ):
+            if control.visible != shown:
+                control.visible = shown
         for name, control in (
             ("stages", self.stages),
             ("rollouts", self.rollouts),

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from pemviz.sampling.adaptive.method import AdaptiveSampling
     from pemviz.sampling.back_end import BackEnd
 
+PAPER_ALPHA = 0.1
+
 
 def _build(config: ExperimentConfig, back_end: BackEnd) -> AdaptiveSampling:
     from pemviz.sampling.adaptive.method import AdaptiveSampling  # noqa: PLC0415  slow to import
@@ -22,7 +24,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AdaptiveSampling:
         rollouts=config.rollouts,
         final_rollouts=config.final_rollouts,
         sigma=config.sigma,
-        alpha=config.alpha,
+        alpha=PAPER_ALPHA if config.alpha is None else config.alpha,
         epochs=config.epochs,
         learning_rate=config.learning_rate,
         seed=config.seed,
@@ -44,5 +46,6 @@ ADAPTIVE = MethodDescription(
         "on the paper's scenario a quarter to a third of this method's intervals contain the "
         "truth, as its weights degenerate"
     ),
+    alpha=PAPER_ALPHA,
     proposal_on_device=True,
 )
