@@ -263,6 +263,8 @@ DiagnosticKind = Literal[
     "wide-interval",
     "unlatched",
     "called-safe",
+    "parts-disagree",
+    "pilots-alone",
     "reference-disagrees",
     "reference-unreliable",
     "unclassified",

@@ -102,7 +102,7 @@ class ExperimentConfig:
     effective sample size allows, at each stage anew."""
     sigma: Annotated[float, Range(low=0.95, high=1.0, high_open=True)] = 0.95
     """Elite quantile: a stage learns from the least robust 1 - sigma (mixture: while it looks for
-    violations, by effective sample size and from 10 at least); at least 0.95, below 1."""
+    violations, counted by weight); at least 0.95, below 1."""
     stages: Annotated[int, Range(low=1, high=1000)] = 10
     """Learning stages (K); 1 to 1000."""
     rollouts: Annotated[int, Range(low=2, high=1_000_000)] = 100

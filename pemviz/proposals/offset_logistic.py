@@ -99,7 +99,7 @@ class OffsetLogisticProposal:
     Attributes:
         features: What is looked at.
         basis: Monomials of it.
-        coefficients: ``[B]``.
+        coefficients: ``[B]``; or ``[N, B]``, for N rollouts a row each.
         violated: Name of the memory that says whether a rollout has violated already.
         defensive: Share of the error model in every outcome's probability.
     """
@@ -118,7 +118,9 @@ class OffsetLogisticProposal:
         values = xp.broadcast_to(values, (*shape, len(self.basis.mean)))[acts]
         result = xp.asarray(pem_logit, copy=True)
         under_pem = pem_logit[acts]
-        logit = under_pem - shift(self.basis.evaluate(values), self.coefficients)
+        by_row = self.coefficients.ndim > 1
+        coefficients = self.coefficients[acts] if by_row else self.coefficients
+        logit = under_pem - shift(self.basis.evaluate(values), coefficients)
         result[acts] = defended(logit, under_pem, share=self.defensive)
         return result
 
@@ -143,9 +145,13 @@ class OffsetLogisticProposal:
 
 
 def shift(basis: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """How much the logit of a miss is raised ``[n]``, for monomials ``[n, B]``."""
+    """How much the logit of a miss is raised ``[n]``, for monomials ``[n, B]``.
+
+    Coefficients are ``[B]`` or, a row each, ``[n, B]``.
+    """
     # einsum, unlike a library's matrix product, gives a row the same in any batch
-    raised = namespace(basis).einsum("nb,b->n", basis, coefficients)
+    products = "nb,nb->n" if coefficients.ndim > 1 else "nb,b->n"
+    raised = namespace(basis).einsum(products, basis, coefficients)
     return raised.clip(-LARGEST_SHIFT, LARGEST_SHIFT)
 
 

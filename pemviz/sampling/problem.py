@@ -1,5 +1,6 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
+import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from pemviz.sampling.rollouts.batches import (
     BatchTask,
     SimulationError,
     check_numbers,
+    of_rows,
     run_here,
 )
 from pemviz.sampling.rollouts.time_limit import call_within
@@ -108,7 +110,11 @@ def sample_batches(
     ]
     generator = np.random.default_rng(seeds)
     steps = problem.simulator.states - 1
-    tasks = (BatchTask(proposal, generator.random((size, steps))) for size in sizes)
+    starts = itertools.accumulate(sizes, initial=0)
+    tasks = (
+        BatchTask(of_rows(proposal, slice(start, start + size)), generator.random((size, steps)))
+        for start, size in zip(starts, sizes, strict=False)
+    )
     simulated = problem.run_batches(problem.simulator, problem.pem, tasks)
     done = 0
     for size in sizes:

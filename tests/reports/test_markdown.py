@@ -119,7 +119,10 @@ def test_the_page_tells_the_whole_story():
     ("method", "words"),
     [
         ("adaptive", "11 stages of 90 and 70 final rollouts, alpha 0.1, sigma 0.95, epochs 500"),
-        ("mixture", "11 stages of 90 and 70 final rollouts"),
+        (
+            "mixture",
+            "11 stages of 90 and 70 final rollouts, alpha chosen at each stage, sigma 0.95",
+        ),
         ("splitting", "10 runs of 90 particles"),
         ("value-twisted", "70 rollouts"),
         ("monte-carlo", "70 rollouts"),

@@ -81,6 +81,33 @@ def test_without_bias_where_single_states_do_not_decide():
     assert not any("told" in warning for e in found for warning in e.warnings)
 
 
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("(gap >= 1) until[8,13] (gap >= 7)", 1e-4, 2e-4),
+        ("eventually[8,13] (gap >= 5)", 1e-6, 2e-6),
+        ("eventually[4,9] (always[0,4] (gap >= 4))", 1e-5, 2e-5),
+        ("always[2,8] (eventually[0,5] (gap >= 6))", 4e-4, 5e-4),
+        # a second way of failing has three quarters of the probability
+        ("always[0,14] (gap >= 1) and always[12,14] (gap < 1.5 or gap > 2.5)", 1.9e-6, 2e-6),
+        ("always[0,4] (gap < 7.5)", 0.7, 0.8),
+        ("eventually[1,6] (gap < 4.5)", 0.9, 0.95),
+    ],
+)
+def test_every_kind_of_specification(text, low, high):
+    """12 runs of 700 rollouts against all 2^14 chains: 15 % of root mean square error at most.
+
+    Fewer than 8 of 12 intervals covering would happen with probability 5e-4 at a true 92 %.
+    """
+    problem = problem_of(text)
+    truth = exact_probability(problem)
+    assert low < truth < high
+    found = estimates(problem, runs=12)
+    ratio = np.array([estimate.probability for estimate in found]) / truth
+    assert np.sqrt(np.mean((ratio - 1.0) ** 2)) < 0.15
+    assert sum(e.ci_low < truth < e.ci_high for e in found) >= 8
+
+
 def test_without_a_monitor_the_bias_is_stated():
     (found,) = estimates(problem_of(RESPOND, monitored=False), runs=1, rollouts=30, stages=2)
     assert any("too low" in warning for warning in found.warnings)

@@ -19,7 +19,7 @@ SMALL_ESS = 10.0
 FEW_FAILURES = 10
 SMALLEST_LOG10 = math.log10(sys.float_info.min)
 AGREEMENT_ERRORS = 3.0
-"""Joint standard errors within which an estimate and the reference agree."""
+"""Joint standard errors within which two estimates of the same agree."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,17 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         undermines=ALL,
         in_repetitions="states that the value function calls safe may carry more than its error",
     ),
+    "parts-disagree": Meaning(
+        phrase="parts of the rollouts disagree",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions="parts of the rollouts disagree",
+        reason="parts of the rollouts are {:.1f} standard errors apart",
+    ),
+    "pilots-alone": Meaning(
+        phrase="no proposal but the pilots",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions="a way of failing was met by hardly any proposal but the pilots",
+    ),
     "reference-disagrees": Meaning(phrase="times the reference", undermines=ALL),
     # the estimate may be right all the same
     "reference-unreliable": Meaning(phrase="the reference itself is", undermines=NOTHING),
@@ -212,6 +223,40 @@ def called_safe(share: float, *, relative_error: float | None) -> Sequence[Diagn
         f"probability, the standard error is {limit:.1%} of it: compare with method mixture"
     )
     return (Diagnostic("called-safe", share, limit, text),)
+
+
+def parts_disagreement(*, late: float, halves: float) -> Sequence[Diagnostic]:
+    """Of an average of weights, parts of which are estimates of the same.
+
+    Args:
+        late: Joint standard errors between the final batch and what was drawn before it.
+        halves: Between every other rollout and the rest.
+    """
+    errors, which = max(
+        (late, "those drawn last and those before"), (halves, "one half and the other")
+    )
+    if errors <= AGREEMENT_ERRORS:
+        return ()
+    text = (
+        f"parts of the rollouts disagree, {which} by {errors:.1f} joint standard errors: a way of "
+        "failing may not be known well"
+    )
+    return (Diagnostic("parts-disagree", errors, AGREEMENT_ERRORS, text),)
+
+
+def pilots_alone(share: float) -> Sequence[Diagnostic]:
+    """Of proposals that were fitted beside pilots that nothing is fitted to.
+
+    Args:
+        share: Of the estimate, from rollouts that pilots would draw sooner than all the others.
+    """
+    if share <= LARGE_SHARE:
+        return ()
+    text = (
+        f"{share:.0%} of the probability is from failures that no proposal but the pilots would "
+        "readily draw: a way of failing is not learned"
+    )
+    return (Diagnostic("pilots-alone", share, LARGE_SHARE, text),)
 
 
 def reference_disagreement(

@@ -14,6 +14,7 @@ from pemviz.proposals.offset_logistic import (
     acting,
     shift,
 )
+from pemviz.proposals.pilots import PilotFamily
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, ScoredRollouts
 
@@ -41,9 +42,10 @@ class Pool:
 
     Attributes:
         decisions: Of all rollouts but the final ones.
-        component: Which proposal each rollout was drawn from, ``[N]``.
-        coefficients: Of each proposal, K arrays ``[B]``.
-        log_ratio: Log q_k / p of each rollout under each proposal, ``[N, K]``.
+        component: What each rollout was drawn from, ``[N]``: 0 is the pilots' family, k the
+            k-th fitted proposal.
+        coefficients: Of each fitted proposal, K arrays ``[B]``.
+        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[N, 1 + K]``.
         robustness: ``[N]``.
         violated: ``[N]``.
         log_p: Log likelihood under the error model, ``[N]``.
@@ -73,20 +75,22 @@ class Pool:
 
 def balance_weights(log_ratio: FloatArray, component: IntArray) -> FloatArray:
     """-log sum_k (n_k / N) exp(log_ratio_k) for ratios ``[N, K]`` and components ``[N]``."""
-    drawn = np.bincount(component, minlength=log_ratio.shape[1])
+    return -np.asarray(logsumexp(log_ratio + log_shares(log_ratio, component), axis=1))
+
+
+def log_shares(log_ratio: FloatArray, component: IntArray) -> FloatArray:
+    """Log of the share n_k / N of rollouts drawn from each of K components, ``[K]``."""
+    counts = np.bincount(component, minlength=log_ratio.shape[1])
     with np.errstate(divide="ignore"):  # a proposal that nothing was drawn from does not count
-        log_share = np.log(drawn / component.size)
-    return -np.asarray(logsumexp(log_ratio + log_share, axis=1))
+        return np.log(counts / component.size)
 
 
 def decisions_of(
-    rollouts: RolloutBatch, *, features: StateFeatures, basis: PolynomialBasis
+    rollouts: RolloutBatch, acts: BoolArray, *, features: StateFeatures, basis: PolynomialBasis
 ) -> Decisions:
-    """The decisions of N rollouts."""
-    states = rollouts.decision_states()
-    shape = rollouts.detected.shape
-    acts = acting(features, states, shape, violated=VIOLATED)
-    values = np.broadcast_to(features.values(states), (*shape, basis.mean.size))[acts]
+    """The decisions of N rollouts, which are made where ``acts [N, T-1]``."""
+    values = features.values(rollouts.decision_states())
+    values = np.broadcast_to(values, (*acts.shape, basis.mean.size))[acts]
     return Decisions(
         rollout=np.nonzero(acts)[0].astype(np.int64),
         basis=basis.evaluate(values),
@@ -95,10 +99,15 @@ def decisions_of(
     )
 
 
+def _acts(rollouts: RolloutBatch, features: StateFeatures) -> BoolArray:
+    states = rollouts.decision_states()
+    return acting(features, states, rollouts.detected.shape, violated=VIOLATED)
+
+
 def log_ratios(
     decisions: Decisions, coefficients: Sequence[FloatArray], *, count: int, defensive: float
 ) -> FloatArray:
-    """Log q_k / p ``[N, K]`` of N rollouts."""
+    """Log q_k / p ``[N, K]`` of N rollouts under fitted proposals."""
     columns = [_log_ratio(decisions, chosen, count, defensive) for chosen in coefficients]
     return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
 
@@ -119,7 +128,8 @@ def extended(
     *,
     drawn_from: IntArray,
     new: Sequence[FloatArray],
-    optimism: FloatArray | None,
+    optimism: Sequence[FloatArray],
+    pilots: PilotFamily,
     defensive: float,
     features: StateFeatures,
     basis: PolynomialBasis,
@@ -132,34 +142,35 @@ def extended(
         scored: n more rollouts.
         drawn_from: Index of each one's proposal in the extended list, ``[n]``.
         new: Coefficients of proposals that the pool does not know yet.
-        optimism: By how much the new proposal overstates the log likelihood of the pool's
-            rollouts, which it was fitted to, ``[N]``; ``None`` without a pool.
+        optimism: By how much each new proposal overstates the log likelihood of the pool's
+            rollouts, which it was fitted to, ``[N]``.
+        pilots: The family that component 0 stands for.
         defensive: Share of the error model in every outcome's probability.
         features: What proposals look at.
         basis: Its monomials.
         last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
     """
-    fresh = decisions_of(scored.rollouts, features=features, basis=basis)
+    acts = _acts(scored.rollouts, features)
+    fresh = decisions_of(scored.rollouts, acts, features=features, basis=basis)
     count = scored.rollouts.count
     log_p = row_sums(scored.rollouts.log_p)
+    coefficients = (*(pool.coefficients if pool else ()), *new)
+    fitted = log_ratios(fresh, coefficients, count=count, defensive=defensive)
+    after = np.hstack([pilots.log_ratio(scored.rollouts, acts)[:, None], fitted])
     if pool is None:
         return Pool(
             decisions=fresh,
             component=drawn_from,
-            coefficients=tuple(new),
-            log_ratio=log_ratios(fresh, new, count=count, defensive=defensive),
+            coefficients=coefficients,
+            log_ratio=after,
             robustness=scored.robustness,
             violated=scored.violated,
             log_p=log_p,
         )
-    coefficients = (*pool.coefficients, *new)
     before = pool.log_ratio
     if new:
         added = log_ratios(pool.decisions, new, count=pool.count, defensive=defensive)
-        if optimism is not None:
-            added = added - optimism[:, None]
-        before = np.hstack([before, added])
-    after = log_ratios(fresh, coefficients, count=count, defensive=defensive)
+        before = np.hstack([before, added - np.stack(optimism, axis=1)])
     return Pool(
         decisions=pool.decisions if last else _joined(pool.decisions, fresh, first=pool.count),
         component=np.concatenate([pool.component, drawn_from]),

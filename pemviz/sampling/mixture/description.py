@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
-    from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  slow to import
+    from pemviz.sampling.mixture.fit import FitSettings  # noqa: PLC0415  slow to import
+    from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  as above
     from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
 
     return MixtureSampling(
@@ -23,6 +24,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
         final_rollouts=config.final_rollouts,
         seed=config.seed,
         features=back_end.features,
+        settings=FitSettings(alpha=config.alpha, sigma=config.sigma),
         largest_part=largest_part(states=back_end.simulator.states),
     )
 
@@ -31,7 +33,7 @@ MIXTURE = MethodDescription(
     name="mixture",
     summary="generalised linear proposals around the error model, all stages' rollouts kept",
     build=_build,
-    settings=frozenset({"stages", "rollouts", "final_rollouts"}),
+    settings=frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts"}),
     budget=learning_budget,
     with_budget=with_learning_budget,
     proposal_on_device=True,

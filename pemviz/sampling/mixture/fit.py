@@ -1,4 +1,4 @@
-"""Which rollouts a stage learns from, how much each counts, and the proposal fitted to them."""
+"""Which rollouts a stage learns from, how much each counts, and the proposals fitted to them."""
 
 from dataclasses import dataclass
 from typing import cast
@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 from scipy.optimize import brentq
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import (
     WeightedOutcomes,
@@ -16,6 +16,7 @@ from pemviz.proposals.offset_logistic_fit import (
 from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, smoothed_weights
 from pemviz.sampling.mixture.balance_heuristic import Pool
+from pemviz.sampling.mixture.levels import Elites, failing_elites, guided_elites
 
 NEGLIGIBLE_SHARE = 1e-4
 
@@ -29,11 +30,15 @@ class FitSettings:
         ess_share: Weights are smoothed until their effective sample size is this share of
             the elites', at least ``elites``.
         ridge: Penalty of the coefficients of degree 1; each further degree doubles it.
+        alpha: Exponent of the weights; ``None``: by their effective sample size.
+        sigma: Elites of a level above 0 are 1 - sigma of the rollouts, and ``elites`` at least.
     """
 
-    elites: int = 40
+    elites: int = 10
     ess_share: float = 0.1
     ridge: float = 0.3
+    alpha: float | None = None
+    sigma: float = 0.95
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,6 @@ class Fit:
             was fitted to, ``[N]`` [nats].
         threshold: The level of robustness below which rollouts were learned from.
         elites: How many.
-        exponent: Of the weights.
         loss: [nats a decision].
     """
 
@@ -54,41 +58,70 @@ class Fit:
     optimism: FloatArray
     threshold: float
     elites: int
-    exponent: float
     loss: float
 
 
-def fit_next(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Fit:
-    """The proposal nearest to the elites' distribution under the error model."""
-    threshold, chosen = _elites(pool, settings.elites)
-    log_weight = pool.log_weight[chosen]
-    aim = min(max(settings.elites, settings.ess_share * chosen.sum()), chosen.sum() / 2)
-    exponent = smoothing_exponent(log_weight, least_ess=float(aim))
-    share = smoothed_weights(log_weight, alpha=exponent)
-    weight = np.zeros(pool.count)
-    weight[chosen] = share * effective_sample_size(exponent * log_weight)
-    weight[weight < NEGLIGIBLE_SHARE * weight.max()] = 0.0
+def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Fit:
+    """The proposal nearest to the violating rollouts' distribution under the error model."""
+    elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
+    exponent = settings.alpha
+    if exponent is None:
+        aim = min(max(settings.elites, settings.ess_share * elites.count), elites.count / 2)
+        exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))
+    return _fit(pool, basis, elites, exponent=exponent, ridge=settings.ridge)
+
+
+def fit_to_level(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
+    """The proposal nearest to what lies at or below a level of robustness above 0.
+
+    The elites count, by their effective sample size, as the share 1 - sigma of the rollouts drawn
+    so far. Empty where the weights tell the probability of every level down to 0.
+    """
+    exponent = 1.0 if settings.alpha is None else settings.alpha
+    elites = guided_elites(
+        pool.robustness,
+        pool.violated,
+        exponent * pool.log_weight,
+        least_ess=max(settings.elites, (1.0 - settings.sigma) * pool.count),
+    )
+    if elites.threshold <= VIOLATION_THRESHOLD:
+        return ()
+    return (_fit(pool, basis, elites, exponent=exponent, ridge=settings.ridge),)
+
+
+def _fit(
+    pool: Pool, basis: PolynomialBasis, elites: Elites, *, exponent: float, ridge: float
+) -> Fit:
+    weight = _weights(pool, elites, exponent=exponent)
     decisions = pool.decisions
     kept = weight[decisions.rollout] > 0.0
+    group = decisions.rollout[kept]
     outcomes = WeightedOutcomes(
         basis=decisions.basis[kept],
         missed=decisions.missed[kept],
         offset=decisions.offset[kept],
-        weight=weight[decisions.rollout[kept]],
+        weight=weight[group],
     )
-    fitted = fit_offset_logistic(
-        outcomes, ridge=ridge_by_degree(basis, settings.ridge), start=pool.coefficients[-1]
-    )
+    penalty = ridge_by_degree(basis, ridge)
+    start = pool.coefficients[-1] if pool.coefficients else np.zeros(penalty.size)
+    fitted = fit_offset_logistic(outcomes, ridge=penalty, start=start)
     return Fit(
         coefficients=fitted.coefficients,
-        optimism=leave_one_out_loss(
-            outcomes, fitted, group=decisions.rollout[kept], count=pool.count
-        ),
-        threshold=threshold,
-        elites=int(chosen.sum()),
-        exponent=exponent,
+        optimism=leave_one_out_loss(outcomes, fitted, group=group, count=pool.count),
+        threshold=elites.threshold,
+        elites=elites.count,
         loss=fitted.loss,
     )
+
+
+def _weights(pool: Pool, elites: Elites, *, exponent: float) -> FloatArray:
+    """Of the pool's rollouts, ``[N]``; they sum to their effective sample size."""
+    log_weight = pool.log_weight[elites.chosen]
+    smoothed = smoothed_weights(log_weight, alpha=exponent)
+    weight = np.zeros(pool.count)
+    weight[elites.chosen] = smoothed * effective_sample_size(exponent * log_weight)
+    weight[weight < NEGLIGIBLE_SHARE * weight.max()] = 0.0
+    return weight
 
 
 def smoothing_exponent(log_weight: FloatArray, *, least_ess: float) -> float:
@@ -108,13 +141,3 @@ def ridge_by_degree(basis: PolynomialBasis, ridge: float) -> FloatArray:
     """Penalties ``[B]``: the constant's a tenth, each degree beyond the first twice as much."""
     degrees = np.array([len(chosen) for chosen in basis.exponents])
     return ridge * np.where(degrees == 0, 0.1, 2.0 ** (degrees - 1.0))
-
-
-def _elites(pool: Pool, least: int) -> tuple[float, BoolArray]:
-    """The level, and the rollouts that violate or lie at or below it."""
-    least = min(least, max(1, pool.count // 3))
-    if int(pool.violated.sum()) >= least:
-        return VIOLATION_THRESHOLD, pool.violated
-    level = float(np.partition(pool.robustness, least - 1)[least - 1])
-    level = max(level, VIOLATION_THRESHOLD)
-    return level, pool.violated | (pool.robustness <= level)

@@ -10,21 +10,27 @@ drawn from proposal q_k::
     weight    w_i = p(tau_i) / sum_k (n_k / N) q_k(tau_i)
     estimate  mu  = 1 / N sum_i 1[i violates] w_i
 
+The first stage draws from a broad family of pilots alone (:mod:`pemviz.proposals.pilots`), which is
+q_0 as a whole, and every later one a share of its rollouts. The rest come from the newest proposal
+fitted to the violations; in the first half of the stages, while the weights do not tell the
+probability of a violation well, a quarter of them from one fitted to the lowest level of robustness
+whose probability they do tell (:mod:`pemviz.sampling.mixture.levels`).
+
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
 much the fit flatters them (:func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`). The
 unbiased figure beside the estimate is the same average over the final rollouts alone, with the sum
-over the two proposals that they were drawn from.
+over what they were drawn from.
 """
 
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray, IntArray
 from pemviz.proposals.defensive_share import share_for
+from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,
     PolynomialBasis,
@@ -32,21 +38,25 @@ from pemviz.proposals.offset_logistic import (
     StateFeatures,
     acting,
 )
+from pemviz.proposals.pilots import PilotFamily
 from pemviz.sampling.estimates.diagnostics import unlatched
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
+from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights, extended
-from pemviz.sampling.mixture.fit import Fit, FitSettings, fit_next
+from pemviz.sampling.mixture.draws import PILOTS, components, divided
+from pemviz.sampling.mixture.fit import (
+    Fit,
+    FitSettings,
+    fit_to_failures,
+    fit_to_level,
+)
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.sampling.value_twisted.method import with_latch
 from pemviz.simulators.latched import VIOLATED
-from pemviz.types import Estimate, Proposal, ScoredRollouts, StageResult, StateBatch
+from pemviz.types import Estimate, ScoredRollouts, StageResult
 
-LADDER = (0.0, 2.0, 4.0, 6.0)
-"""By how much the first proposals raise the logit of a miss, everywhere alike."""
-DEFENSIVE_SHARE = 0.1
-"""Of the final batch, drawn from the last but one proposal."""
 DEFENSIVE_STEPS = 2.0
 """Of each rollout, drawn from the error model on average."""
 DEGREE = 3
@@ -62,7 +72,8 @@ class MixtureState:
         features: What proposals look at.
         basis: Monomials of it; ``None`` before the first stage.
         pool: Everything drawn so far.
-        next_fit: What the next stage draws from; ``None`` before the first.
+        fits: What the next stage draws from beside pilots: the main proposal, then one fitted
+            to a level above 0, if there is one; empty before the first stage.
         frozen: How many rollouts each part of the final batch has, as far as it is drawn.
         latched: Whether rollouts know when they have violated.
     """
@@ -72,7 +83,7 @@ class MixtureState:
     features: StateFeatures
     basis: PolynomialBasis | None = None
     pool: Pool | None = None
-    next_fit: Fit | None = None
+    fits: tuple[Fit, ...] = ()
     frozen: tuple[int, ...] = ()
     latched: bool = True
 
@@ -111,19 +122,25 @@ class MixtureSampling:
         """Nothing is drawn yet."""
         features = self.features or SignalFeatures(problem.simulator.signals)
         latched = problem.unsafe is not None or problem.monitor is not None
-        return MixtureState(repetition=repetition, stage=0, features=features, latched=latched)
+        return MixtureState(
+            repetition=repetition,
+            stage=0,
+            features=features,
+            latched=latched,
+        )
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
         """Draw from the newest proposals; fit the next one unless the stage is the last."""
         steps = problem.simulator.states - 1
         last = state.stage > self.learning_stages
         size = self._final_sizes()[len(state.frozen)] if last else self.rollouts
-        plan = _plan(state, size, last=last)
+        component = self._components(state, size)
         scored = finished_or(
             problem,
-            lambda: _draw(
+            lambda: _drawn(
                 with_latch(problem),
-                [(_proposal(state, chosen, steps=steps), count) for chosen, count in plan],
+                state,
+                component,
                 seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
             ),
             repetition=state.repetition,
@@ -134,12 +151,14 @@ class MixtureSampling:
             state,
             stage=state.stage + 1,
             basis=basis,
-            pool=_pooled(state, basis, scored, plan, last=last),
+            pool=_pooled(state, basis, scored, component, last=last),
             frozen=(*state.frozen, size) if last else (),
         )
-        newest = _proposal(state, plan[0][0], steps=steps)
         result = final_stage(
-            repetition=state.repetition, stage=state.stage, scored=scored, sampled_from=newest
+            repetition=state.repetition,
+            stage=state.stage,
+            scored=scored,
+            sampled_from=_main_proposal(state, steps=steps) or PemProposal(),
         )
         if last:
             return advanced, result
@@ -170,6 +189,7 @@ class MixtureSampling:
             frozen_log_weight=balance_weights(pool.log_ratio[final], component),
             frozen=final,
         )
+        found = replace(found, diagnostics=(*found.diagnostics, *disagreements(pool, final=final)))
         if state.latched:
             return found
         return replace(found, diagnostics=(*found.diagnostics, unlatched()))
@@ -182,90 +202,70 @@ class MixtureSampling:
     def _final_sizes(self) -> tuple[int, ...]:
         return part_sizes(self.final_rollouts, largest=self.largest_part)
 
+    def _explores(self, stage: int) -> bool:
+        """Whether a stage belongs to the first half of those that learn."""
+        return 2 * stage <= self.learning_stages
+
+    def _components(self, state: MixtureState, count: int) -> IntArray:
+        """What each of the next ``count`` rollouts is drawn from, ``[count]``."""
+        known = len(state.pool.coefficients) if state.pool else 0
+        return components(
+            count,
+            # the parts of the final batch after the first bring no proposal that is new
+            first=1 + known - (len(state.fits) if state.frozen else 0),
+            fits=len(state.fits),
+            explores=self._explores(state.stage),
+        )
+
     def _learn(
         self, state: MixtureState, result: StageResult, *, kind_of_first: bool
     ) -> tuple[MixtureState, StageResult]:
         pool, basis = state.pool, state.basis
         assert pool is not None and basis is not None  # noqa: S101, PT018  just drawn
-        drawn = time.perf_counter()
-        fit = fit_next(pool, basis, self.settings)
-        fitted = replace(state, next_fit=fit)
+        began = time.perf_counter()
+        steps = result.scored.rollouts.detected.shape[1]
+        fits = [fit_to_failures(pool, basis, self.settings)]
+        if self._explores(state.stage):
+            fits += fit_to_level(pool, basis, self.settings)
+        fitted = replace(state, fits=tuple(fits))
         return fitted, replace(
             result,
             kind="pretrain" if kind_of_first else "learn",
-            learned=_proposal(
-                fitted, fit.coefficients, steps=result.scored.rollouts.detected.shape[1]
-            ),
-            threshold=fit.threshold,
-            elites=fit.elites,
-            loss=fit.loss,
-            timings_s={**result.timings_s, "fit": time.perf_counter() - drawn},
+            learned=_main_proposal(fitted, steps=steps),
+            threshold=fits[-1].threshold,
+            elites=fits[-1].elites,
+            loss=fits[0].loss,
+            timings_s={**result.timings_s, "fit": time.perf_counter() - began},
         )
 
 
-Plan = Sequence[tuple[FloatArray, int]]
-
-
-def _plan(state: MixtureState, count: int, *, last: bool) -> Plan:
-    """Coefficients of the proposals to draw from, newest first, and how often from each."""
-    if state.next_fit is None:
-        share, rest = divmod(count, len(LADDER))
-        steps = [(np.array([raised]), share) for raised in LADDER]
-        return [*steps[:-1], (steps[-1][0], share + rest)]
-    assert state.pool is not None  # noqa: S101  a fit comes from a pool
-    # while it learns, the first stage's proposals are defence enough
-    defensive = int(DEFENSIVE_SHARE * count) if last else 0
-    return [
-        (state.next_fit.coefficients, count - defensive),
-        (state.pool.coefficients[-2 if state.frozen else -1], defensive),
-    ]
-
-
-def _proposal(
-    state: MixtureState, coefficients: FloatArray, *, steps: int
-) -> OffsetLogisticProposal:
-    basis = state.basis
-    if basis is None:  # the first proposals raise the logit by a constant: no features are used
-        values = np.zeros(0)
-        basis = PolynomialBasis(mean=values, spread=values, degree=0)
+def _main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal | None:
+    """The main proposal that is drawn from next; ``None`` before the first stage."""
+    if state.basis is None:
+        return None
     return OffsetLogisticProposal(
-        features=state.features if state.basis else _Blind(state.features),
-        basis=basis,
-        coefficients=coefficients,
+        features=state.features,
+        basis=state.basis,
+        coefficients=state.fits[0].coefficients,
         violated=VIOLATED,
         defensive=_defence(steps),
     )
 
 
-@dataclass(frozen=True)
-class _Blind:
-    """Features that are not looked at; only whether the scenario reacts."""
-
-    features: StateFeatures
-
-    def values(self, states: StateBatch) -> FloatArray:
-        return np.zeros((*next(iter(states.signals.values())).shape, 0))
-
-    def reacts(self, states: StateBatch) -> BoolArray:
-        return self.features.reacts(states)
-
-
-def _draw(
-    problem: Problem, plan: Sequence[tuple[Proposal, int]], *, seeds: np.random.SeedSequence
+def _drawn(
+    problem: Problem, state: MixtureState, component: IntArray, *, seeds: np.random.SeedSequence
 ) -> ScoredRollouts:
-    total = sum(count for _, count in plan)
-    parts: list[ScoredRollouts] = []
-    done = 0
-    for (proposal, count), child in zip(plan, seeds.spawn(len(plan)), strict=True):
-        if count:
-            told = replace(problem, progress=_after(problem, done, total))
-            parts.append(sample(told, proposal=proposal, count=count, seeds=child))
-            done += count
-    return ScoredRollouts.concatenate(parts)
-
-
-def _after(problem: Problem, before: int, total: int) -> Callable[[int, int], None]:
-    return lambda done, _: problem.progress(before + done, total)
+    steps = problem.simulator.states - 1
+    fitted = np.unique(component[component != PILOTS])
+    proposal = divided(
+        component,
+        {int(index): state.fits[index - fitted[0]].coefficients for index in fitted},
+        _main_proposal(state, steps=steps),
+        family=PilotFamily.over(steps),
+        features=state.features,
+        generator=np.random.default_rng(seeds.spawn(1)[0]),
+    )
+    return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
 
 
 def _basis(scored: ScoredRollouts, features: StateFeatures) -> PolynomialBasis:
@@ -286,27 +286,20 @@ def _pooled(
     state: MixtureState,
     basis: PolynomialBasis,
     scored: ScoredRollouts,
-    plan: Plan,
+    component: IntArray,
     *,
     last: bool,
 ) -> Pool:
-    counts = [count for _, count in plan]
-    if state.pool is None:
-        width = len(basis.exponents)
-        new = [np.pad(raised, (0, width - 1)) for raised, _ in plan]
-        index = np.repeat(np.arange(len(plan)), counts)
-    else:
-        # the parts of the final batch after the first bring no proposal that is new
-        new = [] if state.frozen else [plan[0][0]]
-        newest = len(state.pool.coefficients) + len(new) - 1
-        index = np.repeat([newest, newest - 1], counts)
+    steps = scored.rollouts.detected.shape[1]
+    new = [] if state.frozen else state.fits
     return extended(
         state.pool,
         scored,
-        drawn_from=index.astype(np.int64),
-        new=new,
-        optimism=None if state.next_fit is None else state.next_fit.optimism,
-        defensive=_defence(scored.rollouts.detected.shape[1]),
+        drawn_from=component,
+        new=[fit.coefficients for fit in new],
+        optimism=[fit.optimism for fit in new],
+        pilots=PilotFamily.over(steps),
+        defensive=_defence(steps),
         features=state.features,
         basis=basis,
         last=last,

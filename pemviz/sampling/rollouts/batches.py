@@ -1,8 +1,9 @@
 """Batches of rollouts, and who simulates them: this thread, or workers elsewhere."""
 
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -28,6 +29,28 @@ class BatchTask:
 
     proposal: Proposal
     uniforms: FloatArray
+
+    def split(self, pieces: int) -> "Sequence[BatchTask]":
+        """The same rollouts as at most ``pieces`` tasks, in order."""
+        edges = np.linspace(0, len(self.uniforms), min(pieces, len(self.uniforms)) + 1).astype(int)
+        return [
+            BatchTask(of_rows(self.proposal, slice(start, stop)), self.uniforms[start:stop])
+            for start, stop in itertools.pairwise(edges.tolist())
+        ]
+
+
+@runtime_checkable
+class RowBoundProposal(Proposal, Protocol):
+    """A proposal of N rollouts that differs from one to the next."""
+
+    def rows(self, rows: slice) -> Proposal:
+        """What some of the rollouts are drawn from."""
+        ...
+
+
+def of_rows(proposal: Proposal, rows: slice) -> Proposal:
+    """What the chosen ones of the rollouts that ``proposal`` is for are drawn from."""
+    return proposal.rows(rows) if isinstance(proposal, RowBoundProposal) else proposal
 
 
 class BatchRunner(Protocol):

@@ -6,8 +6,6 @@ from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED
 from pemviz.sampling.rollouts.batches import BatchTask, SimulationError
@@ -60,10 +58,8 @@ class PooledRunner:
                 piece.cancel()
 
     def _handed_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> Pieces:
-        count = min(self.workers, task.uniforms.shape[0])
         return [
-            self.submit(simulate_piece, simulator, pem, BatchTask(task.proposal, uniforms))
-            for uniforms in np.array_split(task.uniforms, count)
+            self.submit(simulate_piece, simulator, pem, piece) for piece in task.split(self.workers)
         ]
 
 

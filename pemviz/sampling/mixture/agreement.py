@@ -1,0 +1,71 @@
+"""Do parts of the rollouts that should tell the same tell the same?
+
+An average of weights has no way to know of a way of failing that its proposals do not draw. What
+shows it, if anything does, is that parts of the rollouts disagree: those before the final batch
+and the final batch; one half and the other; what fitted proposals draw and what pilots draw.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import logsumexp
+
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.sampling.estimates.diagnostics import parts_disagreement, pilots_alone
+from pemviz.sampling.estimates.estimate import ADAPTATION, log_stratified_error
+from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
+from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights, log_shares
+from pemviz.sampling.mixture.draws import PILOTS
+from pemviz.types import Diagnostic
+
+MORE_THAN_HALF = 0.5
+
+LogEstimate = tuple[float, float]
+"""Log of an estimate and of its standard error."""
+
+
+def disagreements(pool: Pool, *, final: slice) -> Sequence[Diagnostic]:
+    """Of a pool whose last rollouts, ``final``, are the final batch."""
+    late = [_among_itself(pool, part) for part in (slice(0, final.start), final)]
+    odd = np.arange(pool.count) % 2 == 1
+    halves = [
+        _of(pool.log_weight[half], pool.violated[half], pool.component[half])
+        for half in (odd, ~odd)
+    ]
+    return (
+        *parts_disagreement(late=_errors_apart(*late), halves=_errors_apart(*halves)),
+        *pilots_alone(_share_of_pilots(pool)),
+    )
+
+
+def _among_itself(pool: Pool, part: slice) -> LogEstimate:
+    component = pool.component[part]
+    return _of(balance_weights(pool.log_ratio[part], component), pool.violated[part], component)
+
+
+def _of(log_weight: FloatArray, violated: BoolArray, component: IntArray) -> LogEstimate:
+    return (
+        log_mean_failing_weight(log_weight, violated),
+        log_stratified_error(log_weight, violated, component),
+    )
+
+
+def _errors_apart(first: LogEstimate, second: LogEstimate) -> float:
+    """Distance of two estimates in joint standard errors; 0 where neither saw a failure."""
+    largest = max(first[0], second[0])
+    if not np.isfinite(largest):
+        return 0.0
+    (one, error), (other, other_error) = np.exp(np.array([first, second]) - largest)
+    joint = ADAPTATION * float(np.hypot(error, other_error))
+    return abs(float(one - other)) / joint if joint > 0.0 else 0.0
+
+
+def _share_of_pilots(pool: Pool) -> float:
+    """Of the estimate, from failures for which pilots were most of what could draw them."""
+    if not pool.violated.any():
+        return 0.0
+    log_joint = pool.log_ratio[pool.violated] + log_shares(pool.log_ratio, pool.component)
+    by_pilots = np.exp(log_joint[:, PILOTS] - np.asarray(logsumexp(log_joint, axis=1)))
+    log_weight = pool.log_weight[pool.violated]
+    alone = by_pilots > MORE_THAN_HALF
+    return float(np.exp(log_sum(log_weight[alone]) - log_sum(log_weight))) if alone.any() else 0.0

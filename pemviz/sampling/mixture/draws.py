@@ -1,0 +1,116 @@
+"""What a stage's rollouts are drawn from: pilots first, then every fitted proposal in its share."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move, moved, namespace
+from pemviz.proposals.offset_logistic import OffsetLogisticProposal, StateFeatures
+from pemviz.proposals.pilots import PilotFamily, PilotProposal
+from pemviz.simulators.latched import VIOLATED
+from pemviz.types import StateBatch
+
+PILOTS = 0
+"""The component that stands for the pilots' family; the fitted proposals count from 1."""
+EARLY_PILOT_SHARE = 0.25
+"""Of the rollouts of the first half of the learning stages, drawn from the pilots' family."""
+PILOT_SHARE = 0.1
+"""Of every later stage's."""
+GUIDED_SHARE = 0.25
+"""Of the rest, drawn from the proposal that is fitted to a level of robustness above 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class DividedProposal:
+    """A proposal for each of N rollouts: a pilot's or a fitted one's.
+
+    Attributes:
+        pilots: Of all N rollouts; without a step for those that are not pilots.
+        fitted: With coefficients ``[N, B]``, 0 for pilots; ``None`` if all are pilots.
+        piloted: Which are, ``[N]``.
+    """
+
+    pilots: PilotProposal
+    fitted: OffsetLogisticProposal | None
+    piloted: BoolArray
+
+    def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+        """Logit of 'detected' ``[N]``, at states ``[N]`` of the same N rollouts."""
+        by_pilots = self.pilots.logit(states, pem_logit)
+        if self.fitted is None:
+            return by_pilots
+        by_fitted = self.fitted.logit(states, pem_logit)
+        return namespace(pem_logit).where(self.piloted, by_pilots, by_fitted)
+
+    def rows(self, rows: slice) -> Self:
+        """What some of the rollouts are drawn from."""
+        fitted = self.fitted
+        if fitted is not None:
+            fitted = replace(fitted, coefficients=fitted.coefficients[rows])
+        return replace(
+            self, pilots=self.pilots.rows(rows), fitted=fitted, piloted=self.piloted[rows]
+        )
+
+    def moved(self, move: Move) -> Self | None:
+        """The same for tensors, if the features can."""
+        pilots, fitted = moved(self.pilots, move), self.fitted
+        if pilots is None:
+            return None
+        if fitted is not None:
+            fitted = moved(fitted, move)
+        return replace(self, pilots=pilots, fitted=fitted, piloted=move(self.piloted))
+
+    def arrays(self) -> Mapping[str, AnyArray]:
+        """Of both kinds."""
+        return {**self.pilots.arrays(), **(self.fitted.arrays() if self.fitted else {})}
+
+
+def components(count: int, *, first: int, fits: int, explores: bool) -> IntArray:
+    """What each of ``count`` rollouts is drawn from, ``[count]``, in ascending order.
+
+    Args:
+        count: Number of rollouts.
+        first: Component of the main proposal; the one fitted to a level is the next.
+        fits: How many proposals are fitted: none, the main one, or both.
+        explores: Whether the stage is one of the first.
+    """
+    pilots = max(1, int((EARLY_PILOT_SHARE if explores else PILOT_SHARE) * count))
+    pilots = pilots if fits else count
+    guided = int(GUIDED_SHARE * (count - pilots)) if fits > 1 else 0
+    numbers = [pilots, count - pilots - guided, guided]
+    return np.repeat([PILOTS, first, first + 1], numbers).astype(np.int64)
+
+
+def divided(
+    component: IntArray,
+    coefficients: Mapping[int, FloatArray],
+    like: OffsetLogisticProposal | None,
+    *,
+    family: PilotFamily,
+    features: StateFeatures,
+    generator: np.random.Generator,
+) -> DividedProposal:
+    """The proposals of rollouts that are to be drawn from given components.
+
+    Args:
+        component: Of each rollout, ascending, ``[N]``.
+        coefficients: Of the fitted components, ``[B]`` each.
+        like: A fitted proposal, for everything else; ``None`` if all rollouts are pilots.
+        family: Of the pilots.
+        features: Tell where the scenario reacts.
+        generator: What the pilots' members are drawn with.
+    """
+    pilots = family.drawn(
+        int((component == PILOTS).sum()),
+        generator,
+        features=features,
+        violated=VIOLATED,
+        of=component.size,
+    )
+    if like is not None:
+        nothing = np.zeros(like.coefficients.size)
+        rows = [coefficients.get(int(index), nothing) for index in component]
+        like = replace(like, coefficients=np.stack(rows))
+    return DividedProposal(pilots=pilots, fitted=like, piloted=component == PILOTS)
