@@ -57,9 +57,12 @@ class RememberingPem:
 
     def logit(self, salient: FloatArray) -> FloatArray:
         """Logit of P(detected) ``[...]``, of the model's variables and the last outcome."""
-        own, last = self.pem.logit(salient[..., :-1]), salient[..., -1]
-        after = remembering_logit(own, missed_before=last < 0.0, rho=self.rho)
-        return namespace(own).where(last == 0.0, own, after)
+        return self.after(self.pem.logit(salient[..., :-1]), salient[..., -1])
+
+    def after(self, own: FloatArray, last: FloatArray) -> FloatArray:
+        """The model's own logits ``[...]`` after what :data:`LAST_OUTCOME` says ``[...]``."""
+        remembered = remembering_logit(own, missed_before=last < 0.0, rho=self.rho)
+        return namespace(own).where(last == 0.0, own, remembered)
 
     def moved(self, move: Move) -> "RememberingPem | None":
         """The same for tensors, if the model can."""
