@@ -20,6 +20,8 @@ from pemviz.reports.estimate_text import (
     share_text,
     violations_text,
 )
+from pemviz.reports.memory_curve import assumption_line, curve_rows
+from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.registry import by_name
@@ -33,6 +35,9 @@ def print_summary(result: RunResult, folder: Path) -> None:
     console = Console(highlight=False)
     if result.estimate is not None:
         console.print(_table(result, result.estimate))
+        if result.memory is not None and result.memory.curve:
+            console.print(assumption_line(result.memory), style="bold", markup=False)
+            console.print(_memory(result.memory))
         if result.explanation is not None:
             console.print(_causes(result.explanation, target=result.config.target))
         about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))
@@ -74,6 +79,18 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
             f"robustness {worst.robustness:.3g}, {worst.misses} misses, stage {worst.stage}",
         )
     table.add_row("time", f"{result.timings_s.get('total', math.nan):.1f} s")
+    return table
+
+
+def _memory(memory: RunMemory) -> Table:
+    """The failure probability over memory times."""
+    table = Table(title="If misses come in bursts, by memory time", title_justify="left")
+    table.add_column("memory time", justify="right")
+    table.add_column("probability", justify="right")
+    table.add_column("95 % interval")
+    table.add_column("measured on video for")
+    for row in curve_rows(memory):
+        table.add_row(row.tau, row.probability, row.interval, row.measured)
     return table
 
 

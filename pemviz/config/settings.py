@@ -89,6 +89,9 @@ class ExperimentConfig:
     """Memory time of misses [s]: after a miss, or a hit, the same is likelier again, the less so
     the longer ago, by exp(-time / memory_s); how often the error model misses in all is as
     without; 0 to 60. 0: misses are independent of each other given the state."""
+    memory_curve: bool = False
+    """Also tell the failure probability over memory times from 0 to 1 s, from 2400 rollouts of
+    its own (on the fast twin where there is one)."""
     simulator: str = "vectorized"
     """Back end that steps the scenario: vectorized, highway-env, or a name that an installed
     package registers as an entry point of the group pemviz.simulators."""

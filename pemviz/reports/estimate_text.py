@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.reports.memory_curve import assumption_line
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -86,6 +87,8 @@ def memory_text(memory: RunMemory | None) -> str:
     """How misses hang together in the answer, and in the video that the model was fitted to."""
     if memory is None or memory.tau_s == 0.0:
         assumed = "independent of each other given the state: an assumption"
+        if memory is None or not memory.curve:
+            assumed += ", and --memory-curve tells what it is worth"
     else:
         assumed = f"in bursts, memory time {memory.tau_s:g} s"
     own = None if memory is None else memory.fitted
@@ -119,6 +122,8 @@ def summary_text(result: RunResult) -> str:
     ]
     if result.config.memory_s:
         lines.append(f"  misses: {memory_text(result.memory)}")
+    if (assumed := assumption_line(result.memory)) is not None:
+        lines.append(f"  {assumed}")
     if result.reference is not None:
         lines.append(f"  reference: {reference_text(result.reference, estimate)}")
     about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))

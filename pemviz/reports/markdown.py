@@ -21,6 +21,7 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
+from pemviz.reports.memory_curve import assumption_line, curve_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.description import MethodDescription
@@ -45,7 +46,7 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     """
     parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
     if result.estimate is not None:
-        parts += [_answer(result, result.estimate), *_plot(result, gate)]
+        parts += [*_memory(result), _answer(result, result.estimate), *_plot(result, gate)]
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
     parts.append(_details("Complete configuration", _config(result.config)))
     return "\n\n".join(parts) + "\n"
@@ -89,6 +90,18 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
             ("largest weight's share", share_text(estimate.max_weight_share)),
         ]
     return markdown_table(("answer", ""), rows)
+
+
+def _memory(result: RunResult) -> list[str]:
+    """What the assumption on bursts is worth, first of all, and the curve."""
+    line = assumption_line(result.memory)
+    if line is None or result.memory is None:
+        return []
+    rows = [
+        (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
+    ]
+    header = ("memory time", "probability", "95 % interval", "measured on video for")
+    return [f"**{markdown_text(line)}**", markdown_table(header, rows)]
 
 
 def _beside(result: RunResult, estimate: Estimate) -> list[Row]:

@@ -22,7 +22,13 @@ from pemviz.runs.events import (
     notify_all,
 )
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.runs.judge import Judged, beside_reference, judge, judge_repetition
+from pemviz.runs.judge import (
+    Judged,
+    beside_reference,
+    judge,
+    judge_repetition,
+    with_memory_curve,
+)
 from pemviz.runs.memory import memory_of
 from pemviz.runs.result import PemInfo, RunResult, with_stage
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
@@ -128,6 +134,7 @@ class _Runner:
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
+        self._keep(with_memory_curve(self._judged.result, experiment=experiment))
         self._keep(beside_reference(self._judged.result, experiment=experiment))
         self.complete = True
 

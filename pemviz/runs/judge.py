@@ -24,7 +24,11 @@ from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import RunResult, StageSummary
 from pemviz.runs.trust import reference_diagnostics
+from pemviz.sampling.bursts.curve import MEASURED_S, memory_curve
+from pemviz.sampling.memory import single_outcome_model, without_memory
 from pemviz.sampling.method import PoolsStages
+from pemviz.sampling.problem import nothing_finished
+from pemviz.sampling.rollouts.batches import run_here
 from pemviz.sampling.value_twisted.reference import reference
 from pemviz.types import StageResult
 
@@ -192,6 +196,31 @@ def _parts_before(result: RunResult, stage: StageResult) -> list[StageSummary]:
         for part in result.stages
         if (part.repetition, part.kind) == (stage.repetition, "final") and part.stage < stage.stage
     ]
+
+
+def with_memory_curve(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A finished result with the failure probability over memory times, if it is asked for.
+
+    Args:
+        result: With the estimate of all repetitions.
+        experiment: What was run; its problem's ``pause`` may raise to stop.
+    """
+    memory, config = result.memory, experiment.config
+    if not config.memory_curve or memory is None:
+        return result
+    back_end, problem = without_memory(experiment.back_end), experiment.problem
+    problem = replace(problem, simulator=back_end.simulator, finished=nothing_finished)
+    if back_end.twin is not None:
+        problem = replace(problem, simulator=back_end.twin, run_batches=run_here)
+    measured = () if memory.fitted is None else (memory.fitted.tau_s,)
+    curve = memory_curve(
+        problem,
+        pem=single_outcome_model(experiment.pem),
+        features=back_end.features,
+        seed=config.seed,
+        also_s=(memory.tau_s, *measured, *MEASURED_S.values()),
+    )
+    return replace(result, memory=replace(memory, curve=curve))
 
 
 def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:

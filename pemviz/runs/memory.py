@@ -6,6 +6,7 @@ from pemviz.config.ranges import AtLeastZero, Confidence
 from pemviz.pem import Pem
 from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.memory_card import FittedMemory, fitted_memory
+from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model
 
 
@@ -27,10 +28,12 @@ class RunMemory:
         tau_s: Memory time that the answer is for [s]; 0: misses independent given the state.
         fitted: The error model's own memory time; ``None`` where the model was fitted to single
             frames, which tell nothing of it.
+        curve: The failure probability over memory times, ascending; empty if not asked for.
     """
 
     tau_s: AtLeastZero
     fitted: MeasuredTau | None = None
+    curve: tuple[CurvePoint, ...] = ()
 
 
 def memory_of(pem: Pem) -> RunMemory:

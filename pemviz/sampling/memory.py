@@ -12,7 +12,7 @@ from pemviz.pem import Pem, PemEnsemble
 from pemviz.pem.models.memory import Memory, persistence, remembering_logit
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.back_end import BackEnd
-from pemviz.simulators.remembering import LAST_OUTCOME, remembering
+from pemviz.simulators.remembering import LAST_OUTCOME, RememberingSimulator, remembering
 from pemviz.types import StateBatch
 
 
@@ -131,6 +131,17 @@ def with_memory(
             members=[RememberingPem(member, memory, dt_s) for member in ensemble.members],
         )
     return wrapped, RememberingPem(pem, memory, dt_s), members
+
+
+def without_memory(back_end: BackEnd) -> BackEnd:
+    """The back end as it is for single outcomes; the inverse of :func:`with_memory`."""
+    simulator, twin, features = back_end.simulator, back_end.twin, back_end.features
+    return replace(
+        back_end,
+        simulator=simulator.scenario if isinstance(simulator, RememberingSimulator) else simulator,
+        twin=twin.scenario if isinstance(twin, RememberingSimulator) else twin,
+        features=features.features if isinstance(features, RememberingFeatures) else features,
+    )
 
 
 def memory_of_pem(pem: Pem) -> Memory:

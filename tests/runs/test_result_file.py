@@ -27,7 +27,7 @@ from tests.reports.runs import result as made_up_result
 from tests.runs.results import results
 
 MAY_BE_NULL = re.compile(
-    r"message|config\.target|memory|memory\.fitted|reference|reference\.log10_probability|pem_interval"
+    r"message|config\.target|memory|memory\.fitted|memory\.curve\[\d+\]\.(low|high|ess)|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median)|data_bound"
     r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning)"
     r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
@@ -64,6 +64,8 @@ def sample():
     document["reference"] = {"probability": 1e-18, "std_error": 1e-21, "log10_probability": -18.0}
     fitted = {"tau_s": 0.24, "low_s": 0.2, "high_s": 0.3, "confidence": 0.95}
     document["memory"]["fitted"] = fitted
+    point = {"tau_s": 0.1, "probability": 1e-9, "low": 1e-10, "high": 1e-8, "ess": 20.0}
+    document["memory"]["curve"] = [point, point]
     assert document["causes"]["chains"]
     assert document["pem_interval"]["warnings"]
     return document

@@ -204,9 +204,7 @@ def described(
     )
 
 
-def with_drawing(
-    scenario: Scenario, drawn: Drawn, drawing: Drawing, *, optimism: FloatArray
-) -> Drawn:
+def with_drawing(scenario: Scenario, drawn: Drawn, drawing: Drawing) -> Drawn:
     """The rollouts with their likelihood under one more proposal."""
     log_q = _log_q(scenario, drawn.outcomes, drawing, drawn.count)
     return replace(drawn, log_q=np.column_stack([drawn.log_q, log_q]))

@@ -12,6 +12,8 @@ from pemviz.sampling.description import IntervalBasis
 from pemviz.sampling.estimates.importance_weights import WeightFigures
 from pemviz.types import Diagnostic, DiagnosticKind, Estimate
 
+LARGEST_RATIO = 1e150
+"""Of an error to what it is the error of: its square is a float64."""
 RELIABLE_PARETO_K = 0.7
 """Above it an average of weights is not to be trusted (Vehtari et al. 2024)."""
 LARGE_SHARE = 0.2
@@ -307,7 +309,8 @@ def _errors_apart_in_log(one: float, error: float, other: float, other_error: fl
         return 0.0
     if not (one and other):
         return math.inf
-    variance = math.log1p((error / one) ** 2) + math.log1p((other_error / other) ** 2)
+    relative = (min(error / one, LARGEST_RATIO), min(other_error / other, LARGEST_RATIO))
+    variance = sum(math.log1p(ratio**2) for ratio in relative)
     return _ratio(abs(math.log(one / other)), math.sqrt(variance))
 
 

@@ -1,0 +1,93 @@
+"""The failure probability over memory times, in words and rows, the same in every view."""
+
+import math
+from dataclasses import dataclass
+
+from pemviz.runs.memory import RunMemory
+from pemviz.sampling.bursts.curve import MEASURED_S, CurvePoint
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+
+SHOWN_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Of the curve's memory times, those that a small table shows beside the measured ones [s]."""
+
+
+@dataclass(frozen=True)
+class CurveRow:
+    """One memory time in words.
+
+    Attributes:
+        tau: The memory time.
+        probability: The failure probability.
+        interval: Its 95 % interval.
+        measured: Whose memory time it is; empty where nobody's.
+    """
+
+    tau: str
+    probability: str
+    interval: str
+    measured: str
+
+
+def curve_rows(memory: RunMemory) -> list[CurveRow]:
+    """A small table of the curve; empty without one."""
+    names = measured_names(memory)
+    shown = {*SHOWN_S, *names, memory.tau_s}
+    return [
+        CurveRow(
+            tau="independent" if point.tau_s == 0.0 else f"{point.tau_s:.3g} s",
+            probability=f"{point.probability:.2g}",
+            interval=_interval(point),
+            measured=names.get(point.tau_s, ""),
+        )
+        for point in memory.curve
+        if point.tau_s in shown
+    ]
+
+
+def measured_names(memory: RunMemory) -> dict[float, str]:
+    """Memory times measured on video [s], and whose they are."""
+    names = {tau_s: name for name, tau_s in MEASURED_S.items()}
+    if memory.fitted is not None:
+        names[memory.fitted.tau_s] = "this error model"
+    return names
+
+
+def assumption_line(memory: RunMemory | None) -> str | None:
+    """What the answer's assumption on bursts is worth; ``None`` without a curve."""
+    if memory is None or not memory.curve:
+        return None
+    points = {point.tau_s: point for point in memory.curve}
+    here = points[memory.tau_s]
+    others = [
+        f"{points[tau_s].probability:.1g} with that of {name} ({tau_s:.2g} s)"
+        for tau_s, name in sorted(measured_names(memory).items())
+        if tau_s in points and tau_s != memory.tau_s
+    ]
+    if memory.tau_s == 0.0:
+        assumed = "That misses are independent given the state is an assumption"
+        if memory.fitted is None:
+            assumed += ": this error model was fitted to single frames, which cannot tell"
+        others.insert(0, f"{here.probability:.1g} without memory")
+    else:
+        assumed = f"A memory time of {memory.tau_s:g} s is an assumption"
+        others.insert(0, f"{points[0.0].probability:.1g} if misses were independent")
+    return f"{assumed}. The failure probability is {', '.join(others)}.{_worth(points, memory)}"
+
+
+def _worth(points: dict[float, CurvePoint], memory: RunMemory) -> str:
+    """How many orders of magnitude lie between independence and a detector's memory."""
+    independent = points[0.0].probability
+    reached = [points[t].probability for t in measured_names(memory) if t in points]
+    if independent <= 0.0 or not reached or max(reached) <= independent:
+        return ""
+    orders = math.log10(max(reached) / independent)
+    return f" The assumption is worth {orders:.0f} orders of magnitude." if orders >= 1.0 else ""
+
+
+def _interval(point: CurvePoint) -> str:
+    if point.low is None or point.high is None:
+        return "no violation was seen"
+    words = f"{point.low:.2g} to {point.high:.2g}"
+    if point.ess is not None and point.ess < SMALL_ESS:
+        return f"{words}: {point.ess:.0f} effective violations, not a 95 % interval"
+    return words

@@ -1,0 +1,106 @@
+"""The failure probability over memory times, against all chains of outcomes."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.proposals.offset_logistic import SignalFeatures
+from pemviz.reports.memory_curve import assumption_line, curve_rows
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.memory import MeasuredTau, RunMemory
+from pemviz.runs.result_file import result_document, result_from_document
+from pemviz.sampling.bursts.curve import MEASURED_S, SHOWN_S, CurvePoint, memory_curve
+from pemviz.sampling.problem import Problem
+from tests.lattice_walk import toy_robustness, toy_unsafe, toy_violated
+from tests.sampling.test_memory import PEM, SIMULATOR, by_enumeration
+
+PROBLEM = Problem(
+    simulator=SIMULATOR,
+    pem=PEM,
+    robustness=toy_robustness,
+    violated=toy_violated,
+    unsafe=toy_unsafe,
+)
+
+
+def curve_of(problem=PROBLEM, **options):
+    features = SignalFeatures(SIMULATOR.signals)
+    return memory_curve(problem, pem=PEM, features=features, seed=5, **options)
+
+
+def test_one_set_of_rollouts_serves_every_memory_time():
+    """Twice the 95 % interval's half width: seeds are fixed, a false alarm in 1e4 a point."""
+    points = curve_of(also_s=(2.0, 5.0))
+    assert [point.tau_s for point in points] == [*SHOWN_S, 2.0, 5.0]
+    for point in points:
+        truth = by_enumeration(SIMULATOR, PEM, tau_s=point.tau_s)
+        assert point.low < point.probability < point.high
+        half = math.log(point.high / point.low) / 2
+        assert abs(math.log(point.probability / truth)) < 2 * half, point
+        assert half < 0.5
+
+
+def test_the_curve_does_not_depend_on_the_batch_size():
+    assert curve_of() == curve_of(replace(PROBLEM, batch_rollouts=17))
+
+
+def test_a_specification_that_nothing_violates_has_a_curve_of_zeros():
+    problem = replace(
+        PROBLEM, violated=lambda signals: toy_robustness(signals) < -99.0, unsafe=None
+    )
+    for point in curve_of(problem):
+        assert (point.probability, point.low, point.high, point.ess) == (0.0, None, None, None)
+
+
+SHORT = ExperimentConfig(
+    method="naive", final_rollouts=40, spec="always[0,29] (gap >= 9.0)", memory_curve=True,
+    scenario=replace(ExperimentConfig().scenario, states=30, initial_gap_m=10.5),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run_experiment(SHORT)
+
+
+def test_a_run_tells_the_curve_whatever_its_own_memory(result):
+    other = run_experiment(replace(SHORT, memory_s=0.15))
+    assert other.memory.curve == result.memory.curve
+    assert other.memory.tau_s == 0.15
+    assert {*SHOWN_S, *MEASURED_S.values()} == {point.tau_s for point in result.memory.curve}
+    assert result_from_document(result_document(other)) == other
+
+
+def test_the_black_box_is_told_from_its_twin(result):
+    found = run_experiment(replace(SHORT, simulator="highway-env", final_rollouts=4))
+    assert found.memory.curve == result.memory.curve
+
+
+def test_the_result_says_what_the_assumption_is_worth(result):
+    line = assumption_line(result.memory)
+    assert line.startswith("That misses are independent given the state is an assumption: this")
+    assert "RRC" in line
+    assert "PointRCNN" in line
+    assert assumption_line(replace(result.memory, curve=())) is None
+    rows = {row.tau: row for row in curve_rows(result.memory)}
+    assert rows["0.24 s"].measured.startswith("RRC")
+    assert rows["independent"].measured == ""
+
+
+def test_orders_of_magnitude_and_thin_intervals_are_said():
+    def point(tau_s, probability, ess=50.0):
+        return CurvePoint(tau_s, probability, probability / 2, probability * 2, ess)
+
+    curve = (point(0.0, 1e-15, ess=3.0), point(0.15, 1e-4), point(0.24, 1e-3), point(0.3, 2e-3))
+    own = MeasuredTau(tau_s=0.3, low_s=0.2, high_s=0.4, confidence=0.95)
+    memory = RunMemory(tau_s=0.0, curve=curve)
+    assert assumption_line(memory).endswith("worth 12 orders of magnitude.")
+    assert curve_rows(memory)[0].interval.endswith("3 effective violations, not a 95 % interval")
+    measured = assumption_line(replace(memory, fitted=own))
+    assert "single frames" not in measured
+    assert "0.002 with that of this error model (0.3 s)" in measured
+    assumed = assumption_line(replace(memory, tau_s=0.15))
+    assert assumed.startswith("A memory time of 0.15 s is an assumption")
+    assert "1e-15 if misses were independent" in assumed
