@@ -65,7 +65,7 @@ def sample():
     fitted = {"tau_s": 0.24, "low_s": 0.2, "high_s": 0.3, "confidence": 0.95}
     document["memory"]["fitted"] = fitted
     point = {"tau_s": 0.1, "probability": 1e-9, "low": 1e-10, "high": 1e-8, "ess": 20.0}
-    document["memory"]["curve"] = [point, point]
+    document["memory"]["curve"] = [point, dict(point)]
     assert document["causes"]["chains"]
     assert document["pem_interval"]["warnings"]
     return document
