@@ -27,7 +27,8 @@ from tests.reports.runs import result as made_up_result
 from tests.runs.results import results
 
 MAY_BE_NULL = re.compile(
-    r"message|config\.target|memory|memory\.fitted|memory\.curve\[\d+\]\.(low|high|ess)|reference|reference\.log10_probability|pem_interval"
+    r"message|config\.(target|alpha)|memory|memory\.fitted|memory\.curve\[\d+\]\.(low|high|ess)"
+    r"|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median)|data_bound"
     r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning)"
     r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
@@ -37,7 +38,7 @@ MAY_BE_NULL = re.compile(
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|families|memory|memory\.fitted|warnings|timings_s"
+    r"|families|memory|memory\.(fitted|curve)|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
