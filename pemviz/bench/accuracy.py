@@ -12,6 +12,7 @@ from scipy import stats
 from pemviz.config import ExperimentConfig
 from pemviz.processes import map_in_processes
 from pemviz.runs.experiment import build_experiment, build_method
+from pemviz.sampling.estimates.trust import unreliable_because
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import by_name
@@ -20,6 +21,8 @@ from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 SEEDS_PER_JOB = 10
 CONFIDENCE = 0.95
+FAR = 2.0
+"""An estimate that is off by more than this factor misleads, unless it warns."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,19 @@ class Outcome:
         covers: Whether the 95 % interval contains the truth.
         rollouts: Simulated in all stages.
         wall_s: Wall time, without what runs share [s].
+        warned: Whether the diagnostics call the estimate unreliable.
     """
 
     ratio: float
     covers: bool
     rollouts: int
     wall_s: float
+    warned: bool = False
+
+    @property
+    def misleads(self) -> bool:
+        """Whether it is off by more than a factor of 2 and nothing warns."""
+        return not self.warned and not 1.0 / FAR <= self.ratio <= FAR
 
 
 @dataclass(frozen=True)
@@ -69,6 +79,12 @@ class Accuracy:
         coverage: Share of intervals that contain the truth.
         coverage_low: Exact binomial interval of that share at 95 %, lower end.
         coverage_high: Upper end.
+        warned: Share of runs whose diagnostics call the estimate unreliable.
+        unwarned_coverage: Share of the other runs' intervals that contain the truth; ``None``
+            without any.
+        unwarned_coverage_low: Exact binomial interval of that share at 95 %, lower end.
+        unwarned_coverage_high: Upper end.
+        misleading: Share of all runs that are off by more than a factor of 2 unwarned.
         median_wall_s: Median wall time of a run [s].
     """
 
@@ -82,6 +98,11 @@ class Accuracy:
     coverage: float
     coverage_low: float
     coverage_high: float
+    warned: float
+    unwarned_coverage: float | None
+    unwarned_coverage_low: float | None
+    unwarned_coverage_high: float | None
+    misleading: float
     median_wall_s: float
 
 
@@ -143,8 +164,9 @@ def summarise(
 ) -> Accuracy:
     """The figures of at least one outcome."""
     ratio = np.array([outcome.ratio for outcome in outcomes])
-    covering = sum(outcome.covers for outcome in outcomes)
-    interval = stats.binomtest(covering, len(outcomes)).proportion_ci(CONFIDENCE, method="exact")
+    coverage, low, high = _coverage(outcomes)
+    unwarned = [outcome for outcome in outcomes if not outcome.warned]
+    of_unwarned = _coverage(unwarned) if unwarned else (None, None, None)
     return Accuracy(
         scenario=scenario,
         method=method,
@@ -153,11 +175,23 @@ def summarise(
         truth=truth,
         relative_rmse=float(np.sqrt(np.mean((ratio - 1.0) ** 2))),
         median_ratio=float(np.median(ratio)),
-        coverage=covering / len(outcomes),
-        coverage_low=float(interval.low),
-        coverage_high=float(interval.high),
+        coverage=coverage,
+        coverage_low=low,
+        coverage_high=high,
+        warned=1.0 - len(unwarned) / len(outcomes),
+        unwarned_coverage=of_unwarned[0],
+        unwarned_coverage_low=of_unwarned[1],
+        unwarned_coverage_high=of_unwarned[2],
+        misleading=sum(outcome.misleads for outcome in outcomes) / len(outcomes),
         median_wall_s=float(np.median([outcome.wall_s for outcome in outcomes])),
     )
+
+
+def _coverage(outcomes: Sequence[Outcome]) -> tuple[float, float, float]:
+    """Share of intervals that contain the truth, with its exact binomial interval."""
+    covering = sum(outcome.covers for outcome in outcomes)
+    interval = stats.binomtest(covering, len(outcomes)).proportion_ci(CONFIDENCE, method="exact")
+    return covering / len(outcomes), float(interval.low), float(interval.high)
 
 
 def accuracy_table(outcomes: Mapping[Case, Sequence[Outcome]]) -> Sequence[Accuracy]:
@@ -184,10 +218,11 @@ def _run_job(job: tuple[Case, tuple[int, ...]]) -> list[Outcome]:
     problem = build_experiment(case.config).problem
     methods = [build_method(replace(case.config, seed=seed)) for seed in seeds]
     methods[0].init(problem, repetition=0)
-    return [_run_once(method, problem, case.truth) for method in methods]
+    return [run_once(method, problem, case.truth) for method in methods]
 
 
-def _run_once(method: Method[Any], problem: Problem, truth: float) -> Outcome:
+def run_once(method: Method[Any], problem: Problem, truth: float) -> Outcome:
+    """One estimate beside the truth; its time is without what ``method`` builds first."""
     state = method.init(problem, repetition=0)
     began = time.perf_counter()
     while not method.is_done(state):
@@ -199,4 +234,5 @@ def _run_once(method: Method[Any], problem: Problem, truth: float) -> Outcome:
         covers=low is not None and high is not None and low <= truth <= high,
         rollouts=estimate.rollouts_simulated,
         wall_s=time.perf_counter() - began,
+        warned=bool(unreliable_because(estimate)),
     )

@@ -15,7 +15,10 @@ HEADER = (
     "truth",
     "relative RMSE",
     "median ratio",
-    "95 % interval covers",
+    "interval covers",
+    "warned",
+    "covers unwarned",
+    "off by over 2 unwarned",
     "wall time [s]",
 )
 
@@ -24,7 +27,6 @@ def accuracy_lines(rows: Sequence[Accuracy]) -> Sequence[str]:
     """A Markdown table."""
     lines = ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
     for row in rows:
-        covers = f"{row.coverage:.1%} ({row.coverage_low:.1%} to {row.coverage_high:.1%})"
         cells = (
             row.scenario,
             row.method,
@@ -33,11 +35,20 @@ def accuracy_lines(rows: Sequence[Accuracy]) -> Sequence[str]:
             "" if row.truth is None else f"{row.truth:.4g}",
             f"{row.relative_rmse:.2%}",
             f"{row.median_ratio:.3f}",
-            covers,
+            _share(row.coverage, row.coverage_low, row.coverage_high),
+            f"{row.warned:.1%}",
+            _share(row.unwarned_coverage, row.unwarned_coverage_low, row.unwarned_coverage_high),
+            f"{row.misleading:.1%}",
             f"{row.median_wall_s:.2f}",
         )
         lines.append("| " + " | ".join(cells) + " |")
     return lines
+
+
+def _share(share: float | None, low: float | None, high: float | None) -> str:
+    if share is None or low is None or high is None:
+        return "-"
+    return f"{share:.1%} ({low:.1%} to {high:.1%})"
 
 
 def write_accuracy(rows: Sequence[Accuracy], folder: Path) -> Sequence[Path]:
@@ -80,5 +91,5 @@ def _draw(rows: Sequence[Accuracy], path: Path) -> None:
         fmt="o",
     )
     coverage.axvline(0.95, color="grey", linestyle="--")
-    coverage.set_xlabel("share of 95 % intervals that contain the truth")
+    coverage.set_xlabel("share of intervals, warned or not, that contain the truth")
     figure.savefig(path, dpi=120)

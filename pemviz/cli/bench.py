@@ -21,7 +21,8 @@ class BenchArguments:
     """Measure speed on this machine.
 
     ``pemviz bench accuracy`` measures how wrong the methods are on scenarios with known
-    answers, ``pemviz bench scale`` how time and memory grow; they have options of their own.
+    answers, ``pemviz bench trust`` whether answers that nothing warns of are right, ``pemviz
+    bench scale`` how time and memory grow; they have options of their own.
     """
 
     part: tuple[Part, ...] = ("paper", "simulators", "stl", "recording")
@@ -39,6 +40,8 @@ def run(words: Sequence[str]) -> int:
     """
     if words and words[0] == "accuracy":
         return _accuracy(words[1:])
+    if words and words[0] == "trust":
+        return _trust(words[1:])
     if words and words[0] == "scale":
         return _scale(parse_arguments(ScaleStudy, words[1:], command="bench scale"))
     arguments = parse_arguments(BenchArguments, words, command="bench", default=BenchArguments())
@@ -95,6 +98,19 @@ def _accuracy(words: Sequence[str]) -> int:
 
     study = parse_arguments(AccuracyStudy, words, command="bench accuracy")
     print("\n".join(accuracy_lines(run_study(study))))
+    return EXIT_DONE
+
+
+def _trust(words: Sequence[str]) -> int:
+    from pemviz.bench.trust_cases import trust_cases  # noqa: PLC0415
+    from pemviz.bench.trust_report import case_lines, report_lines  # noqa: PLC0415
+    from pemviz.bench.trust_study import TrustStudy, chosen, run_trust  # noqa: PLC0415
+
+    study = parse_arguments(TrustStudy, words, command="bench trust")
+    if study.list:
+        print("\n".join(case_lines(chosen(study.cases, trust_cases()))))
+        return EXIT_DONE
+    print("\n".join(report_lines(run_trust(study))))
     return EXIT_DONE
 
 

@@ -1,0 +1,117 @@
+"""Systems of one's own for the study of trust: a walk that fails in two ways, a drone at a wall."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.types import Signal, StateBatch
+
+GAP, UNSEEN = "gap", "unseen"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoWayWalk:
+    """A walk on the integers: a miss leads one nearer to 0, a detection one away from it.
+
+    It fails where it arrives at 0. It also fails, at its last state and without a sign before, if
+    perception missed at all of some steps: a chain to which nothing that robustness or a signal
+    shows leads.
+
+    Attributes:
+        watched: If all of these steps were missed, the gap is 0 at the last state.
+        still: Before this step the gap does not move.
+        initial_gap: Where the walk starts.
+        largest_gap: Detections do not lead beyond it.
+        states: States in a rollout.
+        name: The simulator's.
+        dt_s: Time step [s].
+    """
+
+    watched: tuple[int, ...] = ()
+    still: int = 0
+    initial_gap: int = 6
+    largest_gap: int = 8
+    states: int = 19
+    name: str = "two-way-walk"
+    dt_s: float = 1.0
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The gap alone."""
+        return (Signal(name=GAP, key="gap_m", unit="m", low=-30.0, high=float(self.largest_gap)),)
+
+    def initial(self, *, count: int) -> StateBatch:
+        """``count`` walks at the start."""
+        return StateBatch(
+            step=np.zeros((), dtype=np.int64),
+            signals={GAP: np.full(count, float(self.initial_gap))},
+            memory={UNSEEN: np.full(count, bool(self.watched))},
+        )
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """One step nearer where missed ``[N]``, one away where detected."""
+        step = int(states.step)
+        gap, unseen = states.signals[GAP], states.memory[UNSEEN]
+        if step >= self.still:
+            gap = np.minimum(gap + np.where(detected, 1.0, -1.0), float(self.largest_gap))
+        if step in self.watched:
+            unseen = unseen & ~detected
+        if step == self.states - 2:
+            gap = np.where(unseen, 0.0, gap)
+        return StateBatch(step=states.step + 1, signals={GAP: gap}, memory={UNSEEN: unseen})
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """The gap, ``[..., 1]``."""
+        return signals[GAP][..., None]
+
+
+@dataclass(frozen=True)
+class LinearLogit:
+    """A detector model whose logit is linear in the one salient variable.
+
+    Attributes:
+        at_zero: The logit of 'detected' at 0.
+        slope: Its change for each unit.
+    """
+
+    at_zero: float
+    slope: float
+
+    def logit(self, salient: FloatArray) -> FloatArray:
+        """Logit of 'detected' ``[...]`` for salient variables ``[..., 1]``."""
+        return self.at_zero + self.slope * salient[..., 0]
+
+
+@dataclass(frozen=True)
+class DroneAtWall:
+    """A drone that hovers 2 m from a wall in wind, as ``examples/own_system.py`` has it."""
+
+    name: str = "drone-at-wall"
+    states: int = 61
+    dt_s: float = 0.1
+    signals: tuple[Signal, ...] = (
+        Signal(name="distance", key="distance_m", unit="m", low=-20.0, high=20.0),
+        Signal(name="approach", key="approach_mps", unit="m/s", low=-20.0, high=20.0),
+    )
+
+    def initial(self, *, count: int) -> StateBatch:
+        """``count`` drones at rest."""
+        start = {"distance": np.full(count, 2.0), "approach": np.zeros(count)}
+        return StateBatch(step=np.zeros((), dtype=np.int64), signals=start)
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """It holds its distance where it sees the wall ``[N]``, and drifts where it does not."""
+        distance_m, approach_mps = states.signals["distance"], states.signals["approach"]
+        wanted_mps2 = np.clip(2.0 * (distance_m - 2.0) - 2.5 * approach_mps, -3.0, 1.0)
+        total_mps2 = np.where(detected, wanted_mps2, 0.0) + 0.8
+        later = {
+            "distance": distance_m - approach_mps * self.dt_s,
+            "approach": approach_mps + total_mps2 * self.dt_s,
+        }
+        return StateBatch(step=states.step + 1, signals=later)
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """The distance, ``[..., 1]``."""
+        return signals["distance"][..., None]
