@@ -66,9 +66,9 @@ def plain(text):
     return " ".join(unescape(text).replace("\u2502", " ").split())
 
 
-def terminal(result, capsys, monkeypatch):
+def terminal(result, capsys, monkeypatch, *, verbose=False):
     monkeypatch.setenv("COLUMNS", "400")
-    print_summary(result, Path("run"))
+    print_summary(result, Path("run"), verbose=verbose)
     return capsys.readouterr().out
 
 
@@ -79,6 +79,7 @@ def test_every_report(method, reliable, capsys, monkeypatch):
     gate = decide_run(result, limit=1e-20)
     for text in (
         terminal(result, capsys, monkeypatch),
+        terminal(result, capsys, monkeypatch, verbose=True),
         summary_text(result),
         summary_markdown(result),
         junit_xml(result),
@@ -216,8 +217,9 @@ def test_the_range_over_refits_is_called_that_and_its_caveats_are_told(capsys, m
         junit_xml(result),
     ):
         assert caveat in plain(text)
+    assert "refits of ml-nn" in terminal(result, capsys, monkeypatch)
     for text in (
-        terminal(result, capsys, monkeypatch),
+        terminal(result, capsys, monkeypatch, verbose=True),
         summary_markdown(result),
         junit_xml(result),
         answer_text(result, running=False),

@@ -56,6 +56,8 @@ class RecordArguments:
     junit: Path | None = None
     """Write the result as JUnit XML to this file: one test case, which fails if --fail-above
     tripped and is an error if that cannot be decided."""
+    verbose: bool = False
+    """Print every figure and every warning, not only the gravest."""
     json: bool = False
     """Print the result as one JSON object and nothing else."""
     no_recording: bool = False

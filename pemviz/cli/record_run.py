@@ -58,7 +58,7 @@ def record(arguments: RecordArguments) -> int:
     if arguments.json:
         print(json.dumps(result_document(result), allow_nan=False))
     else:
-        print_summary(result, folder)
+        print_summary(result, folder, verbose=arguments.verbose)
     if result.status != "done":
         print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
         return EXIT_FAILED

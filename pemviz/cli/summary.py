@@ -1,6 +1,8 @@
 """The summary at the end of a run."""
 
 import math
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -20,30 +22,103 @@ from pemviz.reports.estimate_text import (
     share_text,
     violations_text,
 )
+from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import assumption_line, curve_rows
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
+from pemviz.sampling.estimates.trust import remedy
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
 SHOWN_MISSES = 0.005
+MOST_WARNINGS = 5
 
 
-def print_summary(result: RunResult, folder: Path) -> None:
-    """Print the answer, how far to trust it, and where the run lies."""
+def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> None:
+    """Print the answer, how far it is open, what causes violations, and where the run lies.
+
+    Args:
+        result: What was found.
+        folder: The run's.
+        verbose: With every figure and every warning, not only the gravest.
+    """
     console = Console(highlight=False)
     if result.estimate is not None:
-        console.print(_table(result, result.estimate))
+        if verbose:
+            console.print(_table(result, result.estimate))
+        else:
+            for line in headline(result, result.estimate):
+                console.print(line, markup=False, soft_wrap=True)
         if result.memory is not None and result.memory.curve:
             console.print(assumption_line(result.memory), style="bold", markup=False)
             console.print(_memory(result.memory))
-        if result.explanation is not None:
+        console.print(_ladder(result))
+        if result.explanation is not None and (verbose or result.config.target is not None):
             console.print(_causes(result.explanation, target=result.config.target))
-        about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))
-        for warning in (*about_answer, *data_warnings(result)):
-            console.print(f"warning: {warning}", style="yellow", markup=False)
+        elif result.explanation is not None:
+            console.print(causes_line(result.explanation), markup=False, soft_wrap=True)
+        for line in warning_lines(result, verbose=verbose):
+            console.print(line, style="yellow", markup=False, soft_wrap=not verbose)
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
+
+
+def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
+    """How likely a violation is, by what method, and what it takes for granted."""
+    config, caveats = result.config, run_interval_caveats(result)
+    repeated = f" in {len(result.repetitions)} repetitions" * (len(result.repetitions) > 1)
+    yield f"Failure probability {probability_text(estimate)}"
+    yield (
+        f"  {config.spec}; {config.method}{repeated}, {violations_text(estimate)} violate; "
+        f"error model {result.pem.name}; {result.timings_s.get('total', math.nan):.1f} s"
+    )
+    called = interval_name(estimate, caveats=caveats)
+    yield f"  {called} {interval_text(estimate, caveats=caveats)}"
+    if caveats:
+        yield f"  try next: {remedy(estimate.method)}"
+    if result.reference is not None:
+        yield f"  reference {reference_text(result.reference, estimate)}"
+    yield f"  misses {memory_text(result.memory)}"
+
+
+def _ladder(result: RunResult) -> Table:
+    """What leaves the answer open, a row each."""
+    table = Table(title=LADDER_TITLE, title_justify="left", box=None, pad_edge=False)
+    for column, justify in zip(LADDER_COLUMNS, ("left", "right", "right", "left"), strict=True):
+        table.add_column(column, justify=justify, no_wrap=justify == "right")
+    for row in ladder_rows(result):
+        table.add_row(*row)
+    return table
+
+
+def causes_line(explanation: Explanation) -> str:
+    """Where the misses of a violation lie, in one line."""
+    bands = [
+        f"{band.misses:.1f} at {band.low:g} to {band.high:g} m"
+        for band in explanation.misses_by_distance
+        if band.misses > SHOWN_MISSES
+    ]
+    total = sum(band.misses for band in explanation.misses_by_distance)
+    where = f" ({', '.join(bands)})" if bands else ""
+    return f"Misses in a violation: {total:.1f}{where}"
+
+
+def warning_lines(result: RunResult, *, verbose: bool) -> list[str]:
+    """Warnings, the gravest first: at most five lines unless all are asked for."""
+    about_answer = [diagnostic.text for diagnostic in run_diagnostics(result)]
+    about_refits = () if result.pem_interval is None else result.pem_interval.warnings
+    about_data = [text for text in data_warnings(result) if text not in about_refits]
+    if verbose:
+        return [f"warning: {text}" for text in (*about_answer, *about_refits, *about_data)]
+    grave = (*about_answer, *about_refits)
+    shown = grave[: MOST_WARNINGS - 1]
+    lines = [f"warning: {text}" for text in shown]
+    kinds = Counter(text.partition(":")[0] if ":" in text[:40] else "others" for text in about_data)
+    kinds["more about the answer"] = len(grave) - len(shown)
+    named = [f"{kind} ({count})" if count > 1 else kind for kind, count in kinds.items() if count]
+    if named:
+        lines.append(f"warning: {', '.join(named)}; --verbose tells each")
+    return lines
 
 
 def _table(result: RunResult, estimate: Estimate) -> Table:

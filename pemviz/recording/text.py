@@ -9,7 +9,9 @@ from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
+from pemviz.reports.escape import markdown_table
 from pemviz.reports.estimate_text import REFITS, RELIABLE_TAIL, interval_name, no_interval_text
+from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -32,6 +34,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     ]
     if estimate is not None:
         parts.append(_model_range(result.pem_interval))
+        parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
         parts.append(_diagnostics(estimate))
     parts.append(_question(result))
     parts.append(

@@ -21,6 +21,7 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
+from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import assumption_line, curve_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -47,6 +48,7 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
     if result.estimate is not None:
         parts += [*_memory(result), _answer(result, result.estimate), *_plot(result, gate)]
+        parts += _ladder(result)
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
     parts.append(_details("Complete configuration", _config(result.config)))
     return "\n\n".join(parts) + "\n"
@@ -151,6 +153,11 @@ def interval_rows(result: RunResult, *, limit: float | None) -> list[IntervalRow
 def _row(label: str, estimate: Estimate, *, caveats: Sequence[str]) -> IntervalRow:
     ends = (estimate.ci_low, estimate.ci_high)
     return IntervalRow(label, estimate.probability, *ends, holds=not caveats)
+
+
+def _ladder(result: RunResult) -> list[str]:
+    rows = [tuple(map(markdown_text, row)) for row in ladder_rows(result)]
+    return [f"### {LADDER_TITLE}", markdown_table(LADDER_COLUMNS, rows)]
 
 
 def _warnings(result: RunResult) -> list[str]:

@@ -14,6 +14,8 @@ What a result.json may hold (schema 1):
   document and are not kept when it is read.
 - The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
   ``sensitivity``, and its other fields under ``causes``.
+- ``ladder``, what leaves the answer open (:class:`pemviz.runs.ladder.Rung`): it follows from the
+  other fields, which are what is read.
 - Null for the robustness of a rollout where it is infinite.
 
 A field that has a default may be absent, as it is in results of versions that did not know it.
@@ -36,6 +38,7 @@ from pemviz.config.toml_files import config_table
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_json
 from pemviz.files.json_text import parse_json
+from pemviz.runs.ladder import Rung, uncertainty_ladder
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import classified
@@ -107,6 +110,7 @@ def result_document(result: RunResult) -> Table:
         "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
         "families": [asdict(answer) for answer in result.families],
+        "ladder": [asdict(rung) for rung in uncertainty_ladder(result)],
         "data_bound": None if result.data_bound is None else asdict(result.data_bound),
         **_explanation_tables(result.explanation),
         "repetitions": [
@@ -143,6 +147,7 @@ def result_from_document(document: object) -> RunResult:
     if table.get("seed", config.seed) != config.seed:
         message = f"seed = {shown(table['seed'])}: must be that of config, {config.seed}"
         raise InputError(message)
+    read_value(tuple[Rung, ...], table.get("ladder", []), name="ladder")
     fields = {
         **table,
         "config": config,

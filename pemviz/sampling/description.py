@@ -54,6 +54,7 @@ class MethodDescription:
             to ``weights`` alone.
         interval_caveat: Why the method's intervals, even those that no diagnostic speaks against,
             are none at their level; ``None`` where they are.
+        remedy: What to try where an answer is not to be trusted, in words.
         stages: What the stages of a repetition are: one ``learning`` from the other, independent
             ``runs``, or ``parts`` of one batch.
         stage_interval: Of a stage's own estimate: ``log-normal`` from its weights, ``binomial``,
@@ -78,6 +79,7 @@ class MethodDescription:
     needs: frozenset[Need] = frozenset()
     interval_basis: IntervalBasis = "weights"
     interval_caveat: str | None = None
+    remedy: str = "more rollouts"
     stages: StageMeaning = "learning"
     stage_interval: StageInterval = "log-normal"
     counting: Counting = "rollouts"

@@ -34,11 +34,12 @@ MAY_BE_NULL = re.compile(
     r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
     r"|nll_log_mean|ess|pareto_k|max_weight_share|unbiased\.(probability|std_error)"
     r"|diagnostics\[\d+\]\.(value|limit))|estimate"
+    r"|ladder\[\d+\]\.(low|high)"
     r"|stages\[\d+\]\.(threshold|log10_probability|ess|loss)|least_robust\[\d+\]\.robustness"
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|families|memory|memory\.(fitted|curve)|warnings|timings_s"
+    r"|families|ladder|memory|memory\.(fitted|curve)|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
@@ -115,8 +116,8 @@ def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
     assert text == f"{json.dumps(document, indent=1, ensure_ascii=False)}\n"
     assert list(json.loads(text)) == [
         "schema", "run_id", "status", "message", "seed", "versions", "config", "pem", "estimate",
-        "memory", "reference", "pem_interval", "families", "data_bound", "sensitivity", "causes",
-        "repetitions", "stages", "least_robust", "assumptions", "warnings", "timings_s",
+        "memory", "reference", "pem_interval", "families", "ladder", "data_bound", "sensitivity",
+        "causes", "repetitions", "stages", "least_robust", "assumptions", "warnings", "timings_s",
     ]  # fmt: skip
 
 
@@ -244,7 +245,7 @@ def test_another_schema_is_refused(sample, schema):
 
 
 def test_what_is_unknown_is_ignored_but_for_settings(sample):
-    document = changed(sample, ("ladder",), [1])
+    document = changed(sample, ("per_hour",), [1])
     document = changed(document, ("estimate", "ladder"), "x")
     document = changed(document, ("stages", 0, "rules"), {})
     assert result_from_document(document) == result_from_document(sample)

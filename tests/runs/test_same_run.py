@@ -12,7 +12,8 @@ from pemviz.runs.same_run import read_whole_run, run_differs, setting_difference
 from tests.reports.runs import result
 
 OTHER = {
-    str: "x", float: 0.625, int: 77, bool: True, "method": "naive", "metric": "agm", "target": 1e-9, "alpha": 0.5,
+    str: "x", float: 0.625, int: 77, bool: True, "method": "naive", "metric": "agm", "target": 1e-9,
+    "alpha": 0.5,
 }  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
 from pemviz.panel.views.html import block, number, quiet, warning
+from pemviz.panel.views.ladder import ladder_plot
 from pemviz.reports.estimate_text import interval_name, level_text, no_interval_text
 from pemviz.runs.trust import run_diagnostics, run_interval_caveats
 from pemviz.types import Estimate
@@ -49,7 +50,7 @@ def _answer(run: RunData) -> str:
     for first in diagnostics[:1]:
         others = len(diagnostics) - 1
         lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
-    return lines
+    return lines + ladder_plot(run.result)
 
 
 def _interval(estimate: Estimate, caveats: Sequence[str]) -> str:

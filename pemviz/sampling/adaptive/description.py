@@ -42,6 +42,7 @@ ADAPTIVE = MethodDescription(
     budget=learning_budget,
     with_budget=with_learning_budget,
     needs=frozenset({"gap"}),
+    remedy="pemviz record --method mixture",
     interval_caveat=(
         "on the paper's scenario a quarter to a third of this method's intervals contain the "
         "truth, as its weights degenerate"

@@ -38,6 +38,12 @@ def interval_caveats(
     return caveats(wrong, method=estimate.method)
 
 
+def remedy(method: str) -> str:
+    """What to try where an answer of ``method`` is not to be trusted, in words."""
+    described = _description(method)
+    return "another method" if described is None else described.remedy
+
+
 def caveats(diagnostics: Iterable[Diagnostic], *, method: str) -> tuple[str, ...]:
     """Why an interval of ``method`` with these diagnostics does not hold at its level.
 

@@ -1,0 +1,28 @@
+"""The ladder of uncertainty in words: one row a rung, the same on the terminal and in reports."""
+
+from pemviz.runs.ladder import Rung, uncertainty_ladder
+from pemviz.runs.result import RunResult
+
+LADDER_TITLE = "How far the answer is open"
+LADDER_COLUMNS = ("by", "from", "to", "narrowed by")
+
+
+def ladder_rows(result: RunResult) -> list[tuple[str, str, str, str]]:
+    """Name, both ends and what would narrow it, of each rung."""
+    return [
+        (rung_name(rung), *ends_text(rung), rung.narrowed_by) for rung in uncertainty_ladder(result)
+    ]
+
+
+def ends_text(rung: Rung) -> tuple[str, str]:
+    """Both ends with two digits, a dash where one is not known."""
+    return _end(rung.low), _end(rung.high)
+
+
+def _end(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"
+
+
+def rung_name(rung: Rung) -> str:
+    """Its name, and what is to be said of its ends; an interval's caveats stand elsewhere."""
+    return f"{rung.name}; {rung.note}" if rung.note and rung.kind != "sampling" else rung.name

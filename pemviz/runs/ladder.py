@@ -1,0 +1,156 @@
+"""The ladder of uncertainty: how far an answer is open, by what leaves it open.
+
+Each rung bounds the failure probability as far as one source of doubt goes, from the sampling
+error to what the training data alone allow. Rungs are not added up: each takes for granted what
+the others doubt.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from pemviz.runs.result import RunResult
+from pemviz.runs.trust import run_interval_caveats
+from pemviz.sampling.estimates.trust import remedy
+
+RungKind = Literal["sampling", "reference", "refits", "families", "memory", "data"]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One source of doubt.
+
+    Attributes:
+        kind: Which.
+        name: In words.
+        low: Lower end; ``None`` where it is not known.
+        high: Upper end; ``None`` likewise.
+        note: Which models the ends belong to, or why there are none.
+        narrowed_by: What would narrow it.
+    """
+
+    kind: RungKind
+    name: str
+    low: float | None
+    high: float | None
+    note: str
+    narrowed_by: str
+
+
+def uncertainty_ladder(result: RunResult) -> tuple[Rung, ...]:
+    """What leaves a result open, sampling first; nothing without an estimate."""
+    return tuple(_rungs(result)) if result.estimate is not None else ()
+
+
+def _rungs(result: RunResult) -> Iterator[Rung]:
+    yield _sampling(result)
+    if result.reference is not None:
+        yield _reference(result)
+    yield _refits(result)
+    if result.families:
+        yield _families(result)
+    yield _memory(result)
+    yield _data(result)
+
+
+def _sampling(result: RunResult) -> Rung:
+    estimate, caveats = result.estimate, run_interval_caveats(result)
+    assert estimate is not None  # noqa: S101  asked before
+    level = f"{100.0 * estimate.confidence:g} %"
+    return Rung(
+        kind="sampling",
+        name=f"sampling, {'not a ' if caveats else ''}{level} interval",
+        low=estimate.ci_low,
+        high=estimate.ci_high,
+        note=caveats[0] if caveats else "",
+        narrowed_by=remedy(estimate.method) if caveats else "four times the rollouts",
+    )
+
+
+def _reference(result: RunResult) -> Rung:
+    reference = result.reference
+    assert reference is not None  # noqa: S101  asked before
+    return Rung(
+        kind="reference",
+        name="exact reference (+- 2 standard errors)",
+        low=max(reference.probability - 2.0 * reference.std_error, 0.0),
+        high=reference.probability + 2.0 * reference.std_error,
+        note="",
+        narrowed_by="nothing is left to narrow",
+    )
+
+
+def _refits(result: RunResult) -> Rung:
+    interval, model = result.pem_interval, result.pem.name
+    if interval is None:
+        return Rung(
+            kind="refits",
+            name=f"refits of {model}",
+            low=None,
+            high=None,
+            note="the model has no ensemble, or nothing failed",
+            narrowed_by="pemviz pem fit --ensemble",
+        )
+    return Rung(
+        kind="refits",
+        name=f"refits of {model} ({100 * interval.confidence:g} % of {interval.members})",
+        low=0.0 if interval.low is None else interval.low,
+        high=interval.high,
+        note="",
+        narrowed_by="more labelled obstacles",
+    )
+
+
+def _families(result: RunResult) -> Rung:
+    ranked = sorted(result.families, key=lambda answer: answer.log10_probability)
+    vague = [answer.name for answer in ranked if not answer.is_reliable]
+    named = f"{ranked[0].name} to {ranked[-1].name}" if len(ranked) > 1 else ranked[0].name
+    note = f"{', '.join(vague)} only roughly" if vague else ""
+    return Rung(
+        kind="families",
+        name=f"other families ({named})",
+        low=ranked[0].probability,
+        high=ranked[-1].probability,
+        note=note,
+        narrowed_by="labels where they part",
+    )
+
+
+def _memory(result: RunResult) -> Rung:
+    tau_s = 0.0 if result.memory is None else result.memory.tau_s
+    own = None if result.memory is None else result.memory.fitted
+    curve = () if result.memory is None else result.memory.curve
+    lows = [point.low for point in curve if point.low is not None]
+    highs = [point.high for point in curve if point.high is not None]
+    reach = f" from {curve[0].tau_s:g} to {curve[-1].tau_s:g} s" if curve else ""
+    assumed = f"{tau_s:g} s" if tau_s > 0.0 else "none"
+    measured = "" if own is None else f"measured {own.tau_s:.2g} s"
+    return Rung(
+        kind="memory",
+        name=f"memory of misses{reach}, {assumed} assumed",
+        low=min(lows, default=None),
+        high=max(highs, default=None),
+        note=measured,
+        narrowed_by="tracked video" if curve else "--memory-curve bounds it",
+    )
+
+
+def _data(result: RunResult) -> Rung:
+    bound = result.data_bound
+    if bound is None:
+        return Rung(
+            kind="data",
+            name="the training data alone",
+            low=None,
+            high=None,
+            note="the model carries no counts of its data, or the scenario has no fast twin",
+            narrowed_by="a model fitted by pemviz pem fit",
+        )
+    return Rung(
+        kind="data",
+        name=f"the training data alone ({100 * bound.confidence:g} %)",
+        low=0.0,
+        high=bound.probability,
+        note="",
+        narrowed_by="labels where there are few",
+    )

@@ -1,0 +1,136 @@
+"""The rungs of a made-up result: what bounds them, what they say, and where they stand."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pemviz.analysis.model_families import FamilyAnswer
+from pemviz.cli.summary import MOST_WARNINGS, print_summary
+from pemviz.config import METHODS
+from pemviz.panel.views.ladder import ladder_plot
+from pemviz.recording.text import answer_text
+from pemviz.reports.ladder_text import ladder_rows
+from pemviz.reports.markdown import summary_markdown
+from pemviz.runs.ladder import uncertainty_ladder
+from pemviz.runs.memory import MeasuredTau, RunMemory
+from pemviz.runs.result_file import result_document
+from pemviz.sampling.bursts.curve import CurvePoint
+from tests.reports.runs import estimate, result, warned
+
+
+def family(name, log10, *, effective=50.0):
+    return FamilyAnswer(
+        name=name,
+        probability=10.0**log10,
+        log10_probability=log10,
+        relative_std_error=0.2,
+        effective_failures=effective,
+    )
+
+
+FAMILIES = (family("lr", -8.0), family("gb-raw", -17.0), family("b-nn", -10.0))
+
+
+def rungs(one):
+    return {rung.kind: rung for rung in uncertainty_ladder(one)}
+
+
+def test_each_rung_has_the_ends_of_what_it_stands_for():
+    one = result(families=FAMILIES)
+    found = rungs(one)
+    assert list(found) == ["sampling", "reference", "refits", "families", "memory", "data"]
+    assert (found["sampling"].low, found["sampling"].high) == (8e-16, 5e-15)
+    assert found["reference"].low < one.reference.probability < found["reference"].high
+    assert (found["refits"].low, found["refits"].high) == (
+        one.pem_interval.low, one.pem_interval.high
+    )  # fmt: skip
+    assert (found["families"].low, found["families"].high) == (1e-17, 1e-8)
+    assert "gb-raw to lr" in found["families"].name
+    assert (found["memory"].low, found["memory"].high) == (None, None)
+    assert (found["data"].low, found["data"].high) == (0.0, one.data_bound.probability)
+
+
+def test_what_is_not_known_is_said():
+    bare = result(reference=None, pem_interval=None, data_bound=None)
+    found = rungs(bare)
+    assert list(found) == ["sampling", "refits", "memory", "data"]
+    for kind in ("refits", "data"):
+        assert found[kind].low is found[kind].high is None
+        assert found[kind].note
+    assert uncertainty_ladder(replace(bare, estimate=None)) == ()
+
+
+def test_families_that_few_rollouts_carry_are_named():
+    vague = (family("lr", -8.0, effective=3.0), family("b-nn", -10.0))
+    assert rungs(result(families=vague))["families"].note == "lr only roughly"
+
+
+def test_memory_tells_what_is_assumed_and_what_was_measured():
+    assert "none assumed" in rungs(result())["memory"].name
+    measured = MeasuredTau(tau_s=0.24, low_s=0.18, high_s=0.32, confidence=0.95)
+    own = rungs(result(memory=RunMemory(tau_s=0.1, fitted=measured)))["memory"]
+    assert "0.1 s assumed" in own.name
+    assert own.note == "measured 0.24 s"
+
+
+def test_memory_is_bounded_by_the_curve_over_memory_times():
+    curve = tuple(
+        CurvePoint(tau_s=tau_s, probability=p, low=0.9 * p, high=1.1 * p, ess=99.0)
+        for tau_s, p in ((0.0, 2e-15), (0.2, 4.6e-3), (1.0, 1e-2))
+    )
+    rung = rungs(result(memory=RunMemory(tau_s=0.0, curve=curve)))["memory"]
+    assert (rung.low, rung.high) == (0.9 * 2e-15, 1.1 * 1e-2)
+    assert "from 0 to 1 s" in rung.name
+
+
+@pytest.mark.parametrize("method", METHODS.names())
+def test_an_interval_that_does_not_hold_comes_with_what_to_try(method, capsys):
+    wrong = warned("one rollout carries 98% of the weight", kind="died-out")
+    one = result(estimate(method=method, diagnostics=(wrong,)))
+    sampling = rungs(one)["sampling"]
+    assert "not a 95 % interval" in sampling.name
+    print_summary(one, Path("run"))
+    assert f"try next: {sampling.narrowed_by}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("tell", [summary_markdown, lambda one: answer_text(one, running=False)])
+def test_every_report_has_every_rung(tell):
+    one = result(families=FAMILIES)
+    text = tell(one).replace("\\", "")
+    for row in ladder_rows(one):
+        assert row[0] in text
+
+
+def test_the_ladder_stands_in_result_json():
+    one = result(families=FAMILIES)
+    entries = json.loads(json.dumps(result_document(one)))["ladder"]
+    assert [entry["kind"] for entry in entries] == list(rungs(one))
+    assert entries[0]["high"] == one.estimate.ci_high
+
+
+@pytest.mark.parametrize("low", [0.0, 5e-324, 1e-30, 0.3])
+def test_the_drawing_stays_within_its_axis(low):
+    one = result(estimate(ci_low=low, ci_high=1.2), families=FAMILIES)
+    drawn = ladder_plot(one)
+    assert "nan" not in drawn
+    assert drawn.count("<rect") == sum(rung.high is not None for rung in uncertainty_ladder(one))
+    assert ladder_plot(replace(one, estimate=None)) == ""
+
+
+def test_the_terminal_shows_at_most_five_warnings_and_all_if_asked(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    wrong = tuple(warned(f"wrong {number}") for number in range(9))
+    data = tuple(f"{kind}: at {z} m" for kind in ("extrapolation", "thin data") for z in range(4))
+    one = result(estimate(diagnostics=wrong), families=FAMILIES, warnings=data)
+    print_summary(one, Path("run"))
+    brief = capsys.readouterr().out
+    told = [line for line in brief.splitlines() if line.startswith("warning")]
+    assert len(told) == MOST_WARNINGS
+    assert "extrapolation (4), thin data (4)" in told[-1]
+    assert len(brief.splitlines()) <= 25
+    print_summary(one, Path("run"), verbose=True)
+    whole = " ".join(capsys.readouterr().out.split())
+    for text in (*data, *(one.text for one in wrong)):
+        assert text in whole
