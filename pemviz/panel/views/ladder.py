@@ -7,12 +7,12 @@ from html import escape
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 from pemviz.panel.svg import FAINT, FONT, GRID, INK, nice_ticks
 from pemviz.panel.views.html import number
-from pemviz.reports.ladder_text import LADDER_TITLE, rung_name
+from pemviz.reports.ladder_text import LADDER_TITLE
 from pemviz.runs.ladder import Rung, uncertainty_ladder
 from pemviz.runs.result import RunResult
 
-WIDTH, ROW, TOP, BOTTOM = 360, 27, 16, 18
-LEFT, RIGHT = 8, 352
+WIDTH, ROW, TOP, BOTTOM = 360, 25, 16, 18
+LEFT, RIGHT = 0, 352
 FARTHEST = -40.0
 """Decades below which nothing is drawn: an end below, or 0, is drawn as an arrow."""
 COLORS = {
@@ -68,12 +68,17 @@ def _axis(low: float, height: int) -> list[str]:
     return parts
 
 
+def _tip(rung: Rung) -> str:
+    note = f"{rung.note}; " if rung.note else ""
+    return f"{note}narrowed by: {rung.narrowed_by}"
+
+
 def _row(rung: Rung, top: float, low: float) -> str:
     """Name and ends in words, the bar below; dashed where an end is not known."""
-    name = escape(rung_name(rung))
+    name = escape(rung.name)
     text = (
         f"<text x='{LEFT}' y='{top + 11:.1f}' {FONT} font-size='10.5' fill='{INK}'>{name}"
-        f"<title>narrowed by: {escape(rung.narrowed_by)}</title></text>"
+        f"<title>{escape(_tip(rung))}</title></text>"
     )
     middle, color = top + 19.0, COLORS[rung.kind]
     if rung.low is None or rung.high is None:
