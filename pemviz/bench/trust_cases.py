@@ -161,7 +161,7 @@ BRAKING: Sequence[tuple[str, str, str, float]] = (
     ("paper", "authors", "eventually, short", 3.058745672404355e-05),
     ("paper", "authors", "always eventually", 0.23477111555419705),
     ("paper", "authors", "eventually always", 0.002372638662217381),
-    ("paper", "authors", "response", 0.001947819250116003),
+    ("paper", "authors", "response", 1.947819250116003e-06),
 )
 """Preset, error model, specification and truth, all by the recursion: up to minutes each."""
 
