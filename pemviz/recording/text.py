@@ -10,8 +10,15 @@ from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
 from pemviz.reports.escape import markdown_table
-from pemviz.reports.estimate_text import REFITS, RELIABLE_TAIL, interval_name, no_interval_text
+from pemviz.reports.estimate_text import (
+    REFITS,
+    RELIABLE_TAIL,
+    interval_name,
+    memory_text,
+    no_interval_text,
+)
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
+from pemviz.reports.memory_curve import assumption_line, curve_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -33,6 +40,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         *_status(result, running=running),
     ]
     if estimate is not None:
+        parts += _memory(result)
         parts.append(_model_range(result.pem_interval))
         parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
         parts.append(_diagnostics(estimate))
@@ -123,6 +131,18 @@ def _question(result: RunResult) -> str:
         f"Rollouts are ranked by the {config.metric} robustness; violations are always decided "
         "by the classical one."
     )
+
+
+def _memory(result: RunResult) -> list[str]:
+    """What the assumption on bursts is worth, and the answer over memory times."""
+    line = assumption_line(result.memory)
+    if line is None or result.memory is None:
+        return [f"Misses are taken as {memory_text(result.memory)}."]
+    rows = [
+        (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
+    ]
+    header = ("memory time", "probability", "95 % interval", "measured on video for")
+    return [f"**{line}**", _table(header, rows)]
 
 
 def _scenario(config: ExperimentConfig) -> str:

@@ -1,12 +1,15 @@
 """The failure probability over memory times, against all chains of outcomes."""
 
 import math
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import pytest
 
 from pemviz.config import ExperimentConfig
+from pemviz.panel.views.memory import memory_curve as memory_curve_view
 from pemviz.proposals.offset_logistic import SignalFeatures
+from pemviz.recording.text import answer_text
 from pemviz.reports.memory_curve import assumption_line, curve_rows
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.memory import MeasuredTau, RunMemory
@@ -104,3 +107,15 @@ def test_orders_of_magnitude_and_thin_intervals_are_said():
     assumed = assumption_line(replace(memory, tau_s=0.15))
     assert assumed.startswith("A memory time of 0.15 s is an assumption")
     assert "1e-15 if misses were independent" in assumed
+
+
+def test_panel_and_recording_show_the_curve_beside_the_answer(result):
+    drawn = memory_curve_view(result.memory)
+    ET.fromstring(f"<all>{drawn}</all>")  # noqa: S314  our own
+    assert "0.24 s: RRC, a camera detector, on video" in drawn
+    assert memory_curve_view(replace(result.memory, curve=())) == ""
+    text = answer_text(result, running=False)
+    assert "| 0.24 s |" in text
+    assert assumption_line(result.memory) in text
+    without = answer_text(replace(result, memory=RunMemory(tau_s=0.0)), running=False)
+    assert "independent of each other given the state: an assumption" in without

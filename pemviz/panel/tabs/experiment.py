@@ -66,6 +66,7 @@ class ExperimentTab:
             pem=self.pem.value,
             simulator=self.simulator.value,
             memory_s=float(self.memory.value),
+            memory_curve=self.memory_curve.value,
             reference=self.reference.value,
             spec=self.spec.value,
         )
@@ -122,6 +123,7 @@ class ExperimentTab:
             "Memory [s]", 0.0, min=low_s, max=high_s, step=MEMORY_STEP_S, hint=hint("memory_s")
         )
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
+        self.memory_curve = gui.add_checkbox("Memory curve", False, hint=hint("memory_curve"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
         self._verdict = gui.add_html("")
@@ -160,7 +162,7 @@ class ExperimentTab:
         if config.simulator not in self.simulator.options:
             self.simulator.options = (*self.simulator.options, config.simulator)
         self.pem.value, self.simulator.value = config.pem, config.simulator
-        self.memory.value = config.memory_s
+        self.memory.value, self.memory_curve.value = config.memory_s, config.memory_curve
         self.reference.value, self.spec.value = config.reference, config.spec
         set_html(self._facts, scenario_text(config.scenario))
         self._enable()

@@ -8,6 +8,7 @@ from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
 from pemviz.panel.views.html import block, number, quiet, warning
 from pemviz.panel.views.ladder import ladder_plot
+from pemviz.panel.views.memory import memory_curve
 from pemviz.reports.estimate_text import interval_name, level_text, no_interval_text
 from pemviz.runs.trust import run_diagnostics, run_interval_caveats
 from pemviz.types import Estimate
@@ -46,6 +47,7 @@ def _answer(run: RunData) -> str:
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
+    lines += memory_curve(run.result.memory)
     diagnostics = run_diagnostics(run.result)
     for first in diagnostics[:1]:
         others = len(diagnostics) - 1
