@@ -199,6 +199,20 @@ def test_independence_is_judged_in_one_command(tmp_path, capsys):
     assert page.with_suffix(".png").stat().st_size > 10_000
 
 
+def test_independence_is_judged_without_the_state(tmp_path, capsys):
+    lines = [line.split(",") for line in tracks_table(tmp_path).read_text().splitlines()]
+    table, page = tmp_path / "own.csv", tmp_path / "own.md"
+    table.write_text("\n".join(",".join([*cells[:3], cells[-1]]) for cells in lines) + "\n")
+    settings = {"table": table, "rate_hz": 10.0, "folds": 3}
+    with pytest.raises(PemError, match="the header lacks class_id"):
+        memory.run(memory.MemoryArguments(**settings))
+    memory.run(memory.MemoryArguments(**settings, model="guess-mu", out=page))
+    printed = capsys.readouterr().out
+    assert "independent misses do not explain this detector (p-value below 0.0001)" in printed
+    assert "sequences," in printed.splitlines()[-1]
+    assert "plain view:" not in page.read_text()
+
+
 def test_a_memory_is_shown_beside_its_model(tmp_path, capsys):
     out = tmp_path / "rrc.png"
     assert show.run(show.ShowArguments(pem="rrc", out=out)) == 0

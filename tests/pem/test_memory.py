@@ -133,13 +133,20 @@ def test_likelihood_equals_the_naive_one(tau_s, frailty):
     assert (table.gaps, table.rate_changes) == (1, 1)
 
 
-def test_drawn_tracks_give_their_memory_back():
-    """One data set with a fixed seed; that intervals cover is studied apart."""
-    table, own = draw_tracks(seed=3, tau_s=0.2, frailty=0.8, sequences=30)
-    fit = fit_memory(table, own)
-    assert fit.tau_interval_s[0] < 0.2 < fit.tau_interval_s[1]
-    assert fit.frailty_interval[0] < 0.8 < fit.frailty_interval[1]
-    assert fit.nats < fit.nats_independent
+def test_intervals_cover_the_memory_that_tracks_were_drawn_with():
+    """Of 12 intervals that each cover in 95 %, fewer than 8 do so in one of 10^3 seeds."""
+    covered = np.zeros(2, dtype=int)
+    for seed in range(12):
+        table, own = draw_tracks(
+            seed=seed, tau_s=0.2, frailty=0.8, sequences=8, tracks_each=5, frames=20
+        )
+        fit = fit_memory(table, own)
+        assert fit.nats < fit.nats_independent
+        covered += [
+            low <= true <= high
+            for true, (low, high) in ((0.2, fit.tau_interval_s), (0.8, fit.frailty_interval))
+        ]
+    assert (covered >= 8).all()
 
 
 def test_independent_tracks_reach_down_to_zero():
@@ -148,7 +155,8 @@ def test_independent_tracks_reach_down_to_zero():
     assert fit.tau_interval_s[0] == 0.0
     assert fit.tau_interval_s[1] < 0.1
     check = check_independence(table, own, fit=fit)
-    assert not check.excludes_zero
+    assert check.p_value > 1e-3  # below in one of 10^3 seeds
+    assert check.compatible == (check.p_value >= 0.05)
     # a Poisson count: five standard deviations are passed in fewer than one of 10^6 seeds
     assert abs(check.misses_after_miss - check.expected) < 5.0 * math.sqrt(check.expected)
 

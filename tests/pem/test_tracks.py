@@ -54,7 +54,7 @@ def test_tracks_leave_come_back_and_are_in_order(tmp_path):
     paths = sequence(tmp_path, labels, detections)
     counts = collect_tracks(**paths, types=("Car",), options=CollectOptions(drop_unknown=True))
     assert (counts.sequences, counts.tracks, counts.observations) == (1, 2, 4)
-    assert (counts.missed, counts.other_types, counts.dropped) == (2, 1, 1)
+    assert (counts.missed, counts.other_types, counts.dropped, counts.gaps) == (2, 1, 1, 1)
     tracks = load_tracks(paths["out"])
     np.testing.assert_array_equal(tracks.frame, [0, 1, 4, 1])
     np.testing.assert_array_equal(tracks.detected, [True, False, True, False])
@@ -80,7 +80,8 @@ def test_scores_below_zero_count_unless_told_otherwise(tmp_path):
     """PointRCNN's scores are logits."""
     paths = sequence(tmp_path, [label(0)], [MOT.format(frame=0).replace("0.9", "-0.4")])
     assert collect_tracks(**paths).missed == 0
-    assert collect_tracks(**paths, options=CollectOptions(score_from=0.0)).missed == 1
+    counts = collect_tracks(**paths, options=CollectOptions(score_from=0.0))
+    assert (counts.missed, counts.ignored_detections) == (1, 1)
 
 
 def test_truncation_levels_become_shares_and_persons_sit(tmp_path):
@@ -138,6 +139,49 @@ def test_a_table_of_ones_own_needs_a_rate(tmp_path):
     with pytest.raises(PemError, match="lacks rate_hz; give the rate"):
         load_tracks(own)
     assert load_tracks(own, rate_hz=25.0).since_s[1] == pytest.approx(0.04)
+
+
+def test_a_table_without_the_state_serves_where_none_is_asked_for(tmp_path):
+    own = tmp_path / "own.csv"
+    own.write_text("sequence,frame,track,detected\na,0,1,1\na,2,1,0\nb,0,1,0\n")
+    tracks = load_tracks(own, rate_hz=10.0, needs_state=False)
+    assert not tracks.has_state
+    np.testing.assert_array_equal(tracks.detected, [True, False, False])
+    np.testing.assert_allclose(tracks.since_s, [np.inf, 0.2, np.inf])
+    with pytest.raises(PemError, match=r"own\.csv:1: the header lacks class_id, truncation"):
+        load_tracks(own, rate_hz=10.0)
+    own.write_text("sequence,frame,track,z_m,detected\na,0,1,9,1\n")
+    with pytest.raises(PemError, match=r"own\.csv:1: the header lacks class_id, truncation"):
+        load_tracks(own, rate_hz=10.0, needs_state=False)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("a,x,1,1", r"own.csv:3: column 2 \(frame\) is 'x', not a number"),
+        ("a,1,1,yes", r"own.csv:3: column 4 \(detected\) is 'yes', not a number"),
+        ("a,1,1,2", "column 'detected' must hold 0 or 1 only"),
+        ("a,1.5,1,1", "column 'frame' must hold whole numbers from 0 on"),
+        ("a,0,1,1", "track 1 of sequence a is there twice in frame 0"),
+        ("a,1,1", "own.csv:3: 3 columns where 4 are needed"),
+    ],
+)
+def test_a_malformed_table_of_ones_own_is_told_in_one_line(tmp_path, line, words):
+    own = tmp_path / "own.csv"
+    own.write_text(f"sequence,frame,track,detected\na,0,1,1\n{line}\n")
+    with pytest.raises(PemError, match=words) as caught:
+        load_tracks(own, rate_hz=10.0, needs_state=False)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_rate_that_changes_within_a_track_is_counted(tmp_path):
+    """The time between two frames is that of the later one's rate."""
+    own = tmp_path / "own.csv"
+    rows = ["a,0,1,10,1", "a,1,1,10,1", "a,2,1,20,0", "a,9,1,20,1"]
+    own.write_text("\n".join(["sequence,frame,track,rate_hz,detected", *rows]) + "\n")
+    tracks = load_tracks(own, needs_state=False)
+    np.testing.assert_allclose(tracks.since_s, [np.inf, 0.1, 0.05, 0.35])
+    assert (tracks.rate_changes, tracks.gaps) == (1, 1)
 
 
 def test_kitti_tracking_is_collected_whole(tmp_path):

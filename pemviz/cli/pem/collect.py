@@ -113,8 +113,9 @@ def _collect_tracks(arguments: CollectArguments, options: CollectOptions) -> int
         )
     print(
         f"{arguments.out}: {counts.sequences} sequences, {counts.tracks} tracks, "
-        f"{counts.observations} observations, {counts.missed} missed; left out: "
-        f"{counts.other_types} of other classes, {counts.dropped} Misc or of unknown occlusion"
+        f"{counts.observations} observations, {counts.missed} missed, {counts.gaps} gaps in "
+        f"tracks; left out: {counts.other_types} of other classes, {counts.dropped} Misc or of "
+        f"unknown occlusion, {counts.ignored_detections} detections of lower score"
     )
     _tell_bad_lines(counts.bad_lines, counts.first_bad)
     return 0

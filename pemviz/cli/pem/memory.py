@@ -9,10 +9,13 @@ from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.tracks import load_tracks
 from pemviz.pem.fitting.fit import ModelKind
-from pemviz.pem.judging.independence import IndependenceCheck
+from pemviz.pem.judging.independence import MOST_SEQUENCES, IndependenceCheck, NeededSample
 from pemviz.pem.judging.memory_picture import write_memory_picture
 from pemviz.pem.judging.memory_report import memory_line, memory_table
 from pemviz.pem.models.memory_card import memory_markdown
+
+SMALL_P = 1e-4
+STATELESS: ModelKind = "guess-mu"
 
 
 @dataclass(frozen=True)
@@ -20,15 +23,17 @@ class MemoryArguments:
     """Fit the memory of misses to tracks, and judge whether they could be independent."""
 
     table: Path
-    """Tracks: a CSV with sequence, frame, track, the salient columns and detected."""
+    """Tracks: a CSV with sequence, frame, track, the salient columns and detected (0 or 1); with
+    the model guess-mu the salient columns may be missing."""
     model: ModelKind = "gb-raw"
-    """Kind of model that gives P(missed | state)."""
+    """Kind of model that gives P(missed | state); guess-mu knows no state, so that all the state
+    would explain passes for memory."""
     folds: int = 5
     """Parts of the sequences; a part's P(missed) comes from the others (2 or more)."""
     rate_hz: float | None = None
     """Frames a second, where the table has no column rate_hz (above 0)."""
     seed: int = 0
-    """Seed of fits, bootstrap and simulation (0 or more)."""
+    """Seed of fits and simulation (0 or more)."""
     out: Path | None = None
     """Page of markdown to write (.md), and a picture of the same name (.png); none if not given."""
     json: bool = False
@@ -47,7 +52,9 @@ def run(arguments: MemoryArguments) -> int:
         raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
     if arguments.out is not None and arguments.out.suffix != ".md":
         raise PemError(f"out is {str(arguments.out)!r}, must end in .md")
-    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
+    tracks = load_tracks(
+        arguments.table, rate_hz=arguments.rate_hz, needs_state=arguments.model != STATELESS
+    )
     # scikit-learn and scipy's distributions take seconds to import
     from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report  # noqa: PLC0415
     from pemviz.pem.judging.independence import check_independence  # noqa: PLC0415
@@ -83,15 +90,23 @@ def _verdict(check: IndependenceCheck) -> str:
         f"{check.misses_after_miss} misses right after a miss, where independence expects "
         f"{check.expected:.1f}"
     )
-    needed = ", ".join(f"{each.tau_s:g} s: {each.sequences}" for each in check.needed)
+    needed = "\n".join(f"  {each.tau_s:g} s: {_sample(each)}" for each in check.needed)
+    low, high = check.tau_interval_s
+    p_value = "below 0.0001" if check.p_value < SMALL_P else f"{check.p_value:.2g}"
     judged = (
-        "independent misses do not explain this detector: the interval of its memory time "
-        "excludes 0"
-        if check.excludes_zero
-        else "this sample is compatible with independent misses, but excludes only memory times "
-        f"above {check.tau_up_to_s:.2g} s"
+        f"this sample is compatible with independent misses (p-value {p_value}), but refuses only "
+        f"memory times above {high:.2g} s"
+        if check.compatible
+        else f"independent misses do not explain this detector (p-value {p_value}): memory times "
+        f"of {low:.2g} to {high:.2g} s do"
     )
     return (
-        f"{seen}\n{judged}\nsequences like these that tell a memory time from 0 (5 % false alarm, "
-        f"80 % power): {needed}"
+        f"{seen}\n{judged}\nvideo like this that tells a memory time from 0 (5 % false alarm, 80 % "
+        f"power):\n{needed}"
     )
+
+
+def _sample(needed: NeededSample) -> str:
+    if needed.sequences >= MOST_SEQUENCES:
+        return "no number of sequences"
+    return f"{needed.sequences} sequences, {needed.pairs} pairs of observations"

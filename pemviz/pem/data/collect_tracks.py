@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 from pemviz.errors import PemError
@@ -35,6 +36,10 @@ class TrackCounts:
     """Rows written: an obstacle in a frame."""
     missed: int = 0
     """Those that the detector missed."""
+    gaps: int = 0
+    """How often a track goes on after frames without a row."""
+    ignored_detections: int = 0
+    """Detections of a lower score than asked for."""
     other_types: int = 0
     """Labels left out since they are of another class than asked for."""
     dropped: int = 0
@@ -137,7 +142,9 @@ def _outcomes(
             by_frame.setdefault(each.frame, []).append(each)
     rows: list[_Row] = []
     for frame, present in by_frame.items():
-        kept = [each for each in found.get(frame, []) if each.score >= options.score_from]
+        seen = found.get(frame, [])
+        kept = [each for each in seen if each.score >= options.score_from]
+        counts.ignored_detections += len(seen) - len(kept)
         overlaps = match_boxes(
             [each.obstacle.box_px for each in present], [each.box_px for each in kept]
         )
@@ -154,6 +161,10 @@ def _count(rows: list[_Row], counts: TrackCounts) -> None:
     counts.tracks += len({row.tracked.track for row in rows})
     counts.observations += len(rows)
     counts.missed += sum(not row.detected for row in rows)
+    places = sorted(_by_track(row) for row in rows)
+    counts.gaps += sum(
+        here[0] == after[0] and after[1] > here[1] + 1 for here, after in pairwise(places)
+    )
 
 
 def _line(sequence: str, rate_hz: float, row: _Row) -> str:

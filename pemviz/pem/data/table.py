@@ -29,6 +29,8 @@ class SalientTable:
     """Outcomes, shape [n]."""
     source: str
     """Where the table comes from, in words."""
+    sequence: IntArray | None = None
+    """Which sequence of video each obstacle is from, shape [n]; None: obstacles stand alone."""
 
     def __len__(self) -> int:
         """Number of obstacles n."""
@@ -43,7 +45,8 @@ class SalientTable:
 
     def take(self, rows: IntArray) -> "SalientTable":
         """The table of the given rows, in that order, repeats allowed."""
-        return SalientTable(self.salient[rows], self.detected[rows], self.source)
+        sequence = None if self.sequence is None else self.sequence[rows]
+        return SalientTable(self.salient[rows], self.detected[rows], self.source, sequence)
 
 
 def load_table(path: Path | str) -> SalientTable:
@@ -53,10 +56,12 @@ def load_table(path: Path | str) -> SalientTable:
         PemError: the file is missing or malformed; the message names file, line and column.
     """
     path = Path(path)
+    sequence = None
     if is_folder(path):
         salient, detected = _read_folder(path)
     elif path.suffix == ".csv" and is_file(path):
         salient, detected = _read_csv(path)
+        sequence = _sequences(path)
     else:
         raise PemError(
             f"{path}: no table; need a .csv of 'pemviz pem collect' or a folder with "
@@ -70,7 +75,7 @@ def load_table(path: Path | str) -> SalientTable:
         raise PemError(f"{path}: column {OUTCOME_COLUMN!r} must hold 0 or 1 only")
     if len(detected) == 0:
         raise PemError(f"{path}: the table has no rows")
-    return SalientTable(salient, detected == 1.0, source=path.stem)
+    return SalientTable(salient, detected == 1.0, source=path.stem, sequence=sequence)
 
 
 def save_table(table: SalientTable, path: Path) -> None:
@@ -103,6 +108,18 @@ def _read_csv(path: Path) -> tuple[FloatArray, FloatArray]:
     picked = tuple(header.index(name) for name in wanted)
     values = read_numbers(path, separator=",", columns=header, picked=picked, skip_lines=1)
     return values[:, :-1], values[:, -1]
+
+
+def _sequences(path: Path) -> IntArray | None:
+    """Numbers of the sequences in a table of tracks; None in another."""
+    with open_text(path) as stream:
+        header = [name.strip() for name in stream.readline().split(",")]
+    if not {"sequence", "track"} <= set(header):
+        return None
+    _, lines = read_cells(path)
+    column = header.index("sequence")
+    _, numbers = np.unique([cells[column] for _, cells in lines], return_inverse=True)
+    return numbers.astype(np.int64)
 
 
 def read_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

@@ -14,7 +14,7 @@ from pemviz.pem.data.table import OUTCOME_COLUMN, SalientTable, read_cells
 from pemviz.pem.models.encoding import check_rows
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
-REQUIRED = ("sequence", "frame", "track", *SALIENT_COLUMNS, OUTCOME_COLUMN)
+REQUIRED = ("sequence", "frame", "track", OUTCOME_COLUMN)
 RATE_COLUMN = "rate_hz"
 
 
@@ -28,6 +28,7 @@ class TrackTable:
         track: Which obstacle, ``[n]``, counted from 0 over all sequences.
         frame: ``[n]``, as labelled.
         rate_hz: Frames a second, ``[n]``.
+        has_state: Whether the salient variables are known; else they are all 0.
     """
 
     obstacles: SalientTable
@@ -35,6 +36,7 @@ class TrackTable:
     track: IntArray
     frame: IntArray
     rate_hz: FloatArray
+    has_state: bool = True
 
     def __len__(self) -> int:
         """Number of observations n."""
@@ -80,17 +82,6 @@ class TrackTable:
     def _frames_since(self) -> IntArray:
         return np.diff(self.frame, prepend=self.frame[:1])
 
-    def take_sequences(self, chosen: IntArray) -> "TrackTable":
-        """The sequences of the given numbers, each once."""
-        rows = np.flatnonzero(np.isin(self.sequence, chosen))
-        return TrackTable(
-            obstacles=self.obstacles.take(rows),
-            sequence=self.sequence[rows],
-            track=self.track[rows],
-            frame=self.frame[rows],
-            rate_hz=self.rate_hz[rows],
-        )
-
 
 def track_table(
     *,
@@ -101,6 +92,7 @@ def track_table(
     frame: IntArray,
     rate_hz: FloatArray,
     source: str,
+    has_state: bool = True,
 ) -> TrackTable:
     """Observations ``[n]`` in any order as a table in order.
 
@@ -112,6 +104,7 @@ def track_table(
         frame: ``[n]``.
         rate_hz: ``[n]``.
         source: Where they come from, in words.
+        has_state: Whether the salient variables are known.
 
     Raises:
         PemError: A track is observed twice in a frame.
@@ -121,12 +114,14 @@ def track_table(
     pair = of_sequence.astype(np.int64) * tracks.size + of_track
     _, one_track = np.unique(pair, return_inverse=True)
     order = np.lexsort((frame, one_track))
+    ordered = of_sequence[order].astype(np.int64)
     table = TrackTable(
-        obstacles=SalientTable(salient[order], detected[order], source=source),
-        sequence=of_sequence[order].astype(np.int64),
+        obstacles=SalientTable(salient[order], detected[order], source, sequence=ordered),
+        sequence=ordered,
         track=one_track[order].astype(np.int64),
         frame=frame[order],
         rate_hz=rate_hz[order],
+        has_state=has_state,
     )
     twice = table.follows & (np.diff(table.frame, prepend=-1) == 0)
     if twice.any():
@@ -139,12 +134,16 @@ def track_table(
     return table
 
 
-def load_tracks(path: Path | str, *, rate_hz: float | None = None) -> TrackTable:
+def load_tracks(
+    path: Path | str, *, rate_hz: float | None = None, needs_state: bool = True
+) -> TrackTable:
     """Read a CSV with sequence, frame, track, the salient columns and the outcome.
 
     Args:
         path: as ``pemviz pem collect --tracks`` writes it, or one of the user's own.
         rate_hz: frames a second where the table has no column ``rate_hz``.
+        needs_state: whether the salient columns must be there; else a table without any of them
+            will do.
 
     Raises:
         PemError: the file is missing or malformed; the message names file, line and column.
@@ -153,7 +152,9 @@ def load_tracks(path: Path | str, *, rate_hz: float | None = None) -> TrackTable
     if not is_file(path):
         raise PemError(f"{path}: no such table of tracks")
     header, lines = read_cells(path)
-    missing = [name for name in REQUIRED if name not in header]
+    has_state = needs_state or any(name in header for name in SALIENT_COLUMNS)
+    wanted = (*REQUIRED, *SALIENT_COLUMNS) if has_state else REQUIRED
+    missing = [name for name in wanted if name not in header]
     if missing:
         raise PemError(f"{path}:1: the header lacks {', '.join(missing)}")
     if RATE_COLUMN not in header and rate_hz is None:
@@ -161,14 +162,16 @@ def load_tracks(path: Path | str, *, rate_hz: float | None = None) -> TrackTable
     text = {name: [cells[header.index(name)] for _, cells in lines] for name in header}
     number = {
         name: _column(path, header, lines, name)
-        for name in ("frame", *SALIENT_COLUMNS, OUTCOME_COLUMN)
+        for name in wanted
+        if name not in ("sequence", "track")
     }
     rates = (
         _column(path, header, lines, RATE_COLUMN)
         if RATE_COLUMN in header
         else np.full(len(lines), rate_hz)
     )
-    salient = np.stack([number[name] for name in SALIENT_COLUMNS], axis=1)
+    nothing = np.zeros(len(lines))
+    salient = np.stack([number.get(name, nothing) for name in SALIENT_COLUMNS], axis=1)
     _check(path, number, rates, salient)
     return track_table(
         salient=salient,
@@ -178,6 +181,7 @@ def load_tracks(path: Path | str, *, rate_hz: float | None = None) -> TrackTable
         frame=number["frame"].astype(np.int64),
         rate_hz=rates,
         source=path.stem,
+        has_state=has_state,
     )
 
 

@@ -6,7 +6,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from pemviz.arrays import IntArray
 from pemviz.errors import PemError
 from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.table import SalientTable
@@ -50,26 +49,24 @@ def fit_pem(
     seed: int = 0,
     name: str | None = None,
     provenance: Provenance | None = None,
-    groups: IntArray | None = None,
     on_progress: Progress | None = None,
 ) -> SingleModel | EnsemblePem:
     """Train a model; the same table and seed give the same model to the last bit.
 
     Args:
-        table: obstacles and outcomes; normalisation is fitted on it too.
+        table: obstacles and outcomes; normalisation is fitted on it too. On video boosted trees
+            are calibrated on sequences that they have not seen.
         model: the kind of model; ``b-nn`` gives an ensemble of posterior draws.
         seed: of everything random.
         name: of the model; its kind if None.
         provenance: for the card; taken from the table's source if None.
-        groups: ``[n]``, the sequence of video that each obstacle is from; boosted trees are then
-            calibrated on sequences that they have not seen. None: obstacles stand alone.
         on_progress: told (steps done, steps in all).
 
     Raises:
         PemError: unknown kind, a missing optional package, or a table without both outcomes.
     """
     card = _card(table, model=model, name=name or model, seed=seed, provenance=provenance)
-    return _fit(table, model=model, card=card, seed=seed, groups=groups, on_progress=on_progress)
+    return _fit(table, model=model, card=card, seed=seed, on_progress=on_progress)
 
 
 def fit_ensemble(
@@ -111,7 +108,6 @@ def fit_ensemble(
             model=model,
             card=replace(card, name=f"{whole}[{index}]"),
             seed=int(random.integers(2**31)),
-            groups=None,
             on_progress=None,
         )
         assert not isinstance(member, EnsemblePem)  # noqa: S101 (b-nn is refused above)
@@ -146,7 +142,6 @@ def _fit(
     model: ModelKind,
     card: PemCard,
     seed: int,
-    groups: IntArray | None,
     on_progress: Progress | None,
 ) -> SingleModel | EnsemblePem:
     # torch, scikit-learn and pyro take seconds to import: each only for the models it fits.
@@ -165,9 +160,8 @@ def _fit(
         from pemviz.pem.fitting.trees import fit_trees, recipe_in_words  # noqa: PLC0415
 
         sees = _FEATURE_SETS[model]
-        card = replace(card, recipe=recipe_in_words(sees, by_group=groups is not None))
-        return fit_trees(table, card=card, feature_set=sees, seed=seed, groups=groups,
-                         on_progress=on_progress)  # fmt: skip
+        card = replace(card, recipe=recipe_in_words(sees, by_sequence=table.sequence is not None))
+        return fit_trees(table, card=card, feature_set=sees, seed=seed, on_progress=on_progress)
     if model in MODEL_KINDS:
         from pemviz.pem.fitting import linear  # noqa: PLC0415
 

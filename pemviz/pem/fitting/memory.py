@@ -1,8 +1,8 @@
 """Memory time tau and frailty f from tracks, by maximum likelihood given P(missed | state).
 
 The likelihood of a track is that of :mod:`pemviz.pem.models.memory`, with the obstacle's u
-integrated out by the trapezoid rule. Sequences, not observations, are independent: intervals
-come from a bootstrap that draws sequences with replacement (Field & Welsh 2007).
+integrated out by the trapezoid rule. Sequences, not observations, are independent; intervals are
+those of :mod:`pemviz.pem.fitting.memory_interval`.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,17 @@ from scipy.special import ndtr
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.pem.data.tracks import TrackTable
+from pemviz.pem.fitting.memory_interval import (
+    FRAILTY,
+    TAU,
+    Surface,
+    independence_p_value,
+    inflations,
+    interval,
+)
 from pemviz.pem.models.memory import Memory, miss_quantile, persistence
 
 CONFIDENCE = 0.95
-REPLICATES = 2000
 TAU_GRID_S = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 31)])
 FRAILTY_GRID = np.linspace(0.0, 3.0, 13)
 NODES = np.linspace(-6.0, 6.0, 65)
@@ -44,6 +51,9 @@ class MemoryFit:
         observations: How many outcomes.
         nats_independent: Mean negative log-likelihood of an outcome if misses are independent.
         nats: The same with the fitted memory.
+        p_value: One-sided, of tau = 0 with f free.
+        inflation: Variance of log tau between sequences over the likelihood's own, at least 1.
+        efficiency: Share of what the data say of tau that is left since f is not known.
     """
 
     memory: Memory
@@ -54,6 +64,9 @@ class MemoryFit:
     observations: int
     nats_independent: float
     nats: float
+    p_value: float
+    inflation: float
+    efficiency: float
 
 
 def fit_memory(
@@ -62,7 +75,6 @@ def fit_memory(
     *,
     with_frailty: bool = True,
     chosen: BoolArray | None = None,
-    seed: int = 0,
     on_progress: Progress | None = None,
 ) -> MemoryFit:
     """Fit tau, and f if asked for.
@@ -73,7 +85,6 @@ def fit_memory(
             observation's own sequence, ``[n]``.
         with_frailty: Whether f is fitted too; else it is 0.
         chosen: Which outcomes count, ``[n]``; all if ``None``.
-        seed: Of the bootstrap.
         on_progress: Told (tracks done, tracks in all).
 
     Raises:
@@ -93,31 +104,27 @@ def fit_memory(
         chosen=chosen,
         on_progress=on_progress,
     )
-    tau_s, frailty, best = _maximum(surface.sum(axis=0)[None], frailties)
-    taus_s, drawn_frailties, _ = _maximum(_resampled(surface, seed=seed), frailties)
+    whole = Surface(surface.sum(axis=0), TAU_GRID_S, frailties)
+    step_s = float(np.median(tracks.since_s[tracks.follows]))
+    scale = inflations(surface, whole, step_s=step_s)
+    low_high = [
+        interval(whole, axis, inflation=float(scale[axis]), sequences=count, confidence=CONFIDENCE)
+        for axis in (TAU, FRAILTY)
+    ]
     total = len(tracks) if chosen is None else int(np.count_nonzero(chosen))
     return MemoryFit(
-        memory=Memory(tau_s=float(tau_s[0]), frailty=float(frailty[0])),
-        tau_interval_s=_interval(float(tau_s[0]), taus_s, sequences=count, on_log=True),
-        frailty_interval=(
-            _interval(float(frailty[0]), drawn_frailties, sequences=count, on_log=False)
-            if with_frailty
-            else None
-        ),
+        memory=Memory(tau_s=whole.tau_s, frailty=whole.frailty),
+        tau_interval_s=low_high[TAU],
+        frailty_interval=low_high[FRAILTY] if with_frailty else None,
         confidence=CONFIDENCE,
         sequences=count,
         observations=total,
         nats_independent=-float(surface[:, 0, 0].sum()) / total,
-        nats=-float(best[0]) / total,
+        nats=-whole.peak.height / total,
+        p_value=independence_p_value(whole, inflation=float(scale[TAU]), sequences=count),
+        inflation=float(scale[TAU]),
+        efficiency=whole.efficiency,
     )
-
-
-def _resampled(surface: FloatArray, *, seed: int) -> FloatArray:
-    """Log likelihoods ``[REPLICATES, taus, frailties]`` of sequences drawn with replacement."""
-    count = surface.shape[0]
-    random = np.random.default_rng(np.random.SeedSequence(seed))
-    weights = random.multinomial(count, np.full(count, 1.0 / count), size=REPLICATES)
-    return np.tensordot(weights, surface, axes=1)
 
 
 def log_likelihoods(
@@ -202,57 +209,3 @@ def _blocks(starts: IntArray, *, rows: int) -> tuple[IntArray, IntArray]:
     of_track = np.cumsum(count) - count
     within = np.arange(int(count.sum())) - np.repeat(of_track, count)
     return np.repeat(starts, count) + BLOCK_ROWS * within, of_track
-
-
-def _maximum(
-    surfaces: FloatArray, frailties: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where each surface ``[R, taus, frailties]`` is highest: tau [s], f, and the value, ``[R]``.
-
-    A parabola through the neighbours places it between points of the grid, in log tau and in f.
-    """
-    count, taus, columns = surfaces.shape
-    best = surfaces.reshape(count, -1).argmax(axis=1)
-    row, column = best // columns, best % columns
-    every = np.arange(count)
-    log_tau = np.log(np.maximum(TAU_GRID_S, TAU_GRID_S[1] / 2.0))
-    inside = np.clip(row, 2, taus - 2)
-    shift = _peak(*(surfaces[every, inside + step, column] for step in (-1, 0, 1)))
-    step = log_tau[2] - log_tau[1]
-    tau_s = np.where(row == inside, np.exp(log_tau[inside] + shift * step), TAU_GRID_S[row])
-    frailty = frailties[column]
-    if columns > 2:
-        middle = np.clip(column, 1, columns - 2)
-        move = _peak(*(surfaces[every, row, middle + step] for step in (-1, 0, 1)))
-        placed = frailties[middle] + move * (frailties[1] - frailties[0])
-        frailty = np.where(column == middle, placed, frailty)
-    return tau_s, frailty, surfaces[every, row, column]
-
-
-def _peak(left: FloatArray, middle: FloatArray, right: FloatArray) -> FloatArray:
-    """Where a parabola through (-1, left), (0, middle), (1, right) peaks, at most half away."""
-    bend = left - 2.0 * middle + right
-    shift = np.divide(0.5 * (left - right), bend, out=np.zeros_like(bend), where=bend < 0.0)
-    return np.clip(shift, -0.5, 0.5)
-
-
-def _interval(
-    value: float, drawn: FloatArray, *, sequences: int, on_log: bool
-) -> tuple[float, float]:
-    """An interval with Student's t for the few sequences, on the log scale of tau.
-
-    The bootstrap's spread takes the place of the standard error. What the bootstrap finds at 0
-    in more than half of 1 - confidence of its draws reaches down to 0.
-    """
-    from scipy.stats import t as student_t  # noqa: PLC0415  slow to import
-
-    outside = (1.0 - CONFIDENCE) / 2.0
-    reaches_zero = float(np.mean(drawn <= 0.0)) > outside
-    quantile = float(student_t.ppf(1.0 - outside, sequences - 1))
-    inflation = np.sqrt(sequences / (sequences - 1.0))
-    if value <= 0.0 or reaches_zero or not on_log:
-        spread = float(np.std(drawn)) * inflation * quantile
-        low = 0.0 if reaches_zero else max(value - spread, 0.0)
-        return low, max(value + spread, float(np.quantile(drawn, 1.0 - outside)))
-    spread = float(np.std(np.log(drawn[drawn > 0.0]))) * inflation * quantile
-    return value * float(np.exp(-spread)), value * float(np.exp(spread))

@@ -31,13 +31,13 @@ MOST_UNEVEN = 30
 """Obstacles of the rarer outcome below which the logits are left uncalibrated."""
 
 
-def recipe_in_words(feature_set: FeatureSet, *, by_group: bool = False) -> str:
+def recipe_in_words(feature_set: FeatureSet, *, by_sequence: bool = False) -> str:
     """For the model card."""
     return (
         f"scikit-learn HistGradientBoostingClassifier on {', '.join(FEATURES[feature_set])}; "
         f"{ROUNDS} rounds, learning rate {LEARNING_RATE:g}, at most {LEAVES} leaves of at least "
         f"{LEAF_ROWS} obstacles, L2 penalty {RIDGE:g}; then Platt scaling of the logit, fitted "
-        f"to {CROSS_FITS}-fold cross-fitted logits{' of sequences' if by_group else ''}"
+        f"to {CROSS_FITS}-fold cross-fitted logits{' of sequences' if by_sequence else ''}"
     )
 
 
@@ -47,18 +47,15 @@ def fit_trees(
     card: PemCard,
     feature_set: FeatureSet,
     seed: int,
-    groups: IntArray | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> TreesPem:
     """Train and calibrate; the same table and seed give the same arrays.
 
     Args:
-        table: the training part.
+        table: the training part; the folds of its calibration are of sequences if it has enough.
         card: the model's provenance.
         feature_set: what the trees may look at.
         seed: of the trees' construction.
-        groups: what hangs together, ``[n]``: calibration keeps a group in one fold. None, or fewer
-            groups than folds: folds of obstacles.
         on_progress: told (fits done, fits in all).
     """
     features = tree_features(table.salient, feature_set=feature_set).T
@@ -68,7 +65,7 @@ def fit_trees(
         if on_progress is not None:
             on_progress(done, steps)
 
-    calibration = _calibrate(features, table.detected, groups, seed=seed, tell=tell)
+    calibration = _calibrate(features, table, seed=seed, tell=tell)
     booster = _boost(features, table.detected, seed=seed)
     tell(steps)
     return _to_arrays(booster, card=card, feature_set=feature_set, calibration=calibration)
@@ -95,21 +92,17 @@ def _boost(
 
 
 def _calibrate(
-    features: FloatArray,
-    detected: BoolArray,
-    groups: IntArray | None,
-    *,
-    seed: int,
-    tell: Callable[[int], None],
+    features: FloatArray, table: SalientTable, *, seed: int, tell: Callable[[int], None]
 ) -> tuple[float, float]:
     """Slope and intercept, (1, 0) where there are too few of one outcome to cross-fit."""
+    detected, sequence = table.detected, table.sequence
     if min(detected.sum(), (~detected).sum()) < MOST_UNEVEN:
         return 1.0, 0.0
     logits = np.empty(len(detected))
-    if groups is None or np.unique(groups).size < CROSS_FITS:
+    if sequence is None or np.unique(sequence).size < CROSS_FITS:
         fold = _fold_of_row(features, detected, seed=seed)
     else:
-        fold = _fold_of_group(groups)
+        fold = _fold_of_sequence(sequence)
     for index in range(CROSS_FITS):
         train, held_out = fold != index, fold == index
         if np.unique(detected[train]).size < BOTH_OUTCOMES:
@@ -132,10 +125,10 @@ def _fold_of_row(features: FloatArray, detected: BoolArray, *, seed: int) -> Int
     return fold_of_group[np.ravel(group)]
 
 
-def _fold_of_group(groups: IntArray) -> IntArray:
-    """Fold of each row, shape [n]: groups stay whole, and folds are of about equal size."""
-    fold = np.empty(len(groups), dtype=np.int64)
-    parts = GroupKFold(CROSS_FITS).split(groups, groups=groups)
+def _fold_of_sequence(sequence: IntArray) -> IntArray:
+    """Fold of each row, shape [n]: sequences stay whole, and folds are of about equal size."""
+    fold = np.empty(len(sequence), dtype=np.int64)
+    parts = GroupKFold(CROSS_FITS).split(sequence, groups=sequence)
     for index, (_, held_out) in enumerate(parts):
         fold[held_out] = index
     return fold

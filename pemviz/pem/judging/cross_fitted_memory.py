@@ -60,9 +60,7 @@ def cross_fit(
     logit = np.empty(len(tracks))
     parts = GroupKFold(folds).split(logit, groups=tracks.sequence)
     for done, (train, held_out) in enumerate(parts, start=1):
-        pem = fit_pem(
-            tracks.obstacles.take(train), model=model, seed=seed, groups=tracks.sequence[train]
-        )
+        pem = fit_pem(tracks.obstacles.take(train), model=model, seed=seed)
         logit[held_out] = pem.logit(tracks.obstacles.salient[held_out])
         if on_progress is not None:
             on_progress(done, folds)
@@ -78,13 +76,13 @@ def fit_report(
     Args:
         tracks: n observations.
         cross_fitted: What P(missed | state) is by models that did not see them.
-        seed: Of bootstrap and simulation.
+        seed: Of the simulation.
         on_progress: Told (tracks done, tracks in all).
 
     Raises:
         PemError: There is nothing to fit a memory to.
     """
-    fit = fit_memory(tracks, cross_fitted.logit, seed=seed, on_progress=on_progress)
+    fit = fit_memory(tracks, cross_fitted.logit, on_progress=on_progress)
     return report_memory(tracks, cross_fitted.logit, fit=fit, seed=seed)
 
 
@@ -114,14 +112,7 @@ def fit_tracked_pem(
     Raises:
         PemError: The table cannot be fitted.
     """
-    pem = fit_pem(
-        tracks.obstacles,
-        model=model,
-        seed=seed,
-        name=name,
-        provenance=provenance,
-        groups=tracks.sequence,
-    )
+    pem = fit_pem(tracks.obstacles, model=model, seed=seed, name=name, provenance=provenance)
     words = f"{cross_fitted.folds} folds of sequences"
     held_out = score(cross_fitted.logit, tracks.detected)
     scores = {f"bce, {words}": held_out.bce, f"brier, {words}": held_out.brier}

@@ -6,7 +6,7 @@ from itertools import count
 from time import perf_counter
 
 import numpy as np
-from sklearn.model_selection import StratifiedKFold
+from sklearn.model_selection import GroupKFold, StratifiedKFold
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
@@ -62,14 +62,28 @@ class ModelEvaluation:
         )
 
 
+def folds_of_obstacles(table: SalientTable) -> bool:
+    """Whether folds may part obstacles at will: not if they come from sequences of video."""
+    return table.sequence is None or np.unique(table.sequence).size == 1
+
+
 def split_folds(table: SalientTable, *, folds: int) -> list[tuple[IntArray, IntArray]]:
     """Training and held-out rows of stratified folds, in the table's order without shuffling.
 
-    As the paper's authors did; rows of one image, which stand together, mostly share a fold.
+    As the paper's authors did; rows of one image, which stand together, mostly share a fold. On
+    video the folds are of whole sequences: one car's frames are too much alike to be parted.
 
     Raises:
-        PemError: fewer obstacles of one outcome than folds.
+        PemError: fewer obstacles of one outcome, or fewer sequences, than folds.
     """
+    if not folds_of_obstacles(table):
+        sequences = int(np.unique(table.sequence).size)
+        if not 2 <= folds <= sequences:
+            raise PemError(f"folds is {folds}, allowed: 2 to {sequences} (sequences)")
+        parts = list(GroupKFold(folds).split(table.salient, groups=table.sequence))
+        if any(np.unique(table.detected[part]).size == 1 for both in parts for part in both):
+            raise PemError(f"folds is {folds}: a fold of sequences lacks an outcome; give fewer")
+        return parts
     rarer = int(min(table.detected.sum(), (~table.detected).sum()))
     if not 2 <= folds <= rarer:
         raise PemError(f"folds is {folds}, allowed: 2 to {rarer} (obstacles of the rarer outcome)")

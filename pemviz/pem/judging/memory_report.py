@@ -219,6 +219,8 @@ def _mean_runs(tracks: TrackTable, drawn: list[BoolArray]) -> tuple[float, ...]:
 
 def plain_view(tracks: TrackTable) -> tuple[PlainView, ...]:
     """Counts of obstacles in plain view: by distance, and straight ahead."""
+    if not tracks.has_state:
+        return ()
     salient = tracks.obstacles.salient
     z_m, x_m = salient[:, COLUMN["z_m"]], salient[:, COLUMN["x_m"]]
     plain = (salient[:, COLUMN["occlusion"]] == 0.0) & (salient[:, COLUMN["truncation"]] == 0.0)
@@ -249,7 +251,8 @@ def _groups(tracks: TrackTable, logit: FloatArray) -> tuple[GroupMemory, ...]:
     parts += [
         (f"occlusion {name}", occlusion == level) for level, name in enumerate(OCCLUSION_NAMES)
     ]
-    return tuple(_group(tracks, logit, name, chosen) for name, chosen in parts)
+    kept = parts if tracks.has_state else parts[:1]
+    return tuple(_group(tracks, logit, name, chosen) for name, chosen in kept)
 
 
 def _group(tracks: TrackTable, logit: FloatArray, name: str, chosen: BoolArray) -> GroupMemory:

@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.judging.cross_validation import PAPER_TABLE_1, ModelEvaluation
+from pemviz.pem.judging.cross_validation import (
+    PAPER_TABLE_1,
+    ModelEvaluation,
+    folds_of_obstacles,
+)
 from pemviz.pem.judging.scores import Scores
 
 COLUMNS: tuple[str, ...] = (
@@ -87,11 +91,12 @@ def markdown(evaluations: Sequence[ModelEvaluation], *, table: SalientTable) -> 
 def _lines(evaluations: Sequence[ModelEvaluation], *, table: SalientTable) -> Iterator[str]:
     missed = int((~table.detected).sum())
     folds = len(evaluations[0].folds) if evaluations else 0
+    kind = "Stratified" if folds_of_obstacles(table) else "Over whole sequences of video,"
     yield "# Perception error models, cross-validated"
     yield ""
     yield (
         f"{len(table)} obstacles, {missed} missed; table `{table.source}`, SHA-256 "
-        f"`{table.digest[:16]}`. Stratified {folds}-fold cross-validation: mean ± standard "
+        f"`{table.digest[:16]}`. {kind} {folds}-fold cross-validation: mean ± standard "
         "deviation between folds. The paper's figures are those of its Table I."
     )
     yield ""

@@ -123,7 +123,7 @@ def memory_markdown(memory: Mapping[str, Any]) -> str:
         parts = [_facts(memory), *(table(memory) for table in tables)]
     except (KeyError, TypeError, ValueError) as error:
         raise PemError("metadata field 'memory' is not as pemviz writes it") from error
-    return "\n\n".join(["## Memory of misses", *("\n".join(part) for part in parts)]) + "\n"
+    return "\n\n".join(["## Memory of misses", *("\n".join(part) for part in parts if part)]) + "\n"
 
 
 def _facts(memory: Mapping[str, Any]) -> list[str]:
@@ -135,9 +135,9 @@ def _facts(memory: Mapping[str, Any]) -> list[str]:
         frailty = f"{fit['memory']['frailty']:.2f} ({least:.2f} to {most:.2f})"
     return [
         f"- Memory time tau {fit['memory']['tau_s']:.3f} s ({low:.3f} to {high:.3f}), frailty f "
-        f"{frailty}; {fit['confidence']:.0%} intervals from a bootstrap over {fit['sequences']} "
-        f"sequences, {fit['observations']} observations at {memory['rate_hz']:g} Hz, "
-        "P(missed | state) cross-fitted by sequence.",
+        f"{frailty}; {fit['confidence']:.0%} intervals, {fit['sequences']} "
+        f"sequences taken as independent, {fit['observations']} observations at "
+        f"{memory['rate_hz']:g} Hz, P(missed | state) cross-fitted by sequence.",
         f"- Negative log-likelihood of an outcome: {fit['nats_independent']:.3f} nats if misses "
         f"are independent, {fit['nats']:.3f} with this memory.",
         "- The model's own answer is P(missed | state) without this memory.",
@@ -192,6 +192,8 @@ def _plain_view_table(memory: Mapping[str, Any]) -> list[str]:
         (row["name"], *(str(row[key]) for key in ("observations", "misses", "misses_after_miss")))
         for row in memory["plain_view"]
     ]
+    if not rows:
+        return []
     header = ("plain view: not occluded, not truncated", "n", "missed", "of them after a miss")
     return _table(header, rows)
 

@@ -1,0 +1,211 @@
+"""Estimates and intervals from log likelihoods of independent sequences on a grid of tau and f.
+
+The log likelihood of all sequences is scaled so that its curvature agrees with a variance that
+counts sequences, not observations, as independent (Chandler & Bate 2007, Biometrika 94:167): the
+jackknife over sequences, which is sound for few of them, with Student's t (MacKinnon, Nielsen &
+Webb 2023, Journal of Econometrics 232:272). The likelihood's own scale stands where it gives the
+wider interval. An interval holds what such a likelihood ratio does not refuse; unlike a spread of
+bootstrap estimates it keeps its meaning where an estimate is 0.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+
+FINE_TAUS, FINE_FRAILTIES = 601, 241
+"""Points of profiles."""
+TAU, FRAILTY = 0, 1
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A maximum: log tau and f, and the log likelihood there."""
+
+    place: FloatArray
+    height: float
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A log likelihood between the points of its grid.
+
+    Attributes:
+        log_likelihood: ``[taus, frailties]``; the first row is of tau = 0.
+        taus_s: The grid's memory times [s], the first 0.
+        frailties: The grid's f, four or more; or one value, if f is given.
+    """
+
+    log_likelihood: FloatArray
+    taus_s: FloatArray
+    frailties: FloatArray
+
+    @cached_property
+    def _spline(self) -> Any:
+        from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  slow to import
+
+        values, columns = self.log_likelihood[1:], self.frailties
+        if columns.size == 1:
+            values, columns = np.repeat(values, 4, axis=1), columns[0] + np.arange(4.0)
+        elif columns[0] == 0.0:  # the likelihood is even in f: u and -u are as likely
+            values = np.concatenate([values[:, :0:-1], values], axis=1)
+            columns = np.concatenate([-columns[:0:-1], columns])
+        return RectBivariateSpline(np.log(self.taus_s[1:]), columns, values)
+
+    @cached_property
+    def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Of log tau and f."""
+        log_tau = np.log(self.taus_s[1:])
+        return (
+            (float(log_tau[0]), float(log_tau[-1])),
+            (float(self.frailties[0]), float(self.frailties[-1])),
+        )
+
+    @cached_property
+    def peak(self) -> Peak:
+        """Where it is highest."""
+        from scipy.optimize import minimize  # noqa: PLC0415  slow to import
+
+        row, column = np.unravel_index(
+            int(self.log_likelihood[1:].argmax()), self.log_likelihood[1:].shape
+        )
+        start = [np.log(self.taus_s[1 + row]), self.frailties[column]]
+
+        def falling(place: FloatArray) -> tuple[float, list[float]]:
+            slopes = [-float(self._spline.ev(*place, dx=1)), -float(self._spline.ev(*place, dy=1))]
+            return -float(self._spline.ev(*place)), slopes
+
+        options = {"ftol": 1e-13, "gtol": 1e-7}
+        found = minimize(
+            falling, start, jac=True, bounds=self.bounds, method="L-BFGS-B", options=options
+        )
+        return Peak(np.asarray(found.x), -float(found.fun))
+
+    @property
+    def tau_s(self) -> float:
+        """Memory time of the highest point [s]; 0 at the lower end of the grid."""
+        log_tau = float(self.peak.place[TAU])
+        return 0.0 if log_tau <= self.bounds[TAU][0] + 1e-5 else float(np.exp(log_tau))
+
+    @property
+    def frailty(self) -> float:
+        """Frailty of the highest point."""
+        return float(self.peak.place[FRAILTY])
+
+    @property
+    def free(self) -> BoolArray:
+        """Whether the peak lies inside of the range of log tau and of f, ``[2]``."""
+        low, high = np.array(self.bounds).T
+        margin = 1e-6 * (high - low)
+        return (self.peak.place > low + margin) & (self.peak.place < high - margin)
+
+    def derivatives(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """First derivatives ``[2]`` and minus the second ones ``[2, 2]`` in log tau and f."""
+        at = partial(self._spline.ev, *place)
+        mixed = -float(at(dx=1, dy=1))
+        slopes = np.array([float(at(dx=1)), float(at(dy=1))])
+        return slopes, np.array([[-float(at(dx=2)), mixed], [mixed, -float(at(dy=2))]])
+
+    @property
+    def efficiency(self) -> float:
+        """Share of what the data say of tau that is left since f is not known."""
+        _, bends = self.derivatives(self.peak.place)
+        if not self.free.all() or not _is_peak(bends):
+            return 1.0
+        return float(1.0 - bends[0, 1] ** 2 / (bends[0, 0] * bends[1, 1]))
+
+    def profile(self, axis: int) -> tuple[FloatArray, FloatArray]:
+        """Fine grid of log tau or f, and the height with the other one free."""
+        (low, high), (least, most) = self.bounds
+        log_taus = np.linspace(low, high, FINE_TAUS)
+        frailties = np.linspace(least, most, 1 if least == most else FINE_FRAILTIES)
+        heights = self._spline(log_taus, frailties)
+        return (log_taus, frailties)[axis], heights.max(axis=1 - axis)
+
+
+def inflations(surfaces: FloatArray, whole: Surface, *, step_s: float) -> FloatArray:
+    """Variance between sequences over the likelihood's own, of log tau and of f; at least 1.
+
+    A jackknife of one Newton step each, in the correlation exp(-step / tau) of neighbouring
+    outcomes, in which a likelihood is regular down to tau = 0. What lies at an end of its range is
+    held there, and has 1.
+
+    Args:
+        surfaces: Log likelihoods ``[S, taus, frailties]`` of the sequences.
+        whole: Their sum.
+        step_s: Time between neighbouring outcomes [s].
+    """
+    count = surfaces.shape[0]
+    place, free = whole.peak.place, whole.free
+    result = np.ones(2)
+    if not free.any():
+        return result
+    parts = [Surface(each, whole.taus_s, whole.frailties).derivatives(place) for each in surfaces]
+    # d^2/d rho^2 = (d^2/dx^2 - rho''/rho' d/dx) / rho'^2 of x = log tau; rho' drops out below
+    curved = np.array([[step_s / np.exp(place[TAU]) - 1.0, 0.0], [0.0, 0.0]])
+    bends = np.array([(bend + slope[TAU] * curved)[np.ix_(free, free)] for slope, bend in parts])
+    all_bends = bends.sum(axis=0)
+    if not _is_peak(all_bends):
+        return result
+    steps = np.array(
+        [
+            np.linalg.solve(rest if _is_peak(rest) else all_bends, slope[free])
+            for (slope, _), rest in zip(parts, all_bends - bends, strict=True)
+        ]
+    )
+    jackknife = (count - 1.0) / count * np.sum(steps**2, axis=0)
+    result[free] = np.maximum(jackknife / np.diag(np.linalg.inv(all_bends)), 1.0)
+    return result
+
+
+def _is_peak(bends: FloatArray) -> bool:
+    """Whether minus the second derivatives ``[k, k]`` are those of a maximum."""
+    return bool(np.linalg.eigvalsh(bends).min() > 0.0)
+
+
+def interval(
+    whole: Surface, axis: int, *, inflation: float, sequences: int, confidence: float
+) -> tuple[float, float]:
+    """What the scaled likelihood ratio does not refuse, of tau [s] or f.
+
+    Args:
+        whole: The log likelihood of all sequences.
+        axis: TAU or FRAILTY.
+        inflation: Its scale, see :func:`inflations`.
+        sequences: Their number S; Student's t has S - 1 degrees of freedom.
+        confidence: Of the interval.
+    """
+    from scipy.stats import t as student_t  # noqa: PLC0415  slow to import
+
+    limit = float(student_t.ppf(0.5 + confidence / 2.0, sequences - 1)) ** 2 / 2.0 * inflation
+    grid, heights = whole.profile(axis)
+    above = heights - (max(whole.peak.height, float(heights.max())) - limit)
+    inside = np.flatnonzero(above >= 0.0)
+    first, last = int(inside[0]), int(inside[-1])
+    low, high = float(grid[first]), float(grid[last])
+    if first > 0:
+        low = float(np.interp(0.0, above[first - 1 : first + 1], grid[first - 1 : first + 1]))
+    if last < grid.size - 1:
+        ends = slice(last + 1, last - 1, -1) if last else slice(1, None, -1)
+        high = float(np.interp(0.0, above[ends], grid[ends]))
+    if axis == FRAILTY:
+        return low, high
+    return (0.0 if first == 0 else float(np.exp(low))), float(np.exp(high))
+
+
+def independence_p_value(whole: Surface, *, inflation: float, sequences: int) -> float:
+    """One-sided p-value of tau = 0 with f free: Student's t of the signed root of the ratio.
+
+    tau = 0 lies on the edge of what is possible, so half of the ratio's distribution stands at 0
+    (Self & Liang 1987, case 5); an estimate of 0 has the p-value 1.
+    """
+    from scipy.stats import t as student_t  # noqa: PLC0415  slow to import
+
+    if whole.tau_s == 0.0:
+        return 1.0
+    at_zero = float(whole.profile(TAU)[1][0])
+    root = np.sqrt(max(2.0 * (whole.peak.height - at_zero), 0.0) / inflation)
+    return float(student_t.sf(root, sequences - 1))
