@@ -104,23 +104,34 @@ def fit_memory(
         chosen=chosen,
         on_progress=on_progress,
     )
+    return _fitted(
+        surface,
+        frailties,
+        step_s=float(np.median(tracks.since_s[tracks.follows])),
+        observations=len(tracks) if chosen is None else int(np.count_nonzero(chosen)),
+    )
+
+
+def _fitted(
+    surface: FloatArray, frailties: FloatArray, *, step_s: float, observations: int
+) -> MemoryFit:
+    """The fit of log likelihoods of sequences ``[S, taus, frailties]``."""
+    count = surface.shape[0]
     whole = Surface(surface.sum(axis=0), TAU_GRID_S, frailties)
-    step_s = float(np.median(tracks.since_s[tracks.follows]))
     scale = inflations(surface, whole, step_s=step_s)
     low_high = [
         interval(whole, axis, inflation=float(scale[axis]), sequences=count, confidence=CONFIDENCE)
         for axis in (TAU, FRAILTY)
     ]
-    total = len(tracks) if chosen is None else int(np.count_nonzero(chosen))
     return MemoryFit(
         memory=Memory(tau_s=whole.tau_s, frailty=whole.frailty),
         tau_interval_s=low_high[TAU],
-        frailty_interval=low_high[FRAILTY] if with_frailty else None,
+        frailty_interval=low_high[FRAILTY] if frailties.size > 1 else None,
         confidence=CONFIDENCE,
         sequences=count,
-        observations=total,
-        nats_independent=-float(surface[:, 0, 0].sum()) / total,
-        nats=-whole.peak.height / total,
+        observations=observations,
+        nats_independent=-float(surface[:, 0, 0].sum()) / observations,
+        nats=-whole.peak.height / observations,
         p_value=independence_p_value(whole, inflation=float(scale[TAU]), sequences=count),
         inflation=float(scale[TAU]),
         efficiency=whole.efficiency,
