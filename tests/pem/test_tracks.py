@@ -7,6 +7,7 @@ from pemviz.pem import PemError, load_table
 from pemviz.pem.data.collect import CollectOptions
 from pemviz.pem.data.collect_tracks import collect_tracks
 from pemviz.pem.data.tracks import load_tracks
+from pemviz.pem.judging.cross_validation import split_folds
 from pemviz.pem.models.protocol import COLUMN
 from tests.conftest import shared
 
@@ -153,6 +154,20 @@ def test_a_table_without_the_state_serves_where_none_is_asked_for(tmp_path):
     own.write_text("sequence,frame,track,z_m,detected\na,0,1,9,1\n")
     with pytest.raises(PemError, match=r"own\.csv:1: the header lacks class_id, truncation"):
         load_tracks(own, rate_hz=10.0, needs_state=False)
+
+
+def test_folds_keep_sequences_of_video_whole(tmp_path):
+    labels = [label(frame, track=track) for frame in range(4) for track in (1, 2)]
+    detections = [MOT.format(frame=frame) for frame in (0, 2)]
+    for name in ("0000.txt", "0001.txt", "0002.txt"):
+        paths = sequence(tmp_path, labels, detections, name=name)
+    collect_tracks(**paths)
+    table = load_table(paths["out"])
+    assert table.sequence.tolist() == [0] * 8 + [1] * 8 + [2] * 8
+    for train, held_out in split_folds(table, folds=3):
+        assert not set(table.sequence[train]) & set(table.sequence[held_out])
+    with pytest.raises(PemError, match="folds is 4, allowed: 2 to 3"):
+        split_folds(table, folds=4)
 
 
 @pytest.mark.parametrize(

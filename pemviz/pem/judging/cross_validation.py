@@ -62,9 +62,10 @@ class ModelEvaluation:
         )
 
 
-def folds_of_obstacles(table: SalientTable) -> bool:
-    """Whether folds may part obstacles at will: not if they come from sequences of video."""
-    return table.sequence is None or np.unique(table.sequence).size == 1
+def kept_whole(table: SalientTable) -> IntArray | None:
+    """Sequences of video ``[n]`` that folds must not part; None where there are not several."""
+    sequence = table.sequence
+    return None if sequence is None or np.unique(sequence).size == 1 else sequence
 
 
 def split_folds(table: SalientTable, *, folds: int) -> list[tuple[IntArray, IntArray]]:
@@ -76,11 +77,12 @@ def split_folds(table: SalientTable, *, folds: int) -> list[tuple[IntArray, IntA
     Raises:
         PemError: fewer obstacles of one outcome, or fewer sequences, than folds.
     """
-    if not folds_of_obstacles(table):
-        sequences = int(np.unique(table.sequence).size)
+    sequence = kept_whole(table)
+    if sequence is not None:
+        sequences = int(np.unique(sequence).size)
         if not 2 <= folds <= sequences:
             raise PemError(f"folds is {folds}, allowed: 2 to {sequences} (sequences)")
-        parts = list(GroupKFold(folds).split(table.salient, groups=table.sequence))
+        parts = list(GroupKFold(folds).split(table.salient, groups=sequence))
         if any(np.unique(table.detected[part]).size == 1 for both in parts for part in both):
             raise PemError(f"folds is {folds}: a fold of sequences lacks an outcome; give fewer")
         return parts

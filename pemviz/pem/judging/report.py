@@ -11,7 +11,7 @@ from pemviz.pem.data.table import SalientTable
 from pemviz.pem.judging.cross_validation import (
     PAPER_TABLE_1,
     ModelEvaluation,
-    folds_of_obstacles,
+    kept_whole,
 )
 from pemviz.pem.judging.scores import Scores
 
@@ -91,7 +91,7 @@ def markdown(evaluations: Sequence[ModelEvaluation], *, table: SalientTable) -> 
 def _lines(evaluations: Sequence[ModelEvaluation], *, table: SalientTable) -> Iterator[str]:
     missed = int((~table.detected).sum())
     folds = len(evaluations[0].folds) if evaluations else 0
-    kind = "Stratified" if folds_of_obstacles(table) else "Over whole sequences of video,"
+    kind = "Stratified" if kept_whole(table) is None else "Over whole sequences of video,"
     yield "# Perception error models, cross-validated"
     yield ""
     yield (
