@@ -46,7 +46,7 @@ class LogisticFit:
 
 
 def fit_offset_logistic(
-    outcomes: WeightedOutcomes, *, ridge: FloatArray, start: FloatArray
+    outcomes: WeightedOutcomes, *, ridge: FloatArray, start: FloatArray, steps: int = NEWTON_STEPS
 ) -> LogisticFit:
     """Minimise the weighted cross-entropy plus ``ridge . coefficients^2 / 2``.
 
@@ -56,11 +56,12 @@ def fit_offset_logistic(
         outcomes: What is learned from.
         ridge: Penalty of each coefficient, above 0, ``[B]``.
         start: Coefficients to start from, ``[B]``.
+        steps: At most so many of Newton's steps.
     """
     coefficients = start.copy()
     total = max(float(outcomes.weight.sum()), np.finfo(np.float64).tiny)
     loss = _loss(outcomes, coefficients, ridge)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(steps):
         miss = expit(outcomes.offset + outcomes.basis @ coefficients)
         gradient = outcomes.basis.T @ (outcomes.weight * (outcomes.missed - miss))
         gradient -= ridge * coefficients

@@ -166,16 +166,16 @@ def test_a_batch_in_pieces_gives_the_same_rollouts():
 
 
 @pytest.mark.parametrize(
-    ("fits", "explores", "expected"),
+    ("shares", "explores", "expected"),
     [
-        (0, True, (100, 0, 0)),
-        (1, True, (25, 75, 0)),
-        (2, True, (25, 57, 18)),
-        (1, False, (10, 90, 0)),
+        ((), True, (100, 0, 0)),
+        ((1.0,), True, (25, 75, 0)),
+        ((0.75, 0.25), True, (25, 57, 18)),
+        ((1.0,), False, (10, 90, 0)),
     ],
 )
-def test_what_a_stage_draws_from(fits, explores, expected):
-    found = components(100, first=4, fits=fits, explores=explores)
+def test_what_a_stage_draws_from(shares, explores, expected):
+    found = components(100, first=4, shares=shares, explores=explores)
     assert tuple((found == index).sum() for index in (0, 4, 5)) == expected
 
 

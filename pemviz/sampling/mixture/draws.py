@@ -1,6 +1,6 @@
 """What a stage's rollouts are drawn from: pilots first, then every fitted proposal in its share."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -18,8 +18,6 @@ EARLY_PILOT_SHARE = 0.25
 """Of the rollouts of the first half of the learning stages, drawn from the pilots' family."""
 PILOT_SHARE = 0.1
 """Of every later stage's."""
-GUIDED_SHARE = 0.25
-"""Of the rest, drawn from the proposal that is fitted to a level of robustness above 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,20 +65,21 @@ class DividedProposal:
         return {**self.pilots.arrays(), **(self.fitted.arrays() if self.fitted else {})}
 
 
-def components(count: int, *, first: int, fits: int, explores: bool) -> IntArray:
+def components(count: int, *, first: int, shares: Sequence[float], explores: bool) -> IntArray:
     """What each of ``count`` rollouts is drawn from, ``[count]``, in ascending order.
 
     Args:
         count: Number of rollouts.
-        first: Component of the main proposal; the one fitted to a level is the next.
-        fits: How many proposals are fitted: none, the main one, or both.
+        first: Component of the first fitted proposal, which is drawn what is left over.
+        shares: Of the fitted proposals in the rollouts that are not pilots; empty: all are.
         explores: Whether the stage is one of the first.
     """
+    if not shares:
+        return np.full(count, PILOTS, dtype=np.int64)
     pilots = max(1, int((EARLY_PILOT_SHARE if explores else PILOT_SHARE) * count))
-    pilots = pilots if fits else count
-    guided = int(GUIDED_SHARE * (count - pilots)) if fits > 1 else 0
-    numbers = [pilots, count - pilots - guided, guided]
-    return np.repeat([PILOTS, first, first + 1], numbers).astype(np.int64)
+    others = [int(share * (count - pilots)) for share in shares[1:]]
+    numbers = [pilots, count - pilots - sum(others), *others]
+    return np.repeat([PILOTS, *range(first, first + len(shares))], numbers).astype(np.int64)
 
 
 def divided(

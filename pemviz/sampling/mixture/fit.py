@@ -1,6 +1,7 @@
 """Which rollouts a stage learns from, how much each counts, and the proposals fitted to them."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -15,10 +16,13 @@ from pemviz.proposals.offset_logistic_fit import (
 )
 from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, smoothed_weights
-from pemviz.sampling.mixture.balance_heuristic import Pool
+from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
 from pemviz.sampling.mixture.levels import Elites, failing_elites, guided_elites
+from pemviz.sampling.mixture.ways import Ways, WeightedRollouts, shares_of_draws, ways_of
 
 NEGLIGIBLE_SHARE = 1e-4
+EXPLORING_SHARE = 0.25
+"""Of the rollouts that are not pilots, for a level above 0, and for hidden ways of failing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +56,7 @@ class Fit:
         threshold: The level of robustness below which rollouts were learned from.
         elites: How many.
         loss: [nats a decision].
+        share: Of the rollouts that are not pilots, drawn from it.
     """
 
     coefficients: FloatArray
@@ -59,16 +64,35 @@ class Fit:
     threshold: float
     elites: int
     loss: float
+    share: float = 1.0
 
 
-def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Fit:
-    """The proposal nearest to the violating rollouts' distribution under the error model."""
+def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
+    """The proposals nearest to the violating rollouts' distribution under the error model.
+
+    One for each way of failing that the rollouts tell apart, the largest share first.
+    """
     elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
     exponent = settings.alpha
     if exponent is None:
         aim = min(max(settings.elites, settings.ess_share * elites.count), elites.count / 2)
         exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))
-    return _fit(pool, basis, elites, exponent=exponent, ridge=settings.ridge)
+    weight = weights_of(pool, elites, exponent=exponent)
+    first = fitted(pool, basis, elites, weight, settings)
+    learned = learned_from(pool.decisions, weight)
+    ways = ways_of(learned, first.coefficients, ridge=ridge_by_degree(basis, settings.ridge))
+    if ways.share.size == 1:
+        return (first,)
+    parts = np.zeros((ways.share.size, pool.count))
+    parts[:, weight > 0.0] = _parts(
+        ways, learned, pool.log_weight[weight > 0.0], exponent, settings
+    )
+    return tuple(
+        replace(fitted(pool, basis, elites, part, settings, start=start), share=share)
+        for part, start, share in zip(
+            parts, ways.coefficients, shares_of_draws(ways.share), strict=True
+        )
+    )
 
 
 def fit_to_level(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
@@ -86,13 +110,29 @@ def fit_to_level(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> t
     )
     if elites.threshold <= VIOLATION_THRESHOLD:
         return ()
-    return (_fit(pool, basis, elites, exponent=exponent, ridge=settings.ridge),)
+    return (fitted(pool, basis, elites, weights_of(pool, elites, exponent=exponent), settings),)
 
 
-def _fit(
-    pool: Pool, basis: PolynomialBasis, elites: Elites, *, exponent: float, ridge: float
+def with_exploring(main: Sequence[Fit], *others: Sequence[Fit]) -> tuple[Fit, ...]:
+    """All, with a share of the rollouts for each of the ``others`` that is not empty."""
+    exploring = [fits for fits in others if fits]
+    rest = 1.0 - EXPLORING_SHARE * len(exploring)
+    return (
+        *(replace(fit, share=rest * fit.share) for fit in main),
+        *(replace(f, share=EXPLORING_SHARE / len(fits)) for fits in exploring for f in fits),
+    )
+
+
+def fitted(
+    pool: Pool,
+    basis: PolynomialBasis,
+    elites: Elites,
+    weight: FloatArray,
+    settings: FitSettings,
+    *,
+    start: FloatArray | None = None,
 ) -> Fit:
-    weight = _weights(pool, elites, exponent=exponent)
+    """The proposal fitted to the pool's rollouts by their weights ``[N]``."""
     decisions = pool.decisions
     kept = weight[decisions.rollout] > 0.0
     group = decisions.rollout[kept]
@@ -102,19 +142,20 @@ def _fit(
         offset=decisions.offset[kept],
         weight=weight[group],
     )
-    penalty = ridge_by_degree(basis, ridge)
-    start = pool.coefficients[-1] if pool.coefficients else np.zeros(penalty.size)
-    fitted = fit_offset_logistic(outcomes, ridge=penalty, start=start)
+    penalty = ridge_by_degree(basis, settings.ridge)
+    if start is None:
+        start = pool.coefficients[-1] if pool.coefficients else np.zeros(penalty.size)
+    found = fit_offset_logistic(outcomes, ridge=penalty, start=start)
     return Fit(
-        coefficients=fitted.coefficients,
-        optimism=leave_one_out_loss(outcomes, fitted, group=group, count=pool.count),
+        coefficients=found.coefficients,
+        optimism=leave_one_out_loss(outcomes, found, group=group, count=pool.count),
         threshold=elites.threshold,
         elites=elites.count,
-        loss=fitted.loss,
+        loss=found.loss,
     )
 
 
-def _weights(pool: Pool, elites: Elites, *, exponent: float) -> FloatArray:
+def weights_of(pool: Pool, elites: Elites, *, exponent: float) -> FloatArray:
     """Of the pool's rollouts, ``[N]``; they sum to their effective sample size."""
     log_weight = pool.log_weight[elites.chosen]
     smoothed = smoothed_weights(log_weight, alpha=exponent)
@@ -122,6 +163,43 @@ def _weights(pool: Pool, elites: Elites, *, exponent: float) -> FloatArray:
     weight[elites.chosen] = smoothed * effective_sample_size(exponent * log_weight)
     weight[weight < NEGLIGIBLE_SHARE * weight.max()] = 0.0
     return weight
+
+
+def learned_from(decisions: Decisions, weight: FloatArray) -> WeightedRollouts:
+    """Those of the pool's rollouts whose weight ``[N]`` is not 0."""
+    kept = weight[decisions.rollout] > 0.0
+    number = np.cumsum(weight > 0.0) - 1
+    rollout = number[decisions.rollout[kept]].astype(np.int64)
+    positive = weight[weight > 0.0]
+    outcomes = WeightedOutcomes(
+        basis=decisions.basis[kept],
+        missed=decisions.missed[kept],
+        offset=decisions.offset[kept],
+        weight=positive[rollout],
+    )
+    return WeightedRollouts(outcomes, rollout, positive)
+
+
+def _parts(
+    ways: Ways,
+    learned: WeightedRollouts,
+    log_weight: FloatArray,
+    exponent: float,
+    settings: FitSettings,
+) -> FloatArray:
+    """Weights of the E rollouts for each of C ways, by how likely they are its own, ``[C, E]``.
+
+    They are smoothed anew, for a way may have few rollouts where all together have many.
+    """
+    parts: list[FloatArray] = []
+    for share in ways.responsibilities(learned).T:
+        own = log_weight[share > 0.5]
+        if settings.alpha is None and own.size:
+            aim = min(max(settings.elites, settings.ess_share * own.size), own.size / 2)
+            exponent = min(exponent, smoothing_exponent(own, least_ess=float(aim)))
+        log_part = exponent * log_weight + np.log(np.maximum(share, np.finfo(float).tiny))
+        parts.append(smoothed_weights(log_part, alpha=1.0) * effective_sample_size(log_part))
+    return np.array(parts)
 
 
 def smoothing_exponent(log_weight: FloatArray, *, least_ess: float) -> float:

@@ -50,7 +50,9 @@ from pemviz.sampling.mixture.fit import (
     FitSettings,
     fit_to_failures,
     fit_to_level,
+    with_exploring,
 )
+from pemviz.sampling.mixture.hidden import fit_to_hidden_ways
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.sampling.value_twisted.method import with_latch
@@ -72,8 +74,8 @@ class MixtureState:
         features: What proposals look at.
         basis: Monomials of it; ``None`` before the first stage.
         pool: Everything drawn so far.
-        fits: What the next stage draws from beside pilots: the main proposal, then one fitted
-            to a level above 0, if there is one; empty before the first stage.
+        fits: What the next stage draws from beside pilots: the main proposal, those of other
+            ways of failing, one fitted to a level above 0; empty before the first stage.
         frozen: How many rollouts each part of the final batch has, as far as it is drawn.
         latched: Whether rollouts know when they have violated.
     """
@@ -213,7 +215,7 @@ class MixtureSampling:
             count,
             # the parts of the final batch after the first bring no proposal that is new
             first=1 + known - (len(state.fits) if state.frozen else 0),
-            fits=len(state.fits),
+            shares=[fit.share for fit in state.fits],
             explores=self._explores(state.stage),
         )
 
@@ -224,10 +226,16 @@ class MixtureSampling:
         assert pool is not None and basis is not None  # noqa: S101, PT018  just drawn
         began = time.perf_counter()
         steps = result.scored.rollouts.detected.shape[1]
-        fits = [fit_to_failures(pool, basis, self.settings)]
+        fits = fit_to_failures(pool, basis, self.settings)
         if self._explores(state.stage):
-            fits += fit_to_level(pool, basis, self.settings)
-        fitted = replace(state, fits=tuple(fits))
+            fits = with_exploring(
+                fits,
+                fit_to_hidden_ways(
+                    pool, basis, self.settings, main=fits, defensive=_defence(steps)
+                ),
+                fit_to_level(pool, basis, self.settings),
+            )
+        fitted = replace(state, fits=fits)
         return fitted, replace(
             result,
             kind="pretrain" if kind_of_first else "learn",

@@ -1,0 +1,88 @@
+"""Ways of failing that the proposals fitted to all violations would hardly draw.
+
+Such a way looks improbable at first, because the pilots that met it missed more often than was
+needed: it is learned about on its own before the weights pass judgement on it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import logsumexp
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.proposals.offset_logistic import PolynomialBasis
+from pemviz.proposals.offset_logistic_fit import fit_offset_logistic
+from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
+from pemviz.sampling.estimates.importance_weights import effective_sample_size
+from pemviz.sampling.mixture.balance_heuristic import Pool, log_ratios
+from pemviz.sampling.mixture.fit import (
+    Fit,
+    FitSettings,
+    fitted,
+    learned_from,
+    ridge_by_degree,
+    smoothing_exponent,
+    weights_of,
+)
+from pemviz.sampling.mixture.levels import Elites
+from pemviz.sampling.mixture.ways import SAMPLE, ways_of
+
+HARDLY_DRAWN = 3.0
+"""Log of how many times more often pilots draw a rollout than the main proposals do."""
+EVEN_SHARE = 0.9
+"""Of the violating rollouts, which they count as where ways of failing are told apart."""
+LEAST_SCATTER, PRICE = 2.0, 0.3
+KNOWN_ESS = 10.0
+"""A way of failing is explored until its weights have this effective sample size."""
+FEW_ELITES = 3
+
+
+def fit_to_hidden_ways(
+    pool: Pool,
+    basis: PolynomialBasis,
+    settings: FitSettings,
+    *,
+    main: Sequence[Fit],
+    defensive: float,
+) -> tuple[Fit, ...]:
+    """A proposal for each way of failing that the ``main`` proposals would hardly draw.
+
+    Ways are told apart by their chains of outcomes, nearly without weights.
+
+    Args:
+        pool: What is learned from.
+        basis: Monomials.
+        settings: How.
+        main: The proposals fitted to all violations.
+        defensive: Share of the error model in every outcome's probability.
+    """
+    hidden = Elites(VIOLATION_THRESHOLD, _hardly_drawn(pool, main, defensive))
+    if hidden.count == 0:
+        return ()
+    log_weight = pool.log_weight[hidden.chosen]
+    even = smoothing_exponent(log_weight, least_ess=EVEN_SHARE * hidden.count)
+    learned = learned_from(pool.decisions, weights_of(pool, hidden, exponent=even))
+    few, ridge = learned.resampled(SAMPLE), ridge_by_degree(basis, settings.ridge)
+    first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
+    ways = ways_of(few, first.coefficients, ridge=ridge, least_scatter=LEAST_SCATTER, price=PRICE)
+    fits: list[Fit] = []
+    for share in ways.responsibilities(learned).T:
+        chosen = hidden.chosen.copy()
+        chosen[chosen] = share > 0.5
+        own = Elites(VIOLATION_THRESHOLD, chosen)
+        if own.count and effective_sample_size(pool.log_weight[chosen]) <= KNOWN_ESS:
+            aim = min(max(FEW_ELITES, settings.ess_share * own.count), own.count / 2)
+            exponent = smoothing_exponent(pool.log_weight[chosen], least_ess=aim)
+            fits.append(
+                fitted(pool, basis, own, weights_of(pool, own, exponent=exponent), settings)
+            )
+    return tuple(fits)
+
+
+def _hardly_drawn(pool: Pool, main: Sequence[Fit], defensive: float) -> BoolArray:
+    """Violating rollouts that pilots draw far more often than the main proposals, ``[N]``."""
+    ratio = log_ratios(
+        pool.decisions, [fit.coefficients for fit in main], count=pool.count, defensive=defensive
+    )
+    by_main: FloatArray = np.asarray(logsumexp(ratio + np.log([fit.share for fit in main]), axis=1))
+    return pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_DRAWN)
