@@ -53,7 +53,7 @@ def shown(tmp_path_factory):
         folder = tmp_path_factory.mktemp(name)
         (folder / "config.toml").write_text(CONFIG, encoding="utf-8")
         out = io.StringIO()
-        words = ["record", "--config", str(folder / "config.toml"), "--method", name]
+        words = ["record", "--verbose", "--config", str(folder / "config.toml"), "--method", name]
         words += ["--out", str(folder / "runs"), "--summary", str(folder / "page.md")]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
             assert main([*words, "--junit", str(folder / "tests.xml")]) == 0

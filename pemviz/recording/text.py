@@ -18,7 +18,7 @@ from pemviz.reports.estimate_text import (
     no_interval_text,
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
-from pemviz.reports.memory_curve import assumption_line, curve_rows
+from pemviz.reports.memory_curve import CURVE_COLUMNS, assumption_line, curve_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -141,8 +141,7 @@ def _memory(result: RunResult) -> list[str]:
     rows = [
         (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
     ]
-    header = ("memory time", "probability", "95 % interval", "measured on video for")
-    return [f"**{line}**", _table(header, rows)]
+    return [f"**{line}**", _table(CURVE_COLUMNS, rows)]
 
 
 def _scenario(config: ExperimentConfig) -> str:

@@ -19,13 +19,14 @@ from pemviz.analysis.model_uncertainty import (
     member_estimates,
     model_interval,
 )
+from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.arrays import FloatArray
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import RunResult, StageSummary
 from pemviz.runs.trust import reference_diagnostics
 from pemviz.sampling.bursts.curve import MEASURED_S, memory_curve
-from pemviz.sampling.memory import single_outcome_model, without_memory
+from pemviz.sampling.memory import memory_of_pem, single_outcome_model, without_memory
 from pemviz.sampling.method import PoolsStages
 from pemviz.sampling.problem import nothing_finished
 from pemviz.sampling.rollouts.batches import run_here
@@ -111,7 +112,14 @@ def _explained(judged: Judged, experiment: Experiment, stage: StageResult) -> Ju
     )
     if explanation is None:
         return judged
+    if memory_of_pem(experiment.pem).tau_s > 0.0:
+        explanation = replace(explanation, sensitivity=_untold(explanation.sensitivity))
     return replace(judged, result=replace(judged.result, explanation=explanation))
+
+
+def _untold(rows: tuple[BandSensitivity, ...]) -> tuple[BandSensitivity, ...]:
+    """Without elasticities: they would be those of a miss given the outcome before."""
+    return tuple(replace(row, elasticity=None) for row in rows)
 
 
 def _asked_of_members(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:

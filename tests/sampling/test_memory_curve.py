@@ -88,7 +88,7 @@ def test_the_result_says_what_the_assumption_is_worth(result):
     assert "PointRCNN" in line
     assert assumption_line(replace(result.memory, curve=())) is None
     rows = {row.tau: row for row in curve_rows(result.memory)}
-    assert rows["0.24 s"].measured.startswith("RRC")
+    assert rows["0.3 s"].measured.startswith("RRC")
     assert rows["independent"].measured == ""
 
 
@@ -96,26 +96,26 @@ def test_orders_of_magnitude_and_thin_intervals_are_said():
     def point(tau_s, probability, ess=50.0):
         return CurvePoint(tau_s, probability, probability / 2, probability * 2, ess)
 
-    curve = (point(0.0, 1e-15, ess=3.0), point(0.15, 1e-4), point(0.24, 1e-3), point(0.3, 2e-3))
-    own = MeasuredTau(tau_s=0.3, low_s=0.2, high_s=0.4, confidence=0.95)
+    curve = (point(0.0, 1e-15, ess=3.0), point(0.17, 1e-4), point(0.3, 1e-3), point(0.5, 2e-3))
+    own = MeasuredTau(tau_s=0.5, low_s=0.4, high_s=0.6, confidence=0.95)
     memory = RunMemory(tau_s=0.0, curve=curve)
     assert assumption_line(memory).endswith("worth 12 orders of magnitude.")
-    assert curve_rows(memory)[0].interval.endswith("3 effective violations, not a 95 % interval")
+    assert curve_rows(memory)[0].interval.endswith("3 effective violations, only roughly")
     measured = assumption_line(replace(memory, fitted=own))
     assert "single frames" not in measured
-    assert "0.002 with that of this error model (0.3 s)" in measured
-    assumed = assumption_line(replace(memory, tau_s=0.15))
-    assert assumed.startswith("A memory time of 0.15 s is an assumption")
+    assert "0.002 with that of this error model (0.5 s)" in measured
+    assumed = assumption_line(replace(memory, tau_s=0.17))
+    assert assumed.startswith("A memory time of 0.17 s is an assumption")
     assert "1e-15 if misses were independent" in assumed
 
 
 def test_panel_and_recording_show_the_curve_beside_the_answer(result):
     drawn = memory_curve_view(result.memory)
     ET.fromstring(f"<all>{drawn}</all>")  # noqa: S314  our own
-    assert "0.24 s: RRC, a camera detector, on video" in drawn
+    assert "0.3 s: RRC, a camera detector, on video" in drawn
     assert memory_curve_view(replace(result.memory, curve=())) == ""
     text = answer_text(result, running=False)
-    assert "| 0.24 s |" in text
+    assert "| 0.3 s |" in text
     assert assumption_line(result.memory) in text
     without = answer_text(replace(result, memory=RunMemory(tau_s=0.0)), running=False)
     assert "independent of each other given the state: an assumption" in without

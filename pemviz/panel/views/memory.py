@@ -32,7 +32,7 @@ def _plot(memory: RunMemory) -> str:
         y=Axis(low - 0.5, 0.2, "", log10=True),
         width=WIDTH,
         height=HEIGHT,
-        title="P(violation) if misses come in bursts; whiskers: 95 % intervals",
+        title="P(violation) if misses come in bursts; whiskers: intervals, about 90 %",
     )
     tau_s = np.array([point.tau_s for point in points])
     log10 = np.log10([point.probability for point in points])
