@@ -98,7 +98,9 @@ def test_the_recursion_agrees_with_an_enumeration_of_another_walk():
     assert found == pytest.approx(toy_probability_by_enumeration(walk, model), rel=1e-12)
 
 
-@pytest.mark.parametrize("case", [c for c in trust_cases() if c.name.startswith("walk")], ids=str)
+@pytest.mark.parametrize(
+    "case", [c for c in trust_cases() if c.name.startswith("walk")], ids=lambda case: case.name
+)
 def test_truths_of_the_walks_are_recomputed(case):
     assert case.recomputed() == pytest.approx(case.truth, rel=1e-9)
 
