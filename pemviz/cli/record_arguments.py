@@ -31,7 +31,8 @@ class Source:
     """Where the configuration starts from; every other option overrides it."""
 
     preset: str | None = None
-    """Shipped configuration: paper or town01. Without --config, paper."""
+    """Shipped configuration: paper, town01, or paper-algorithm, the paper's own method. Without
+    --config, paper."""
     config: Path | None = None
     """Configuration file (TOML), for instance the config.toml of an earlier run."""
     resume: Path | None = None

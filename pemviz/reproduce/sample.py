@@ -24,8 +24,8 @@ MOST_BYTES = 2_000_000
 
 
 def sample_config() -> ExperimentConfig:
-    """The ``paper`` preset, fewer stages of fewer and shorter rollouts: a run that stays small."""
-    paper = load_preset("paper")
+    """The ``paper-algorithm`` preset, fewer stages, fewer and shorter rollouts, to stay small."""
+    paper = load_preset("paper-algorithm")
     return replace(
         paper,
         stages=5,

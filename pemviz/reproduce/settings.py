@@ -13,7 +13,7 @@ METRICS: tuple[MetricName, ...] = get_args(MetricName)
 
 
 def _paper() -> ExperimentConfig:
-    return load_preset("paper")
+    return load_preset("paper-algorithm")
 
 
 @dataclass(frozen=True, kw_only=True)

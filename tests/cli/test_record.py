@@ -69,7 +69,7 @@ def test_a_runs_config_runs_again_to_the_same_estimate(tmp_path, capsys):
         (["--alhpa", "0.2"], ["--alhpa", "--alpha"]),
         (["--stages", "0"], ["stages = 0", "at least 1 and at most 1000"]),
         (["--method", "magic"], ["magic", "monte-carlo"]),
-        (["--preset", "moon"], ["preset = 'moon'", "paper, town01"]),
+        (["--preset", "moon"], ["preset = 'moon'", "paper, paper-algorithm, town01"]),
         (["--preset", "paper", "--config", "x.toml"], ["give only one"]),
         (["--config", "absent.toml"], ["absent.toml", "cannot be read"]),
         (["--spec", "always[0,99] gap >="], ["spec"]),

@@ -164,7 +164,7 @@ def test_an_error_model_of_ones_own_travels_with_the_run(tiny, tmp_path, capsys,
     [
         ([], ["nothing to start from", "--preset"]),
         (["absent.toml"], ["absent.toml", "cannot be read"]),
-        (["--preset", "moon"], ["preset = 'moon'", "paper, town01"]),
+        (["--preset", "moon"], ["preset = 'moon'", "paper, paper-algorithm, town01"]),
         (["x.toml", "--preset", "paper"], ["give only one"]),
         (["--preset", "paper", "--vary", "alhpa=1"], ["did you mean alpha?"]),
         (["--preset", "paper", "--vary", "alpha=1,2"], ["vary alpha = 2.0", "at most 1"]),

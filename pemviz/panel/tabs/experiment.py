@@ -20,7 +20,8 @@ from pemviz.simulators.registry import simulator_names
 FIRST_PRESET = "paper"
 PRESET_HINT = (
     "Shipped configuration that fills in all controls and the scenario: paper (70 km/h, lead car "
-    "brakes at 0.3 g) or town01 (30 km/h, lead car brakes hard)."
+    "brakes at 0.3 g), town01 (30 km/h, lead car brakes hard), or paper-algorithm (paper, with the "
+    "paper's own method)."
 )
 RUN_HINT = "Run what is set up below. One experiment runs at a time; all browsers see it."
 STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
