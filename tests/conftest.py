@@ -14,7 +14,12 @@ settings.load_profile("repeatable")
 TESTS = Path(__file__).resolve().parent
 TOGETHER = {
     *("browser", "panel", "recording", "reproduce", "sweep"),
-    *("test_every_method.py", "test_judge.py", "test_kept_diagnostics.py", "test_store.py"),
+    *(
+        "test_every_method.py",
+        "test_interpretation.py",
+        "test_kept_diagnostics.py",
+        "test_store.py",
+    ),
 }
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

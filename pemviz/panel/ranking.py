@@ -11,8 +11,8 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
 from pemviz.panel.run_data import RunData, signals_of
 from pemviz.runs.experiment import build_formula, build_metric
-from pemviz.sampling.adaptive.elite_threshold import elite_threshold
-from pemviz.sampling.adaptive.elite_threshold import elites as elites_of_stage
+from pemviz.sampling.elite_threshold import elite_threshold
+from pemviz.sampling.elite_threshold import elites as elites_of_stage
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 
@@ -87,7 +87,7 @@ def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:
     """Which rollouts ``[N]`` their stage would learn from under the ranking's metric.
 
     Every stage has a level gamma_kappa of its own, never below 0; see
-    :mod:`pemviz.sampling.adaptive.elite_threshold`.
+    :mod:`pemviz.sampling.elite_threshold`.
     """
     chosen = np.zeros(ranking.robustness.size, dtype=np.bool_)
     stages = np.stack([run.rollouts["repetition"], run.rollouts["stage"]], axis=1)

@@ -22,11 +22,11 @@ from pemviz.runs.events import (
     notify_all,
 )
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.runs.judge import (
-    Judged,
+from pemviz.runs.interpretation import (
+    Interpreted,
     beside_reference,
-    judge,
-    judge_repetition,
+    interpret,
+    interpret_repetition,
     with_memory_curve,
 )
 from pemviz.runs.memory import memory_of
@@ -115,7 +115,7 @@ class _Runner:
         self._observers = observers
         self._should_stop = should_stop
         self._began = time.perf_counter()
-        self._judged = Judged(_empty_result(experiment, run_id))
+        self._interpreted = Interpreted(_empty_result(experiment, run_id))
         self.complete = False
 
     def carry_out(self) -> None:
@@ -129,22 +129,22 @@ class _Runner:
                 pem=experiment.pem,
                 stages=experiment.method.stages,
                 planned_rollouts=experiment.planned_rollouts,
-                result=self._judged.result,
+                result=self._interpreted.result,
             ),
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
-        self._keep(with_memory_curve(self._judged.result, experiment=experiment))
-        self._keep(beside_reference(self._judged.result, experiment=experiment))
+        self._keep(with_memory_curve(self._interpreted.result, experiment=experiment))
+        self._keep(beside_reference(self._interpreted.result, experiment=experiment))
         self.complete = True
 
     def finish(self, status: Any) -> RunResult:
-        result = self._timed(replace(self._judged.result, status=status))
+        result = self._timed(replace(self._interpreted.result, status=status))
         notify_all(self._observers, RunDone(result=result))
         return result
 
     def fail(self, message: str) -> None:
-        result = self._timed(replace(self._judged.result, status="failed", message=message))
+        result = self._timed(replace(self._interpreted.result, status="failed", message=message))
         event = RunFailed(message=message, result=result)
         for observer in self._observers:
             # the observer that failed the run may fail again; the others must still hear
@@ -159,14 +159,18 @@ class _Runner:
             watched = replace(problem, progress=self._progress(repetition, stage))
             state, result = method.step(watched, state)
             self._tell_stage(result)
-            for judged in judge(self._judged, experiment=self._experiment, stage=result):
-                self._judged = judged
+            for interpreted in interpret(
+                self._interpreted, experiment=self._experiment, stage=result
+            ):
+                self._interpreted = interpreted
             stage += 1
-        self._judged = judge_repetition(self._judged, experiment=self._experiment, state=state)
+        self._interpreted = interpret_repetition(
+            self._interpreted, experiment=self._experiment, state=state
+        )
         estimate = method.estimate(state)
-        estimates = (*self._judged.result.repetitions, estimate)
+        estimates = (*self._interpreted.result.repetitions, estimate)
         result = replace(
-            self._judged.result,
+            self._interpreted.result,
             repetitions=estimates,
             estimate=summarise_repetitions(estimates),
         )
@@ -200,13 +204,13 @@ class _Runner:
 
     def _tell_stage(self, stage: StageResult) -> None:
         frozen = replace(stage, scored=stage.scored.map(read_only))
-        result = self._keep(with_stage(self._judged.result, frozen))
+        result = self._keep(with_stage(self._interpreted.result, frozen))
         notify_all(self._observers, StageDone(stage=frozen, result=result))
 
     def _keep(self, result: RunResult) -> RunResult:
         """Keep what is known by now, with the time that it took."""
         timed = self._timed(result)
-        self._judged = replace(self._judged, result=timed)
+        self._interpreted = replace(self._interpreted, result=timed)
         return timed
 
     def _timed(self, result: RunResult) -> RunResult:

@@ -46,7 +46,7 @@ def carry_out(
         RunError: The run failed.
     """
     with run_lock(folder):
-        check_same_run(experiment, folder)
+        check_resumable(experiment, folder)
         archive = Archive(folder, experiment.problem.simulator.signals)
         problem = replace(experiment.problem, finished=archive)
         return run(
@@ -72,7 +72,7 @@ def run_lock(folder: Path) -> Generator[None, None, None]:
         yield
 
 
-def check_same_run(experiment: Experiment, folder: Path) -> None:
+def check_resumable(experiment: Experiment, folder: Path) -> None:
     """Refuse to go on with other settings or another error model; warn of other versions.
 
     Raises:

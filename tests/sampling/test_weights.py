@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pemviz.sampling.adaptive.elite_threshold import elite_threshold, elites
+from pemviz.sampling.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.importance_weights import (
     effective_sample_size,
     largest_share,

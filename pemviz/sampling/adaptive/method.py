@@ -22,7 +22,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import GapNetwork, gap_network_from_arrays
 from pemviz.proposals.gap_network_fit import fit_gap_network, initial_gap_network, pool_outcomes
-from pemviz.sampling.adaptive.elite_threshold import elite_threshold, elites
+from pemviz.sampling.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.method import importance_stage_figures, network_seed, sample_stage

@@ -14,7 +14,7 @@ from pemviz.proposals.offset_logistic_fit import (
     fit_offset_logistic,
     leave_one_out_loss,
 )
-from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
+from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, smoothed_weights
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
 from pemviz.sampling.mixture.levels import Elites, failing_elites, guided_elites

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import fit_offset_logistic
-from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
+from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size
 from pemviz.sampling.mixture.balance_heuristic import Pool, log_ratios
 from pemviz.sampling.mixture.fit import (

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
+from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 
 LARGEST_SHARE = 0.5
 """Of the probability under the error model that elites have between them."""

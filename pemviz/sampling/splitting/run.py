@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from pemviz.arrays import BoolArray, IntArray
-from pemviz.sampling.adaptive.elite_threshold import VIOLATION_THRESHOLD
+from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.splitting.particles import Particles, draw_particles, restarted
 from pemviz.types import ScoredRollouts

@@ -56,7 +56,7 @@ class _Weighed:
 
 
 @dataclass(frozen=True)
-class Judged:
+class Interpreted:
     """A result with what it means, as far as a run has come.
 
     Attributes:
@@ -75,14 +75,16 @@ class Judged:
     of_repetitions: tuple[_Weighed, ...] = ()
 
 
-def judge(judged: Judged, *, experiment: Experiment, stage: StageResult) -> Iterator[Judged]:
+def interpret(
+    interpreted: Interpreted, *, experiment: Experiment, stage: StageResult
+) -> Iterator[Interpreted]:
     """Judge a finished stage; only final rollouts that carry weights say something.
 
     Yields what is known after each step, so that a run that is stopped within a long one keeps
     those before.
 
     Args:
-        judged: All before; its result has the stage's summary already.
+        interpreted: All before; its result has the stage's summary already.
         experiment: What is run; its problem's ``pause`` may raise to stop.
         stage: The stage with its rollouts.
     """
@@ -90,20 +92,20 @@ def judge(judged: Judged, *, experiment: Experiment, stage: StageResult) -> Iter
         return
     pools = isinstance(experiment.method, PoolsStages)
     if stage.kind == "final" or pools:
-        judged = _asked_of_families(judged, experiment, stage)
+        interpreted = _asked_of_families(interpreted, experiment, stage)
     if stage.kind != "final":
         if pools:
-            yield judged
+            yield interpreted
         return
     for step in (_explained, _asked_of_members, _compared_with_data):
-        judged = step(judged, experiment, stage)
-        yield judged
+        interpreted = step(interpreted, experiment, stage)
+        yield interpreted
 
 
-def _explained(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
+def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageResult) -> Interpreted:
     """Of a final batch in parts, the part with most failures explains best."""
-    if any(part.failures >= stage.failures for part in _parts_before(judged.result, stage)):
-        return judged
+    if any(part.failures >= stage.failures for part in _parts_before(interpreted.result, stage)):
+        return interpreted
     explanation = explain(
         stage,
         features=experiment.features,
@@ -111,10 +113,10 @@ def _explained(judged: Judged, experiment: Experiment, stage: StageResult) -> Ju
         target=experiment.config.target,
     )
     if explanation is None:
-        return judged
+        return interpreted
     if memory_of_pem(experiment.pem).tau_s > 0.0:
         explanation = replace(explanation, sensitivity=_untold(explanation.sensitivity))
-    return replace(judged, result=replace(judged.result, explanation=explanation))
+    return replace(interpreted, result=replace(interpreted.result, explanation=explanation))
 
 
 def _untold(rows: tuple[BandSensitivity, ...]) -> tuple[BandSensitivity, ...]:
@@ -122,63 +124,71 @@ def _untold(rows: tuple[BandSensitivity, ...]) -> tuple[BandSensitivity, ...]:
     return tuple(replace(row, elasticity=None) for row in rows)
 
 
-def _asked_of_members(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
+def _asked_of_members(
+    interpreted: Interpreted, experiment: Experiment, stage: StageResult
+) -> Interpreted:
     """The answers of the ensemble's models, from as many failures as are enough."""
-    result, ensemble = judged.result, experiment.ensemble
+    result, ensemble = interpreted.result, experiment.ensemble
     before = sum(part.failures for part in _parts_before(result, stage))
     if ensemble is None or before >= ENOUGH_FAILURES:
-        return judged
+        return interpreted
     simulator = experiment.problem.simulator
     answers = member_estimates(stage.scored, simulator=simulator, ensemble=ensemble)
-    members = (*judged.members, answers)
+    members = (*interpreted.members, answers)
     if any(part.failures for part in result.stages if part.kind == "final"):
         result = replace(result, pem_interval=model_interval(members))
-    return replace(judged, result=result, members=members)
+    return replace(interpreted, result=result, members=members)
 
 
-def _asked_of_families(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
+def _asked_of_families(
+    interpreted: Interpreted, experiment: Experiment, stage: StageResult
+) -> Interpreted:
     """What other families of models make of the stage's violations."""
     if not experiment.families:
-        return judged
+        return interpreted
     weighed = _Weighed(
         family_ratios(
             stage.scored, simulator=experiment.problem.simulator, families=experiment.families
         ),
         stage.scored.rollouts.log_weight,
     )
-    return replace(judged, of_repetition=(*judged.of_repetition, weighed))
+    return replace(interpreted, of_repetition=(*interpreted.of_repetition, weighed))
 
 
-def judge_repetition(judged: Judged, *, experiment: Experiment, state: Any) -> Judged:
+def interpret_repetition(
+    interpreted: Interpreted, *, experiment: Experiment, state: Any
+) -> Interpreted:
     """The answers of other families of models, once a repetition is done.
 
     Args:
-        judged: All before, with every stage of the repetition.
+        interpreted: All before, with every stage of the repetition.
         experiment: What is run.
         state: The method's, after its last stage.
     """
-    if not judged.of_repetition:
-        return judged
-    weighed, method = _Weighed.concatenate(judged.of_repetition), experiment.method
+    if not interpreted.of_repetition:
+        return interpreted
+    weighed, method = _Weighed.concatenate(interpreted.of_repetition), experiment.method
     if isinstance(method, PoolsStages):
         weighed = replace(weighed, log_weight=method.pooled_log_weight(state))
-    of_repetitions = (*judged.of_repetitions, weighed)
+    of_repetitions = (*interpreted.of_repetitions, weighed)
     pooled = _Weighed.concatenate(of_repetitions)
     families = family_answers(
         pooled.ratios, families=experiment.families, log_weight=pooled.log_weight
     )
     return replace(
-        judged,
-        result=replace(judged.result, families=families),
+        interpreted,
+        result=replace(interpreted.result, families=families),
         of_repetition=(),
         of_repetitions=of_repetitions,
     )
 
 
-def _compared_with_data(judged: Judged, experiment: Experiment, stage: StageResult) -> Judged:
+def _compared_with_data(
+    interpreted: Interpreted, experiment: Experiment, stage: StageResult
+) -> Interpreted:
     """Once a run: where the model extrapolates, and what its data alone allow."""
-    if len(judged.result.warnings) > len(experiment.warnings):
-        return judged
+    if len(interpreted.result.warnings) > len(experiment.warnings):
+        return interpreted
     problem = experiment.problem
     warnings = (
         *experiment.warnings,
@@ -194,7 +204,9 @@ def _compared_with_data(judged: Judged, experiment: Experiment, stage: StageResu
             "the training data alone, without the model's guesses, allow a failure "
             f"probability up to {bound.probability:.1g} ({bound.confidence:.0%})",
         )
-    return replace(judged, result=replace(judged.result, warnings=warnings, data_bound=bound))
+    return replace(
+        interpreted, result=replace(interpreted.result, warnings=warnings, data_bound=bound)
+    )
 
 
 def _parts_before(result: RunResult, stage: StageResult) -> list[StageSummary]:

@@ -12,7 +12,7 @@ from pemviz.reports.gate import decide_run
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.judge import Judged, beside_reference, judge
+from pemviz.runs.interpretation import Interpreted, beside_reference, interpret
 from pemviz.runs.result import with_stage
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.method import final_stage
@@ -67,13 +67,13 @@ def part(heard):
     return make
 
 
-def judged_after(stages, *, experiment, empty):
-    judged = Judged(empty)
+def interpreted_after(stages, *, experiment, empty):
+    interpreted = Interpreted(empty)
     for stage in stages:
-        judged = replace(judged, result=with_stage(judged.result, stage))
-        for found in judge(judged, experiment=experiment, stage=stage):
-            judged = found
-    return judged
+        interpreted = replace(interpreted, result=with_stage(interpreted.result, stage))
+        for found in interpret(interpreted, experiment=experiment, stage=stage):
+            interpreted = found
+    return interpreted
 
 
 def explanation_of(stage, experiment):
@@ -92,7 +92,7 @@ def test_the_part_with_most_failures_explains_the_first_of_equals(
     experiment, heard, part, failures, best
 ):
     stages = [part(failures=count, stage=stage) for stage, count in enumerate(failures)]
-    found = judged_after(stages, experiment=experiment, empty=heard.empty).result
+    found = interpreted_after(stages, experiment=experiment, empty=heard.empty).result
     assert found.explanation == explanation_of(stages[best], experiment)
     assert found.explanation is not None
 
@@ -104,27 +104,27 @@ def test_the_last_repetition_with_a_failure_explains_by_its_own_best_part(experi
         part(failures=5, stage=1, repetition=1),
         part(failures=0, stage=0, repetition=2),
     ]
-    found = judged_after(stages, experiment=experiment, empty=heard.empty).result
+    found = interpreted_after(stages, experiment=experiment, empty=heard.empty).result
     assert found.explanation == explanation_of(stages[2], experiment)
     assert found.explanation.repetition == 1
 
 
 def test_other_models_answer_for_all_parts_together(experiment, heard, part):
     stages = [part(failures=4, stage=0), part(failures=9, stage=1)]
-    judged = judged_after(stages, experiment=experiment, empty=heard.empty)
+    interpreted = interpreted_after(stages, experiment=experiment, empty=heard.empty)
     simulator, ensemble = experiment.problem.simulator, experiment.ensemble
     each = [
         member_estimates(stage.scored, simulator=simulator, ensemble=ensemble) for stage in stages
     ]
-    assert judged.result.pem_interval == model_interval(each)
-    for found, expected in zip(judged.members, each, strict=True):
+    assert interpreted.result.pem_interval == model_interval(each)
+    for found, expected in zip(interpreted.members, each, strict=True):
         np.testing.assert_array_equal(found.log_mu, expected.log_mu)
 
 
 def test_a_step_changes_nothing_that_it_was_given(experiment, heard, part):
     stage = part(failures=5, stage=0)
-    before = Judged(with_stage(heard.empty, stage))
-    first, second = (list(judge(before, experiment=experiment, stage=stage)) for _ in range(2))
+    before = Interpreted(with_stage(heard.empty, stage))
+    first, second = (list(interpret(before, experiment=experiment, stage=stage)) for _ in range(2))
     assert before.result.explanation is None
     assert before.members == ()
     assert first[-1].result == second[-1].result
@@ -135,11 +135,11 @@ def test_a_step_changes_nothing_that_it_was_given(experiment, heard, part):
 
 def test_what_learns_or_carries_no_weights_says_nothing(experiment, heard, part):
     stage, splitting = part(failures=5, stage=0), replace(CONFIG, method="splitting")
-    judged = Judged(with_stage(heard.empty, stage))
+    interpreted = Interpreted(with_stage(heard.empty, stage))
     learned = replace(stage, kind="learn")
     unweighted = build_experiment(splitting)
-    assert list(judge(judged, experiment=experiment, stage=learned)) == []
-    assert list(judge(judged, experiment=unweighted, stage=stage)) == []
+    assert list(interpret(interpreted, experiment=experiment, stage=learned)) == []
+    assert list(interpret(interpreted, experiment=unweighted, stage=stage)) == []
 
 
 def test_a_stop_keeps_the_steps_before(experiment):
