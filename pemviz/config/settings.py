@@ -150,9 +150,6 @@ class ExperimentConfig:
         if DEVICES.fullmatch(self.device) is None:
             message = f"device = {self.device!r}: must be cpu, torch-cpu, cuda or cuda:N"
             raise ConfigError(message)
-        if self.target is not None and self.memory_s > 0.0:
-            message = f"target = {self.target:g}: must be left out where memory_s is above 0"
-            raise ConfigError(message)
         if not self.simulator.strip():
             message = f"simulator = '': must be {' or '.join(SHIPPED_SIMULATORS)} or registered"
             raise ConfigError(message)

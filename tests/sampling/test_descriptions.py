@@ -32,7 +32,7 @@ COMMON = {"seed"}
 """What every method looks at."""
 NOT_THE_METHODS = {
     "method", "metric", "spec", "pem", "simulator", "device", "smooth_beta_per_m", "repetitions",
-    "batch_time_limit_s", "reference", "target", "scenario", "memory_s",
+    "batch_time_limit_s", "reference", "target", "scenario", "memory_s", "memory_curve",
 }  # fmt: skip
 
 
