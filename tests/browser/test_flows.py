@@ -132,9 +132,16 @@ def test_start_shows_a_run_and_every_tab_has_content(open_page, shots, first_run
     assert len(canvas.screenshot()) > 20_000
 
 
-def test_paper_runs_end_to_end(open_page, shots):
+@pytest.mark.parametrize(
+    ("preset", "counts"),
+    [
+        ("paper", re.compile(r"\d{3} of 1200 rollouts violate, 1200 simulated")),
+        ("paper-algorithm", "86 of 100 rollouts violate, 1200 simulated"),
+    ],
+)
+def test_paper_runs_end_to_end(open_page, shots, preset, counts):
     page = open_page()
-    choose(page, "Preset", "paper")
+    choose(page, "Preset", preset)
     run(page)
     page.get_by_text(re.compile(r"Stage \d+ of 11: .* rollouts")).wait_for()
     assert page.get_by_role("button", name="Run", exact=True).is_disabled()
@@ -143,13 +150,14 @@ def test_paper_runs_end_to_end(open_page, shots):
     page.screenshot(path=shots / "paper-running.png")
     expect_done(page)
     page.get_by_text(re.compile(r"P\(violation\) = [\d.]+ × 10⁻¹⁵")).wait_for()
-    page.get_by_text("86 of 100 rollouts violate, 1200 simulated").wait_for()
+    page.get_by_text(counts).wait_for()
     legend(page, "proposal after stage 10").wait_for()
-    page.screenshot(path=shots / "paper-done.png")
+    page.screenshot(path=shots / f"{preset}-done.png")
 
 
 def test_metric_alpha_and_sigma_change_the_curves(open_page, shots, panel):
     page = open_page()
+    choose(page, "Preset", "paper-algorithm")
     curves = []
     for change in (
         lambda: None,
