@@ -24,8 +24,8 @@ from pemviz.arrays import FloatArray
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import RunResult, StageSummary
-from pemviz.runs.trust import reference_diagnostics
-from pemviz.sampling.bursts.curve import MEASURED_S, memory_curve
+from pemviz.runs.trust import reference_diagnostics, run_interval_caveats
+from pemviz.sampling.bursts.curve import MEASURED_S, CurvePoint, memory_curve
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model, without_memory
 from pemviz.sampling.method import PoolsStages
 from pemviz.sampling.problem import nothing_finished
@@ -240,7 +240,17 @@ def with_memory_curve(result: RunResult, *, experiment: Experiment) -> RunResult
         seed=config.seed,
         also_s=(memory.tau_s, *measured, *MEASURED_S.values()),
     )
-    return replace(result, memory=replace(memory, curve=curve))
+    own = _own_point(result, tau_s=memory.tau_s)
+    points = tuple(own if own and point.tau_s == own.tau_s else point for point in curve)
+    return replace(result, memory=replace(memory, curve=points))
+
+
+def _own_point(result: RunResult, *, tau_s: float) -> CurvePoint | None:
+    """The answer as a point of the curve: it is the better one, where its interval holds."""
+    answer = result.estimate
+    if answer is None or answer.ci_low is None or run_interval_caveats(result):
+        return None
+    return CurvePoint(tau_s, answer.probability, answer.ci_low, answer.ci_high, answer.ess)
 
 
 def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
