@@ -81,7 +81,7 @@ class FamilyRatios(Batch):
 
 
 def family_ratios(
-    scored: ScoredRollouts, *, simulator: Simulator, families: Sequence[Pem], first: int = 0
+    scored: ScoredRollouts, *, simulator: Simulator, families: Sequence[Pem]
 ) -> FamilyRatios:
     """What ``families`` make of a stage's violations, of many an evenly spaced part.
 
@@ -89,7 +89,6 @@ def family_ratios(
         scored: A stage's rollouts.
         simulator: That they come from.
         families: F models.
-        first: How many rollouts came before the stage.
     """
     violations = np.flatnonzero(scored.violated)
     count = violations.size
@@ -103,7 +102,7 @@ def family_ratios(
         for model in families
     ]
     return FamilyRatios(
-        rollout=first + violations,
+        rollout=violations,
         log_ratio=np.stack(columns, axis=1),
         log_stands_for=np.full(
             violations.size, math.log(count / violations.size) if count else 0.0

@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 from scipy.special import expit
 
+from pemviz.bench.trust_systems import TwoWayWalk
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.proposals.pilots import PilotFamily, raised
@@ -23,10 +24,10 @@ from pemviz.sampling.rollouts.draw import replay, simulate
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
-from tests.sampling.two_ways import TwoWays, probabilities
+from tests.sampling.two_ways import probabilities
 
-LATE = TwoWays(watched=tuple(range(12, 19)), states=20, initial_gap=7)
-EARLY = TwoWays(watched=tuple(range(6)), still=6, states=24, initial_gap=5)
+LATE = TwoWayWalk(watched=tuple(range(12, 19)), states=20, initial_gap=7)
+EARLY = TwoWayWalk(watched=tuple(range(6)), still=6, states=24, initial_gap=5)
 
 
 def problem_of(simulator, pem, **options):
@@ -60,7 +61,7 @@ def all_chains(steps):
 
 def test_two_ways_by_enumeration():
     """All 2^12 chains of outcomes against the forward recursion."""
-    toy = TwoWays(watched=(0, 1, 2, 3), still=4, states=13, initial_gap=5)
+    toy = TwoWayWalk(watched=(0, 1, 2, 3), still=4, states=13, initial_gap=5)
     pem, chains = ToyPem(at_zero=3.0), all_chains(12)
     gaps = replay(simulator=toy, detected=chains)["gap"]
     before = {"gap": gaps[:, :-1]}

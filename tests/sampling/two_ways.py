@@ -1,70 +1,13 @@
-"""A walk that fails in two ways, of which robustness shows one; its probability is exact.
-
-The walk fails where its gap arrives at 0, as the toy's does. It also fails, at its last state and
-without a sign before, if perception missed at all of some steps: a chain to which nothing that
-robustness or a signal shows leads.
-"""
-
-from collections.abc import Mapping
-from dataclasses import dataclass
+"""The exact probability of a walk that fails in two ways, of which robustness shows one."""
 
 import numpy as np
 from scipy.special import expit
 
-from pemviz.types import Signal, StateBatch
-from tests.lattice_walk import GAP, ToyPem
-
-UNSEEN = "unseen"
+from pemviz.bench.trust_systems import TwoWayWalk
+from tests.lattice_walk import ToyPem
 
 
-@dataclass(frozen=True, kw_only=True)
-class TwoWays:
-    """The walk.
-
-    Attributes:
-        watched: If all of these steps were missed, the gap is 0 at the last state.
-        still: Before this step the gap does not move.
-        initial_gap: Where the walk starts.
-        largest_gap: Detections do not lead beyond it.
-        states: States in a rollout.
-    """
-
-    watched: tuple[int, ...]
-    still: int = 0
-    initial_gap: int = 6
-    largest_gap: int = 8
-    states: int = 19
-
-    name = "two-ways"
-    dt_s = 1.0
-
-    @property
-    def signals(self):
-        return (Signal(name=GAP, key="gap_m", unit="m", low=0.0, high=float(self.largest_gap)),)
-
-    def initial(self, *, count: int) -> StateBatch:
-        return StateBatch(
-            step=np.zeros((), dtype=np.int64),
-            signals={GAP: np.full(count, float(self.initial_gap))},
-            memory={UNSEEN: np.ones(count, dtype=np.bool_)},
-        )
-
-    def step(self, states: StateBatch, detected) -> StateBatch:
-        step = int(states.step)
-        gap, unseen = states.signals[GAP], states.memory[UNSEEN]
-        if step >= self.still:
-            gap = np.minimum(gap + np.where(detected, 1.0, -1.0), float(self.largest_gap))
-        if step in self.watched:
-            unseen = unseen & ~detected
-        if step == self.states - 2:
-            gap = np.where(unseen, 0.0, gap)
-        return StateBatch(step=states.step + 1, signals={GAP: gap}, memory={UNSEEN: unseen})
-
-    def salient(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
-        return signals[GAP][..., None]
-
-
-def probabilities(toy: TwoWays, pem: ToyPem) -> tuple[float, float]:
+def probabilities(toy: TwoWayWalk, pem: ToyPem) -> tuple[float, float]:
     """Of arriving at 0 before the last state or there by a miss, and of failing at all.
 
     Forward over the gaps, for rollouts that were missed at all watched steps and for others.
