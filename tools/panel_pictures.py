@@ -3,8 +3,9 @@
     python tools/panel_pictures.py --out FOLDER [--recordings recordings]
 
 Needs Chromium (``apt-get install chromium``), playwright and Pillow. The pictures show the newest
-run of the paper's method in the recordings folder, beside the newest one of ``mixture``; a run
-that is not there is made first.
+run of ``mixture`` in the recordings folder, beside the newest one of the paper's method; a run
+that is not there is made first. One picture shows the curve over memory times of the newest run of
+``value-twisted``.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from panel_timings import (
 )
 from playwright.sync_api import Page, sync_playwright
 
-VIEWPORT = {"width": 1200, "height": 760}
+VIEWPORT = {"width": 1200, "height": 960}
 PIXELS_A_POINT = 1.5
 COLORS = 160
 SHOWN_STEP = 50
@@ -42,8 +43,9 @@ def main() -> int:
     parser.add_argument("--browser", default="/usr/bin/chromium", help="Chromium's program")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    shown = newest(arguments.recordings, "adaptive", "--reference")
-    other = newest(arguments.recordings, "mixture")
+    shown = newest(arguments.recordings, "mixture", "--reference")
+    other = newest(arguments.recordings, "adaptive")
+    curve = newest(arguments.recordings, "value-twisted", "--memory-curve")
     with sync_playwright() as playwright, server(arguments.recordings) as address:
         browser = playwright.chromium.launch(executable_path=arguments.browser, args=ARGUMENTS)
         context = browser.new_context(viewport=VIEWPORT, device_scale_factor=PIXELS_A_POINT)
@@ -52,6 +54,9 @@ def main() -> int:
         open_panel(page, address)
         close_notices(page)
         take_pictures(page, arguments.out, shown=shown, other=other)
+        load(page, curve)
+        page.locator("b", has_text=curve).first.evaluate("e => e.scrollIntoView()")
+        keep(page, arguments.out / "panel-memory.png")
         browser.close()
     return 0
 
@@ -77,9 +82,7 @@ def close_notices(page: Page) -> None:
 
 def take_pictures(page: Page, folder: Path, *, shown: str, other: str) -> None:
     """Show a run, and picture every tab."""
-    tab(page, "Recordings")
-    choose(page, "Run", shown)
-    press(page, "Load")
+    load(page, shown)
     page.get_by_role("button", name="Back to the latest run").wait_for()
     keep(page, folder / "panel-recordings.png")
     tab(page, "Experiment")
@@ -99,6 +102,14 @@ def take_pictures(page: Page, folder: Path, *, shown: str, other: str) -> None:
     keep(page, folder / "panel-why.png")
     page.get_by_text("Likeliest chains of misses").evaluate("e => e.scrollIntoView()")
     keep(page, folder / "panel-chains.png")
+
+
+def load(page: Page, run: str) -> None:
+    """Show a run of the recordings folder."""
+    tab(page, "Recordings")
+    choose(page, "Run", run)
+    press(page, "Load")
+    page.locator("b", has_text=run).first.wait_for()
 
 
 def scroll_to_end_of(page: Page, plot: str) -> None:

@@ -122,12 +122,13 @@ def _memory(result: RunResult) -> Rung:
     curve = () if result.memory is None else result.memory.curve
     lows = [point.low for point in curve if point.low is not None]
     highs = [point.high for point in curve if point.high is not None]
-    reach = f" from {curve[0].tau_s:g} to {curve[-1].tau_s:g} s" if curve else ""
-    assumed = f"{tau_s:g} s" if tau_s > 0.0 else "none"
+    assumed = f"{tau_s:g} s assumed" if tau_s > 0.0 else "none assumed"
+    if curve:
+        assumed = f"{curve[0].tau_s:g} to {curve[-1].tau_s:g} s"
     measured = "" if own is None else f"measured {own.tau_s:.2g} s"
     return Rung(
         kind="memory",
-        name=f"memory of misses{reach}, {assumed} assumed",
+        name=f"memory of misses, {assumed}",
         low=min(lows, default=None),
         high=max(highs, default=None),
         note=measured,

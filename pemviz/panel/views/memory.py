@@ -10,6 +10,7 @@ from pemviz.panel.views.html import warning
 from pemviz.reports.memory_curve import assumption_line, measured_names
 from pemviz.runs.memory import RunMemory
 
+X_LABEL = "memory time [s]; whiskers: intervals, about 90 %"
 TICKS_S = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 WIDTH, HEIGHT = 400, 170
 
@@ -28,11 +29,11 @@ def _plot(memory: RunMemory) -> str:
         return ""
     low = min(math.log10(point.low or 1.0) for point in points)
     plot = Plot(
-        x=Axis(0.0, 1.02 * max(p.tau_s for p in points), "memory time [s]", ticks=TICKS_S),
+        x=Axis(0.0, 1.02 * max(p.tau_s for p in points), X_LABEL, ticks=TICKS_S),
         y=Axis(low - 0.5, 0.2, "", log10=True),
         width=WIDTH,
         height=HEIGHT,
-        title="P(violation) if misses come in bursts; whiskers: intervals, about 90 %",
+        title="P(violation) if misses come in bursts",
     )
     tau_s = np.array([point.tau_s for point in points])
     log10 = np.log10([point.probability for point in points])
@@ -44,5 +45,5 @@ def _plot(memory: RunMemory) -> str:
     for place, (measured_s, name) in enumerate(sorted(names.items())):
         plot.ticks_at(np.array([measured_s]), y_px=(plot.top, plot.bottom), color=PEM)
         words = f"{measured_s:.2g} s: {name}, on video"
-        plot.note(words, plot.px(measured_s) + 4.0, plot.bottom - 8.0 - 12.0 * place)
+        plot.note(words, plot.px(max(names)) + 4.0, plot.bottom - 8.0 - 12.0 * place)
     return plot.text()
