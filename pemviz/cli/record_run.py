@@ -2,8 +2,8 @@
 
 import json
 import sys
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pemviz.cli.interrupt import stop_on_signals
@@ -14,7 +14,7 @@ from pemviz.cli.workers import check_workers, with_workers
 from pemviz.errors import EXIT_DONE, EXIT_FAILED
 from pemviz.reports.gate import decide_run
 from pemviz.reports.writer import ReportWriter
-from pemviz.runs.events import Observer
+from pemviz.runs.events import Event, Observer, RunDone
 from pemviz.runs.experiment import Experiment, build_experiment, device_notes
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import has_result, result_document
@@ -47,13 +47,16 @@ def record(arguments: RecordArguments) -> int:
     with (
         stop_on_signals() as should_stop,
         progress_observer(quiet=arguments.json) as progress,
-        _recorder(arguments, experiment, folder) as recorders,
         with_workers(
             experiment, workers=arguments.workers, scheduler=arguments.scheduler
         ) as worked,
     ):
         result = carry_out(
-            worked, folder, observers=[*recorders, progress, reports], should_stop=should_stop
+            worked,
+            folder,
+            recorders=_recorders(arguments, experiment, folder),
+            observers=[progress, reports],
+            should_stop=should_stop,
         )
     if arguments.json:
         print(json.dumps(result_document(result), allow_nan=False))
@@ -65,30 +68,39 @@ def record(arguments: RecordArguments) -> int:
     return _gate(arguments, result)
 
 
-@contextmanager
-def _recorder(
+def _recorders(
     arguments: RecordArguments, experiment: Experiment, folder: Path
-) -> Generator[Sequence[Observer], None, None]:
+) -> Sequence[Observer]:
     """The observer that writes ``run.rrd``, if one is asked for.
 
     A resumed run's recording replaces the old one only when it is whole.
     """
     if arguments.no_recording:
-        yield ()
-        return
+        return ()
     from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
 
     path = folder / "run.rrd"
     written = path.with_name(".run.rrd.partial") if path.exists() else path
-    yield (
-        Recorder(
-            written,
-            frames=not arguments.no_frames and not experiment.is_own_system,
-            live_port=arguments.live,
-        ),
+    recorder = Recorder(
+        written,
+        frames=not arguments.no_frames and not experiment.is_own_system,
+        live_port=arguments.live,
     )
-    if written != path:
-        written.replace(path)
+    return (recorder if written == path else _Replacing(recorder, written, path),)
+
+
+@dataclass(frozen=True)
+class _Replacing:
+    """A recorder whose file takes the place of another one as soon as it is whole."""
+
+    recorder: Observer
+    written: Path
+    path: Path
+
+    def notify(self, event: Event) -> None:
+        self.recorder.notify(event)
+        if isinstance(event, RunDone):
+            self.written.replace(self.path)
 
 
 def _done_before(folder: Path) -> RunResult | None:

@@ -179,6 +179,7 @@ class Controller:
             carry_out(
                 experiment,
                 folder,
-                observers=[*observers, watcher],
+                recorders=observers,
+                observers=[watcher],
                 should_stop=self._stop.is_set,
             )

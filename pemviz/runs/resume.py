@@ -3,13 +3,13 @@
 import logging
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pemviz.errors import InputError
 from pemviz.files.locks import held
 from pemviz.runs.engine import run, versions
-from pemviz.runs.events import Observer
+from pemviz.runs.events import Event, Observer, RunDone, notify_all
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.finished_stages import Archive
 from pemviz.runs.result import RunResult
@@ -21,10 +21,23 @@ LOG = logging.getLogger(__name__)
 LOCK = ".lock"
 
 
+@dataclass(frozen=True)
+class _DoneLast:
+    """Tells the folder first, but that the run is done last: a kill may come in between."""
+
+    store: Observer
+    recorders: Sequence[Observer]
+
+    def notify(self, event: Event) -> None:
+        done = isinstance(event, RunDone) and event.result.status == "done"
+        notify_all([*self.recorders, self.store] if done else [self.store, *self.recorders], event)
+
+
 def carry_out(
     experiment: Experiment,
     folder: Path,
     *,
+    recorders: Sequence[Observer] = (),
     observers: Sequence[Observer] = (),
     should_stop: Callable[[], bool] = lambda: False,
 ) -> RunResult:
@@ -37,6 +50,8 @@ def carry_out(
         experiment: What to run; for a folder with stages in it, the experiment of its
             ``config.toml``.
         folder: The run folder; it exists already, and its name is the run's.
+        recorders: Write further files of the run; told of everything after the folder has it, but
+            for the end: a folder says that a run is done once they are whole.
         observers: Told of everything that happens, after the folder has it.
         should_stop: Asked between batches of rollouts.
 
@@ -52,7 +67,7 @@ def carry_out(
         return run(
             replace(experiment, problem=problem),
             run_id=folder.name,
-            observers=[RunStore(folder, archive=archive), *observers],
+            observers=[_DoneLast(RunStore(folder, archive=archive), recorders), *observers],
             should_stop=should_stop,
         )
 

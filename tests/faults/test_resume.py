@@ -11,7 +11,7 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError, RunError
 from pemviz.reports.writer import ReportWriter
-from pemviz.runs.events import StageDone
+from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out, run_lock
 from pemviz.runs.rollout_files import load_rollouts
@@ -83,6 +83,39 @@ def test_stopping_while_it_reads_back_loses_nothing(stop_after, tmp_path):
     result = carry_out(experiment, tmp_path, observers=[again], should_stop=again)
     assert result.status == "stopped"
     assert contents(tmp_path) == before
+
+
+class EndsBefore:
+    """A recorder that dies, as by a kill, before what it writes is whole."""
+
+    def __init__(self, folder):
+        self.folder, self.said = folder, None
+
+    def notify(self, event):
+        if isinstance(event, RunDone):
+            self.said = json.loads((self.folder / "result.json").read_text())["status"]
+            raise KeyboardInterrupt
+
+
+def test_a_run_is_done_once_its_recording_is_whole(tmp_path):
+    experiment = build_experiment(replace(SMALL, repetitions=1))
+    whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
+    carry_out(experiment, whole)
+    recorder = EndsBefore(parts)
+    with pytest.raises(KeyboardInterrupt):
+        carry_out(experiment, parts, recorders=[recorder])
+    assert recorder.said == "stopped"
+    assert contents(parts)["result"]["status"] == "stopped"
+    assert carry_out(experiment, parts).status == "done"
+    assert contents(parts) == contents(whole)
+
+
+def test_a_resumed_runs_recording_takes_the_old_ones_place(tmp_path):
+    (tmp_path / "config.toml").write_text(config_text(replace(SMALL, repetitions=1)))
+    (tmp_path / "run.rrd").write_bytes(b"cut off")
+    assert record.run(["--resume", str(tmp_path), "--no-frames", "--json"]) == EXIT_DONE
+    assert (tmp_path / "run.rrd").stat().st_size > 10_000
+    assert list(tmp_path.glob(".*partial")) == []
 
 
 def test_finished_stages_are_not_simulated_again(tmp_path):
