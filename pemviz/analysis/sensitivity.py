@@ -2,7 +2,11 @@
 
 If misses in a band of distances were ``f`` times as likely, a violating rollout would be
 ``f^misses * product over hits of (1 - f p) / (1 - p)`` times as likely, with p the model's
-probability of a miss at each step: no new rollouts are needed.
+probability of a miss at each step: no new rollouts are needed. With a memory the factors are those
+of :mod:`pemviz.analysis.outcome_likelihood`, p stays the model's own, in the state alone, and the
+memory time has a sensitivity too. The derivative of the log of the failure probability is the mean
+over violations of the derivative of their log likelihood (the score function; Rubinstein 1989,
+Operations Research 37:72).
 """
 
 import itertools
@@ -12,9 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import expit
 
 from pemviz.analysis.causes import Failures
+from pemviz.analysis.outcome_likelihood import (
+    IndependentOutcomes,
+    OutcomeLikelihood,
+    RememberedOutcomes,
+)
 from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.config.ranges import AtLeastZero
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
@@ -49,6 +57,29 @@ class BandSensitivity:
     warning: str | None = None
 
 
+@dataclass(frozen=True)
+class MemorySensitivity:
+    """What a shorter memory, and so shorter bursts of misses, would bring.
+
+    Attributes:
+        tau_s: The memory time that the answer is for [s].
+        elasticity: d log(failure probability) / d log(tau), with P(missed | state) as it is: a
+            memory ten per cent shorter brings about ``elasticity`` times ten per cent fewer
+            failures. ``None`` as in :class:`BandSensitivity`.
+        target_tau_s: Memory time at which the failure probability meets the target [s]; ``None``
+            without a target, or if even 1e-6 of ``tau_s`` does not suffice. ``tau_s`` where the
+            target is met already.
+        target_ess: As in :class:`BandSensitivity`.
+        warning: As in :class:`BandSensitivity`.
+    """
+
+    tau_s: AtLeastZero
+    elasticity: float | None
+    target_tau_s: AtLeastZero | None
+    target_ess: AtLeastZero | None
+    warning: str | None = None
+
+
 def band_sensitivities(
     failures: Failures,
     *,
@@ -56,6 +87,7 @@ def band_sensitivities(
     edges: Sequence[float],
     target: float | None = None,
     signal: str = "gap",
+    likelihood: OutcomeLikelihood | None = None,
 ) -> tuple[BandSensitivity, ...]:
     """Sensitivity for all distances together, then for each band.
 
@@ -65,67 +97,104 @@ def band_sensitivities(
         edges: Of the bands, ascending [m].
         target: Failure probability to get below, above 0; ``None``: no target.
         signal: The distance.
+        likelihood: That of the violations' outcomes; ``None``: they are independent.
     """
+    likelihood = likelihood or IndependentOutcomes.of(failures.rollouts)
     signals = failures.rollouts.decision_states().signals
     aim = (log_probability, target)
-    rows = [_sensitivity(failures, failures.deciding, (None, None), *aim)]
+    rows = [_sensitivity(failures, likelihood, failures.deciding, (None, None), aim)]
     for low, high in itertools.pairwise(edges):
         value = signals[signal]
         inside = failures.deciding & (value >= low) & (value < high)
-        rows.append(_sensitivity(failures, inside, (low, high), *aim))
+        rows.append(_sensitivity(failures, likelihood, inside, (low, high), aim))
     return tuple(rows)
 
 
-def log_change(failures: Failures, inside: BoolArray, *, factor: float) -> FloatArray:
-    """Log likelihood ratios ``[M]`` if misses ``inside [M, T-1]`` were ``factor`` times as likely.
+def memory_sensitivity(
+    failures: Failures,
+    likelihood: RememberedOutcomes,
+    *,
+    log_probability: float,
+    target: float | None = None,
+) -> MemorySensitivity:
+    """Sensitivity to the memory time.
 
-    ``factor`` must be in (0, 1].
+    Args:
+        failures: Weighted violations; steps that do not decide do not count.
+        likelihood: That of their outcomes.
+        log_probability: Log of the failure probability [nats].
+        target: Failure probability to get below, above 0; ``None``: no target.
     """
-    miss = expit(-failures.rollouts.pem_logit)
-    missed = ~failures.rollouts.detected
-    with np.errstate(divide="ignore", invalid="ignore"):  # where a miss is certain
-        hits = np.log1p(-factor * miss) - np.log1p(-miss)
-    change = np.where(missed, math.log(factor), hits)
-    return row_sums(np.where(inside, change, 0.0))
+    tau_s = likelihood.tau_s
+    slope = _mean_sum(failures, likelihood.slope_of_tau(), failures.deciding)
+    elasticity = slope if math.isfinite(slope) else None
+    if target is None:
+        return MemorySensitivity(tau_s, elasticity, None, None)
+
+    def log_change(factor: float) -> FloatArray:
+        change = likelihood.log_change_of_tau(factor=factor)
+        return row_sums(np.where(failures.deciding, change, 0.0))
+
+    factor, ess, warning = _meeting(failures, log_change, log_probability, target)
+    if factor is None:
+        return MemorySensitivity(
+            tau_s, elasticity, None, None, "even without a memory the target is not met"
+        )
+    return MemorySensitivity(tau_s, elasticity, factor * tau_s, ess, warning)
 
 
 def _sensitivity(
     failures: Failures,
+    likelihood: OutcomeLikelihood,
     inside: BoolArray,
     band: tuple[float | None, float | None],
-    log_probability: float,
-    target: float | None,
+    aim: tuple[float, float | None],
 ) -> BandSensitivity:
-    elasticity = _elasticity(failures, inside)
+    """Of misses ``inside``; ``aim`` is the log of the failure probability, and the target."""
+    log_probability, target = aim
+    slope = _mean_sum(failures, likelihood.slope(), inside)
+    elasticity = slope if math.isfinite(slope) else None
     if target is None:
         return BandSensitivity(*band, elasticity, None, None)
+
+    def log_change(factor: float) -> FloatArray:
+        change = likelihood.log_change(factor=factor)
+        return row_sums(np.where(inside, change, 0.0))
+
+    factor, ess, warning = _meeting(failures, log_change, log_probability, target)
+    if factor is None:
+        warning = "even without misses here the target is not met"
+    return BandSensitivity(*band, elasticity, factor, ess, warning)
+
+
+def _mean_sum(failures: Failures, slope: FloatArray, inside: BoolArray) -> float:
+    """Mean over the failures of the sum of ``slope [M, T-1]`` over the steps ``inside``."""
+    with np.errstate(invalid="ignore"):  # a failure that the model holds to be impossible
+        return float(failures.share @ row_sums(np.where(inside, slope, 0.0)))
+
+
+def _meeting(
+    failures: Failures,
+    log_change: Callable[[float], FloatArray],
+    log_probability: float,
+    target: float,
+) -> tuple[float | None, float | None, str | None]:
+    """The factor that meets the target, the failures' effective sample size there, a warning."""
     log_share = np.log(np.maximum(failures.share, np.finfo(np.float64).tiny))
 
     def reweighted(log_factor: float) -> FloatArray:
-        return log_share + log_change(failures, inside, factor=math.exp(log_factor))
+        return log_share + log_change(math.exp(log_factor))
 
     def excess(log_factor: float) -> float:
         return log_probability + log_sum(reweighted(log_factor)) - math.log(target)
 
     log_factor = _root(excess)
     if log_factor is None:
-        return BandSensitivity(
-            *band, elasticity, None, None, "even without misses here the target is not met"
-        )
+        return None, None, None
     ess = effective_sample_size(reweighted(log_factor))
-    warning = (
-        "an extrapolation: few of the failures look like those left" if ess < SMALL_ESS else None
-    )
-    return BandSensitivity(*band, elasticity, math.exp(log_factor), ess, warning)
-
-
-def _elasticity(failures: Failures, inside: BoolArray) -> float | None:
-    """Mean over the failures of d log(likelihood) / d log(probability of a miss ``inside``)."""
-    miss = expit(-failures.rollouts.pem_logit)
-    with np.errstate(divide="ignore", invalid="ignore"):  # certain misses: no figure, no warning
-        slope = np.where(~failures.rollouts.detected, 1.0, -miss / (1.0 - miss))
-        elasticity = float(failures.share @ row_sums(np.where(inside, slope, 0.0)))
-    return elasticity if math.isfinite(elasticity) else None
+    few = ess < SMALL_ESS
+    warning = "an extrapolation: few of the failures look like those left" if few else None
+    return math.exp(log_factor), ess, warning
 
 
 def _root(excess: Callable[[float], float]) -> float | None:

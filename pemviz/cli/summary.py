@@ -10,6 +10,14 @@ from rich.table import Table
 
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
+from pemviz.reports.causes_text import (
+    BURST_COLUMNS,
+    BURST_TITLE,
+    SHOWN_MISSES,
+    burst_lines,
+    burst_rows,
+    causes_line,
+)
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
     interval_name,
@@ -31,7 +39,6 @@ from pemviz.sampling.estimates.trust import remedy
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
-SHOWN_MISSES = 0.005
 MOST_WARNINGS = 5
 
 
@@ -56,8 +63,10 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
         console.print(_ladder(result))
         if result.explanation is not None and (verbose or result.config.target is not None):
             console.print(_causes(result.explanation, target=result.config.target))
+            console.print(_bursts(result.explanation, target=result.config.target))
         elif result.explanation is not None:
-            console.print(causes_line(result.explanation), markup=False, soft_wrap=True)
+            for line in (causes_line(result.explanation), *burst_lines(result.explanation)):
+                console.print(line, markup=False, soft_wrap=True)
         for line in warning_lines(result, verbose=verbose):
             console.print(line, style="yellow", markup=False, soft_wrap=not verbose)
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
@@ -89,18 +98,6 @@ def _ladder(result: RunResult) -> Table:
     for row in ladder_rows(result):
         table.add_row(*row)
     return table
-
-
-def causes_line(explanation: Explanation) -> str:
-    """Where the misses of a violation lie, in one line."""
-    bands = [
-        f"{band.misses:.1f} at {band.low:g} to {band.high:g} m"
-        for band in explanation.misses_by_distance
-        if band.misses > SHOWN_MISSES
-    ]
-    total = sum(band.misses for band in explanation.misses_by_distance)
-    where = f" ({', '.join(bands)})" if bands else ""
-    return f"Misses in a violation: {total:.1f}{where}"
 
 
 def warning_lines(result: RunResult, *, verbose: bool) -> list[str]:
@@ -182,6 +179,16 @@ def _causes(explanation: Explanation, *, target: float | None) -> Table:
             row = _band_row(f"{misses.low:g} to {misses.high:g} m", misses.misses, band, target)
             table.add_row(*row)
     table.add_row(*_band_row("all", total, everywhere, target), end_section=True)
+    return table
+
+
+def _bursts(explanation: Explanation, *, target: float | None) -> Table:
+    """How misses hang together before a violation."""
+    table = Table(title=BURST_TITLE, title_justify="left")
+    for column in BURST_COLUMNS:
+        table.add_column(column)
+    for row in burst_rows(explanation, target=target):
+        table.add_row(*row)
     return table
 
 

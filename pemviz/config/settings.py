@@ -133,7 +133,8 @@ class ExperimentConfig:
     """Also compute the answer by the value-twisted reference, to compare with."""
     target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None
     """Failure probability to bring the system below: tells by which factor misses would have to
-    become rarer, for each distance band; above 0, at most 1."""
+    become rarer, for each distance band, and with memory_s to what the memory time would have to
+    fall; above 0, at most 1."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
 

@@ -9,6 +9,7 @@ from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
+from pemviz.reports.causes_text import BURST_COLUMNS, burst_rows, causes_line
 from pemviz.reports.escape import markdown_table
 from pemviz.reports.estimate_text import (
     REFITS,
@@ -43,7 +44,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         parts += _memory(result)
         parts.append(_model_range(result.pem_interval))
         parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
-        parts.append(_diagnostics(estimate))
+        parts += [*_causes(result), _diagnostics(estimate)]
     parts.append(_question(result))
     parts.append(
         "## How to read on\n"
@@ -142,6 +143,16 @@ def _memory(result: RunResult) -> list[str]:
         (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
     ]
     return [f"**{line}**", _table(CURVE_COLUMNS, rows)]
+
+
+def _causes(result: RunResult) -> list[str]:
+    """Where misses lie before a violation, and how they hang together."""
+    explanation = result.explanation
+    if explanation is None:
+        return []
+    rows = burst_rows(explanation, target=result.config.target)
+    table = [_table(BURST_COLUMNS, rows)] if rows else []
+    return [f"## Misses that cause it\n\n{causes_line(explanation)}", *table]
 
 
 def _scenario(config: ExperimentConfig) -> str:

@@ -6,6 +6,7 @@ from dataclasses import fields
 
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
+from pemviz.reports.causes_text import BURST_COLUMNS, burst_rows, causes_line
 from pemviz.reports.escape import markdown_block, markdown_code, markdown_table, markdown_text
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
@@ -48,7 +49,7 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
     if result.estimate is not None:
         parts += [*_memory(result), _answer(result, result.estimate), *_plot(result, gate)]
-        parts += _ladder(result)
+        parts += [*_ladder(result), *_causes(result)]
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
     parts.append(_details("Complete configuration", _config(result.config)))
     return "\n\n".join(parts) + "\n"
@@ -157,6 +158,16 @@ def _row(label: str, estimate: Estimate, *, caveats: Sequence[str]) -> IntervalR
 def _ladder(result: RunResult) -> list[str]:
     rows = [tuple(map(markdown_text, row)) for row in ladder_rows(result)]
     return [f"### {LADDER_TITLE}", markdown_table(LADDER_COLUMNS, rows)]
+
+
+def _causes(result: RunResult) -> list[str]:
+    """Where misses lie before a violation, and how they hang together."""
+    explanation = result.explanation
+    if explanation is None:
+        return []
+    parts = ["### Misses that cause it", causes_line(explanation)]
+    rows = burst_rows(explanation, target=result.config.target)
+    return [*parts, markdown_table(BURST_COLUMNS, rows)] if rows else parts
 
 
 def _warnings(result: RunResult) -> list[str]:

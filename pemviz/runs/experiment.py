@@ -166,9 +166,6 @@ def _named_parts(
     if own_pem is not None:
         config = replace(config, pem=own_pem.name)
     config.validate()
-    if config.target is not None and config.memory_s > 0.0:
-        message = f"target = {config.target:g}: must be left out where memory_s is above 0"
-        raise ConfigError(message)
     check_device(config.device)
     model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
     return config, model, own or build_back_end(config)

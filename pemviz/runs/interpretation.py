@@ -19,7 +19,6 @@ from pemviz.analysis.model_uncertainty import (
     member_estimates,
     model_interval,
 )
-from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.arrays import FloatArray
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
@@ -111,17 +110,12 @@ def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageRes
         features=experiment.features,
         farthest_m=experiment.back_end.farthest_m,
         target=experiment.config.target,
+        dt_s=experiment.back_end.simulator.dt_s,
+        tau_s=memory_of_pem(experiment.pem).tau_s,
     )
     if explanation is None:
         return interpreted
-    if memory_of_pem(experiment.pem).tau_s > 0.0:
-        explanation = replace(explanation, sensitivity=_untold(explanation.sensitivity))
     return replace(interpreted, result=replace(interpreted.result, explanation=explanation))
-
-
-def _untold(rows: tuple[BandSensitivity, ...]) -> tuple[BandSensitivity, ...]:
-    """Without elasticities: they would be those of a miss given the outcome before."""
-    return tuple(replace(row, elasticity=None) for row in rows)
 
 
 def _asked_of_members(

@@ -135,13 +135,18 @@ def with_memory(
 
 def without_memory(back_end: BackEnd) -> BackEnd:
     """The back end as it is for single outcomes; the inverse of :func:`with_memory`."""
-    simulator, twin, features = back_end.simulator, back_end.twin, back_end.features
+    simulator, twin = back_end.simulator, back_end.twin
     return replace(
         back_end,
         simulator=simulator.scenario if isinstance(simulator, RememberingSimulator) else simulator,
         twin=twin.scenario if isinstance(twin, RememberingSimulator) else twin,
-        features=features.features if isinstance(features, RememberingFeatures) else features,
+        features=single_outcome_features(back_end.features),
     )
+
+
+def single_outcome_features(features: StateFeatures) -> StateFeatures:
+    """What the scenario itself offers to look at, beneath a memory."""
+    return features.features if isinstance(features, RememberingFeatures) else features
 
 
 def memory_of_pem(pem: Pem) -> Memory:

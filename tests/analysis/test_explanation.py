@@ -19,7 +19,7 @@ def test_elasticity_is_the_derivative_of_the_binomial_tail(toy_problem):
     _, stage = method.step(toy_problem, method.init(toy_problem, repetition=0))
     features = SignalFeatures(toy_problem.simulator.signals)
     target = exact_failure_probability(steps=6, miss_probability=0.05)
-    found = explain(stage, features=features, farthest_m=4.0, target=target)
+    found = explain(stage, features=features, farthest_m=4.0, target=target, dt_s=0.05)
     assert found is not None
     step = 1e-5
     higher = exact_failure_probability(steps=6, miss_probability=0.1 * np.exp(step))

@@ -82,6 +82,7 @@ def explanation_of(stage, experiment):
         features=experiment.features,
         farthest_m=experiment.back_end.farthest_m,
         target=None,
+        dt_s=experiment.back_end.simulator.dt_s,
     )
 
 

@@ -31,6 +31,8 @@ MAY_BE_NULL = re.compile(
     r"|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median)|data_bound"
     r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning)"
+    r"|causes\.(memory|bursts)|causes\.memory\.(elasticity|target_tau_s|target_ess|warning)"
+    r"|causes\.bursts\.(begins_gap_m|again)"
     r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
     r"|nll_log_mean|ess|pareto_k|max_weight_share|unbiased\.(probability|std_error)"
     r"|diagnostics\[\d+\]\.(value|limit))|estimate"
@@ -41,6 +43,7 @@ MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
     r"|families|ladder|memory|memory\.(fitted|curve)|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
+    r"|causes\.(memory|bursts|memory\.warning)"
     r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
 OTHER_TYPE = {
@@ -63,6 +66,10 @@ def sample():
                     causes["misses_by_distance"], causes["miss_probability_by_step"]):  # fmt: skip
         del entries[2:]
     del document["sensitivity"][3:]
+    causes["memory"] = {
+        "tau_s": 0.2, "elasticity": 1.9, "target_tau_s": 0.07, "target_ess": 90.0, "warning": "few",
+    }  # fmt: skip
+    assert causes["bursts"]
     document["reference"] = {"probability": 1e-18, "std_error": 1e-21, "log10_probability": -18.0}
     fitted = {"tau_s": 0.24, "low_s": 0.2, "high_s": 0.3, "confidence": 0.95}
     document["memory"]["fitted"] = fitted

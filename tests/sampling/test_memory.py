@@ -240,9 +240,3 @@ def test_rollouts_say_what_the_last_outcome_was():
     last = drawn.signals[LAST_OUTCOME.name]
     np.testing.assert_array_equal(last[:, 0], 0.0)
     np.testing.assert_array_equal(last[:, 1:], np.where(drawn.detected, 1.0, -1.0))
-
-
-def test_a_target_is_refused_with_a_memory():
-    """The factor on misses would be one on misses given the outcome before."""
-    with pytest.raises(ConfigError, match=r"target = 1e-09: must be left out where memory_s"):
-        build_experiment(ExperimentConfig(method="mixture", target=1e-9, memory_s=0.1))

@@ -132,7 +132,7 @@ def spaced_out(values):
 
 def test_results_do_not_depend_on_memory_order(experiment, scored):
     ensemble = ensemble_of("ml-nn")
-    parts = {"features": experiment.features, "farthest_m": 20.0, "target": 1e-16}
+    parts = {"features": experiment.features, "farthest_m": 20.0, "target": 1e-16, "dt_s": 0.05}
     noise = np.random.default_rng(3).normal(size=(2, *scored.rollouts.detected.shape)) / 10.0
     # of about the same weight, so that every rollout's last digit shows
     alike = replace(scored.rollouts, pem_logit=noise[0], proposal_logit=noise[0] + noise[1])

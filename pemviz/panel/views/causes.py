@@ -10,12 +10,18 @@ from pemviz.colors import MISSED
 from pemviz.panel.run_data import RunData
 from pemviz.panel.svg import FAINT, GRID, nice_ticks, svg, text
 from pemviz.panel.views.html import MINUS, grid, heading, number, percent, quiet
+from pemviz.reports.causes_text import BURST, BURST_TITLE, burst_rows
 
 SHOWN_CHAINS = 8
 SMALLEST_SHOWN = 0.005
 STRIP_WIDTH, STRIP_HEIGHT = 250, 16
 STRIP_MARGIN_S = 0.1
 DASH = "\N{EN DASH}"
+BURST_NOTE = (
+    f"A burst: {BURST}. The decisive one of a violation has the most misses where the outcome "
+    "matters. Figures are medians, in brackets what four of five violations have; probabilities "
+    "are the error model's, geometric means."
+)
 
 
 def causes_part(run: RunData) -> str:
@@ -28,6 +34,13 @@ def causes_part(run: RunData) -> str:
         band_table(explanation, target=run.config.target),
         quiet(_band_note(run, explanation)),
     ]
+    rows = burst_rows(explanation, target=run.config.target)
+    if rows:
+        parts += [
+            heading(BURST_TITLE),
+            grid(("", ""), [[escape(cell) for cell in row] for row in rows], name=BURST_TITLE),
+            quiet(BURST_NOTE),
+        ]
     if explanation.chains:
         dt_s = run.config.scenario.dt_s
         parts += [

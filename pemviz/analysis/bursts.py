@@ -1,0 +1,135 @@
+"""Bursts of misses before a violation: how many, how long, where the one begins that decides.
+
+A burst is a run of misses in neighbouring frames. Those are counted in which at least one miss is
+at a state where the outcome matters, up to the violation. The decisive burst of a violation is the
+one with the most such misses, of equals the last; all of its misses belong to it, also those
+before the outcome matters, since a memory carries them on.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.analysis.causes import Failures
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.config.ranges import AtLeastZero, Share
+from pemviz.simulators.latched import VIOLATED
+
+LOW, HIGH = 0.1, 0.9
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How a figure differs among violations, weighted by how likely each is.
+
+    Attributes:
+        median: Half of the violations have less.
+        low: A tenth has less.
+        high: A tenth has more.
+    """
+
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Bursts:
+    """Bursts of a violation, over violations weighted by how likely each is.
+
+    Attributes:
+        dt_s: Time between two frames [s].
+        count: Bursts in a violation, on average.
+        misses: Misses in them, on average: ``count`` of them begin a burst.
+        frames: Misses of the decisive burst.
+        begins_s: Time of its first miss [s].
+        begins_gap_m: Gap there [m]; ``None`` where the scenario has no gap.
+        start: Probability of its first miss under the error model, geometric mean.
+        again: Probability of each further miss, geometric mean over them; ``None`` if no
+            decisive burst has a second miss.
+        whole: Probability of all its further misses together, geometric mean.
+    """
+
+    dt_s: AtLeastZero
+    count: AtLeastZero
+    misses: AtLeastZero
+    frames: Spread
+    begins_s: Spread
+    begins_gap_m: Spread | None
+    start: Share
+    again: Share | None
+    whole: Share
+
+
+def bursts_of(
+    failures: Failures, *, mattering: BoolArray, dt_s: float, gap: str | None = "gap"
+) -> Bursts | None:
+    """Bursts of violations; ``None`` if no violation has a miss that matters.
+
+    Args:
+        failures: Weighted violations.
+        mattering: States at which the outcome matters to the scenario, ``[M, T-1]``.
+        dt_s: Time between two frames [s].
+        gap: The distance, if the scenario has one.
+    """
+    states = failures.rollouts.decision_states()
+    live = np.ones(failures.rollouts.detected.shape, dtype=np.bool_)
+    if VIOLATED in states.memory:
+        live &= ~np.asarray(states.memory[VIOLATED], dtype=np.bool_)
+    missed = np.ascontiguousarray(~failures.rollouts.detected & live)
+    of_step, sizes, useful = _runs(missed, missed & mattering)
+    counted = useful > 0
+    share = np.where(counted.any(axis=1), failures.share, 0.0)
+    if not share.sum() > 0.0:
+        return None
+    share /= share.sum()
+    last = useful.shape[1] - 1
+    decisive = last - np.argmax(useful[:, ::-1], axis=1)
+    rows = np.arange(missed.shape[0])
+    inside = missed & (of_step == decisive[:, None])
+    first = np.argmax(inside, axis=1)
+    frames = sizes[rows, decisive]
+    log_p = np.where(inside, failures.rollouts.log_p, 0.0)
+    log_start = log_p[rows, first]
+    log_rest = row_sums(log_p) - log_start
+    further = float(share @ (frames - 1))
+    values = None if gap is None else states.signals[gap][rows, first]
+    return Bursts(
+        dt_s=dt_s,
+        count=float(share @ counted.sum(axis=1)),
+        misses=float(share @ np.where(counted, sizes, 0).sum(axis=1)),
+        frames=weighted_spread(frames, share),
+        begins_s=weighted_spread(first * dt_s, share),
+        begins_gap_m=None if values is None else weighted_spread(values, share),
+        start=_mean_power(share, log_start),
+        again=float(np.exp(float(share @ log_rest) / further)) if further > 0.0 else None,
+        whole=_mean_power(share, log_rest),
+    )
+
+
+def _runs(missed: BoolArray, useful: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Number of each step's run ``[M, K]``; misses and useful misses of runs ``[M, runs]``."""
+    begins = missed.copy()
+    begins[:, 1:] &= ~missed[:, :-1]
+    of_step = np.maximum(np.cumsum(begins, axis=1) - 1, 0)
+    most = int(of_step.max(initial=0)) + 1
+    cell = (np.arange(missed.shape[0])[:, None] * most + of_step).ravel()
+    size = missed.shape[0] * most
+
+    def totals(chosen: BoolArray) -> IntArray:
+        return np.bincount(cell[chosen.ravel()], minlength=size).reshape(-1, most)
+
+    return of_step, totals(missed), totals(useful)
+
+
+def _mean_power(share: FloatArray, log_values: FloatArray) -> float:
+    return min(float(np.exp(float(share @ log_values))), 1.0)
+
+
+def weighted_spread(values: AnyArray, share: FloatArray) -> Spread:
+    """Tenth, half and nine tenths of ``values [M]`` by their shares ``[M]``, which sum to 1."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(share[order])
+    places = np.searchsorted(below, np.array([0.5, LOW, HIGH]) * below[-1])
+    median, low, high = (float(values[order[min(p, order.size - 1)]]) for p in places)
+    return Spread(median=median, low=low, high=high)

@@ -1,0 +1,110 @@
+"""What causes violations, in words and rows, the same in every view."""
+
+from pemviz.analysis.bursts import Bursts, Spread
+from pemviz.analysis.explanation import Explanation
+from pemviz.analysis.sensitivity import MemorySensitivity
+
+SHOWN_MISSES = 0.005
+BURST_TITLE = "Bursts of misses before a violation"
+BURST_COLUMNS = ("bursts", "in a violation")
+BURST = "misses in one frame after the other"
+"""What a burst is, where it is first spoken of."""
+FEW = 1e-3
+"""Smaller probabilities are written with an exponent."""
+
+
+def causes_line(explanation: Explanation) -> str:
+    """Where the misses of a violation lie, in one line."""
+    bands = [
+        f"{band.misses:.1f} at {band.low:g} to {band.high:g} m"
+        for band in explanation.misses_by_distance
+        if band.misses > SHOWN_MISSES
+    ]
+    total = sum(band.misses for band in explanation.misses_by_distance)
+    where = f" ({', '.join(bands)})" if bands else ""
+    return f"Misses in a violation: {total:.1f}{where}"
+
+
+def burst_lines(explanation: Explanation) -> list[str]:
+    """How misses hang together before a violation, and what shorter bursts would bring."""
+    bursts, lines = explanation.bursts, list[str]()
+    if bursts is not None:
+        lines.append(
+            f"Bursts ({BURST}) in a violation: {bursts.count:.1f}; the decisive one lasts "
+            f"{_length(bursts)} and begins {_begins(bursts)}; {_likely(bursts)}"
+        )
+    memory, everywhere = explanation.memory, explanation.sensitivity[0].elasticity
+    if memory is not None and memory.elasticity is not None and everywhere is not None:
+        lines.append(
+            f"A memory 1 % shorter would bring {_fewer(memory.elasticity)}; 1 % fewer misses, the "
+            f"memory as it is, {_fewer(everywhere)}"
+        )
+    return lines
+
+
+def burst_rows(explanation: Explanation, *, target: float | None) -> list[tuple[str, str]]:
+    """The same as a small table, with what meets a target; see :data:`BURST_COLUMNS`."""
+    bursts, rows = explanation.bursts, list[tuple[str, str]]()
+    if bursts is not None:
+        rows += [
+            ("how many", f"{bursts.count:.1f}, with {bursts.misses:.1f} misses in all"),
+            ("the decisive one lasts", _length(bursts)),
+            ("it begins", _begins(bursts)),
+            ("how likely that is", _likely(bursts)),
+        ]
+    memory, everywhere = explanation.memory, explanation.sensitivity[0]
+    if memory is None:
+        return rows
+    if memory.elasticity is not None:
+        rows.append(("a memory 1 % shorter", _fewer(memory.elasticity)))
+    if everywhere.elasticity is not None:
+        rows.append(("1 % fewer misses, the memory as it is", _fewer(everywhere.elasticity)))
+    if target is not None:
+        rows.append((f"memory time for {target:.2g}", target_tau_text(memory)))
+    return rows
+
+
+def target_tau_text(memory: MemorySensitivity) -> str:
+    """The memory time that meets the target, as a requirement."""
+    if memory.target_tau_s is None:
+        return "not enough alone"
+    if memory.target_tau_s >= memory.tau_s:
+        return "met already"
+    guess = " (extrapolated)" if memory.warning else ""
+    return f"{memory.target_tau_s:.2g} s instead of {memory.tau_s:g} s{guess}"
+
+
+def _length(bursts: Bursts) -> str:
+    frames = bursts.frames
+    return (
+        f"{frames.median * bursts.dt_s:.2f} s ({frames.median:.0f} frames; four of five "
+        f"violations: {frames.low:.0f} to {frames.high:.0f})"
+    )
+
+
+def _begins(bursts: Bursts) -> str:
+    at_s = f"{_ends(bursts.begins_s, 2)} s after the start"
+    return at_s if bursts.begins_gap_m is None else f"at {_ends(bursts.begins_gap_m, 1)} m, {at_s}"
+
+
+def _ends(spread: Spread, digits: int) -> str:
+    return f"{spread.median:.{digits}f} ({spread.low:.{digits}f} to {spread.high:.{digits}f})"
+
+
+def _likely(bursts: Bursts) -> str:
+    started = f"starting it has a probability of {_probability(bursts.start)}"
+    if bursts.again is None:
+        return started
+    return (
+        f"{started}, each further miss {_probability(bursts.again)}, all these together "
+        f"{_probability(bursts.whole)}"
+    )
+
+
+def _probability(value: float) -> str:
+    return f"{value:.1e}" if value < FEW else f"{value:.2g}"
+
+
+def _fewer(elasticity: float) -> str:
+    """What one per cent less brings."""
+    return f"{abs(elasticity):.2g} % {'fewer' if elasticity >= 0.0 else 'more'} violations"
