@@ -19,7 +19,6 @@ from pemviz.processes import map_in_processes
 from pemviz.runs.experiment import build_method
 from pemviz.sampling.registry import by_name
 
-SEEDS_PER_JOB = 10
 RUNS = "runs.jsonl"
 MOST_MISLEADING = 0.01
 COVERAGE = (0.93, 0.98)
@@ -105,7 +104,7 @@ def run_trust(study: TrustStudy, *, among: Sequence[TrustCase] | None = None) ->
     jobs = [
         job
         for case, config in configs
-        for job in _jobs(case, config, seeds=study.seeds, finished=finished, path=path)
+        for job in _jobs(case, config, study, finished=finished, path=path)
     ]
     jobs.sort(key=lambda job: job.seeds)
     map_in_processes(_run_job, jobs, workers=study.processes)
@@ -165,19 +164,17 @@ def _configs(
 def _jobs(
     case: TrustCase,
     config: ExperimentConfig,
+    study: TrustStudy,
     *,
-    seeds: int,
     finished: Mapping[str, Outcome],
     path: Path,
 ) -> Sequence[_Job]:
-    """The seeds that are not finished, some at a time."""
+    """The seeds that are not finished, one job for each process: what they share is built once."""
     # automata are made of closures, which no other process can be sent
     sent = replace(case, automaton=None)
-    missing = [seed for seed in range(seeds) if _key(case, config, seed) not in finished]
-    return [
-        _Job(sent, config, tuple(missing[first : first + SEEDS_PER_JOB]), path)
-        for first in range(0, len(missing), SEEDS_PER_JOB)
-    ]
+    missing = [seed for seed in range(study.seeds) if _key(case, config, seed) not in finished]
+    parts = [tuple(missing[first :: study.processes]) for first in range(study.processes)]
+    return [_Job(sent, config, seeds, path) for seeds in parts if seeds]
 
 
 def _run_job(job: _Job) -> None:

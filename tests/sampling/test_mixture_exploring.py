@@ -11,6 +11,7 @@ from scipy.special import expit
 from pemviz.bench.trust_systems import TwoWayWalk
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.offset_logistic import SignalFeatures
+from pemviz.proposals.offset_logistic_fit import WeightedOutcomes
 from pemviz.proposals.pilots import PilotFamily, raised
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.agreement import disagreements
@@ -18,6 +19,7 @@ from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
 from pemviz.sampling.mixture.draws import components
 from pemviz.sampling.mixture.levels import guided_elites
 from pemviz.sampling.mixture.method import MixtureSampling
+from pemviz.sampling.mixture.ways import WeightedRollouts, ways_of
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.batches import BatchTask
 from pemviz.sampling.rollouts.draw import replay, simulate
@@ -27,7 +29,7 @@ from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe,
 from tests.sampling.two_ways import probabilities
 
 LATE = TwoWayWalk(watched=tuple(range(12, 19)), states=20, initial_gap=7)
-EARLY = TwoWayWalk(watched=tuple(range(6)), still=6, states=24, initial_gap=5)
+EARLY = TwoWayWalk(watched=tuple(range(7)), still=7, states=26)
 
 
 def problem_of(simulator, pem, **options):
@@ -70,20 +72,20 @@ def test_two_ways_by_enumeration():
     assert found == pytest.approx(probabilities(toy, pem)[1], rel=1e-12)
 
 
-@pytest.mark.parametrize(("toy", "at_zero", "largest_error"), [(LATE, 3.5, 0.1), (EARLY, 3.0, 0.2)])
+@pytest.mark.parametrize(("toy", "at_zero", "largest_error"), [(LATE, 3.5, 0.1), (EARLY, 3.5, 0.2)])
 def test_a_way_of_failing_that_robustness_does_not_show(toy, at_zero, largest_error):
-    """16 runs of 1,200 rollouts; a half and a third of the failures give no sign before.
+    """12 runs of 1,200 rollouts; about half of the failures give no sign before.
 
     The root mean square relative error is a tenth or a fifth at most; an interval that holds in
-    90 % of runs would cover in fewer than 11 of 16 with probability 3e-3.
+    90 % of runs would cover in fewer than 8 of 12 with probability 4e-3.
     """
     pem = ToyPem(at_zero=at_zero)
     shown, truth = probabilities(toy, pem)
     assert truth > 1.3 * shown
-    found = [run(problem_of(toy, pem), seed=seed)[0] for seed in range(16)]
+    found = [run(problem_of(toy, pem), seed=seed)[0] for seed in range(12)]
     ratio = np.array([estimate.probability for estimate in found]) / truth
     assert np.sqrt(np.mean((ratio - 1.0) ** 2)) < largest_error
-    assert sum(e.ci_low < truth < e.ci_high for e in found) >= 11
+    assert sum(e.ci_low < truth < e.ci_high for e in found) >= 8
 
 
 def test_the_pilots_family_is_a_distribution():
@@ -216,6 +218,18 @@ def test_levels_follow_metric_alpha_and_sigma():
     assert (thresholds(sigma=0.99) <= first).all()
     assert (thresholds(sigma=0.99) < first).any()
     assert (thresholds(alpha=0.3) < first)[:5].any()
+
+
+def test_a_single_rollout_is_one_way_of_failing():
+    """However much it scatters around the proposal, there is nothing to tell apart."""
+    outcomes = WeightedOutcomes(
+        basis=np.ones((9, 1)),
+        missed=np.ones(9, dtype=np.bool_),
+        offset=np.full(9, -3.0),
+        weight=np.ones(9),
+    )
+    alone = WeightedRollouts(outcomes, np.zeros(9, dtype=np.int64), np.ones(1))
+    assert ways_of(alone, np.zeros(1), ridge=np.ones(1)).share.tolist() == [1.0]
 
 
 def pool_of(log_ratio, component, violated):

@@ -204,9 +204,11 @@ def _parts(
 
 def smoothing_exponent(log_weight: FloatArray, *, least_ess: float) -> float:
     """Largest exponent in [0, 1] that leaves weights ``[M]`` the effective sample size asked."""
+    relative = log_weight - np.max(log_weight)
 
     def excess(exponent: float) -> float:
-        return effective_sample_size(exponent * log_weight) - least_ess
+        weight = np.exp(exponent * relative)
+        return float(weight.sum() ** 2 / (weight @ weight)) - least_ess
 
     if excess(1.0) >= 0.0:
         return 1.0

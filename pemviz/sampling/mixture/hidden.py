@@ -13,7 +13,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import fit_offset_logistic
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
-from pemviz.sampling.estimates.importance_weights import effective_sample_size
+from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 from pemviz.sampling.mixture.balance_heuristic import Pool, log_ratios
 from pemviz.sampling.mixture.fit import (
     Fit,
@@ -44,6 +44,7 @@ def fit_to_hidden_ways(
     *,
     main: Sequence[Fit],
     defensive: float,
+    least_share: float = 0.0,
 ) -> tuple[Fit, ...]:
     """A proposal for each way of failing that the ``main`` proposals would hardly draw.
 
@@ -55,6 +56,7 @@ def fit_to_hidden_ways(
         settings: How.
         main: The proposals fitted to all violations.
         defensive: Share of the error model in every outcome's probability.
+        least_share: Ways that carry less of the estimate are left out.
     """
     hidden = Elites(VIOLATION_THRESHOLD, _hardly_drawn(pool, main, defensive))
     if hidden.count == 0:
@@ -70,13 +72,20 @@ def fit_to_hidden_ways(
         chosen = hidden.chosen.copy()
         chosen[chosen] = share > 0.5
         own = Elites(VIOLATION_THRESHOLD, chosen)
-        if own.count and effective_sample_size(pool.log_weight[chosen]) <= KNOWN_ESS:
+        if not own.count or _share(pool, chosen) < least_share:
+            continue
+        if effective_sample_size(pool.log_weight[chosen]) <= KNOWN_ESS:
             aim = min(max(FEW_ELITES, settings.ess_share * own.count), own.count / 2)
             exponent = smoothing_exponent(pool.log_weight[chosen], least_ess=aim)
             fits.append(
                 fitted(pool, basis, own, weights_of(pool, own, exponent=exponent), settings)
             )
     return tuple(fits)
+
+
+def _share(pool: Pool, chosen: BoolArray) -> float:
+    """Of the estimate, from the ``chosen`` of the violating rollouts."""
+    return float(np.exp(log_sum(pool.log_weight[chosen]) - log_sum(pool.log_weight[pool.violated])))
 
 
 def _hardly_drawn(pool: Pool, main: Sequence[Fit], defensive: float) -> BoolArray:

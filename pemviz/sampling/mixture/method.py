@@ -14,7 +14,9 @@ The first stage draws from a broad family of pilots alone (:mod:`pemviz.proposal
 q_0 as a whole, and every later one a share of its rollouts. The rest come from the newest proposal
 fitted to the violations; in the first half of the stages, while the weights do not tell the
 probability of a violation well, a quarter of them from one fitted to the lowest level of robustness
-whose probability they do tell (:mod:`pemviz.sampling.mixture.levels`).
+whose probability they do tell (:mod:`pemviz.sampling.mixture.levels`). Another quarter comes from
+proposals for ways of failing that the newest would hardly draw, in the second half only where they
+carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.hidden`).
 
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
@@ -62,6 +64,8 @@ from pemviz.types import Estimate, ScoredRollouts, StageResult
 DEFENSIVE_STEPS = 2.0
 """Of each rollout, drawn from the error model on average."""
 DEGREE = 3
+RELEVANT_SHARE = 1e-3
+"""Of the estimate, from a hidden way of failing that is explored in every stage that learns."""
 
 
 @dataclass(frozen=True)
@@ -227,14 +231,17 @@ class MixtureSampling:
         began = time.perf_counter()
         steps = result.scored.rollouts.detected.shape[1]
         fits = fit_to_failures(pool, basis, self.settings)
-        if self._explores(state.stage):
-            fits = with_exploring(
-                fits,
-                fit_to_hidden_ways(
-                    pool, basis, self.settings, main=fits, defensive=_defence(steps)
-                ),
-                fit_to_level(pool, basis, self.settings),
-            )
+        explores = self._explores(state.stage)
+        hidden = fit_to_hidden_ways(
+            pool,
+            basis,
+            self.settings,
+            main=fits,
+            defensive=_defence(steps),
+            least_share=0.0 if explores else RELEVANT_SHARE,
+        )
+        level = fit_to_level(pool, basis, self.settings) if explores else ()
+        fits = with_exploring(fits, hidden, level)
         fitted = replace(state, fits=fits)
         return fitted, replace(
             result,

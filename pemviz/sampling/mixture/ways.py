@@ -152,7 +152,7 @@ def _split(
     ]
     worst = int(np.argmax([largest for largest, _ in scatter]))
     largest, place = scatter[worst]
-    if largest < least_scatter:
+    if largest < least_scatter or rollouts.count == 1:
         return None
     upper = place > _cut(place, rollouts.weight * shares[:, worst])
     shares = np.hstack([shares, (shares[:, worst] * upper)[:, None]])
