@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pemviz.analysis.band_models import rollouts_under
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Share
 from pemviz.pem import (
@@ -19,6 +20,7 @@ from pemviz.pem import (
 )
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.proposals.fixed import PemProposal
+from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import log_sum
@@ -38,6 +40,7 @@ ENOUGH_FAILURES = 2_000
 SHOWN_ROLLOUTS = 5_000
 """Of which it is asked whether they go where the training data never was."""
 DATA_BOUND_KEY = 2**32 - 2
+FEW_FAILURES = 100
 
 
 @dataclass(frozen=True)
@@ -114,9 +117,9 @@ class DataBound:
     Attributes:
         probability: The failure probability is below this with ``confidence``, if P(missed) is
             constant within distance bands and misses never help.
-        rollouts: Plain Monte Carlo rollouts that it rests on.
+        rollouts: Rollouts that it rests on.
         failures: Those that violate.
-        confidence: Of the bands' bounds together, and again of the Monte Carlo bound.
+        confidence: Of the bands' bounds together, and again of the rollouts' upper bound.
     """
 
     probability: Share
@@ -125,12 +128,20 @@ class DataBound:
     confidence: Confidence
 
 
-def data_bound(problem: Problem, *, seed: int) -> DataBound | None:
+def data_bound(
+    problem: Problem, *, seed: int, sharpened_by: StateFeatures | None = None
+) -> DataBound | None:
     """Bound the failure probability by the training data's counts alone.
 
     The exact (Clopper-Pearson) upper bound of P(missed) in each distance band, and certain
     misses where there is no data, make a model of their own; plain Monte Carlo carries it to
     the failure probability. ``None`` for a model without counts.
+
+    Args:
+        problem: On a fast simulator.
+        seed: Root of all randomness.
+        sharpened_by: With these features, where plain Monte Carlo sees few violations, importance
+            sampling (method ``mixture``) has its say as well, unless something speaks against it.
     """
     support = support_of(single_outcome_model(problem.pem))
     if support is None:
@@ -149,9 +160,15 @@ def data_bound(problem: Problem, *, seed: int) -> DataBound | None:
     )
     drawn = WeighedRollouts.concatenate([weighed(batch) for batch in batches])
     allowed = monte_carlo_estimate(drawn, method="monte-carlo")
+    if sharpened_by is not None and allowed.failures < FEW_FAILURES:
+        sharp, *_ = rollouts_under(
+            problem, pem=remembering_as(bound, problem.pem), features=sharpened_by, seed=seed
+        )
+        if sharp.failures and sharp.ci_high is not None and not sharp.diagnostics:
+            allowed = sharp
     return DataBound(
         probability=1.0 if allowed.ci_high is None else allowed.ci_high,
-        rollouts=DATA_BOUND_ROLLOUTS,
+        rollouts=allowed.rollouts_simulated,
         failures=allowed.failures,
         confidence=CONFIDENCE,
     )

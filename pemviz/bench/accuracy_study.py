@@ -59,7 +59,7 @@ def run_study(study: AccuracyStudy) -> Sequence[Accuracy]:
         OSError: The folder cannot be written.
     """
     check_study(study)
-    base = replace(load_preset("paper"), pem=study.pem)
+    base = replace(load_preset("paper"), pem=study.pem, plan=False)
     cases: list[Case] = []
     for name in study.scenarios:
         config: ExperimentConfig = replace(base, scenario=SCENARIOS[name])

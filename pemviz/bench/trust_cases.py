@@ -171,7 +171,7 @@ def _braking(preset: str, pem: str, specification: str, truth: float) -> TrustCa
     path = str(AUTHORS_MODEL) if pem == "authors" else pem
     return TrustCase(
         name=f"{preset}, {pem}: {specification}",
-        config=replace(load_preset(preset), pem=path, spec=spec),
+        config=replace(load_preset(preset), pem=path, spec=spec, plan=False),
         truth=truth,
         automaton=automaton,
     )
@@ -234,7 +234,7 @@ def _walks() -> Sequence[TrustCase]:
     return [
         TrustCase(
             name=f"walk: {name}",
-            config=replace(load_preset("paper"), spec=spec),
+            config=replace(load_preset("paper"), spec=spec, plan=False),
             truth=truth,
             automaton=automaton,
             system=system,
@@ -252,7 +252,7 @@ def _towns() -> Sequence[TrustCase]:
     band = "always[0,45] (gap >= 4.3) and always[45,45] (gap < 4.75 or gap > 4.8)"
     if not AUTHORS_MODEL.is_file():
         return ()
-    config = replace(load_preset("town01"), pem=str(AUTHORS_MODEL))
+    config = replace(load_preset("town01"), pem=str(AUTHORS_MODEL), plan=False)
     return (
         TrustCase(
             name="town01, authors: always",
@@ -277,7 +277,7 @@ DRONE_COUNTED, DRONE_ROLLOUTS = 766_438, 4_000_000
 
 def _drones() -> Sequence[TrustCase]:
     """The drone's states do not merge: its truths are counted."""
-    config = load_preset("paper")
+    config = replace(load_preset("paper"), plan=False)
     spec = "always[0,60] (distance >= 1.0) and always[60,60] (distance >= 1.5)"
     return (
         TrustCase(

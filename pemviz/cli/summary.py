@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.reports.causes_text import (
@@ -17,6 +19,12 @@ from pemviz.reports.causes_text import (
     burst_lines,
     burst_rows,
     causes_line,
+)
+from pemviz.reports.data_plan_text import (
+    BAND_COLUMNS,
+    band_rows,
+    plan_heading,
+    short_rows,
 )
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
@@ -61,6 +69,8 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
             console.print(assumption_line(result.memory), style="bold", markup=False)
             console.print(_memory(result.memory))
         console.print(_ladder(result))
+        if result.plan is not None:
+            _print_plan(console, result, result.plan, verbose=verbose)
         if result.explanation is not None and (verbose or result.config.target is not None):
             console.print(_causes(result.explanation, target=result.config.target))
             console.print(_bursts(result.explanation, target=result.config.target))
@@ -98,6 +108,23 @@ def _ladder(result: RunResult) -> Table:
     for row in ladder_rows(result):
         table.add_row(*row)
     return table
+
+
+def _print_plan(console: Console, result: RunResult, plan: DataPlan, *, verbose: bool) -> None:
+    """What to measure next, and with ``verbose`` the labels by band."""
+    console.print(plan_heading(plan), style="italic", markup=False, soft_wrap=True)
+    if plan.reason is not None:
+        console.print(f"no labels are planned: {plan.reason}", markup=False, soft_wrap=True)
+    for collect, then in short_rows(result):
+        console.print(f"- {collect}: {then}", markup=False, soft_wrap=True)
+    if plan.labels is not None and verbose:
+        title = f"Labels that show less than {plan.labels.target:.2g}, and P(missed)"
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+        for column in BAND_COLUMNS:
+            table.add_column(escape(column), justify="right")
+        for row in band_rows(plan.labels):
+            table.add_row(*row)
+        console.print(table)
 
 
 def warning_lines(result: RunResult, *, verbose: bool) -> list[str]:

@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -144,7 +144,7 @@ def _base(arguments: SweepArguments) -> ExperimentConfig:
     if arguments.preset is None:
         message = "nothing to start from: give a configuration file or --preset paper"
         raise ConfigError(message)
-    return load_preset(arguments.preset)
+    return replace(load_preset(arguments.preset), plan=False)  # a sweep tells of many runs
 
 
 def _workers(arguments: SweepArguments, plan: Plan) -> Workers:

@@ -135,6 +135,10 @@ class ExperimentConfig:
     """Failure probability to bring the system below: tells by which factor misses would have to
     become rarer, for each distance band, and with memory_s to what the memory time would have to
     fall; above 0, at most 1."""
+    plan: bool = False
+    """Also tell what to measure next: the cheapest labels that would show the target (without one,
+    a failure probability halfway to what the labels at hand allow), labels that would halve the
+    range over refits, tracked sequences that would fix the memory time; a few seconds."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
 

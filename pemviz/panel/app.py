@@ -94,5 +94,5 @@ def show_something(controller: Controller, recordings: RecordingsFolder) -> None
             LOG.warning("%s", error)
         else:
             return
-    quick = replace(load_preset("paper"), method="naive", final_rollouts=QUICK_ROLLOUTS)
+    quick = replace(load_preset("paper"), method="naive", final_rollouts=QUICK_ROLLOUTS, plan=False)
     controller.start(quick, keep=False)

@@ -7,6 +7,13 @@ from dataclasses import fields
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.reports.causes_text import BURST_COLUMNS, burst_rows, causes_line
+from pemviz.reports.data_plan_text import (
+    BAND_COLUMNS,
+    BAND_NOTE,
+    PLAN_TITLE,
+    band_rows,
+    plan_sentences,
+)
 from pemviz.reports.escape import markdown_block, markdown_code, markdown_table, markdown_text
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
@@ -49,7 +56,7 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
     if result.estimate is not None:
         parts += [*_memory(result), _answer(result, result.estimate), *_plot(result, gate)]
-        parts += [*_ladder(result), *_causes(result)]
+        parts += [*_ladder(result), *_plan(result), *_causes(result)]
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
     parts.append(_details("Complete configuration", _config(result.config)))
     return "\n\n".join(parts) + "\n"
@@ -158,6 +165,19 @@ def _row(label: str, estimate: Estimate, *, caveats: Sequence[str]) -> IntervalR
 def _ladder(result: RunResult) -> list[str]:
     rows = [tuple(map(markdown_text, row)) for row in ladder_rows(result)]
     return [f"### {LADDER_TITLE}", markdown_table(LADDER_COLUMNS, rows)]
+
+
+def _plan(result: RunResult) -> list[str]:
+    """What to measure next, if it was asked for."""
+    plan = result.plan
+    if plan is None:
+        return []
+    sentences = "\n".join(f"- {markdown_text(words)}" for words in plan_sentences(result))
+    parts = [f"### {PLAN_TITLE}", sentences]
+    if plan.labels is not None:
+        rows = [tuple(map(markdown_text, row)) for row in band_rows(plan.labels)]
+        parts += [markdown_table(BAND_COLUMNS, rows), markdown_text(BAND_NOTE)]
+    return parts
 
 
 def _causes(result: RunResult) -> list[str]:

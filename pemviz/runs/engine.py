@@ -11,6 +11,7 @@ from pemviz._version import __version__
 from pemviz.arrays import read_only
 from pemviz.config import ExperimentConfig
 from pemviz.errors import PemvizError, RunError
+from pemviz.runs.data_plan import with_data_plan
 from pemviz.runs.events import (
     Observer,
     RepetitionDone,
@@ -135,6 +136,7 @@ class _Runner:
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
         self._keep(with_memory_curve(self._interpreted.result, experiment=experiment))
+        self._keep(with_data_plan(self._interpreted.result, experiment=experiment))
         self._keep(beside_reference(self._interpreted.result, experiment=experiment))
         self.complete = True
 

@@ -191,7 +191,8 @@ def _compared_with_data(
     bound = None
     if experiment.twin is not None:
         twin = replace(problem, simulator=experiment.twin)
-        bound = data_bound(twin, seed=experiment.config.seed)
+        sharpened_by = experiment.features if experiment.config.plan else None
+        bound = data_bound(twin, seed=experiment.config.seed, sharpened_by=sharpened_by)
     if bound is not None:
         warnings = (
             *warnings,

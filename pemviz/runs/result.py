@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
@@ -109,6 +110,7 @@ class RunResult:
         pem_interval: The answer's range over other models that fit the same data.
         families: The answer under other families of models that learnt from the same data.
         data_bound: What the model's training data alone allow.
+        plan: What to measure next, if it was asked for.
         explanation: Where and when the detector misses before violations, and what would help.
         warnings: About the model and its data; those about sampling are the estimates' own.
         timings_s: Wall time by part of the work [s].
@@ -130,6 +132,7 @@ class RunResult:
     pem_interval: ModelInterval | None = None
     families: tuple[FamilyAnswer, ...] = ()
     data_bound: DataBound | None = None
+    plan: DataPlan | None = None
     explanation: Explanation | None = None
     warnings: tuple[str, ...] = ()
     timings_s: Mapping[str, AtLeastZero] = field(default_factory=dict[str, float])

@@ -112,6 +112,7 @@ def result_document(result: RunResult) -> Table:
         "families": [asdict(answer) for answer in result.families],
         "ladder": [asdict(rung) for rung in uncertainty_ladder(result)],
         "data_bound": None if result.data_bound is None else asdict(result.data_bound),
+        "plan": None if result.plan is None else asdict(result.plan),
         **_explanation_tables(result.explanation),
         "repetitions": [
             _estimate_table(estimate, caveats=interval_caveats(estimate))

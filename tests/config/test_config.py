@@ -24,7 +24,7 @@ def test_presets_are_the_designs():
     paper, town = load_preset("paper"), load_preset("town01")
     assert preset_names() == ("paper", "paper-algorithm", "town01")
     assert load_preset("paper-algorithm") == ExperimentConfig()
-    assert paper == ExperimentConfig(method="mixture")
+    assert paper == ExperimentConfig(method="mixture", plan=True)
     assert paper.scenario.initial_speed_mps == pytest.approx(70 / 3.6)
     assert town.scenario == replace(
         paper.scenario,

@@ -2,7 +2,11 @@
 
 from dataclasses import replace
 
+from pemviz.analysis.data_plan import DataPlan
+from pemviz.analysis.label_plan import BandPlan, LabelPlan
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
+from pemviz.analysis.refit_plan import RefitBand
+from pemviz.analysis.sequence_plan import SequencePlan
 from pemviz.config import ExperimentConfig
 from pemviz.runs.result import PemInfo, RankedRollout, RunResult
 from pemviz.sampling.value_twisted.reference import Reference
@@ -13,6 +17,36 @@ NASTY = (
     "![i](http://e.x/p.png) @someone #12 $x^2$ :boom: https://e.x www.e.x \\| \\` &lt; é 漢 \n| new"
     " | row |\r\n# heading\x00\x07\x1b[31m\u202e\ud800\ufffe"
 )
+
+
+PLAN = DataPlan(
+    labels=LabelPlan(
+        target=2.5e-9,
+        obstacle="Car, occlusion none, straight ahead (|x| < 1.5 m), heading away",
+        confidence=0.95,
+        power=0.9,
+        bands=(
+            BandPlan(
+                low_m=5.0, high_m=7.0, obstacles=0, missed=0, model=0.012, allowed=1.0,
+                required=0.058, fewest_labels=78, labels=1249, most_missed=6,
+            ),
+            BandPlan(
+                low_m=7.0, high_m=13.0, obstacles=132, missed=0, model=0.011, allowed=0.034,
+                required=0.028, fewest_labels=29, labels=717, most_missed=13,
+            ),
+        ),
+        warning="a rough plan",
+    ),
+    halves=True,
+    reason="none",
+    refits=(
+        RefitBand(low_m=7.0, high_m=13.0, spread=5.3, contribution=0.94, labels=1290),
+    ),
+    sequences=SequencePlan(
+        example="rrc", is_own=False, tau_s=0.25, low_s=0.17, high_s=0.38, sequences=18, factor=1.2,
+        wanted=85,
+    ),
+)  # fmt: skip
 
 
 def estimate(**changes):

@@ -13,5 +13,7 @@ QUICK = Settings(
     naive_rollouts=(10, 30),
     least_safe_rollouts=1500,
     reference_rollouts=200,
-    base=replace(load_preset("paper"), stages=4, rollouts=20, final_rollouts=20, epochs=3),
+    base=replace(
+        load_preset("paper"), stages=4, rollouts=20, final_rollouts=20, epochs=3, plan=False
+    ),
 )

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -23,6 +23,7 @@ from pemviz.runs.result_file import (
     write_result,
 )
 from pemviz.runs.store import RunStore
+from tests.reports.runs import PLAN
 from tests.reports.runs import result as made_up_result
 from tests.runs.results import results
 
@@ -37,11 +38,14 @@ MAY_BE_NULL = re.compile(
     r"|nll_log_mean|ess|pareto_k|max_weight_share|unbiased\.(probability|std_error)"
     r"|diagnostics\[\d+\]\.(value|limit))|estimate"
     r"|ladder\[\d+\]\.(low|high)"
+    r"|plan|plan\.(labels|reason|sequences|labels\.warning)"
+    r"|plan\.labels\.bands\[\d+\]\.(low_m|high_m|labels|most_missed)"
+    r"|plan\.refits\[\d+\]\.(low_m|high_m)"
     r"|stages\[\d+\]\.(threshold|log10_probability|ess|loss)|least_robust\[\d+\]\.robustness"
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|families|ladder|memory|memory\.(fitted|curve)|warnings|timings_s"
+    r"|families|ladder|plan|plan\.labels\.warning|memory|memory\.(fitted|curve)|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|causes\.(memory|bursts|memory\.warning)"
     r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
@@ -75,6 +79,9 @@ def sample():
     document["memory"]["fitted"] = fitted
     point = {"tau_s": 0.1, "probability": 1e-9, "low": 1e-10, "high": 1e-8, "ess": 20.0}
     document["memory"]["curve"] = [point, dict(point)]
+    document["plan"] = asdict(PLAN)
+    document["plan"]["labels"]["bands"] = list(document["plan"]["labels"]["bands"])
+    document["plan"]["refits"] = list(document["plan"]["refits"])
     assert document["causes"]["chains"]
     assert document["pem_interval"]["warnings"]
     return document
@@ -123,8 +130,9 @@ def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
     assert text == f"{json.dumps(document, indent=1, ensure_ascii=False)}\n"
     assert list(json.loads(text)) == [
         "schema", "run_id", "status", "message", "seed", "versions", "config", "pem", "estimate",
-        "memory", "reference", "pem_interval", "families", "ladder", "data_bound", "sensitivity",
-        "causes", "repetitions", "stages", "least_robust", "assumptions", "warnings", "timings_s",
+        "memory", "reference", "pem_interval", "families", "ladder", "data_bound", "plan",
+        "sensitivity", "causes", "repetitions", "stages", "least_robust", "assumptions", "warnings",
+        "timings_s",
     ]  # fmt: skip
 
 

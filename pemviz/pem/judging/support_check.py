@@ -77,7 +77,7 @@ def support_check(salient: FloatArray, *, support: SupportSummary, pem: Pem) -> 
         pem: the model, for its own P(missed).
     """
     rows, _ = as_rows(salient)
-    kinds, band = _kinds_and_bands(rows)
+    kinds, band = kinds_and_bands(rows)
     obstacles = support.obstacles[tuple(kinds.T)].sum(axis=0)
     missed = support.missed[tuple(kinds.T)].sum(axis=0)
     visits = np.bincount(band, minlength=SHAPE[-1])
@@ -114,7 +114,7 @@ def data_bound_pem(
         confidence: of all bands' bounds together.
     """
     rows, _ = as_rows(salient)
-    kinds, band = _kinds_and_bands(rows)
+    kinds, band = kinds_and_bands(rows)
     obstacles = support.obstacles[tuple(kinds.T)].sum(axis=0)
     missed = support.missed[tuple(kinds.T)].sum(axis=0)
     with_data = int(np.count_nonzero(obstacles[np.unique(band)]))
@@ -135,7 +135,7 @@ def data_bound_pem(
     return TabulatedPem(card, lower_edges, np.asarray(logits), between="step")
 
 
-def _kinds_and_bands(rows: FloatArray) -> tuple[IntArray, IntArray]:
+def kinds_and_bands(rows: FloatArray) -> tuple[IntArray, IntArray]:
     """The kinds of obstacle among rows [n, 11], shape [kinds, 4], and each row's band, [n]."""
     *kind, band = cell_of(rows)
     visited = np.bincount(np.ravel_multi_index(kind, SHAPE[:-1]))

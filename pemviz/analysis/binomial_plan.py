@@ -1,0 +1,94 @@
+"""How many labelled obstacles show that a detector misses rarely enough: exact binomial planning.
+
+Clopper and Pearson's one-sided bound for P(missed) after k misses of n obstacles is at most u if
+and only if P(at most k misses of n | u) <= 1 - confidence. The fewest n for a given k follow from
+the negative binomial distribution of the obstacles that k + 1 misses take; how likely a detector
+that misses with probability p has no more than k is a binomial tail.
+"""
+
+import math
+from dataclasses import dataclass
+
+from scipy.stats import binom, nbinom
+
+POWER = 0.9
+MOST_LABELS = 10_000_000
+"""More than these count as out of reach."""
+SLACK = 1e-9
+"""Relative rounding error that a bound may have."""
+
+
+@dataclass(frozen=True)
+class LabelsNeeded:
+    """A sample of labelled obstacles that would do.
+
+    Attributes:
+        labels: How many more obstacles to label.
+        most_missed: How many of these the detector may miss.
+        power: How likely it misses no more, if its P(missed) is the assumed one.
+    """
+
+    labels: int
+    most_missed: int
+    power: float
+
+
+def fewest_obstacles(missed: int, *, bound: float, confidence: float) -> int:
+    """Fewest n for which ``missed`` misses of n bound P(missed) by ``bound`` at ``confidence``."""
+    alpha = 1.0 - confidence
+    if bound >= 1.0:
+        return missed
+    if missed == 0:
+        return math.ceil(math.log(alpha) / math.log1p(-bound) * (1.0 - SLACK))
+    found = nbinom.ppf(confidence * (1.0 - SLACK * alpha), missed + 1, bound)
+    return int(found) + missed + 1
+
+
+def labels_needed(
+    *,
+    obstacles: int,
+    missed: int,
+    bound: float,
+    assumed: float,
+    confidence: float,
+    power: float = POWER,
+) -> LabelsNeeded | None:
+    """The smallest further sample that shows P(missed) <= ``bound``, with ``power``.
+
+    Args:
+        obstacles: Labelled already.
+        missed: The missed ones among them.
+        bound: What is to be shown; above 0.
+        assumed: The detector's P(missed), as far as one believes to know it.
+        confidence: Of the bound.
+        power: How likely the sample is to suffice, if the detector is as assumed.
+
+    Returns:
+        ``None`` where even MOST_LABELS would not do: the detector misses too often.
+    """
+    if assumed >= bound:
+        return None
+
+    def sample(further: int) -> LabelsNeeded:
+        labels = fewest_obstacles(missed + further, bound=bound, confidence=confidence) - obstacles
+        if labels <= further:  # what is labelled already shows it
+            return LabelsNeeded(max(labels, 0), max(labels, 0), 1.0)
+        return LabelsNeeded(labels, further, float(binom.cdf(further, labels, assumed)))
+
+    def suffices(found: LabelsNeeded) -> bool:
+        return found.power >= power or found.labels > MOST_LABELS
+
+    few, many = -1, 0
+    while not suffices(sample(many)):
+        few, many = many, 2 * many + 1
+    while many - few > 1:
+        middle = (few + many) // 2
+        few, many = (few, middle) if suffices(sample(middle)) else (middle, many)
+    found = sample(many)
+    return None if found.labels > MOST_LABELS else found
+
+
+def labels_if_none_missed(*, obstacles: int, missed: int, bound: float, confidence: float) -> int:
+    """The fewest further obstacles that show P(missed) <= ``bound`` if none of them is missed."""
+    needed = fewest_obstacles(missed, bound=bound, confidence=confidence)
+    return max(needed - obstacles, 0)

@@ -1,0 +1,300 @@
+"""What to label next, so that the data alone show that the failure probability is small enough.
+
+In every band of distance the data bound P(missed) by Clopper and Pearson's limit; with all bands
+at their limits the failure probability has to stay below the target. See
+:mod:`pemviz.analysis.requirements` and :mod:`pemviz.analysis.binomial_plan`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.analysis.band_models import BANDS, MOST_CERTAIN, BandOutcomes, band_outcomes
+from pemviz.analysis.binomial_plan import POWER, labels_if_none_missed, labels_needed
+from pemviz.analysis.requirements import LabelledBand, cheapest_requirement
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.config.ranges import AtLeastZero, Confidence, Count, Share
+from pemviz.pem import Pem, SupportSummary
+from pemviz.pem.data.support import DISTANCE_EDGES_M, cell_in_words, cell_of, miss_upper_bound
+from pemviz.pem.judging.support_check import kinds_and_bands
+from pemviz.pem.models.protocol import as_rows
+from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.rollouts.draw import replay
+
+CONFIDENCE = 0.95
+MOST_PASSES = 4
+SETTLED = 0.3
+"""Log of how far a requirement may lie from the model that its violations were drawn for."""
+LARGEST_DRAWN = 0.999
+"""No model that violations are drawn for misses more often."""
+FIRST_MARGIN = 0.2
+"""By how much the log failure probability stays below the target, for the violations' own error."""
+NEGLIGIBLE = 0.05
+"""Elasticity of a band whose requirement hardly matters."""
+SEED_KEY = 2**32 - 5
+
+
+@dataclass(frozen=True)
+class BandPlan:
+    """What to do in one band of distance z, from the camera to the obstacle's centre.
+
+    Attributes:
+        low_m: Lower edge of z [m]; ``None`` behind the camera.
+        high_m: Upper edge [m]; ``None`` for the farthest band.
+        obstacles: Labelled obstacles like those that the scenario shows.
+        missed: The missed ones among them.
+        model: The error model's mean P(missed) where its outcome may matter.
+        allowed: The largest P(missed) that the data allow.
+        required: The largest P(missed) with which the target is met.
+        fewest_labels: More labelled obstacles that show it if none of them is missed.
+        labels: More labelled obstacles that show it with the plan's power, if the detector is as
+            the error model says; ``None`` where it misses too often for that.
+        most_missed: How many of these may be missed; ``None`` likewise.
+    """
+
+    low_m: float | None
+    high_m: float | None
+    obstacles: Count
+    missed: Count
+    model: Share
+    allowed: Share
+    required: Share
+    fewest_labels: Count
+    labels: Count | None
+    most_missed: Count | None
+
+
+@dataclass(frozen=True)
+class LabelPlan:
+    """Labels that would show a failure probability below a target.
+
+    Attributes:
+        target: The failure probability.
+        obstacle: What kind of obstacle to label, in words.
+        confidence: Of all bands' bounds together.
+        power: How likely all bands' samples suffice, if the detector is as the model says.
+        bands: Where outcomes may matter, near to far.
+        warning: What to keep in mind about the requirement; ``None`` if nothing.
+    """
+
+    target: AtLeastZero
+    obstacle: str
+    confidence: Confidence
+    power: Share
+    bands: tuple[BandPlan, ...]
+    warning: str | None = None
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """Labelled obstacles like those that a scenario shows.
+
+    Attributes:
+        obstacle: The kinds, in words.
+        obstacles: By band of distance, ``[B]``.
+        missed: The missed ones among them, ``[B]``.
+        visited: Bands that rollouts come through, ``[B]``.
+    """
+
+    obstacle: str
+    obstacles: IntArray
+    missed: IntArray
+    visited: BoolArray
+
+
+def labelled(salient: FloatArray, support: SupportSummary) -> Labelled:
+    """What is labelled of what a scenario shows.
+
+    Args:
+        salient: Variables of the steps that it visits, ``[..., 11]``.
+        support: Counts of the labelled obstacles.
+    """
+    rows, _ = as_rows(salient)
+    kinds, band = kinds_and_bands(rows)
+    return Labelled(
+        obstacle="; ".join(cell_in_words(*(int(part) for part in kind)) for kind in kinds),
+        obstacles=support.obstacles[tuple(kinds.T)].sum(axis=0),
+        missed=support.missed[tuple(kinds.T)].sum(axis=0),
+        visited=np.bincount(band, minlength=BANDS) > 0,
+    )
+
+
+def model_misses(pem: Pem, salient: FloatArray) -> FloatArray:
+    """Mean P(missed) of a model in each band ``[B]`` over rows ``[M, 11]``; 0 where none is."""
+    rows, _ = as_rows(salient)
+    band = cell_of(rows)[-1]
+    missed = np.exp(-np.logaddexp(0.0, pem.logit(rows)))
+    rows_in = np.bincount(band, minlength=BANDS)
+    return np.bincount(band, weights=missed, minlength=BANDS) / np.maximum(rows_in, 1)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a plan is made for.
+
+    Attributes:
+        problem: On a fast simulator; its error model is taken for what the detector does.
+        features: Says at which states perception's outcome may matter.
+        known: What is labelled.
+        target: The failure probability to stay below.
+    """
+
+    problem: Problem
+    features: StateFeatures
+    known: Labelled
+    target: float
+
+    def bands(self, outcomes: BandOutcomes) -> list[LabelledBand]:
+        """Bands in which some violation's outcome may have mattered."""
+        counted = outcomes.misses.sum(axis=0) + outcomes.hits.sum(axis=0)
+        assumed = model_misses(self.problem.pem, outcomes.salient)
+        return [
+            LabelledBand(
+                band=band,
+                obstacles=int(self.known.obstacles[band]),
+                missed=int(self.known.missed[band]),
+                assumed=float(assumed[band]),
+            )
+            for band in np.flatnonzero(counted).tolist()
+        ]
+
+    def confidence(self, bands: Sequence[LabelledBand]) -> float:
+        """Of each band's bound once the sample is there, so that all hold together."""
+        filled = self.known.visited & (self.known.obstacles > 0)
+        filled[[band.band for band in bands]] = True
+        return 1.0 - (1.0 - CONFIDENCE) / int(filled.sum())
+
+    def start(self, *, log_probability: float, elasticity: float | None) -> FloatArray:
+        """First guess of the requirement ``[B]``: the model's P(missed), all changed alike."""
+        own = model_misses(self.problem.pem, visited_salient(self.problem))
+        change = math.log(self.target) - log_probability
+        factor = math.exp(change / max(elasticity or 0.0, 1.0))
+        return np.where(own > 0.0, own * factor, LARGEST_DRAWN)
+
+
+def visited_salient(problem: Problem) -> FloatArray:
+    """Variables ``[2, T, 11]`` of the states with all outcomes missed, and with all detected."""
+    simulator = problem.simulator
+    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    return simulator.salient(replay(simulator=simulator, detected=outcomes))
+
+
+def label_plan(
+    problem: Problem,
+    *,
+    features: StateFeatures,
+    support: SupportSummary,
+    target: float,
+    log_probability: float,
+    elasticity: float | None,
+    seed: int,
+) -> tuple[LabelPlan, BandOutcomes] | None:
+    """The cheapest labels that show a failure probability below ``target``.
+
+    Args:
+        problem: On a fast simulator; its error model is taken for what the detector does.
+        features: Says at which states perception's outcome may matter.
+        support: Counts of the labelled obstacles.
+        target: The failure probability.
+        log_probability: Log of the present answer [nats].
+        elasticity: d log(answer) / d log(P(missed)), all distances alike; ``None``: not known.
+        seed: Root of all randomness.
+
+    Returns:
+        The plan with the violations that it rests on; ``None`` where nothing violates, or even
+        a detector that hardly misses does not meet the target.
+    """
+    task = Task(problem, features, labelled(visited_salient(problem), support), target)
+    start = task.start(log_probability=log_probability, elasticity=elasticity)
+    found = _required(task, start=start, seed=seed)
+    if found is None:
+        return None
+    outcomes, required = found
+    bands = task.bands(outcomes)
+    confidence, power = task.confidence(bands), each_power(len(bands))
+    effective = outcomes.effective_failures(required)
+    plan = LabelPlan(
+        target=target,
+        obstacle=task.known.obstacle,
+        confidence=CONFIDENCE,
+        power=POWER,
+        bands=tuple(
+            _band_plan(band, confidence=confidence, power=power, required=required)
+            for band in bands
+        ),
+        warning=None
+        if effective >= SMALL_ESS
+        else "few of the simulated violations look like those at the requirement: a rough plan",
+    )
+    return plan, outcomes
+
+
+def _required(
+    task: Task, *, start: FloatArray, seed: int
+) -> tuple[BandOutcomes, FloatArray] | None:
+    """Violations drawn near the cheapest requirement, and that requirement ``[B]``."""
+    seeds = np.random.SeedSequence(seed, spawn_key=(SEED_KEY,)).generate_state(MOST_PASSES)
+    drawn_for, margin = np.clip(start, MOST_CERTAIN, LARGEST_DRAWN), FIRST_MARGIN
+    found = None
+    for pass_seed in seeds.tolist():
+        outcomes = band_outcomes(
+            task.problem, miss=drawn_for, features=task.features, seed=pass_seed
+        )
+        bands = task.bands(outcomes)
+        required = cheapest_requirement(
+            outcomes,
+            bands=bands,
+            log_target=math.log(task.target) - margin,
+            confidence=task.confidence(bands),
+            power=each_power(len(bands)),
+        )
+        if required is None:
+            break
+        found = (outcomes, required)
+        wanted = np.where(required > 0.0, required, drawn_for)
+        wanted = np.clip(wanted, MOST_CERTAIN, LARGEST_DRAWN)
+        away = np.abs(np.log(wanted / drawn_for))[np.abs(outcomes.slopes(required)) > NEGLIGIBLE]
+        if away.size == 0 or float(away.max()) <= SETTLED:
+            break
+        drawn_for = wanted
+        margin = 2.0 / math.sqrt(max(outcomes.effective_failures(required), SMALL_ESS))
+    return found
+
+
+def each_power(bands: int) -> float:
+    """What each band's sample must suffice with, so that all do with POWER."""
+    return POWER ** (1.0 / max(bands, 1))
+
+
+def _band_plan(
+    band: LabelledBand, *, confidence: float, power: float, required: FloatArray
+) -> BandPlan:
+    edges = (None, *DISTANCE_EDGES_M, None)
+    bound = float(required[band.band])
+    sample = labels_needed(
+        obstacles=band.obstacles,
+        missed=band.missed,
+        bound=bound,
+        assumed=band.assumed,
+        confidence=confidence,
+        power=power,
+    )
+    return BandPlan(
+        low_m=edges[band.band],
+        high_m=edges[band.band + 1],
+        obstacles=band.obstacles,
+        missed=band.missed,
+        model=band.assumed,
+        allowed=miss_upper_bound(band.missed, band.obstacles, confidence=confidence),
+        required=bound,
+        fewest_labels=labels_if_none_missed(
+            obstacles=band.obstacles, missed=band.missed, bound=bound, confidence=confidence
+        ),
+        labels=None if sample is None else sample.labels,
+        most_missed=None if sample is None else sample.most_missed,
+    )

@@ -1,0 +1,70 @@
+"""What to measure next in words: what every figure is, and what is said where there is none."""
+
+from dataclasses import replace
+
+from pemviz.cli.summary import print_summary
+from pemviz.reports.data_plan_text import band_rows, plan_sentences, short_rows
+from pemviz.reports.markdown import summary_markdown
+from pemviz.runs.data_plan import planned_target
+from tests.reports.runs import PLAN, estimate, result
+
+
+def changed(*, band=None, **changes):
+    """The plan with its first band, or itself, changed."""
+    first, *others = PLAN.labels.bands
+    bands = (replace(first, **(band or {})), *others)
+    labels = changes.pop("labels", replace(PLAN.labels, bands=bands))
+    return result(plan=replace(PLAN, labels=labels, **changes))
+
+
+def test_a_line_each_for_target_refits_and_memory(tmp_path, capsys):
+    one = changed(reason=None)
+    labels, refits, sequences = short_rows(one)
+    assert labels[0] == "label 1,249 more at 5 to 7 m, 717 more at 7 to 13 m"
+    assert "under 2.5e-09, halfway to the answer" in labels[1]
+    assert refits[0] == "label 1,290 more at 7 to 13 m"
+    assert sequences[0] == "85 tracked sequences"
+    print_summary(one, tmp_path)
+    told = capsys.readouterr().out
+    assert "What to measure next (labels of Car, occlusion none, straight ahead, heading" in told
+    assert "- label 1,249 more at 5 to 7 m" in told
+    assert "required" not in told
+    print_summary(one, tmp_path, verbose=True)
+    assert "required" in capsys.readouterr().out
+
+
+def test_a_detector_that_misses_too_often_is_told_to_become_better():
+    one = changed(band={"labels": None, "most_missed": None, "required": 0.004})
+    assert short_rows(one)[0][0] == "a better detector: one that misses at most 0.004 at 5 to 7 m"
+    assert "the detector has to become better first" in " ".join(plan_sentences(one))
+    assert band_rows(one.plan.labels)[0][6] == "out of reach"
+
+
+def test_what_is_labelled_may_do():
+    one = changed(band={"labels": 0, "most_missed": 0, "obstacles": 400})
+    assert "5 to 7 m" not in short_rows(one)[0][0]
+    assert "the labels at hand do (0 of 400 missed so far)" in " ".join(plan_sentences(one))
+
+
+def test_every_figure_stands_in_the_page():
+    page = summary_markdown(changed(reason=None))
+    for words in (
+        "### What to measure next", "| 5 to 7 | 0 | 0 | 0.012 | 1 | 0.058 | 1,249 | 6 | 78 |",
+        "if at most 13 of them are missed", "with a probability of 90%", "Mind: a rough plan",
+        "18 tracked sequences give a memory time of 0.25 s (0.17 to 0.38 s)",
+    ):  # fmt: skip
+        assert words in page
+
+
+def test_no_plan_says_why_and_no_question_says_nothing():
+    none = changed(labels=None, refits=(), sequences=None, reason="no violation was seen")
+    assert plan_sentences(none) == ["No labels are planned: no violation was seen."]
+    assert short_rows(none) == []
+    assert "What to measure next" not in summary_markdown(result())
+
+
+def test_without_a_target_the_plan_aims_halfway_to_what_the_data_allow():
+    one = result(estimate(probability=1e-14))
+    assert abs(planned_target(one) / (1e-14 * one.data_bound.probability) ** 0.5 - 1.0) < 1e-12
+    assert planned_target(result(estimate(probability=0.5))) is None
+    assert planned_target(replace(one, config=replace(one.config, target=1e-7))) == 1e-7
