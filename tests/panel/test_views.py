@@ -18,13 +18,13 @@ from pemviz.panel.ranking import rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
 from pemviz.panel.scene import braking, gap_color
-from pemviz.panel.svg import Axis, Plot, nice_ticks
 from pemviz.panel.tabs import experiment
 from pemviz.panel.tabs.player import interesting_step
 from pemviz.panel.views import compare, headline, learning, recordings, why
-from pemviz.panel.views.html import number
 from pemviz.panel.views.ranking_table import first_place, ranking_table
 from pemviz.panel.views.rollout import track, track_plots, with_cursor
+from pemviz.reports.pictures.html import number
+from pemviz.reports.pictures.svg import Axis, Plot, nice_ticks
 from pemviz.runs.result import PemInfo
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.value_twisted.reference import Reference

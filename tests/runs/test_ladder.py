@@ -9,10 +9,10 @@ import pytest
 from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.cli.summary import MOST_WARNINGS, print_summary
 from pemviz.config import METHODS
-from pemviz.panel.views.ladder import ladder_plot
 from pemviz.recording.text import answer_text
 from pemviz.reports.ladder_text import ladder_rows
 from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.panel.views.memory import memory_curve as memory_curve_view
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.recording.text import answer_text
 from pemviz.reports.memory_curve import assumption_line, curve_rows
+from pemviz.reports.pictures.memory import memory_curve as memory_curve_view
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document, result_from_document

@@ -11,8 +11,8 @@ from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import hint, limits
-from pemviz.panel.views.html import block, good, quiet, warning
 from pemviz.pem import shipped_pems
+from pemviz.reports.pictures.html import block, good, quiet, warning
 from pemviz.runs.experiment import build_formula, build_simulator
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.registry import simulator_names

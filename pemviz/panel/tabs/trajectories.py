@@ -11,8 +11,8 @@ from pemviz.panel.browser import Browser, element_id, set_html
 from pemviz.panel.ranking import Ranking, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tabs.player import Player
-from pemviz.panel.views.html import block, quiet
 from pemviz.panel.views.ranking_table import ranking_table
+from pemviz.reports.pictures.html import block, quiet
 
 METRIC_HINT = (
     "Metric that ranks the rollouts shown; re-ranks what is stored at once, without a new run. "

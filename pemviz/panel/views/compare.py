@@ -10,10 +10,10 @@ from pemviz.colors import BLACK, BLUE, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
 from pemviz.panel.ranking import elites, rank, row
 from pemviz.panel.run_data import RunData
-from pemviz.panel.svg import Axis, Plot
-from pemviz.panel.views.html import block, grid, heading, number, quiet
 from pemviz.panel.views.learning import DOUBTED, logs_of_answer
 from pemviz.reports.estimate_text import no_interval_text
+from pemviz.reports.pictures.html import block, grid, heading, number, quiet
+from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.same_run import setting_differences
 from pemviz.runs.trust import run_interval_caveats
 

@@ -6,10 +6,10 @@ from html import escape
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
-from pemviz.panel.views.html import block, number, quiet, warning
-from pemviz.panel.views.ladder import ladder_plot
-from pemviz.panel.views.memory import memory_curve
 from pemviz.reports.estimate_text import interval_name, level_text, no_interval_text
+from pemviz.reports.pictures.html import block, number, quiet, warning
+from pemviz.reports.pictures.ladder import ladder_plot
+from pemviz.reports.pictures.memory import memory_curve
 from pemviz.runs.trust import run_diagnostics, run_interval_caveats
 from pemviz.types import Estimate
 

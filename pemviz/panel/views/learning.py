@@ -7,8 +7,8 @@ import numpy as np
 
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
 from pemviz.panel.run_data import RunData
-from pemviz.panel.svg import Axis, Plot
-from pemviz.panel.views.html import block, number, quiet
+from pemviz.reports.pictures.html import block, number, quiet
+from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.result import StageSummary
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS

@@ -5,7 +5,7 @@ from html import escape
 from pemviz.colors import MISSED
 from pemviz.panel.ranking import RankedRow, Ranking, row
 from pemviz.panel.run_data import RunData
-from pemviz.panel.views.html import MINUS, block, cells, number, quiet
+from pemviz.reports.pictures.html import MINUS, block, cells, number, quiet
 from pemviz.sampling.registry import by_name
 
 PAGE_ROWS = 12

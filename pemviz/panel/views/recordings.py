@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from html import escape
 
 from pemviz.panel.recordings import RunEntry
-from pemviz.panel.views.html import block, grid, number, quiet, warning
+from pemviz.reports.pictures.html import block, grid, number, quiet, warning
 
 MOST_COMPLAINTS = 10
 

@@ -9,8 +9,8 @@ from pemviz.colors import BLUE, DETECTED, EGO, GREY, LEAD, MISSED, PEM, PROPOSAL
 from pemviz.config import ScenarioConfig
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
-from pemviz.panel.svg import Axis, Plot, svg, text
-from pemviz.panel.views.html import number
+from pemviz.reports.pictures.html import number
+from pemviz.reports.pictures.svg import Axis, Plot, svg, text
 from pemviz.simulators.braking.scenario import scenario_signals
 
 WIDTH, HEIGHT = 900, 190

@@ -9,10 +9,10 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.run_data import RunData
-from pemviz.panel.svg import Axis, Plot
-from pemviz.panel.views.causes import causes_part
-from pemviz.panel.views.html import block, good, grid, heading, number, percent, quiet, warning
 from pemviz.reports.estimate_text import REFITS
+from pemviz.reports.pictures.causes import causes_part
+from pemviz.reports.pictures.html import block, good, grid, heading, number, percent, quiet, warning
+from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.trust import data_warnings, run_diagnostics
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.registry import by_name
@@ -36,7 +36,7 @@ def why(run: RunData | None) -> str:
 
 
 def _why(run: RunData) -> str:
-    return _misses(run) + causes_part(run) + _trust(run) + _data(run) + _assumptions(run)
+    return _misses(run) + causes_part(run.result) + _trust(run) + _data(run) + _assumptions(run)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Tables of the Why tab: misses by distance and what fewer would bring; the likeliest chains."""
+"""Tables of causes: misses by distance and what fewer would bring; the likeliest chains."""
 
 from collections.abc import Sequence
 from html import escape
@@ -7,10 +7,10 @@ from pemviz.analysis.causes import BandMisses, Chain
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.colors import MISSED
-from pemviz.panel.run_data import RunData
-from pemviz.panel.svg import FAINT, GRID, nice_ticks, svg, text
-from pemviz.panel.views.html import MINUS, grid, heading, number, percent, quiet
 from pemviz.reports.causes_text import BURST, BURST_TITLE, burst_rows
+from pemviz.reports.pictures.html import MINUS, grid, heading, number, percent, quiet
+from pemviz.reports.pictures.svg import FAINT, GRID, nice_ticks, svg, text
+from pemviz.runs.result import RunResult
 
 SHOWN_CHAINS = 8
 SMALLEST_SHOWN = 0.005
@@ -24,17 +24,17 @@ BURST_NOTE = (
 )
 
 
-def causes_part(run: RunData) -> str:
+def causes_part(result: RunResult) -> str:
     """Both tables, if the run explains itself."""
-    explanation = run.result.explanation
+    explanation = result.explanation
     if explanation is None:
         return ""
     parts = [
         heading("Misses by distance, and what fewer of them would bring"),
-        band_table(explanation, target=run.config.target),
-        quiet(_band_note(run, explanation)),
+        band_table(explanation, target=result.config.target),
+        quiet(_band_note(result, explanation)),
     ]
-    rows = burst_rows(explanation, target=run.config.target)
+    rows = burst_rows(explanation, target=result.config.target)
     if rows:
         parts += [
             heading(BURST_TITLE),
@@ -42,7 +42,7 @@ def causes_part(run: RunData) -> str:
             quiet(BURST_NOTE),
         ]
     if explanation.chains:
-        dt_s = run.config.scenario.dt_s
+        dt_s = result.config.scenario.dt_s
         parts += [
             heading("Likeliest chains of misses"),
             chain_table(explanation.chains, dt_s=dt_s),
@@ -97,13 +97,13 @@ def _target_text(sensitivity: BandSensitivity) -> str:
     return f"{number(100.0 * factor, 2)} %{guess}"
 
 
-def _band_note(run: RunData, explanation: Explanation) -> str:
+def _band_note(result: RunResult, explanation: Explanation) -> str:
     words = (
         "Sensitivity: one per cent fewer misses in a band bring about so many per cent fewer "
         "violations. Counted are misses at steps where the outcome matters; bands without any "
         "are left out."
     )
-    if run.config.repetitions > 1:
+    if result.config.repetitions > 1:
         words += f" From the final rollouts of repetition {explanation.repetition + 1}."
     return words
 

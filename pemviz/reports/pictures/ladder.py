@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from html import escape
 
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
-from pemviz.panel.svg import FAINT, FONT, GRID, INK, nice_ticks
-from pemviz.panel.views.html import number
 from pemviz.reports.ladder_text import LADDER_TITLE
+from pemviz.reports.pictures.html import number
+from pemviz.reports.pictures.svg import FAINT, FONT, GRID, INK, nice_ticks
 from pemviz.runs.ladder import Rung, uncertainty_ladder
 from pemviz.runs.result import RunResult
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from pemviz.colors import PEM, PROPOSAL
-from pemviz.panel.svg import Axis, Plot
-from pemviz.panel.views.html import warning
 from pemviz.reports.memory_curve import assumption_line, measured_names
+from pemviz.reports.pictures.html import warning
+from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.memory import RunMemory
 
 X_LABEL = "memory time [s]; whiskers: intervals, about 90 %"
