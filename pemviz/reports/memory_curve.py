@@ -1,19 +1,14 @@
 """The failure probability over memory times, in words and rows, the same in every view."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pemviz.runs.memory import RunMemory
 from pemviz.sampling.bursts.curve import MEASURED_S, CurvePoint
-from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 
 SHOWN_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Of the curve's memory times, those that a small table shows beside the measured ones [s]."""
-
-
-CURVE_COLUMNS = ("memory time", "probability", "interval, about 90 %", "measured on video for")
-"""Of the small table. In a study of 12 runs at 8 memory times the intervals, meant for 95 %, held
-the exact value in 83 to 100 %: they are not called 95 % intervals."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +18,7 @@ class CurveRow:
     Attributes:
         tau: The memory time.
         probability: The failure probability.
-        interval: Its interval, see :data:`CURVE_COLUMNS`.
+        interval: Its interval, and why that is no 95 % interval where it is none.
         measured: Whose memory time it is; empty where nobody's.
     """
 
@@ -33,10 +28,15 @@ class CurveRow:
     measured: str
 
 
+def curve_columns(memory: RunMemory) -> tuple[str, str, str, str]:
+    """Heads of the small table: the interval's claims no level that not all of them have."""
+    level = "" if any(point.caveats for point in _shown(memory)) else "95 % "
+    return ("memory time", "probability", f"{level}interval", "measured on video for")
+
+
 def curve_rows(memory: RunMemory) -> list[CurveRow]:
     """A small table of the curve; empty without one."""
     names = measured_names(memory)
-    shown = {*SHOWN_S, *names, memory.tau_s}
     return [
         CurveRow(
             tau="independent" if point.tau_s == 0.0 else f"{point.tau_s:.3g} s",
@@ -44,9 +44,13 @@ def curve_rows(memory: RunMemory) -> list[CurveRow]:
             interval=_interval(point),
             measured=names.get(point.tau_s, ""),
         )
-        for point in memory.curve
-        if point.tau_s in shown
+        for point in _shown(memory)
     ]
+
+
+def _shown(memory: RunMemory) -> Sequence[CurvePoint]:
+    shown = {*SHOWN_S, *measured_names(memory), memory.tau_s}
+    return [point for point in memory.curve if point.tau_s in shown]
 
 
 def measured_names(memory: RunMemory) -> dict[float, str]:
@@ -93,6 +97,4 @@ def _interval(point: CurvePoint) -> str:
     if point.low is None or point.high is None:
         return "no violation was seen"
     words = f"{point.low:.2g} to {point.high:.2g}"
-    if point.ess is not None and point.ess < SMALL_ESS:
-        return f"{words}: {point.ess:.0f} effective violations, only roughly"
-    return words
+    return f"{words}: not a 95 % interval, {point.caveats[0]}" if point.caveats else words

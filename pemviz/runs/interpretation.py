@@ -245,7 +245,14 @@ def _own_point(result: RunResult, *, tau_s: float) -> CurvePoint | None:
     answer = result.estimate
     if answer is None or answer.ci_low is None or run_interval_caveats(result):
         return None
-    return CurvePoint(tau_s, answer.probability, answer.ci_low, answer.ci_high, answer.ess)
+    return CurvePoint(
+        tau_s=tau_s,
+        probability=answer.probability,
+        low=answer.ci_low,
+        high=answer.ci_high,
+        ess=answer.ess,
+        diagnostics=answer.diagnostics,
+    )
 
 
 def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:

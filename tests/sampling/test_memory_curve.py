@@ -9,13 +9,14 @@ import pytest
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.recording.text import answer_text
-from pemviz.reports.memory_curve import assumption_line, curve_rows
+from pemviz.reports.memory_curve import assumption_line, curve_columns, curve_rows
 from pemviz.reports.pictures.memory import memory_curve as memory_curve_view
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document, result_from_document
 from pemviz.sampling.bursts.curve import MEASURED_S, SHOWN_S, CurvePoint, memory_curve
 from pemviz.sampling.problem import Problem
+from pemviz.types import Diagnostic
 from tests.lattice_walk import toy_robustness, toy_unsafe, toy_violated
 from tests.sampling.test_memory import PEM, SIMULATOR, by_enumeration
 
@@ -109,14 +110,18 @@ def test_the_result_says_what_the_assumption_is_worth(result):
 
 
 def test_orders_of_magnitude_and_thin_intervals_are_said():
-    def point(tau_s, probability, ess=50.0):
-        return CurvePoint(tau_s, probability, probability / 2, probability * 2, ess)
+    def point(tau_s, probability, *diagnostics):
+        ends = probability / 2, probability * 2
+        return CurvePoint(tau_s, probability, *ends, 50.0, diagnostics)
 
-    curve = (point(0.0, 1e-15, ess=3.0), point(0.17, 1e-4), point(0.3, 1e-3), point(0.5, 2e-3))
+    tail = Diagnostic("heavy-tail", 0.81, 0.7, "the weights' tail is too heavy")
+    curve = (point(0.0, 1e-15, tail), point(0.17, 1e-4), point(0.3, 1e-3), point(0.5, 2e-3))
     own = MeasuredTau(tau_s=0.5, low_s=0.4, high_s=0.6, confidence=0.95)
     memory = RunMemory(tau_s=0.0, curve=curve)
     assert assumption_line(memory).endswith("worth 12 orders of magnitude.")
-    assert curve_rows(memory)[0].interval.endswith("3 effective violations, only roughly")
+    assert curve_rows(memory)[0].interval.endswith("not a 95 % interval, Pareto k-hat is 0.81")
+    assert curve_columns(memory)[2] == "interval"
+    assert curve_columns(replace(memory, curve=curve[1:]))[2] == "95 % interval"
     measured = assumption_line(replace(memory, fitted=own))
     assert "single frames" not in measured
     assert "0.002 with that of this error model (0.5 s)" in measured

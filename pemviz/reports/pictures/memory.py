@@ -10,7 +10,6 @@ from pemviz.reports.pictures.html import warning
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.memory import RunMemory
 
-X_LABEL = "memory time [s]; whiskers: intervals, about 90 %"
 TICKS_S = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 WIDTH, HEIGHT = 400, 170
 
@@ -27,9 +26,11 @@ def _plot(memory: RunMemory) -> str:
     points = [point for point in memory.curve if point.low and point.high and point.probability]
     if not points:
         return ""
+    level = "" if any(point.caveats for point in points) else "95 % "
+    x_label = f"memory time [s]; whiskers: {level}intervals"
     low = min(math.log10(point.low or 1.0) for point in points)
     plot = Plot(
-        x=Axis(0.0, 1.02 * max(p.tau_s for p in points), X_LABEL, ticks=TICKS_S),
+        x=Axis(0.0, 1.02 * max(p.tau_s for p in points), x_label, ticks=TICKS_S),
         y=Axis(low - 0.5, 0.2, "", log10=True),
         width=WIDTH,
         height=HEIGHT,

@@ -7,89 +7,15 @@ import numpy as np
 from scipy.special import logsumexp
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
-from pemviz.pem import Pem
-from pemviz.pem.models.memory import Memory
-from pemviz.proposals.defensive_share import defended, share_for
-from pemviz.proposals.offset_logistic import (
-    OffsetLogisticProposal,
-    PolynomialBasis,
-    StateFeatures,
-    acting,
-    shift,
-)
-from pemviz.sampling.memory import RememberingFeatures, RememberingPem
-from pemviz.sampling.problem import Problem, sample
+from pemviz.proposals.defensive_share import defended
+from pemviz.proposals.offset_logistic import PolynomialBasis, acting, shift
+from pemviz.proposals.pilots import PilotFamily
+from pemviz.sampling.bursts.scenario import PILOTED_S, Drawing, Scenario
+from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool, balance_weights
 from pemviz.simulators.latched import VIOLATED
-from pemviz.types import ScoredRollouts, StateBatch, outcome_log_likelihood
+from pemviz.types import RolloutBatch, ScoredRollouts, outcome_log_likelihood
 
-DEFENSIVE_STEPS = 2.0
 DEGREE = 3
-SHORT_RHO = 0.01
-"""Below, what an outcome leaves behind is not worth changing one that the scenario ignores."""
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A proposal: coefficients ``[B]``, or one constant ``[1]``, around a memory time's model."""
-
-    tau_s: float
-    coefficients: FloatArray
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """What rollouts are drawn on: the problem with memory and latch, and what is looked at."""
-
-    problem: Problem
-    pem: Pem
-    features: RememberingFeatures
-    own_features: StateFeatures
-    basis: PolynomialBasis | None = None
-
-    @property
-    def defensive(self) -> float:
-        """Share of the model in every outcome's probability."""
-        return share_for(drawn_steps=DEFENSIVE_STEPS, steps=self.problem.simulator.states - 1)
-
-    def model(self, tau_s: float) -> RememberingPem:
-        """The error model with a memory time."""
-        return RememberingPem(self.pem, Memory(tau_s=tau_s), self.problem.simulator.dt_s)
-
-    def is_short(self, tau_s: float) -> bool:
-        """Whether a memory time is so short that ignored outcomes are left to the model."""
-        return self.model(tau_s).rho < SHORT_RHO
-
-    def proposal(self, drawing: Drawing) -> OffsetLogisticProposal:
-        """What rollouts are drawn from."""
-        is_constant = drawing.coefficients.size == 1 or self.basis is None
-        none = PolynomialBasis(mean=np.zeros(0), spread=np.zeros(0), degree=0)
-        return OffsetLogisticProposal(
-            features=_Seen(
-                self.features,
-                reacting=self.own_features if self.is_short(drawing.tau_s) else self.features,
-                blind=is_constant,
-            ),
-            basis=none if is_constant or self.basis is None else self.basis,
-            coefficients=drawing.coefficients,
-            violated=VIOLATED,
-            defensive=self.defensive,
-        )
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """Features, or none for a constant proposal, where the ``reacting`` ones say they matter."""
-
-    features: StateFeatures
-    reacting: StateFeatures
-    blind: bool
-
-    def values(self, states: StateBatch) -> FloatArray:
-        shape = next(iter(states.signals.values())).shape
-        return np.zeros((*shape, 0)) if self.blind else self.features.values(states)
-
-    def reacts(self, states: StateBatch) -> BoolArray:
-        return self.reacting.reacts(states)
 
 
 @dataclass(frozen=True)
@@ -115,12 +41,13 @@ class Outcomes(Batch):
 
 @dataclass(frozen=True)
 class Drawn:
-    """N rollouts and K proposals.
+    """N rollouts and K proposals, beside pilots.
 
     Attributes:
         outcomes: Of all rollouts.
-        component: Which proposal each was drawn from, ``[N]``.
-        log_q: Log likelihood under each proposal, ``[N, K]`` [nats].
+        component: What each was drawn from, ``[N]``: 0 is the pilots' families, k the k-th
+            proposal.
+        log_q: Log likelihood under the pilots and under each proposal, ``[N, 1 + K]`` [nats].
         robustness: ``[N]``.
         violated: ``[N]``.
     """
@@ -137,37 +64,11 @@ class Drawn:
         return int(self.violated.size)
 
 
-def simulated(
-    scenario: Scenario,
-    drawings: Sequence[Drawing],
-    counts: Sequence[int],
-    seeds: np.random.SeedSequence,
-) -> ScoredRollouts:
-    """``counts`` rollouts from each of the drawings, in their order."""
-    parts = [
-        sample(
-            replace(scenario.problem, pem=scenario.model(drawing.tau_s)),
-            proposal=scenario.proposal(drawing),
-            count=count,
-            seeds=child,
-        )
-        for drawing, count, child in zip(drawings, counts, seeds.spawn(len(counts)), strict=True)
-        if count
-    ]
-    return ScoredRollouts.concatenate(parts)
-
-
-def _feature_values(scenario: Scenario, scored: ScoredRollouts) -> tuple[FloatArray, BoolArray]:
-    """Features ``[M, D]`` of the states before a violation, and which those are ``[N, T-1]``."""
-    states = scored.rollouts.decision_states()
-    shape = scored.rollouts.detected.shape
-    acts = acting(scenario.features, states, shape, violated=VIOLATED)
-    return scenario.features.values(states)[acts], acts
-
-
 def first_basis(scenario: Scenario, scored: ScoredRollouts) -> PolynomialBasis:
     """Monomials of the features, standardised by the first rollouts; constants keep spread 1."""
-    values, _ = _feature_values(scenario, scored)
+    states = scored.rollouts.decision_states()
+    acts = _before_violation(scenario, scored.rollouts)
+    values = scenario.features.values(states)[acts]
     spread = np.std(values, axis=0)
     return PolynomialBasis(
         mean=np.mean(values, axis=0), spread=np.where(spread > 0.0, spread, 1.0), degree=DEGREE
@@ -175,38 +76,54 @@ def first_basis(scenario: Scenario, scored: ScoredRollouts) -> PolynomialBasis:
 
 
 def described(
-    scenario: Scenario,
-    scored: ScoredRollouts,
-    drawings: Sequence[Drawing],
-    counts: Sequence[int],
+    scenario: Scenario, scored: ScoredRollouts, drawings: Sequence[Drawing], *, component: int
 ) -> Drawn:
-    """Rollouts of which ``counts`` came from each of the drawings, in their order."""
-    assert scenario.basis is not None  # noqa: S101  chosen from the first rollouts
+    """Rollouts drawn from one component, with their likelihood under all."""
+    assert scenario.basis is not None  # noqa: S101  chosen from the pilots' rollouts
     rollouts = scored.rollouts
-    states = rollouts.decision_states()
-    values, acts = _feature_values(scenario, scored)
-    salient = scenario.problem.simulator.salient(states.signals)[acts]
+    states, acts = rollouts.decision_states(), _before_violation(scenario, rollouts)
+    salient = scenario.problem.simulator.salient(states.signals)
+    own_logit, last = scenario.pem.logit(salient[..., :-1]), salient[..., -1]
+    near = np.broadcast_to(scenario.own_features.reacts(states), acts.shape)
     outcomes = Outcomes(
         rollout=np.nonzero(acts)[0].astype(np.int64),
-        basis=scenario.basis.evaluate(values),
+        basis=scenario.basis.evaluate(scenario.features.values(states)[acts]),
         missed=~rollouts.detected[acts],
-        last=salient[:, -1],
-        logit=scenario.pem.logit(salient[:, :-1]),
-        near=np.broadcast_to(scenario.own_features.reacts(states), acts.shape)[acts],
+        last=last[acts],
+        logit=own_logit[acts],
+        near=near[acts],
     )
-    log_q = [_log_q(scenario, outcomes, drawing, rollouts.count) for drawing in drawings]
+    by_family = [
+        _summed(outcomes, model_logit(scenario, outcomes, tau_s), rollouts.count)
+        + PilotFamily.over(scenario.steps).log_ratio(
+            replace(rollouts, pem_logit=scenario.model(tau_s).after(own_logit, last)),
+            acts & near if scenario.is_short(tau_s) else acts,
+        )
+        for tau_s in PILOTED_S
+    ]
+    by_pilots = np.asarray(logsumexp(by_family, axis=0)) - np.log(len(by_family))
+    by_fits = [_log_q(scenario, outcomes, drawing, rollouts.count) for drawing in drawings]
     return Drawn(
         outcomes=outcomes,
-        component=np.repeat(np.arange(len(counts)), counts),
-        log_q=np.stack(log_q, axis=1),
+        component=np.full(rollouts.count, component, dtype=np.int64),
+        log_q=np.stack([by_pilots, *by_fits], axis=1),
         robustness=scored.robustness,
         violated=scored.violated,
     )
 
 
-def with_drawing(scenario: Scenario, drawn: Drawn, drawing: Drawing) -> Drawn:
-    """The rollouts with their likelihood under one more proposal."""
-    log_q = _log_q(scenario, drawn.outcomes, drawing, drawn.count)
+def with_drawing(
+    scenario: Scenario, drawn: Drawn, drawing: Drawing, *, optimism: FloatArray
+) -> Drawn:
+    """The rollouts with their likelihood under one more proposal.
+
+    Args:
+        scenario: What they were drawn on.
+        drawn: N rollouts.
+        drawing: Fitted to them.
+        optimism: By how much it overstates their log likelihood for that reason, ``[N]``.
+    """
+    log_q = _log_q(scenario, drawn.outcomes, drawing, drawn.count) - optimism
     return replace(drawn, log_q=np.column_stack([drawn.log_q, log_q]))
 
 
@@ -227,28 +144,48 @@ def model_logit(scenario: Scenario, outcomes: Outcomes, tau_s: float) -> FloatAr
     return scenario.model(tau_s).after(outcomes.logit, outcomes.last)
 
 
-def _log_q(scenario: Scenario, outcomes: Outcomes, drawing: Drawing, count: int) -> FloatArray:
-    """Log likelihood of N rollouts' outcomes under a proposal, ``[N]``."""
-    under_pem = model_logit(scenario, outcomes, drawing.tau_s)
-    coefficients = drawing.coefficients
-    is_constant = coefficients.size == 1
-    raised = coefficients[0] if is_constant else shift(outcomes.basis, coefficients)
-    logit = defended(under_pem - raised, under_pem, share=scenario.defensive)
-    if scenario.is_short(drawing.tau_s):
-        logit = np.where(outcomes.near, logit, under_pem)
-    return _log_likelihood(outcomes, logit, count)
-
-
-def _log_likelihood(outcomes: Outcomes, logit: FloatArray, count: int) -> FloatArray:
-    log_p = outcome_log_likelihood(logit, ~outcomes.missed)
-    return np.bincount(outcomes.rollout, weights=log_p, minlength=count).astype(np.float64)
+def seen_at(scenario: Scenario, drawn: Drawn, tau_s: float) -> Pool:
+    """The rollouts as draws for one memory time, with the decisions that its proposals make."""
+    outcomes = drawn.outcomes
+    logit = model_logit(scenario, outcomes, tau_s)
+    log_p = _summed(outcomes, logit, drawn.count)
+    decisions = Decisions(
+        rollout=outcomes.rollout, basis=outcomes.basis, missed=outcomes.missed, offset=-logit
+    )
+    if scenario.is_short(tau_s):
+        decisions = decisions.take(outcomes.near)
+    return Pool(
+        decisions=decisions,
+        component=drawn.component,
+        coefficients=(),
+        log_ratio=drawn.log_q - log_p[:, None],
+        robustness=drawn.robustness,
+        violated=drawn.violated,
+        log_p=log_p,
+    )
 
 
 def log_weights(scenario: Scenario, drawn: Drawn, tau_s: float) -> FloatArray:
-    """Of every rollout for a memory time, ``[N]``."""
-    logit = model_logit(scenario, drawn.outcomes, tau_s)
-    log_p = _log_likelihood(drawn.outcomes, logit, drawn.count)
-    taken = np.bincount(drawn.component, minlength=drawn.log_q.shape[1])
-    with np.errstate(divide="ignore"):  # a proposal that nothing was drawn from does not count
-        log_share = np.log(taken / drawn.count)
-    return log_p - np.asarray(logsumexp(drawn.log_q + log_share, axis=1))
+    """Of every rollout for a memory time, by the balance heuristic, ``[N]``."""
+    log_p = _summed(drawn.outcomes, model_logit(scenario, drawn.outcomes, tau_s), drawn.count)
+    return balance_weights(drawn.log_q - log_p[:, None], drawn.component)
+
+
+def _before_violation(scenario: Scenario, rollouts: RolloutBatch) -> BoolArray:
+    states = rollouts.decision_states()
+    return acting(scenario.features, states, rollouts.detected.shape, violated=VIOLATED)
+
+
+def _log_q(scenario: Scenario, outcomes: Outcomes, drawing: Drawing, count: int) -> FloatArray:
+    """Log likelihood of N rollouts' outcomes under a fitted proposal, ``[N]``."""
+    under_pem = model_logit(scenario, outcomes, drawing.tau_s)
+    raised = shift(outcomes.basis, drawing.coefficients)
+    logit = defended(under_pem - raised, under_pem, share=scenario.defensive)
+    if scenario.is_short(drawing.tau_s):
+        logit = np.where(outcomes.near, logit, under_pem)
+    return _summed(outcomes, logit, count)
+
+
+def _summed(outcomes: Outcomes, logit: FloatArray, count: int) -> FloatArray:
+    log_p = outcome_log_likelihood(logit, ~outcomes.missed)
+    return np.bincount(outcomes.rollout, weights=log_p, minlength=count).astype(np.float64)

@@ -307,7 +307,7 @@ def _errors_apart_in_log(one: float, error: float, other: float, other_error: fl
     """How many joint standard errors two logarithms are apart, of log-normal estimates."""
     if one == other:
         return 0.0
-    if not (one and other):
+    if not (one and other and one / other):
         return math.inf
     relative = (min(error / one, LARGEST_RATIO), min(other_error / other, LARGEST_RATIO))
     variance = sum(math.log1p(ratio**2) for ratio in relative)
