@@ -10,6 +10,7 @@ from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
 from pemviz.reports.causes_text import BURST_COLUMNS, burst_rows, causes_line
+from pemviz.reports.data_plan_text import PLAN_TITLE, plan_sentences
 from pemviz.reports.escape import markdown_table
 from pemviz.reports.estimate_text import (
     REFITS,
@@ -44,7 +45,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         parts += _memory(result)
         parts.append(_model_range(result.pem_interval))
         parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
-        parts += [*_causes(result), _diagnostics(estimate)]
+        parts += [*_plan(result), *_causes(result), _diagnostics(estimate)]
     parts.append(_question(result))
     parts.append(
         "## How to read on\n"
@@ -105,6 +106,14 @@ def _status(result: RunResult, *, running: bool) -> list[str]:
         return []
     reason = f": {result.message}" if result.message else ""
     return [f"**The run {result.status}** after {stages} stages{reason}."]
+
+
+def _plan(result: RunResult) -> list[str]:
+    """What to measure next, if it was asked for."""
+    if result.plan is None:
+        return []
+    sentences = "\n".join(f"- {words}" for words in plan_sentences(result))
+    return [f"## {PLAN_TITLE}\n{sentences}"]
 
 
 def _diagnostics(estimate: Estimate) -> str:

@@ -12,8 +12,7 @@ from pemviz.runs.result import RunResult
 PLAN_TITLE = "What to measure next"
 BAND_COLUMNS = (
     "z [m]",
-    "labelled",
-    "missed",
+    "missed so far",
     "model",
     "allowed",
     "required",
@@ -108,7 +107,7 @@ def _label_sentences(labels: LabelPlan, *, pem: str, halves: bool) -> list[str]:
     )
     first = (
         f"To show a failure probability below {labels.target:.2g}{chosen}, by labels alone, the "
-        f"cheapest way is: {labels.obstacle}."
+        f"cheapest way is to label, of {labels.obstacle}:"
     )
     last = (
         f"All bands' bounds hold together at {labels.confidence:.0%}; if the detector misses as "
@@ -164,8 +163,7 @@ def band_rows(labels: LabelPlan) -> list[tuple[str, ...]]:
     return [
         (
             z_text(band, unit=""),
-            f"{band.obstacles:,}",
-            f"{band.missed:,}",
+            f"{band.missed:,} of {band.obstacles:,}",
             f"{band.model:.2g}",
             f"{band.allowed:.2g}",
             f"{band.required:.2g}",

@@ -29,6 +29,7 @@ from pemviz.runs.result import PemInfo
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Diagnostic
+from tests.reports.runs import PLAN
 
 CRAFTED = "<script>alert(1)</script>"
 
@@ -104,6 +105,7 @@ def test_a_strangers_recording_cannot_smuggle_markup(naive_run):
         estimate=replace(whole.estimate, method=CRAFTED, diagnostics=(warned,)),
         pem_interval=replace(whole.pem_interval, warnings=(CRAFTED,)),
         explanation=replace(whole.explanation, sensitivity=sensitivity),
+        plan=replace(PLAN, reason=CRAFTED, labels=replace(PLAN.labels, obstacle=CRAFTED)),
         timings_s={CRAFTED: 1.0},
     )
     entry = recordings.RunEntry(

@@ -6,10 +6,12 @@ from html import escape
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
+from pemviz.reports.data_plan_text import short_rows
 from pemviz.reports.estimate_text import interval_name, level_text, no_interval_text
 from pemviz.reports.pictures.html import block, number, quiet, warning
 from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curve
+from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_diagnostics, run_interval_caveats
 from pemviz.types import Estimate
 
@@ -52,7 +54,14 @@ def _answer(run: RunData) -> str:
     for first in diagnostics[:1]:
         others = len(diagnostics) - 1
         lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
-    return lines + ladder_plot(run.result)
+    return lines + ladder_plot(run.result) + _next(run.result)
+
+
+def _next(result: RunResult) -> str:
+    """What to measure next, the first line of it; the tab Why has the rest."""
+    for collect, then in short_rows(result)[:1]:
+        return quiet(f"Measure next: {collect}; {then} (more in Why)")
+    return ""
 
 
 def _interval(estimate: Estimate, caveats: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.run_data import RunData
 from pemviz.reports.estimate_text import REFITS
 from pemviz.reports.pictures.causes import causes_part
+from pemviz.reports.pictures.data_plan import plan_part
 from pemviz.reports.pictures.html import block, good, grid, heading, number, percent, quiet, warning
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.trust import data_warnings, run_diagnostics
@@ -36,7 +37,9 @@ def why(run: RunData | None) -> str:
 
 
 def _why(run: RunData) -> str:
-    return _misses(run) + causes_part(run.result) + _trust(run) + _data(run) + _assumptions(run)
+    result = run.result
+    about_answer = _misses(run) + causes_part(result) + plan_part(result)
+    return about_answer + _trust(run) + _data(run) + _assumptions(run)
 
 
 @dataclass(frozen=True, eq=False)
