@@ -50,6 +50,7 @@ class Outcome:
         rollouts: Simulated in all stages.
         wall_s: Wall time, without what runs share [s].
         warned: Whether the diagnostics call the estimate unreliable.
+        diagnostics: Kinds of all its diagnostics, those that leave it reliable as well.
     """
 
     ratio: float
@@ -57,6 +58,7 @@ class Outcome:
     rollouts: int
     wall_s: float
     warned: bool = False
+    diagnostics: Sequence[str] = ()
 
     @property
     def misleads(self) -> bool:
@@ -235,4 +237,5 @@ def run_once(method: Method[Any], problem: Problem, truth: float) -> Outcome:
         rollouts=estimate.rollouts_simulated,
         wall_s=time.perf_counter() - began,
         warned=bool(unreliable_because(estimate)),
+        diagnostics=[diagnostic.kind for diagnostic in estimate.diagnostics],
     )

@@ -240,12 +240,14 @@ def _verdicts(outcomes: Outcomes) -> Sequence[Verdict]:
     verdicts: list[Verdict] = []
     for method, every in _by_method(outcomes).items():
         row = summarise(every, scenario="all", method=method, truth=None)
-        misleading = sum(outcome.misleads for outcome in every)
+        misleading = [outcome for outcome in every if outcome.misleads]
+        rough = sum("wide-interval" in outcome.diagnostics for outcome in misleading)
         verdicts.append(
             Verdict(
                 method,
                 f"off by more than a factor of 2 unwarned in at most {MOST_MISLEADING:.0%}",
-                f"{misleading} of {len(every)} runs ({row.misleading:.2%})",
+                f"{len(misleading)} of {len(every)} runs ({row.misleading:.2%})"
+                + (f"; {rough} of them say that their interval is wider" if rough else ""),
                 row.misleading <= MOST_MISLEADING,
             )
         )

@@ -168,13 +168,14 @@ def test_a_small_study_that_is_interrupted_goes_on(tmp_path):
     assert whole.rows[0].relative_rmse < 0.1
     lines = (tmp_path / RUNS).read_text(encoding="utf-8").splitlines()
     assert len(lines) == 6
-    marked = {**json.loads(lines[0]), "ratio": 77.0}
+    marked = {**json.loads(lines[0]), "ratio": 77.0, "diagnostics": ["wide-interval"]}
     (tmp_path / RUNS).write_text("\n".join([json.dumps(marked), *lines[1:5], lines[5][:40]]) + "\n")
     again = run_trust(study)
     assert again.rows[0].relative_rmse > 50.0
     assert len((tmp_path / RUNS).read_text(encoding="utf-8").splitlines()) == 7
     assert {one.method for one in again.verdicts} == {"value-twisted", "mixture"}
     assert not again.verdicts[0].met
+    assert "1 of them say" in again.verdicts[0].figure
     assert any(line.startswith("MISSED: value-twisted") for line in report_lines(again))
     assert json.loads((tmp_path / "trust.json").read_text(encoding="utf-8"))["schema"] == 1
 

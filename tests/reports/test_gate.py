@@ -32,8 +32,10 @@ from pemviz.sampling.registry import by_name
 from pemviz.sampling.splitting.diagnostics import (
     FEW_RUNS,
     LARGE_COMMON_ANCESTRY,
+    LARGE_MEAN_ERROR,
     LARGE_SPREAD,
     WIDE_FACTOR,
+    largest_spread,
 )
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Diagnostic, DiagnosticKind
@@ -90,6 +92,9 @@ def test_contributing_states_the_limits():
     assert f"over {100 * LARGE_SHARE:g} %" in words["large-weight"]
     assert f"below {sys.float_info.min:.2g}" in words["below-doubles"]
     assert f"above {LARGE_SPREAD:g}" in words["runs-differ"]
+    assert f"{100 * LARGE_MEAN_ERROR:g} %" in words["runs-differ"]
+    assert f"{largest_spread(5):.2f} with five" in words["runs-differ"]
+    assert f"{largest_spread(10):.2f} with ten" in words["runs-differ"]
     assert f"over {100 * LARGE_COMMON_ANCESTRY:g} %" in words["few-ancestors"]
     assert f"factor of {WIDE_FACTOR:g}" in words["wide-interval"]
     assert (FEW_FAILURES, FEW_RUNS, AGREEMENT_ERRORS) == (10, 5, 3.0)  # in words there
