@@ -39,7 +39,7 @@ from pemviz.reports.estimate_text import (
     violations_text,
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
-from pemviz.reports.memory_curve import assumption_line, curve_columns, curve_rows
+from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -183,7 +183,10 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
 
 def _memory(memory: RunMemory) -> Table:
     """The failure probability over memory times."""
-    table = Table(title="If misses come in bursts, by memory time", title_justify="left")
+    table = Table(
+        title="If misses come in bursts, by memory time", title_justify="left",
+        caption=CURVE_NOTE, caption_justify="left",
+    )  # fmt: skip
     sides = ("right", "right", "left", "left")
     for column, justify in zip(curve_columns(memory), sides, strict=True):
         table.add_column(column, justify=justify)

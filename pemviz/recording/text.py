@@ -20,7 +20,7 @@ from pemviz.reports.estimate_text import (
     no_interval_text,
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
-from pemviz.reports.memory_curve import assumption_line, curve_columns, curve_rows
+from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -151,7 +151,7 @@ def _memory(result: RunResult) -> list[str]:
     rows = [
         (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
     ]
-    return [f"**{line}**", _table(curve_columns(result.memory), rows)]
+    return [f"**{line}**", _table(curve_columns(result.memory), rows), CURVE_NOTE]
 
 
 def _causes(result: RunResult) -> list[str]:

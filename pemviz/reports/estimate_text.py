@@ -13,6 +13,8 @@ from pemviz.types import Estimate
 
 RELIABLE_TAIL = f"(reliable up to {RELIABLE_PARETO_K:g})"
 """What stands beside Pareto k-hat."""
+IN_IT = "(in which the correlation of outcomes falls to 37 %)"
+"""What a memory time is, in brackets beside one."""
 REFITS = "refits of one architecture on the same data, not other model families"
 """What the error model's ensemble is."""
 
@@ -90,11 +92,13 @@ def memory_text(memory: RunMemory | None) -> str:
         if memory is None or not memory.curve:
             assumed += ", and --memory-curve tells what it is worth"
     else:
-        assumed = f"in bursts, memory time {memory.tau_s:g} s"
+        assumed = f"in bursts, memory time {memory.tau_s:g} s {IN_IT}"
     own = None if memory is None else memory.fitted
     if own is None:
         return assumed
     measured = f"{own.tau_s:.2g} s ({own.low_s:.2g} to {own.high_s:.2g})"
+    if memory is None or memory.tau_s == 0.0:
+        measured += f" {IN_IT}"
     return f"{assumed}; this model's own memory time, measured on video, is {measured}"
 
 

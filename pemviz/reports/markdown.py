@@ -30,7 +30,7 @@ from pemviz.reports.estimate_text import (
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
-from pemviz.reports.memory_curve import assumption_line, curve_columns, curve_rows
+from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.description import MethodDescription
@@ -110,7 +110,8 @@ def _memory(result: RunResult) -> list[str]:
     rows = [
         (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
     ]
-    return [f"**{markdown_text(line)}**", markdown_table(curve_columns(result.memory), rows)]
+    table = markdown_table(curve_columns(result.memory), rows)
+    return [f"**{markdown_text(line)}**", table, CURVE_NOTE]
 
 
 def _beside(result: RunResult, estimate: Estimate) -> list[Row]:

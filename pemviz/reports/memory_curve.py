@@ -11,6 +11,13 @@ SHOWN_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Of the curve's memory times, those that a small table shows beside the measured ones [s]."""
 
 
+CURVE_NOTE = (
+    "Memory time: in it the correlation of one outcome with a later one falls to 37 %. The longer, "
+    "the longer bursts of misses; how often it misses is about as before."
+)
+"""What stands beneath the curve and its table."""
+
+
 @dataclass(frozen=True)
 class CurveRow:
     """One memory time in words.

@@ -55,7 +55,11 @@ def test_collect_fit_evaluate_show(tmp_path, capsys):
     assert evaluate.run(told) == 0
     assert json.loads(capsys.readouterr().out)["models"][0]["model"] == "guess-mu"
     assert evaluate.run(evaluate.EvaluateArguments(SYNTHETIC, tmp_path / "r", ("lr",), 2)) == 0
-    assert "written:" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "written:" in printed
+    assert "…" not in printed  # no cell is cut at the eighty columns of a file
+    (row,) = (line for line in printed.splitlines() if line.startswith("lr "))
+    assert row.count("±") == 2
 
 
 def test_show_warns_about_the_default_scenarios_thin_data(capsys):

@@ -101,8 +101,8 @@ def _verdict(check: IndependenceCheck) -> str:
         f"of {low:.2g} to {high:.2g} s do"
     )
     return (
-        f"{seen}\n{judged}\nvideo like this that tells a memory time from 0 (5 % false alarm, 80 % "
-        f"power):\n{needed}"
+        f"{seen}\n{judged}\nvideo like this that tells a memory time from 0 (at most 5 % false "
+        f"alarm, 80 % power):\n{needed}"
     )
 
 

@@ -31,7 +31,7 @@ class NeededSample:
 
     Attributes:
         tau_s: The memory time [s].
-        sequences: So many sequences like these, at 5 % false alarm and 80 % power.
+        sequences: So many sequences like these, at 5 % false alarm at most and 80 % power.
         pairs: Pairs of neighbouring observations of one obstacle in them.
     """
 

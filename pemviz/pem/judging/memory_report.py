@@ -11,7 +11,14 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.pem.data.tracks import TrackTable
 from pemviz.pem.fitting.memory import MemoryFit, fit_memory
-from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
+from pemviz.pem.models.memory import (
+    FRAILTY_MEANS,
+    TAU_MEANS,
+    Memory,
+    frail_logit,
+    persistence,
+    remembering_logit,
+)
 from pemviz.pem.models.memory_card import FLATTERY_IF
 from pemviz.pem.models.protocol import COLUMN, OCCLUSION_NAMES
 
@@ -299,11 +306,12 @@ def memory_table(report: MemoryReport, *, flattery: str = FLATTERY_IF) -> dict[s
 
 
 def memory_line(report: MemoryReport) -> str:
-    """The fitted memory in one line."""
+    """The fitted memory in a line, and one on what its figures are."""
     fit = report.fit
     low, high = fit.tau_interval_s
     return (
         f"memory time {fit.memory.tau_s:.3f} s ({low:.3f} to {high:.3f}), frailty "
         f"{fit.memory.frailty:.2f}; {fit.nats_independent:.3f} nats an outcome if independent, "
-        f"{fit.nats:.3f} with memory"
+        f"{fit.nats:.3f} with memory\n"
+        f"  memory time tau: {TAU_MEANS}; frailty: {FRAILTY_MEANS}, 0 for not at all"
     )

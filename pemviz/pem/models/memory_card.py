@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from pemviz.errors import PemError
-from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.memory import FRAILTY_MEANS, TAU_MEANS, Memory
 
 FLATTERY_IF = (
     "If the detector was trained on these drives or on ones like them, its misses close by are "
@@ -19,8 +19,8 @@ FLATTERY = (
     "few misses counted under 'plain view'."
 )
 CAUTION = (
-    "A model of P(missed | state) that knows too little of the state passes for memory: the "
-    "better that model, the shorter the memory time."
+    "What P(missed | state) leaves out and what lasts from frame to frame passes for memory: "
+    "another model of it gives another memory time, a shorter or a longer one."
 )
 
 
@@ -138,6 +138,8 @@ def _facts(memory: Mapping[str, Any]) -> list[str]:
         f"{frailty}; {fit['confidence']:.0%} intervals, {fit['sequences']} "
         f"sequences taken as independent, {fit['observations']} observations at "
         f"{memory['rate_hz']:g} Hz, P(missed | state) cross-fitted by sequence.",
+        f"- Memory time tau: {TAU_MEANS}. Frailty f: {FRAILTY_MEANS} (0: not at all). A burst: "
+        "misses in one frame after the other.",
         f"- Negative log-likelihood of an outcome: {fit['nats_independent']:.3f} nats if misses "
         f"are independent, {fit['nats']:.3f} with this memory.",
         "- The model's own answer is P(missed | state) without this memory.",

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from pemviz.colors import PEM, PROPOSAL
-from pemviz.reports.memory_curve import assumption_line, measured_names
-from pemviz.reports.pictures.html import warning
+from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, measured_names
+from pemviz.reports.pictures.html import quiet, warning
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.memory import RunMemory
 
@@ -19,7 +19,7 @@ def memory_curve(memory: RunMemory | None) -> str:
     line = assumption_line(memory)
     if memory is None or line is None:
         return ""
-    return warning(line) + _plot(memory)
+    return warning(line) + _plot(memory) + quiet(CURVE_NOTE)
 
 
 def _plot(memory: RunMemory) -> str:
