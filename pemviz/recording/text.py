@@ -147,7 +147,7 @@ def _memory(result: RunResult) -> list[str]:
     """What the assumption on bursts is worth, and the answer over memory times."""
     line = assumption_line(result.memory)
     if line is None or result.memory is None:
-        return [f"Misses are taken as {memory_text(result.memory)}."]
+        return [f"Misses are taken to be {memory_text(result.memory)}."]
     rows = [
         (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
     ]

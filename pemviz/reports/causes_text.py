@@ -6,7 +6,7 @@ from pemviz.analysis.sensitivity import MemorySensitivity
 
 SHOWN_MISSES = 0.005
 BURST_TITLE = "Bursts of misses before a violation"
-BURST_COLUMNS = ("bursts", "in a violation")
+BURST_COLUMNS = ("bursts: misses in one frame after the other", "in a violation")
 BURST = "misses in one frame after the other"
 """What a burst is, where it is first spoken of."""
 FEW = 1e-3

@@ -117,7 +117,8 @@ def _misses(run: RunData) -> str:
         + time_plot(failures, dt_s=_dt_s(run))
         + quiet(
             "Bars: share of steps missed in violations, weighted by how likely each is under the "
-            "error model. Black: what the error model itself says."
+            "error model. Black: what the error model itself says"
+            f"{', given the outcome before' if run.config.memory_s else ''}."
         )
     )
 

@@ -34,13 +34,7 @@ def causes_part(result: RunResult) -> str:
         band_table(explanation, target=result.config.target),
         quiet(_band_note(result, explanation)),
     ]
-    rows = burst_rows(explanation, target=result.config.target)
-    if rows:
-        parts += [
-            heading(BURST_TITLE),
-            grid(("", ""), [[escape(cell) for cell in row] for row in rows], name=BURST_TITLE),
-            quiet(BURST_NOTE),
-        ]
+    parts.append(bursts_part(explanation, target=result.config.target))
     if explanation.chains:
         dt_s = result.config.scenario.dt_s
         parts += [
@@ -49,6 +43,15 @@ def causes_part(result: RunResult) -> str:
             quiet(_chain_note(explanation.chains)),
         ]
     return "".join(parts)
+
+
+def bursts_part(explanation: Explanation, *, target: float | None) -> str:
+    """How misses hang together before a violation; empty if nothing is told of it."""
+    rows = [tuple(map(escape, row)) for row in burst_rows(explanation, target=target)]
+    if not rows:
+        return ""
+    table = grid(("", "in a violation"), rows, name=BURST_TITLE)
+    return heading(BURST_TITLE) + table + quiet(BURST_NOTE)
 
 
 def band_table(explanation: Explanation, *, target: float | None) -> str:

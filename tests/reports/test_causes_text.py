@@ -1,0 +1,80 @@
+"""Bursts in words: the same figures in every view."""
+
+from dataclasses import replace
+
+from pemviz.analysis.bursts import Bursts, Spread
+from pemviz.analysis.causes import BandMisses
+from pemviz.analysis.explanation import Explanation
+from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
+from pemviz.config import ExperimentConfig
+from pemviz.recording.text import answer_text
+from pemviz.reports.causes_text import burst_lines, burst_rows
+from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.pictures.causes import bursts_part
+from tests.reports.runs import result
+
+BURSTS = Bursts(
+    dt_s=0.05,
+    count=1.1,
+    misses=16.3,
+    frames=Spread(15.0, 10.0, 23.0),
+    begins_s=Spread(2.05, 1.6, 2.55),
+    begins_gap_m=Spread(9.0, 7.06, 11.44),
+    start=0.0026,
+    again=0.78,
+    whole=4.7e-10,
+)
+EXPLANATION = Explanation(
+    repetition=0,
+    misses_by_distance=(BandMisses(8.0, 10.0, 4.06, 1.0),),
+    miss_probability_by_step=(),
+    chains=(),
+    sensitivity=(BandSensitivity(None, None, 1.08, 0.024, 900.0),) * 2,
+    memory=MemorySensitivity(0.2, 1.94, 0.0671, 250.0),
+    bursts=BURSTS,
+)
+LENGTH = "0.75 s (15 frames; four of five violations: 10 to 23)"
+BEGINS = "at 9.0 (7.1 to 11.4) m, 2.05 (1.60 to 2.55) s after the start"
+
+
+def test_a_sentence_each_on_bursts_and_on_what_would_help():
+    bursts, help_ = burst_lines(EXPLANATION)
+    assert bursts == (
+        "Bursts (misses in one frame after the other) in a violation: 1.1; the decisive one lasts "
+        f"{LENGTH} and begins {BEGINS}; starting it has a probability of 0.0026, each further miss "
+        "0.78, all these together 4.7e-10"
+    )
+    assert help_ == (
+        "A memory 1 % shorter would bring 1.9 % fewer violations; 1 % fewer misses, the memory as "
+        "it is, 1.1 % fewer violations"
+    )
+    independent = replace(EXPLANATION, memory=None)
+    assert burst_lines(independent) == [bursts]
+    assert burst_lines(replace(independent, bursts=None)) == []
+
+
+def test_every_view_has_the_rows():
+    rows = burst_rows(EXPLANATION, target=1e-4)
+    assert dict(rows)["memory time for 0.0001"] == "0.067 s instead of 0.2 s"
+    run = result(explanation=EXPLANATION, config=ExperimentConfig(memory_s=0.2, target=1e-4))
+    page, recorded = summary_markdown(run), answer_text(run, running=False)
+    panel = bursts_part(EXPLANATION, target=1e-4)
+    for name, words in rows:
+        assert f"| {name} | {words} |" in page
+        assert f"| {name} | {words} |" in recorded
+        assert f">{name}</td>" in panel
+        assert f">{words}</td>" in panel
+
+
+def test_requirements_in_words():
+    def told(**changes):
+        changed = replace(EXPLANATION, memory=replace(EXPLANATION.memory, **changes))
+        return burst_rows(changed, target=1e-4)[-1][1]
+
+    assert told(target_tau_s=None) == "not enough alone"
+    assert told(target_tau_s=0.2) == "met already"
+    assert told(warning="few") == "0.067 s instead of 0.2 s (extrapolated)"
+    one = replace(EXPLANATION, bursts=replace(BURSTS, again=None, begins_gap_m=None))
+    rows = dict(burst_rows(one, target=None))
+    assert rows["how likely that is"] == "starting it has a probability of 0.0026"
+    assert rows["it begins"] == "2.05 (1.60 to 2.55) s after the start"
