@@ -15,6 +15,11 @@ from pemviz.sampling.back_end import BackEnd
 from pemviz.simulators.remembering import LAST_OUTCOME, RememberingSimulator, remembering
 from pemviz.types import StateBatch
 
+SHORT_RHO = 0.1
+"""Below, proposals leave outcomes that the scenario ignores to the model: what remains of them is
+worth less than what changing them costs in weights. On one scenario with rho 0.08 the error of
+method ``mixture`` falls from 11 to 4 %; with rho 0.37 it makes no difference."""
+
 
 @dataclass(frozen=True, eq=False)
 class RememberingPem:
@@ -86,9 +91,13 @@ class RememberingFeatures:
 
     Attributes:
         features: The scenario's own.
+        rho: Correlation of one outcome with the next.
+        ignores: Whether outcomes to which the scenario does not react pass for indifferent.
     """
 
     features: StateFeatures
+    rho: float
+    ignores: bool = False
 
     def values(self, states: StateBatch) -> FloatArray:
         """The scenario's features and the last outcome, ``[..., D + 1]``."""
@@ -97,14 +106,20 @@ class RememberingFeatures:
         return xp.concatenate((own, xp.broadcast_to(last, own.shape[:-1])[..., None]), -1)
 
     def reacts(self, states: StateBatch) -> BoolArray:
-        """True everywhere."""
+        """True everywhere, unless it ``ignores`` what the scenario does."""
+        if self.ignores:
+            return self.features.reacts(states)
         last = states.signals[LAST_OUTCOME.name]
         return namespace(last).ones_like(last, dtype=namespace(last).bool)
+
+    def for_proposals(self) -> "RememberingFeatures":
+        """The same to a proposal, which leaves the model where that is worth its price."""
+        return replace(self, ignores=self.rho < SHORT_RHO)
 
     def moved(self, move: Move) -> "RememberingFeatures | None":
         """The same for tensors, if the scenario's features can."""
         features = moved(self.features, move)
-        return None if features is None else RememberingFeatures(features)
+        return None if features is None else replace(self, features=features)
 
 
 def with_memory(
@@ -118,11 +133,12 @@ def with_memory(
     if memory.tau_s == 0.0:
         return back_end, pem, ensemble
     dt_s = back_end.simulator.dt_s
+    remembering_pem = RememberingPem(pem, memory, dt_s)
     wrapped = replace(
         back_end,
         simulator=remembering(back_end.simulator),
         twin=None if back_end.twin is None else remembering(back_end.twin),
-        features=RememberingFeatures(back_end.features),
+        features=RememberingFeatures(back_end.features, remembering_pem.rho),
     )
     members = None
     if ensemble is not None:
@@ -130,7 +146,12 @@ def with_memory(
             name=ensemble.name,
             members=[RememberingPem(member, memory, dt_s) for member in ensemble.members],
         )
-    return wrapped, RememberingPem(pem, memory, dt_s), members
+    return wrapped, remembering_pem, members
+
+
+def proposal_features(features: StateFeatures) -> StateFeatures:
+    """What a proposal looks at, and where it may leave the model, of what a scenario offers."""
+    return features.for_proposals() if isinstance(features, RememberingFeatures) else features
 
 
 def without_memory(back_end: BackEnd) -> BackEnd:

@@ -49,7 +49,6 @@ from pemviz.sampling.estimates.importance_weights import (
     weight_figures,
 )
 from pemviz.sampling.estimates.trust import caveats
-from pemviz.sampling.memory import RememberingFeatures
 from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.fit import FitSettings, fitted, smoothing_exponent, weights_of
 from pemviz.sampling.mixture.levels import failing_elites
@@ -133,7 +132,6 @@ def memory_curve(
     scenario = Scenario(
         problem=with_latch(replace(problem, simulator=remembering(problem.simulator))),
         pem=pem,
-        features=RememberingFeatures(features),
         own_features=features,
     )
     seeds = (np.random.SeedSequence(seed, spawn_key=(SEED_KEY, part)) for part in itertools.count())

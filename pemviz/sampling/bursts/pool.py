@@ -8,7 +8,7 @@ from scipy.special import logsumexp
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
 from pemviz.proposals.defensive_share import defended
-from pemviz.proposals.offset_logistic import PolynomialBasis, acting, shift
+from pemviz.proposals.offset_logistic import PolynomialBasis, shift
 from pemviz.proposals.pilots import PilotFamily
 from pemviz.sampling.bursts.scenario import PILOTED_S, Drawing, Scenario
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool, balance_weights
@@ -28,7 +28,7 @@ class Outcomes(Batch):
         missed: ``[M]``.
         last: The outcome before: missed (-1), detected (1), none (0), ``[M]``.
         logit: Of 'detected' under the model of single outcomes, ``[M]``.
-        near: Whether the scenario itself reacts, ``[M]``.
+        matters: Whether the scenario itself reacts, ``[M]``.
     """
 
     rollout: IntArray
@@ -36,7 +36,7 @@ class Outcomes(Batch):
     missed: BoolArray
     last: FloatArray
     logit: FloatArray
-    near: BoolArray
+    matters: BoolArray
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,7 @@ class Drawn:
 def first_basis(scenario: Scenario, scored: ScoredRollouts) -> PolynomialBasis:
     """Monomials of the features, standardised by the first rollouts; constants keep spread 1."""
     states = scored.rollouts.decision_states()
-    acts = _before_violation(scenario, scored.rollouts)
-    values = scenario.features.values(states)[acts]
+    values = scenario.features(0.0).values(states)[_before_violation(scored.rollouts)]
     spread = np.std(values, axis=0)
     return PolynomialBasis(
         mean=np.mean(values, axis=0), spread=np.where(spread > 0.0, spread, 1.0), degree=DEGREE
@@ -81,23 +80,23 @@ def described(
     """Rollouts drawn from one component, with their likelihood under all."""
     assert scenario.basis is not None  # noqa: S101  chosen from the pilots' rollouts
     rollouts = scored.rollouts
-    states, acts = rollouts.decision_states(), _before_violation(scenario, rollouts)
+    states, counting = rollouts.decision_states(), _before_violation(rollouts)
     salient = scenario.problem.simulator.salient(states.signals)
     own_logit, last = scenario.pem.logit(salient[..., :-1]), salient[..., -1]
-    near = np.broadcast_to(scenario.own_features.reacts(states), acts.shape)
+    matters = np.broadcast_to(scenario.own_features.reacts(states), counting.shape)
     outcomes = Outcomes(
-        rollout=np.nonzero(acts)[0].astype(np.int64),
-        basis=scenario.basis.evaluate(scenario.features.values(states)[acts]),
-        missed=~rollouts.detected[acts],
-        last=last[acts],
-        logit=own_logit[acts],
-        near=near[acts],
+        rollout=np.nonzero(counting)[0].astype(np.int64),
+        basis=scenario.basis.evaluate(scenario.features(0.0).values(states)[counting]),
+        missed=~rollouts.detected[counting],
+        last=last[counting],
+        logit=own_logit[counting],
+        matters=matters[counting],
     )
     by_family = [
         _summed(outcomes, model_logit(scenario, outcomes, tau_s), rollouts.count)
         + PilotFamily.over(scenario.steps).log_ratio(
             replace(rollouts, pem_logit=scenario.model(tau_s).after(own_logit, last)),
-            acts & near if scenario.is_short(tau_s) else acts,
+            counting & matters if scenario.features(tau_s).ignores else counting,
         )
         for tau_s in PILOTED_S
     ]
@@ -152,8 +151,8 @@ def seen_at(scenario: Scenario, drawn: Drawn, tau_s: float) -> Pool:
     decisions = Decisions(
         rollout=outcomes.rollout, basis=outcomes.basis, missed=outcomes.missed, offset=-logit
     )
-    if scenario.is_short(tau_s):
-        decisions = decisions.take(outcomes.near)
+    if scenario.features(tau_s).ignores:
+        decisions = decisions.take(outcomes.matters)
     return Pool(
         decisions=decisions,
         component=drawn.component,
@@ -171,9 +170,11 @@ def log_weights(scenario: Scenario, drawn: Drawn, tau_s: float) -> FloatArray:
     return balance_weights(drawn.log_q - log_p[:, None], drawn.component)
 
 
-def _before_violation(scenario: Scenario, rollouts: RolloutBatch) -> BoolArray:
-    states = rollouts.decision_states()
-    return acting(scenario.features, states, rollouts.detected.shape, violated=VIOLATED)
+def _before_violation(rollouts: RolloutBatch) -> BoolArray:
+    """Which outcomes ``[N, T-1]`` a rollout has before it violates, if it knows of that."""
+    shape = rollouts.detected.shape
+    latch = rollouts.memory.get(VIOLATED)
+    return np.ones(shape, dtype=np.bool_) if latch is None else ~latch[:, : shape[1]]
 
 
 def _log_q(scenario: Scenario, outcomes: Outcomes, drawing: Drawing, count: int) -> FloatArray:
@@ -181,8 +182,8 @@ def _log_q(scenario: Scenario, outcomes: Outcomes, drawing: Drawing, count: int)
     under_pem = model_logit(scenario, outcomes, drawing.tau_s)
     raised = shift(outcomes.basis, drawing.coefficients)
     logit = defended(under_pem - raised, under_pem, share=scenario.defensive)
-    if scenario.is_short(drawing.tau_s):
-        logit = np.where(outcomes.near, logit, under_pem)
+    if scenario.features(drawing.tau_s).ignores:
+        logit = np.where(outcomes.matters, logit, under_pem)
     return _summed(outcomes, logit, count)
 
 

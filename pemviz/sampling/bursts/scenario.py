@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.defensive_share import share_for
@@ -18,13 +18,11 @@ from pemviz.proposals.pilots import PilotFamily
 from pemviz.sampling.memory import RememberingFeatures, RememberingPem
 from pemviz.sampling.problem import Problem, sample
 from pemviz.simulators.latched import VIOLATED
-from pemviz.types import Proposal, ScoredRollouts, StateBatch
+from pemviz.types import Proposal, ScoredRollouts
 
 DEFENSIVE_STEPS = 2.0
 PILOTED_S = (0.0, 0.3)
 """Memory times whose models a family of pilots is around, each [s]."""
-SHORT_RHO = 0.01
-"""Below, what an outcome leaves behind is not worth changing one that the scenario ignores."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,6 @@ class Scenario:
 
     problem: Problem
     pem: Pem
-    features: RememberingFeatures
     own_features: StateFeatures
     basis: PolynomialBasis | None = None
 
@@ -59,38 +56,20 @@ class Scenario:
         """The error model with a memory time."""
         return RememberingPem(self.pem, Memory(tau_s=tau_s), self.problem.simulator.dt_s)
 
-    def is_short(self, tau_s: float) -> bool:
-        """Whether a memory time is so short that ignored outcomes are left to the model."""
-        return self.model(tau_s).rho < SHORT_RHO
-
-    def reacting(self, tau_s: float) -> StateFeatures:
-        """Whose ``reacts`` says where a proposal may leave the model with a memory time."""
-        return self.own_features if self.is_short(tau_s) else self.features
+    def features(self, tau_s: float) -> RememberingFeatures:
+        """What proposals around the model with a memory time look at, and where they act."""
+        return RememberingFeatures(self.own_features, self.model(tau_s).rho).for_proposals()
 
     def proposal(self, drawing: Drawing) -> OffsetLogisticProposal:
         """What rollouts are drawn from."""
         assert self.basis is not None  # noqa: S101  chosen from the pilots' rollouts
         return OffsetLogisticProposal(
-            features=_Seen(self.features, reacting=self.reacting(drawing.tau_s)),
+            features=self.features(drawing.tau_s),
             basis=self.basis,
             coefficients=drawing.coefficients,
             violated=VIOLATED,
             defensive=self.defensive,
         )
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """The values of some features, where others say that outcomes matter."""
-
-    features: StateFeatures
-    reacting: StateFeatures
-
-    def values(self, states: StateBatch) -> FloatArray:
-        return self.features.values(states)
-
-    def reacts(self, states: StateBatch) -> BoolArray:
-        return self.reacting.reacts(states)
 
 
 def drawn_by_pilots(
@@ -107,7 +86,7 @@ def _by_family(
         pilots = PilotFamily.over(scenario.steps).drawn(
             each,
             np.random.default_rng(child.spawn(1)[0]),
-            features=scenario.reacting(tau_s),
+            features=scenario.features(tau_s),
             violated=VIOLATED,
         )
         yield _sampled(scenario, pilots, tau_s, each, child)

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
-    from pemviz.sampling.mixture.fit import FitSettings  # noqa: PLC0415  slow to import
+    from pemviz.sampling.memory import proposal_features  # noqa: PLC0415  slow to import
+    from pemviz.sampling.mixture.fit import FitSettings  # noqa: PLC0415  as above
     from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  as above
     from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
 
@@ -23,7 +24,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
         rollouts=config.rollouts,
         final_rollouts=config.final_rollouts,
         seed=config.seed,
-        features=back_end.features,
+        features=proposal_features(back_end.features),
         settings=FitSettings(alpha=config.alpha, sigma=config.sigma),
         largest_part=largest_part(states=back_end.simulator.states),
     )
