@@ -18,7 +18,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
-from pemviz.sampling.memory import RememberingPem, with_memory
+from pemviz.sampling.memory import RememberingPem, with_memory, without_memory
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.devices import has_tensors
@@ -130,6 +130,21 @@ def test_likelihoods_stay_finite_however_long_the_memory(logit):
         assert found[0] == pytest.approx(math.log(rest) - math.log1p(-rest), rel=1e-9)
     if logit == -700.0:  # it detects only because it did before
         assert found[2] == pytest.approx(math.log1p(-rest) - math.log(rest), rel=1e-9)
+
+
+@pytest.mark.parametrize(("tau_s", "leaves"), [(0.02, True), (0.05, False)])
+def test_a_proposal_leaves_what_the_scenario_ignores_to_a_short_memory(tau_s, leaves):
+    experiment = build_experiment(replace(SHORT, memory_s=tau_s))
+    drawn = sample(
+        experiment.problem, proposal=PemProposal(), count=5, seeds=np.random.SeedSequence(3)
+    )
+    states = drawn.rollouts.decision_states()
+    own = without_memory(experiment.back_end).features.reacts(states)
+    assert own.any()
+    assert not own.all()
+    acts = experiment.method.features.reacts(states)
+    np.testing.assert_array_equal(acts, own if leaves else np.ones_like(own))
+    assert experiment.features.reacts(states).all()  # to the analysis all outcomes matter
 
 
 @dataclass(frozen=True)
