@@ -29,6 +29,7 @@ COMMANDS = {
     "pem": Command("pemviz.cli.pem.command", "collect, fit, evaluate, show error models"),
     "serve": Command("pemviz.cli.serve", "show the panel in the browser"),
     "open": Command("pemviz.cli.open", "show a run's recording in rerun's viewer"),
+    "report": Command("pemviz.cli.report", "one page for a safety case from runs and sweeps"),
     "reproduce": Command(
         "pemviz.cli.reproduce", "the paper's tables and figures beside its numbers"
     ),

@@ -1,0 +1,1 @@
+"""A page for a safety case: claim, argument, evidence, assumptions, data, provenance."""

@@ -1,0 +1,226 @@
+"""The sections of a safety case, of one run each."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+
+from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
+from pemviz.config.toml_files import config_text
+from pemviz.pem import PemCard
+from pemviz.reports.data_plan_text import (
+    BAND_COLUMNS,
+    BAND_NOTE,
+    band_rows,
+    plan_heading,
+    plan_sentences,
+    short_rows,
+)
+from pemviz.reports.estimate_text import interval_name, interval_text, memory_text, probability_text
+from pemviz.reports.ladder_text import ends_text
+from pemviz.reports.memory_curve import assumption_line
+from pemviz.reports.pictures.data_plan import requirement_plot
+from pemviz.reports.pictures.ladder import ladder_plot
+from pemviz.reports.safety_case.case import CaseRun
+from pemviz.reports.safety_case.claims import Claim, Verdict, claim_sentence, claims
+from pemviz.reports.safety_case.html import (
+    bullets,
+    code_block,
+    facts,
+    html_table,
+    pair,
+    paragraph,
+    table,
+    warnings,
+    words,
+)
+from pemviz.runs.ladder import RungKind, uncertainty_ladder
+from pemviz.runs.result import RunResult
+from pemviz.runs.trust import run_interval_caveats, run_unreliable_because
+
+VERDICT_MARKS: Mapping[Verdict, tuple[str, str]] = {
+    "shown": ("yes", "\N{CHECK MARK} shown"),
+    "not shown": ("no", "\N{BALLOT X} not shown"),
+    "not known": ("open", "? not known"),
+}
+NOT_QUANTIFIED = "not told by this run"
+UNTOLD = "Not quantified here; to be argued from elsewhere."
+
+
+def headline(run: CaseRun, *, below: float | None) -> str:
+    """How likely, how sure, resting on what, what next: all that a hurried reader sees."""
+    result, estimate = run.result, run.result.estimate
+    if estimate is None:
+        return f"<div class='head'>{paragraph(claim_sentence(result, below=below))}</div>"
+    caveats = run_interval_caveats(result)
+    interval = interval_text(estimate, caveats=caveats)
+    assumed, bursts = memory_text(result.memory), assumption_line(result.memory)
+    left = (
+        f"<p class='answer'>P(violation) = {words(probability_text(estimate))}</p>"
+        + paragraph(f"if error model {result.pem.name} is right, and misses are {assumed}.")
+        + paragraph(f"Sampling alone: {interval_name(estimate, caveats=caveats)} {interval}.")
+        + warnings([f"Do not quote it: {against}." for against in run_unreliable_because(result)])
+        + paragraph(claim_sentence(result, below=below))
+    )
+    under = warnings(() if bursts is None else (bursts,)) + _next(result)
+    return f"<div class='head'>{pair(left, ladder_plot(result))}{under}</div>"
+
+
+def _next(result: RunResult) -> str:
+    rows = [f"{collect}: {then}" for collect, then in short_rows(result)]
+    if result.plan is None or not rows:
+        return ""
+    return f"<p><b>{words(plan_heading(result.plan))}</b></p>{bullets(rows)}"
+
+
+def claim_section(result: RunResult, *, below: float | None) -> str:
+    """Claims by what they take for granted, each with its verdict."""
+    found = claims(result, below=below)
+    if not found:
+        return paragraph(claim_sentence(result, below=below))
+    rows = [_claim_row(claim) for claim in found]
+    header = ("if", "the failure probability is below", "" if below is None else f"below {below:g}")
+    return html_table(header, [row if below is not None else row[:2] for row in rows])
+
+
+def _claim_row(claim: Claim) -> list[str]:
+    bound = "not known" if claim.bound is None else f"{claim.bound:.2g}"
+    note = f"<br><span class='quiet'>{words(claim.note)}</span>" if claim.note else ""
+    verdict = "" if claim.verdict is None else verdict_mark(claim.verdict)
+    granted = f"{words(claim.granted)}<br><span class='quiet'>{words(claim.name)}</span>"
+    return [granted, f"{bound}{note}", verdict]
+
+
+def verdict_mark(verdict: Verdict) -> str:
+    """A verdict by sign, word and colour."""
+    kind, mark = VERDICT_MARKS[verdict]
+    return f"<span class='tag {kind}'>{mark}</span>"
+
+
+def argument(result: RunResult) -> str:
+    """Why the evidence carries the claim, step by step."""
+    config, data = result.config, result.pem.data
+    steps = [
+        f"What may go wrong is stated exactly: a run violates {config.spec!r}, decided by the "
+        "classical semantics of Signal Temporal Logic.",
+        f"The system is the scenario: {scenario_text(config)}. Everything but perception is "
+        "deterministic in it (assumptions below).",
+        f"Perception is the error model {result.pem.name}: how likely the detector misses, given "
+        f"what it looks at, learnt from {data}. How far that may be wrong: E2, E5.",
+        f"Violations are far too rare to wait for: method {config.method} draws rollouts in which "
+        "they are common and weights each by how much likelier it is under the error model. "
+        "Whether the weights can be trusted: E1.",
+        "So the failure probability follows, if the error model is right (E1); how far it is open "
+        "if it is not, rung by rung: E2. What causes violations, so that experts can judge whether "
+        "the chains are plausible: E4.",
+    ]
+    return f"<ol>{''.join(f'<li>{words(step)}</li>' for step in steps)}</ol>"
+
+
+def assumptions(result: RunResult) -> str:
+    """Every assumption with what it is worth: how far the answer moves if it is given up."""
+    rows = [_assumption_row(text, result) for text in result.assumptions]
+    return table(("assumed", "what it is worth", "what would narrow it"), rows)
+
+
+def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
+    kinds: Sequence[RungKind] = ()
+    if text.startswith(("misses are independent", "given the state, misses hang")):
+        kinds = ("memory",)
+    elif "model holds where" in text:
+        kinds = ("refits", "families", "data")
+    rungs = [rung for rung in uncertainty_ladder(result) if rung.kind in kinds]
+    if not rungs:
+        return text, NOT_QUANTIFIED, UNTOLD
+    worth = [
+        f"{rung.name}: {' to '.join(ends_text(rung)) if rung.high is not None else 'not looked at'}"
+        for rung in rungs
+    ]
+    return text, "; ".join(worth), "; ".join(dict.fromkeys(rung.narrowed_by for rung in rungs))
+
+
+def next_section(result: RunResult) -> str:
+    """What to measure next: sentences, picture, table."""
+    plan = result.plan
+    if plan is None:
+        return paragraph("This run made no plan: pemviz record --plan makes one.")
+    parts = [bullets(plan_sentences(result))]
+    if plan.labels is not None:
+        parts.append(f"<div class='half'>{requirement_plot(plan.labels)}</div>")
+        rows = band_rows(plan.labels)
+        parts.append(table(BAND_COLUMNS, rows, numbers=range(len(BAND_COLUMNS))))
+        parts.append(paragraph(BAND_NOTE, kind="quiet"))
+    return "".join(parts)
+
+
+def data_section(run: CaseRun) -> str:
+    """The error model's card, and what it was trained on."""
+    info, card = run.result.pem, run.card
+    rows = [
+        ("error model", info.name),
+        ("trained on", info.data),
+        ("digest (SHA-256)", info.digest),
+    ]
+    if card is None:
+        note = "The model's card is not at hand here, or the model has changed since the run."
+        return facts(rows) + paragraph(note, kind="quiet")
+    return facts([*rows, *_card_rows(card)])
+
+
+def _card_rows(card: PemCard) -> list[tuple[str, str]]:
+    cells = card.support.get("cells", ())
+    obstacles = sum(int(cell[-2]) for cell in cells)
+    missed = sum(int(cell[-1]) for cell in cells)
+    rows = [
+        ("kind of model", card.model),
+        ("training table (SHA-256)", card.data_digest or "not stated"),
+        ("licence", card.licence),
+        ("recipe", card.recipe),
+        ("seed of its training", str(card.seed)),
+        *((f"score: {name}", f"{value:.4f}") for name, value in card.scores.items()),
+    ]
+    if obstacles:
+        share = f"{missed:,} of {obstacles:,} training obstacles ({missed / obstacles:.1%})"
+        rows.append(("missed by the detector", share))
+    return rows
+
+
+def provenance(run: CaseRun) -> str:
+    """Where the figures come from, and how to have them again."""
+    result = run.result
+    rows = [
+        ("run", result.run_id),
+        ("status", result.status if result.message is None else f"failed: {result.message}"),
+        ("seed", str(result.config.seed)),
+        ("versions", ", ".join(f"{name} {value}" for name, value in result.versions.items())),
+        ("wall time", f"{result.timings_s.get('total', 0.0):.1f} s"),
+        *((f"{name} (SHA-256)", digest) for name, digest in run.digests.items()),
+    ]
+    how = (
+        "To have the same figures again: save the configuration below as config.toml, install "
+        f"pemviz {result.versions.get('pemviz', 'in the same version')} with the versions above, "
+        "and run"
+    )
+    return (
+        facts(rows)
+        + paragraph(how)
+        + code_block("pemviz record --config config.toml")
+        + code_block(config_text(result.config))
+    )
+
+
+def scenario_text(config: ExperimentConfig) -> str:
+    """The scenario in a line, with what differs from the defaults."""
+    if config.simulator not in SHIPPED_SIMULATORS:
+        return f"that of the simulator {config.simulator}"
+    scenario, default = config.scenario, ScenarioConfig()
+    shown = (
+        f"an ego car {scenario.initial_gap_m:g} m behind a lead car, both at "
+        f"{scenario.initial_speed_kmh:g} km/h; the lead car brakes at "
+        f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}"
+    )
+    named = {"initial_speed_kmh", "initial_gap_m", "lead_deceleration_mps2"}
+    others = [
+        f"{field.name} {getattr(scenario, field.name):g}"
+        for field in fields(scenario)
+        if field.name not in named and getattr(scenario, field.name) != getattr(default, field.name)
+    ]
+    return "; ".join([shown, *others])
