@@ -47,6 +47,8 @@ class BandSensitivity:
         target_ess: Effective sample size of the failures under that factor: small, and the
             factor is an extrapolation.
         warning: What to keep in mind about the factor; ``None`` if nothing.
+        std_error: Of the elasticity; ``None`` without one, with fewer than ten effective
+            failures, and in results of versions that did not tell it.
     """
 
     low: float | None
@@ -55,6 +57,7 @@ class BandSensitivity:
     target_factor: AtLeastZero | None
     target_ess: AtLeastZero | None
     warning: str | None = None
+    std_error: AtLeastZero | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ class MemorySensitivity:
             target is met already.
         target_ess: As in :class:`BandSensitivity`.
         warning: As in :class:`BandSensitivity`.
+        std_error: As in :class:`BandSensitivity`.
     """
 
     tau_s: AtLeastZero
@@ -78,6 +82,7 @@ class MemorySensitivity:
     target_tau_s: AtLeastZero | None
     target_ess: AtLeastZero | None
     warning: str | None = None
+    std_error: AtLeastZero | None = None
 
 
 def band_sensitivities(
@@ -126,10 +131,9 @@ def memory_sensitivity(
         target: Failure probability to get below, above 0; ``None``: no target.
     """
     tau_s = likelihood.tau_s
-    slope = _mean_sum(failures, likelihood.slope_of_tau(), failures.deciding)
-    elasticity = slope if math.isfinite(slope) else None
+    elasticity, error = _mean_sum(failures, likelihood.slope_of_tau(), failures.deciding)
     if target is None:
-        return MemorySensitivity(tau_s, elasticity, None, None)
+        return MemorySensitivity(tau_s, elasticity, None, None, std_error=error)
 
     def log_change(factor: float) -> FloatArray:
         change = likelihood.log_change_of_tau(factor=factor)
@@ -137,10 +141,9 @@ def memory_sensitivity(
 
     factor, ess, warning = _meeting(failures, log_change, log_probability, target)
     if factor is None:
-        return MemorySensitivity(
-            tau_s, elasticity, None, None, "even without a memory the target is not met"
-        )
-    return MemorySensitivity(tau_s, elasticity, factor * tau_s, ess, warning)
+        warning = "even without a memory the target is not met"
+    target_tau_s = None if factor is None else factor * tau_s
+    return MemorySensitivity(tau_s, elasticity, target_tau_s, ess, warning, error)
 
 
 def _sensitivity(
@@ -152,10 +155,9 @@ def _sensitivity(
 ) -> BandSensitivity:
     """Of misses ``inside``; ``aim`` is the log of the failure probability, and the target."""
     log_probability, target = aim
-    slope = _mean_sum(failures, likelihood.slope(), inside)
-    elasticity = slope if math.isfinite(slope) else None
+    elasticity, error = _mean_sum(failures, likelihood.slope(), inside)
     if target is None:
-        return BandSensitivity(*band, elasticity, None, None)
+        return BandSensitivity(*band, elasticity, None, None, std_error=error)
 
     def log_change(factor: float) -> FloatArray:
         change = likelihood.log_change(factor=factor)
@@ -164,13 +166,26 @@ def _sensitivity(
     factor, ess, warning = _meeting(failures, log_change, log_probability, target)
     if factor is None:
         warning = "even without misses here the target is not met"
-    return BandSensitivity(*band, elasticity, factor, ess, warning)
+    return BandSensitivity(*band, elasticity, factor, ess, warning, error)
 
 
-def _mean_sum(failures: Failures, slope: FloatArray, inside: BoolArray) -> float:
-    """Mean over the failures of the sum of ``slope [M, T-1]`` over the steps ``inside``."""
+def _mean_sum(
+    failures: Failures, slope: FloatArray, inside: BoolArray
+) -> tuple[float | None, float | None]:
+    """Mean over the failures of the sum of ``slope [M, T-1]`` over the steps ``inside``.
+
+    With its standard error, that of a ratio of means: ``None`` where the failures are worth fewer
+    than SMALL_ESS equally weighted ones, which tell nothing of it. Both ``None`` where the mean is
+    not finite.
+    """
     with np.errstate(invalid="ignore"):  # a failure that the model holds to be impossible
-        return float(failures.share @ row_sums(np.where(inside, slope, 0.0)))
+        sums = row_sums(np.where(inside, slope, 0.0))
+        mean = float(failures.share @ sums)
+    if not math.isfinite(mean):
+        return None, None
+    error = float(np.linalg.norm(failures.share * (sums - mean)))
+    few = SMALL_ESS * float(failures.share @ failures.share) > 1.0
+    return mean, None if few or not math.isfinite(error) else error
 
 
 def _meeting(

@@ -19,6 +19,7 @@ from pemviz.reports.causes_text import (
     burst_lines,
     burst_rows,
     causes_line,
+    elasticity_text,
 )
 from pemviz.reports.data_plan_text import (
     BAND_COLUMNS,
@@ -226,8 +227,7 @@ def _bursts(explanation: Explanation, *, target: float | None) -> Table:
 def _band_row(
     name: str, misses: float, band: BandSensitivity, target: float | None
 ) -> tuple[str, ...]:
-    elasticity = "-" if band.elasticity is None else f"{band.elasticity:.2f}"
-    row = (name, f"{misses:.2f}", elasticity)
+    row = (name, f"{misses:.2f}", elasticity_text(band))
     if target is None:
         return row
     return (*row, "not enough alone" if band.target_factor is None else f"{band.target_factor:.3g}")

@@ -2,7 +2,7 @@
 
 from pemviz.analysis.bursts import Bursts, Spread
 from pemviz.analysis.explanation import Explanation
-from pemviz.analysis.sensitivity import MemorySensitivity
+from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 
 SHOWN_MISSES = 0.005
 BURST_TITLE = "Bursts of misses before a violation"
@@ -33,11 +33,11 @@ def burst_lines(explanation: Explanation) -> list[str]:
             f"Bursts ({BURST}) in a violation: {bursts.count:.1f}; the decisive one lasts "
             f"{_length(bursts)} and begins {_begins(bursts)}; {_likely(bursts)}"
         )
-    memory, everywhere = explanation.memory, explanation.sensitivity[0].elasticity
-    if memory is not None and memory.elasticity is not None and everywhere is not None:
+    memory, everywhere = explanation.memory, explanation.sensitivity[0]
+    if memory is not None:
         lines.append(
-            f"A memory 1 % shorter would bring {_fewer(memory.elasticity)}; 1 % fewer misses, the "
-            f"memory as it is, {_fewer(everywhere)}"
+            f"A memory 1 % shorter would bring {_fewer(memory)}; 1 % fewer misses, the memory as "
+            f"it is, {_fewer(everywhere)}"
         )
     return lines
 
@@ -55,10 +55,10 @@ def burst_rows(explanation: Explanation, *, target: float | None) -> list[tuple[
     memory, everywhere = explanation.memory, explanation.sensitivity[0]
     if memory is None:
         return rows
-    if memory.elasticity is not None:
-        rows.append(("a memory 1 % shorter", _fewer(memory.elasticity)))
-    if everywhere.elasticity is not None:
-        rows.append(("1 % fewer misses, the memory as it is", _fewer(everywhere.elasticity)))
+    rows += [
+        ("a memory 1 % shorter", _fewer(memory)),
+        ("1 % fewer misses, the memory as it is", _fewer(everywhere)),
+    ]
     if target is not None:
         rows.append((f"memory time for {target:.2g}", target_tau_text(memory)))
     return rows
@@ -105,6 +105,18 @@ def _probability(value: float) -> str:
     return f"{value:.1e}" if value < FEW else f"{value:.2g}"
 
 
-def _fewer(elasticity: float) -> str:
+def elasticity_text(found: BandSensitivity | MemorySensitivity) -> str:
+    """An elasticity with its standard error, a dash where there is none."""
+    if found.elasticity is None:
+        return "-"
+    error = "" if found.std_error is None else f" +- {found.std_error:.2f}"
+    return f"{found.elasticity:.2f}{error}"
+
+
+def _fewer(found: BandSensitivity | MemorySensitivity) -> str:
     """What one per cent less brings."""
-    return f"{abs(elasticity):.2g} % {'fewer' if elasticity >= 0.0 else 'more'} violations"
+    if found.elasticity is None:
+        return "nobody knows what: a miss is certain somewhere"
+    error = "" if found.std_error is None else f" +- {found.std_error:.1g}"
+    kind = "fewer" if found.elasticity >= 0.0 else "more"
+    return f"{abs(found.elasticity):.2g}{error} % {kind} violations"

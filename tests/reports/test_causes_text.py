@@ -29,8 +29,8 @@ EXPLANATION = Explanation(
     misses_by_distance=(BandMisses(8.0, 10.0, 4.06, 1.0),),
     miss_probability_by_step=(),
     chains=(),
-    sensitivity=(BandSensitivity(None, None, 1.08, 0.024, 900.0),) * 2,
-    memory=MemorySensitivity(0.2, 1.94, 0.0671, 250.0),
+    sensitivity=(BandSensitivity(None, None, 1.08, 0.024, 900.0, None, 0.011),) * 2,
+    memory=MemorySensitivity(0.2, 1.94, 0.0671, 250.0, None, 0.03),
     bursts=BURSTS,
 )
 LENGTH = "0.75 s (15 frames; four of five violations: 10 to 23)"
@@ -45,8 +45,8 @@ def test_a_sentence_each_on_bursts_and_on_what_would_help():
         "0.78, all these together 4.7e-10"
     )
     assert help_ == (
-        "A memory 1 % shorter would bring 1.9 % fewer violations; 1 % fewer misses, the memory as "
-        "it is, 1.1 % fewer violations"
+        "A memory 1 % shorter would bring 1.9 +- 0.03 % fewer violations; 1 % fewer misses, the "
+        "memory as it is, 1.1 +- 0.01 % fewer violations"
     )
     independent = replace(EXPLANATION, memory=None)
     assert burst_lines(independent) == [bursts]

@@ -31,8 +31,8 @@ MAY_BE_NULL = re.compile(
     r"message|config\.(target|alpha)|memory|memory\.fitted|memory\.curve\[\d+\]\.(low|high|ess)"
     r"|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median)|data_bound"
-    r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning)"
-    r"|causes\.(memory|bursts)|causes\.memory\.(elasticity|target_tau_s|target_ess|warning)"
+    r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning|std_error)"
+    r"|causes\.(memory|bursts)|causes\.memory\.(elasticity|target_tau_s|target_ess|warning|std_error)"
     r"|causes\.bursts\.(begins_gap_m|again)"
     r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
     r"|nll_log_mean|ess|pareto_k|max_weight_share|unbiased\.(probability|std_error)"
@@ -47,8 +47,8 @@ MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
     r"|families|ladder|plan|plan\.labels\.warning|memory|memory\.(fitted|curve)|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
-    r"|causes\.(memory|bursts|memory\.warning)"
-    r"|sensitivity\[\d+\]\.warning|config\.(?!seed$).*|versions\..*|timings_s\..*"
+    r"|causes\.(memory|bursts|memory\.(warning|std_error))"
+    r"|sensitivity\[\d+\]\.(warning|std_error)|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
 OTHER_TYPE = {
     bool: 1, int: "1", float: "1", str: 1, list: {"a": 1}, dict: [1], type(None): {"a": 1},
@@ -72,6 +72,7 @@ def sample():
     del document["sensitivity"][3:]
     causes["memory"] = {
         "tau_s": 0.2, "elasticity": 1.9, "target_tau_s": 0.07, "target_ess": 90.0, "warning": "few",
+        "std_error": 0.1,
     }  # fmt: skip
     assert causes["bursts"]
     document["reference"] = {"probability": 1e-18, "std_error": 1e-21, "log10_probability": -18.0}

@@ -84,7 +84,10 @@ def _band_line(
     sensitivity: BandSensitivity,
     target: float | None,
 ) -> list[str]:
-    line = [name, decimals(misses), percent(share), decimals(sensitivity.elasticity)]
+    elasticity = decimals(sensitivity.elasticity)
+    if sensitivity.elasticity is not None and sensitivity.std_error is not None:
+        elasticity += f" \N{PLUS-MINUS SIGN} {sensitivity.std_error:.2f}"
+    line = [name, decimals(misses), percent(share), elasticity]
     if target is not None:
         line.append(_target_text(sensitivity))
     return line
@@ -104,7 +107,7 @@ def _band_note(result: RunResult, explanation: Explanation) -> str:
     words = (
         "Sensitivity: one per cent fewer misses in a band bring about so many per cent fewer "
         "violations. Counted are misses at steps where the outcome matters; bands without any "
-        "are left out."
+        "are left out. \N{PLUS-MINUS SIGN}: one standard error."
     )
     if result.config.repetitions > 1:
         words += f" From the final rollouts of repetition {explanation.repetition + 1}."
