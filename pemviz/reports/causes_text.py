@@ -5,7 +5,7 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 
 SHOWN_MISSES = 0.005
-BURST_TITLE = "Bursts of misses before a violation"
+BURST_TITLE = "Bursts before a violation: misses in one frame after the other"
 BURST_COLUMNS = ("bursts: misses in one frame after the other", "in a violation")
 BURST = "misses in one frame after the other"
 """What a burst is, where it is first spoken of."""

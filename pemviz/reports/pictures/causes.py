@@ -7,7 +7,7 @@ from pemviz.analysis.causes import BandMisses, Chain
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.colors import MISSED
-from pemviz.reports.causes_text import BURST, BURST_TITLE, burst_rows
+from pemviz.reports.causes_text import BURST_TITLE, burst_rows
 from pemviz.reports.pictures.html import MINUS, grid, heading, number, percent, quiet
 from pemviz.reports.pictures.svg import FAINT, GRID, nice_ticks, svg, text
 from pemviz.runs.result import RunResult
@@ -18,9 +18,9 @@ STRIP_WIDTH, STRIP_HEIGHT = 250, 16
 STRIP_MARGIN_S = 0.1
 DASH = "\N{EN DASH}"
 BURST_NOTE = (
-    f"A burst: {BURST}. The decisive one of a violation has the most misses where the outcome "
-    "matters. Figures are medians, in brackets what four of five violations have; probabilities "
-    "are the error model's, geometric means."
+    "The decisive burst of a violation has the most misses where the outcome matters. Figures are "
+    "medians, in brackets what four of five violations have; probabilities are the error model's, "
+    "geometric means."
 )
 
 
