@@ -3,6 +3,7 @@
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -62,6 +63,15 @@ SHORT = ExperimentConfig(
     method="naive", final_rollouts=40, spec="always[0,29] (gap >= 9.0)", memory_curve=True,
     scenario=replace(ExperimentConfig().scenario, states=30, initial_gap_m=10.5),
 )  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_rollouts():
+    """In runs the curve is told from a tenth of its rollouts: how well, is tested above."""
+    with pytest.MonkeyPatch.context() as patch:
+        few = partial(memory_curve, rollouts=240)
+        patch.setattr("pemviz.runs.interpretation.memory_curve", few)
+        yield
 
 
 @pytest.fixture(scope="module")
