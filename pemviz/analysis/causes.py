@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, row_sums
+from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Count, Share, StepIndex
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import log_sum
@@ -22,11 +22,13 @@ class Failures:
 
     Attributes:
         rollouts: M rollouts.
+        index: Where each stands in its batch, ``[M]``.
         share: Sums to 1, ``[M]``.
         deciding: Steps whose outcome may have mattered, ``[M, T-1]``.
     """
 
     rollouts: RolloutBatch
+    index: IntArray
     share: FloatArray
     deciding: BoolArray
 
@@ -62,12 +64,14 @@ class Chain:
         share: Share of the failure probability.
         rollouts: How many rollouts show it.
         nll: Negative log likelihood of the deciding outcomes under the error model [nats].
+        likeliest: Index in its batch of the rollout that contributes most to it.
     """
 
     missed_steps: tuple[StepIndex, ...]
     share: Share
     rollouts: Count
     nll: float
+    likeliest: Count | None = None
 
 
 def failures_of(
@@ -91,7 +95,7 @@ def failures_of(
     if VIOLATED in states.memory:
         deciding &= ~np.asarray(states.memory[VIOLATED], dtype=np.bool_)
     log_weight = rollouts.log_weight
-    return Failures(rollouts, np.exp(log_weight - log_sum(log_weight)), deciding)
+    return Failures(rollouts, chosen, np.exp(log_weight - log_sum(log_weight)), deciding)
 
 
 def misses_by_distance(
@@ -131,6 +135,9 @@ def likeliest_chains(failures: Failures, *, count: int = CHAINS) -> tuple[Chain,
             share=float(share[chain]),
             rollouts=int(drawn[chain]),
             nll=float(-log_p[first[chain]]),
+            likeliest=int(
+                failures.index[np.argmax(np.where(group == chain, failures.share, -1.0))]
+            ),
         )
         for chain in order
     )

@@ -34,6 +34,7 @@ class Explanation:
 
     Attributes:
         repetition: Which repetition.
+        stage: The stage that the rollouts are of; ``None`` in results that do not tell.
         misses_by_distance: Average misses in bands of the gap [m].
         miss_probability_by_step: Given a violation, by step.
         chains: Chains of misses that carry most of the probability.
@@ -50,6 +51,7 @@ class Explanation:
     sensitivity: tuple[BandSensitivity, ...]
     memory: MemorySensitivity | None = None
     bursts: Bursts | None = None
+    stage: Count | None = None
 
 
 def explain(
@@ -83,6 +85,7 @@ def explain(
         remembered = RememberedOutcomes.of(failures.rollouts, tau_s=tau_s, dt_s=dt_s)
     return Explanation(
         repetition=stage.repetition,
+        stage=stage.stage,
         misses_by_distance=misses_by_distance(failures, edges=edges),
         miss_probability_by_step=tuple(miss_probability_by_step(failures).tolist()),
         chains=likeliest_chains(failures),

@@ -176,7 +176,8 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     if worst is not None:
         table.add_row(
             "least robust rollout",
-            f"robustness {worst.robustness:.3g}, {worst.misses} misses, stage {worst.stage}",
+            f"robustness {worst.robustness:.3g}, {worst.misses} misses, stage {worst.stage}"
+            + ("" if worst.share is None else f", {share_text(worst.share)} of the estimate"),
         )
     table.add_row("time", f"{result.timings_s.get('total', math.nan):.1f} s")
     return table

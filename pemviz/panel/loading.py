@@ -85,7 +85,7 @@ def load_run(folder: Path) -> RunData:
         gap_m=gap_m,
         pem_detection=pem_detection,
         curves=curves,
-        parts=thinned((numbered(table),)) if table else (),
+        parts=thinned((numbered(table),), stages=result.stages) if table else (),
         simulated=int(table["violated"].size) if table else 0,
         folder=folder,
     )

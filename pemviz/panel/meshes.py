@@ -9,7 +9,6 @@ from pemviz.arrays import FloatArray, IntArray
 Profile = list[tuple[float, float]]
 
 CAR_LENGTH_M = 5.0
-BONNET_M = 1.8
 WIDTH_M = 1.75
 BODY: Profile = [(0.0, 0.3), (5.0, 0.3), (5.0, 0.72), (4.85, 0.84), (0.15, 0.98), (0.0, 0.88)]
 CABIN: Profile = [(0.45, 0.93), (3.75, 0.82), (2.95, 1.42), (2.55, 1.5), (1.2, 1.5), (0.9, 1.42)]

@@ -1,19 +1,28 @@
-"""The rollouts of a run ranked under any metric, from what is stored; nothing is simulated."""
+"""The rollouts of a run ranked from what is stored; nothing is simulated.
+
+By robustness under any metric, or by what each contributes to the answer; all of them, or those
+that carry the answer (:mod:`pemviz.analysis.contribution`).
+"""
 
 import csv
 import io
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from pemviz import stl
+from pemviz.analysis.contribution import carrying
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
+from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData, signals_of
 from pemviz.runs.experiment import build_formula, build_metric
 from pemviz.sampling.elite_threshold import elite_threshold
 from pemviz.sampling.elite_threshold import elites as elites_of_stage
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
+
+Among = Literal["carrying", "all"]
 
 
 @dataclass(frozen=True)
@@ -23,32 +32,57 @@ class Ranking:
     Attributes:
         metric: Its name.
         robustness: ``[N]`` in the order of the run's tables.
-        order: ``[N]`` indices into the tables, least robust first.
+        share: ``[N]`` of the answer that each contributes.
+        order: ``[M]`` indices into the tables of those that are ranked, first ranks first.
+        among: Which are ranked: those that carry the answer or, as long as none does, all.
+        by_share: Whether the largest share comes first, and not the least robust.
     """
 
     metric: MetricName
     robustness: FloatArray
+    share: FloatArray
     order: IntArray
+    among: Among
+    by_share: bool = False
 
 
-def rank(run: RunData, metric: MetricName) -> Ranking:
-    """Rank a run's rollouts; computed once for a run and metric."""
-    return run.memo.get(("ranking", metric), lambda: _rank(run, metric))
+def rank(
+    run: RunData, metric: MetricName, *, among: Among = "all", by_share: bool = False
+) -> Ranking:
+    """Rank a run's rollouts; scores are computed once for a run and metric."""
+    return run.memo.get(
+        ("ranking", metric, among, by_share),
+        lambda: _rank(run, metric, among=among, by_share=by_share),
+    )
 
 
-def _rank(run: RunData, metric: MetricName) -> Ranking:
-    if not run.parts:
-        empty = np.empty(0)
-        return Ranking(metric=metric, robustness=empty, order=np.empty(0, dtype=np.int64))
-    if metric == run.config.metric:
-        robustness = np.asarray(run.rollouts["robustness"], dtype=np.float64)
+def _rank(run: RunData, metric: MetricName, *, among: Among, by_share: bool) -> Ranking:
+    robustness = run.memo.get(("robustness", metric), lambda: _robustness(run, metric))
+    share = shares(run) if run.parts else np.empty(0)
+    carries = carrying(share)
+    chosen = np.arange(share.size)
+    if among == "carrying" and carries.any():
+        chosen = np.flatnonzero(carries)
     else:
-        simulator = VectorizedSimulator(run.config.scenario)
-        formula = build_formula(run.config, simulator)
-        scale = build_metric(replace(run.config, metric=metric), simulator)
-        robustness = np.asarray(stl.robustness(formula, signals_of(run), scale), dtype=np.float64)
-    order = np.argsort(robustness, kind="stable").astype(np.int64)
-    return Ranking(metric=metric, robustness=robustness, order=order)
+        among = "all"
+    keys = (robustness[chosen], -share[chosen])
+    order = chosen[np.lexsort(keys if by_share else keys[:1])].astype(np.int64)
+    return Ranking(
+        metric=metric, robustness=robustness, share=share, order=order, among=among,
+        by_share=by_share,
+    )  # fmt: skip
+
+
+def _robustness(run: RunData, metric: MetricName) -> FloatArray:
+    """Robustness ``[N]`` under the metric."""
+    if not run.parts:
+        return np.empty(0)
+    if metric == run.config.metric:
+        return np.asarray(run.rollouts["robustness"], dtype=np.float64)
+    simulator = VectorizedSimulator(run.config.scenario)
+    formula = build_formula(run.config, simulator)
+    scale = build_metric(replace(run.config, metric=metric), simulator)
+    return np.asarray(stl.robustness(formula, signals_of(run), scale), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -63,6 +97,7 @@ class RankedRow:
     robustness: float
     violated: bool
     log_weight: float
+    share: float
     misses: int
 
 
@@ -79,6 +114,7 @@ def row(run: RunData, ranking: Ranking, place: int) -> RankedRow:
         robustness=float(ranking.robustness[index]),
         violated=bool(table["violated"][index]),
         log_weight=float(run.log_weight[index]),
+        share=float(ranking.share[index]),
         misses=int(np.count_nonzero(~table["detected"][index])),
     )
 
@@ -105,13 +141,13 @@ def ranking_csv(run: RunData, ranking: Ranking) -> str:
     writer = csv.writer(text)
     writer.writerow(
         ["rank", "repetition", "stage", "rollout", f"robustness_{ranking.metric}", "violated",
-         "log_weight_nats", "pem_nll_nats", "misses"]
+         "share_of_answer", "log_weight_nats", "pem_nll_nats", "misses"]
     )  # fmt: skip
     for place in range(ranking.order.size):
         entry = row(run, ranking, place)
         writer.writerow(
             [entry.rank, entry.repetition, entry.stage, entry.rollout, repr(entry.robustness),
-             entry.violated, repr(entry.log_weight), repr(float(run.pem_nll[entry.index])),
-             entry.misses]
+             entry.violated, repr(entry.share), repr(entry.log_weight),
+             repr(float(run.pem_nll[entry.index])), entry.misses]
         )  # fmt: skip
     return text.getvalue()

@@ -12,7 +12,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
-from pemviz.runs.result import RunResult
+from pemviz.runs.result import RunResult, StageSummary
 from pemviz.simulators.braking.scenario import scenario_signals
 from pemviz.types import Simulator, StageKind
 
@@ -141,14 +141,40 @@ def signals_of(run: RunData) -> dict[str, FloatArray]:
 
 
 def thinned(
-    parts: Sequence[Mapping[str, AnyArray]], *, limit: int = KEPT_ROLLOUTS
+    parts: Sequence[Mapping[str, AnyArray]],
+    *,
+    stages: Sequence[StageSummary],
+    limit: int = KEPT_ROLLOUTS,
 ) -> tuple[Mapping[str, AnyArray], ...]:
-    """The least robust ``limit`` rollouts, in their order, if there are more than that."""
+    """At most ``limit`` rollouts, in their order.
+
+    If there are more: of the final stages' violations those of largest weight, up to half of
+    what is kept, and beside them the least robust of all others.
+
+    Args:
+        parts: Tables of rollouts.
+        stages: The run's stages, as far as it has come.
+        limit: How many rollouts are kept.
+    """
     if sum(part["violated"].shape[0] for part in parts) <= limit:
         return tuple(parts)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    chosen = np.sort(np.argsort(joined["robustness"], kind="stable")[:limit])
+    violations = np.flatnonzero(final_violations(joined, stages=stages))
+    log_weight = row_sums(joined["log_p"][violations] - joined["log_q"][violations])
+    heavy = violations[np.argsort(-log_weight, kind="stable")[: limit // 2]]
+    order = np.argsort(joined["robustness"], kind="stable")
+    others = order[~np.isin(order, heavy)][: limit - heavy.size]
+    chosen = np.sort(np.concatenate([heavy, others]))
     return ({name: values[chosen] for name, values in joined.items()},)
+
+
+def final_violations(table: Mapping[str, AnyArray], *, stages: Sequence[StageSummary]) -> BoolArray:
+    """Which rollouts ``[N]`` of a table violate and belong to a final stage."""
+    chosen = np.zeros(table["violated"].shape, dtype=np.bool_)
+    for stage in stages:
+        if stage.kind == "final":
+            chosen |= (table["repetition"] == stage.repetition) & (table["stage"] == stage.stage)
+    return chosen & table["violated"]
 
 
 def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:

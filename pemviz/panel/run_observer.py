@@ -134,7 +134,7 @@ class Watcher:
         self.run = replace(
             run,
             curves=run.curves if curve is None else (*run.curves, curve),
-            parts=thinned((*run.parts, part)),
+            parts=thinned((*run.parts, part), stages=run.result.stages),
             simulated=run.simulated + count,
         )
 

@@ -16,6 +16,12 @@ from pemviz.colors import BLUE, DETECTED, EGO, LEAD, MISSED, rgb
 from pemviz.panel import meshes
 from pemviz.panel.server import guarded_server
 from pemviz.panel.views.rollout import Track
+from pemviz.simulators.braking.contact import (
+    CAMERA_TO_BUMPER_M,
+    contact_text,
+    drawn_gap,
+    until_contact,
+)
 
 ROAD = (72, 76, 84)
 VERGE = (176, 190, 168)
@@ -33,6 +39,8 @@ FIRST_VIEW_TARGET = (4.5, 0.0, -3.6)
 FIRST_VIEW_FOV = 0.66
 BRAKING_MPS2 = 1.0
 LIMIT_M = 2.0
+AFTER_CONTACT = (150, 150, 150)
+OUTCOME = {True: "detected", False: "MISSED"}
 
 _ONE_PAGE_AT_A_TIME = threading.Lock()
 
@@ -45,6 +53,7 @@ class Scene:
         self._track: Track | None = None
         self._follow = True
         self._travelled_m: FloatArray = np.zeros(1)
+        self._gap_m: FloatArray = np.zeros(1)
         api.configure_default_lights(enabled=False)
         api.add_light_hemisphere(
             "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 150), intensity=0.65
@@ -53,8 +62,10 @@ class Scene:
         self._world = api.add_frame("/world", show_axes=False)
         self._ego = api.add_frame("/world/ego", show_axes=False)
         self._lead = api.add_frame("/world/lead", show_axes=False)
-        self._ego_lamps = self._car("/world/ego", color=EGO, x_m=meshes.BONNET_M - 5.0)
-        self._lead_lamps = self._car("/world/lead", color=LEAD, x_m=0.0)
+        self._ego_body, self._ego_lamps = self._car(
+            "/world/ego", color=EGO, x_m=CAMERA_TO_BUMPER_M - meshes.CAR_LENGTH_M
+        )
+        self._lead_body, self._lead_lamps = self._car("/world/lead", color=LEAD, x_m=0.0)
         self._frustum = api.add_camera_frustum(
             "/world/ego/camera",
             fov=2 * math.atan(IMAGE_PX[1] / 2 / FOCAL_PX),
@@ -80,7 +91,9 @@ class Scene:
         """Draw another rollout; call :meth:`at` afterwards."""
         self._track = track
         dt_s = track.scenario.dt_s
-        self._travelled_m = np.concatenate([[0.0], np.cumsum(track.ego_speed_mps[:-1] * dt_s)])
+        travelled_m = np.concatenate([[0.0], np.cumsum(track.ego_speed_mps[:-1] * dt_s)])
+        self._travelled_m = until_contact(travelled_m, track.contact)
+        self._gap_m = drawn_gap(track.gap_m, track.contact)
         self._ground(float(self._travelled_m[-1]))
         self._zones(track.scenario.emergency_gap_m)
         self._marks(track)
@@ -94,38 +107,53 @@ class Scene:
         track = self._track
         if track is None:
             return
-        x_m, gap_m = float(self._travelled_m[step]), float(track.gap_m[step])
+        x_m, gap_m = float(self._travelled_m[step]), float(self._gap_m[step])
         self._world.position = (-x_m if self._follow else 0.0, 0.0, 0.0)
         self._ego.position = (x_m, 0.0, 0.0)
         self._lead.position = (x_m + gap_m, 0.0, 0.0)
+        touching = track.contact is not None and step >= track.contact.step
+        self._shade(touching)
         last = step >= track.detected.size
         seen = not last and bool(track.detected[step])
-        self._frustum.color = rgb(DETECTED if seen else MISSED)
-        self._set_gap(track, gap_m, word="end" if last else "detected" if seen else "MISSED")
-        self._set_lamps(self._ego_lamps, braking(track.ego_speed_mps, step, track.scenario.dt_s))
-        self._set_lamps(self._lead_lamps, braking(track.lead_speed_mps, step, track.scenario.dt_s))
+        self._frustum.color = AFTER_CONTACT if touching else rgb(DETECTED if seen else MISSED)
+        self._set_gap(track, gap_m, words=gap_words(track, step))
+        for lamps, speed_mps in (
+            (self._ego_lamps, track.ego_speed_mps),
+            (self._lead_lamps, track.lead_speed_mps),
+        ):
+            self._set_lamps(lamps, not touching and braking(speed_mps, step, track.scenario.dt_s))
 
-    def _set_gap(self, track: Track, gap_m: float, *, word: str) -> None:
+    def _shade(self, touching: bool) -> None:
+        """Cars in grey from contact on: what the simulation goes on with is no real motion."""
+        for body, color in ((self._ego_body, EGO), (self._lead_body, LEAD)):
+            shade = AFTER_CONTACT if touching else rgb(color)
+            if tuple(body.color) != shade:
+                body.color = shade
+
+    def _set_gap(self, track: Track, gap_m: float, *, words: str) -> None:
         start, end = np.array([0.0, 0.0, 1.15]), np.array([gap_m, 0.0, 1.15])
         self._gap_line.points = np.stack([start, end])[None].astype(np.float32)
         self._gap_line.colors = np.tile(
             gap_color(gap_m, wide_m=track.scenario.emergency_gap_m), (1, 2, 1)
         )
         self._gap_label.position = (gap_m / 2, 0.0, 1.9)
-        self._gap_label.text = f"gap {gap_m:.1f} m, {word}"
+        self._gap_label.text = words
 
     def _set_lamps(self, lamps: list[viser.BoxHandle], lit: bool) -> None:
         for lamp in lamps:
             lamp.color = LAMP_ON if lit else LAMP_OFF
             lamp.scale = 1.35 if lit else 1.0
 
-    def _car(self, path: str, *, color: str, x_m: float) -> list[viser.BoxHandle]:
+    def _car(
+        self, path: str, *, color: str, x_m: float
+    ) -> tuple[viser.MeshHandle, list[viser.BoxHandle]]:
+        """A car with its rear at ``x_m``: its body and its lamps."""
         parts = (
             ("body", meshes.car_body(), rgb(color)),
             ("glass", meshes.car_glass(), GLASS),
             ("wheels", meshes.car_wheels(), TYRE),
         )
-        for name, mesh, shade in parts:
+        body, *_ = [
             self._api.add_mesh_simple(
                 f"{path}/{name}",
                 vertices=mesh.vertices.astype(np.float32),
@@ -135,8 +163,10 @@ class Scene:
                 side="double",
                 position=(x_m, 0.0, 0.0),
             )
+            for name, mesh, shade in parts
+        ]
         places = ((-0.66, 0.74, 0.34), (0.66, 0.74, 0.34), (0.0, 1.36, 0.5))
-        return [
+        lamps = [
             self._api.add_box(
                 f"{path}/lamp{number}",
                 color=LAMP_OFF,
@@ -146,6 +176,7 @@ class Scene:
             )
             for number, (y, z, width) in enumerate(places)
         ]
+        return body, lamps
 
     def _ground(self, travelled_m: float) -> None:
         start_m, end_m = -60.0, travelled_m + 90.0
@@ -198,9 +229,10 @@ class Scene:
 
     def _marks(self, track: Track) -> None:
         at_m = self._travelled_m[:-1]
+        real = np.arange(at_m.size) < (at_m.size if track.contact is None else track.contact.step)
         for name, mesh, chosen, color in (
-            ("hits", meshes.hit_mark(), track.detected, DETECTED),
-            ("misses", meshes.miss_mark(), ~track.detected, MISSED),
+            ("hits", meshes.hit_mark(), real & track.detected, DETECTED),
+            ("misses", meshes.miss_mark(), real & ~track.detected, MISSED),
         ):
             count = int(np.count_nonzero(chosen))
             path = f"/world/{name}"
@@ -222,6 +254,15 @@ class Scene:
                 lod="off",
                 cast_shadow=False,
             )
+
+
+def gap_words(track: Track, step: int) -> str:
+    """The gap and perception's outcome at a step, or how the cars came into contact."""
+    if track.contact is not None and step >= track.contact.step:
+        return contact_text(track.contact)
+    word = "end" if step >= track.detected.size else OUTCOME[bool(track.detected[step])]
+    gap_m = float(track.gap_m[step])
+    return f"gap {gap_m:.1f} m (bumper {gap_m - CAMERA_TO_BUMPER_M:.1f} m), {word}"
 
 
 def braking(speed_mps: FloatArray, step: int, dt_s: float) -> bool:

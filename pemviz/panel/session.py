@@ -69,7 +69,7 @@ class Session:
             with tabs.add_tab("Compare"):
                 self.compare = CompareTab(browser)
             with tabs.add_tab("Why"):
-                self.why = WhyTab(browser)
+                self.why = WhyTab(browser, self.trajectories)
             with tabs.add_tab("Recordings"):
                 self.recordings = RecordingsTab(browser, self.player)
             self._refresh()

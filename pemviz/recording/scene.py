@@ -16,6 +16,14 @@ from pemviz.config import ScenarioConfig
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.recording.worst import Track
+from pemviz.simulators.braking.contact import (
+    CAMERA_TO_BUMPER_M,
+    Contact,
+    contact_text,
+    drawn_gap,
+    first_contact,
+    until_contact,
+)
 from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, EGO_SPEED, GAP
 
 LANES = 5
@@ -27,7 +35,6 @@ ROAD_END_M = 32.0
 DASH_SPACING_M = 6.0
 DASH_M = 2.5
 TICKS_M = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
-BONNET_M = 1.8
 BONNET_HEIGHT_M = 0.9
 FOCAL_PX = 721.5
 IMAGE_PX = (1242, 375)
@@ -114,7 +121,7 @@ def _log_lane_setting(file: RecordingFile, rank: int, scenario: ScenarioConfig) 
         ),
     )
     length_m = scenario.lead_length_m
-    ego = _car(x_m=BONNET_M - length_m, y_m=y_m, length_m=length_m, color=rgba(WHITE))
+    ego = _car(x_m=CAMERA_TO_BUMPER_M - length_m, y_m=y_m, length_m=length_m, color=rgba(WHITE))
     file.static(paths.lane(rank, "ego"), ego)
     file.static(
         paths.lane(rank, "camera"),
@@ -134,15 +141,15 @@ def _car(*, x_m: float, y_m: float, length_m: float, color: Rgba | None) -> rr.B
     What is logged once for all time hides what is logged over time: a car that changes its
     colour gets none here.
     """
-    cabin_m = length_m - BONNET_M
+    cabin_m = length_m - CAMERA_TO_BUMPER_M
     return rr.Boxes3D(
         centers=[
             [x_m + cabin_m / 2, y_m, CAR_HEIGHT_M / 2],
-            [x_m + cabin_m + BONNET_M / 2, y_m, BONNET_HEIGHT_M / 2],
+            [x_m + cabin_m + CAMERA_TO_BUMPER_M / 2, y_m, BONNET_HEIGHT_M / 2],
         ],
         half_sizes=[
             [cabin_m / 2, CAR_WIDTH_M / 2, CAR_HEIGHT_M / 2],
-            [BONNET_M / 2, CAR_WIDTH_M / 2, BONNET_HEIGHT_M / 2],
+            [CAMERA_TO_BUMPER_M / 2, CAR_WIDTH_M / 2, BONNET_HEIGHT_M / 2],
         ],
         colors=color,
         fill_mode="solid",
@@ -152,26 +159,32 @@ def _car(*, x_m: float, y_m: float, length_m: float, color: Rgba | None) -> rr.B
 def _log_lane(
     file: RecordingFile, rank: int, track: Track, *, scenario: ScenarioConfig, stage: int
 ) -> None:
-    gap_m = track.signals[GAP]
+    contact = first_contact(track.signals[GAP], dt_s=scenario.dt_s)
+    gap_m = drawn_gap(track.signals[GAP], contact)
     times = StepTimes(stage=stage, count=gap_m.size, dt_s=scenario.dt_s)
-    shades = _outcome_colors(track)
+    shades = _outcome_colors(track, contact)
     zeros = np.zeros(gap_m.size)
     lead = np.stack([gap_m, zeros, zeros], axis=1)
     file.along(paths.lane(rank, "lead"), rr.Transform3D.columns(translation=lead), times=times)
     file.along(paths.lane(rank, "lead/body"), rr.Boxes3D.columns(colors=shades), times=times)
     file.along(paths.lane(rank, "camera"), rr.Pinhole.columns(color=shades), times=times)
     travelled_m = _travelled_m(track.signals[EGO_SPEED], dt_s=scenario.dt_s)
+    travelled_m = until_contact(travelled_m, contact)
     road = np.stack([-(travelled_m % DASH_SPACING_M), zeros, zeros], axis=1)
     file.along(paths.lane(rank, "paint"), rr.Transform3D.columns(translation=road), times=times)
-    _log_label(file, rank, track, times=times)
+    _log_label(file, rank, track, contact=contact, times=times)
 
 
-def _log_label(file: RecordingFile, rank: int, track: Track, *, times: StepTimes) -> None:
+def _log_label(
+    file: RecordingFile, rank: int, track: Track, *, contact: Contact | None, times: StepTimes
+) -> None:
     """What happens at each step, in words, above the lead car."""
     gap_m = track.signals[GAP]
     outcomes = [*np.where(track.detected, "detected", "MISSED").tolist(), "end"]
     words = [f"{word}, gap {gap:.1f} m" for word, gap in zip(outcomes, gap_m.tolist(), strict=True)]
-    y_m, x_m = lane_y_m(rank), np.maximum(gap_m, 0.0) + 2.5
+    if contact is not None:
+        words[contact.step :] = [contact_text(contact)] * (gap_m.size - contact.step)
+    y_m, x_m = lane_y_m(rank), drawn_gap(gap_m, contact) + 2.5
     position = np.stack([x_m, np.full(gap_m.size, y_m), np.full(gap_m.size, LABEL_M)], axis=1)
     path = paths.lane(rank, "outcome")
     file.static(
@@ -196,11 +209,11 @@ def _log_label(file: RecordingFile, rank: int, track: Track, *, times: StepTimes
     )
 
 
-def _outcome_colors(track: Track) -> AnyArray:
-    """RGBA ``[T, 4]``: detected, missed, and grey at the last state, where nothing is seen."""
+def _outcome_colors(track: Track, contact: Contact | None) -> AnyArray:
+    """RGBA ``[T, 4]``: detected, missed; grey at the last state and from contact on."""
     shades = np.empty((track.detected.size + 1, 4), dtype=np.uint8)
     shades[:-1] = np.where(track.detected[:, None], rgba(DETECTED), rgba(MISSED))
-    shades[-1] = rgba(GREY)
+    shades[track.detected.size if contact is None else contact.step :] = rgba(GREY)
     return shades
 
 

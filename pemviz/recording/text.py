@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 
+from pemviz.analysis.contribution import CARRIED
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.config.toml_files import config_text
@@ -18,6 +19,7 @@ from pemviz.reports.estimate_text import (
     interval_name,
     memory_text,
     no_interval_text,
+    share_text,
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
@@ -224,12 +226,16 @@ def _stage_row(row: StageFigures) -> tuple[str, ...]:
 
 def worst_table(tracks: Sequence[Track]) -> str:
     """The least robust rollouts."""
-    header = ("rank", "rollout", "violated", "misses", "longest chain", "NLL [nats]")
+    header = (
+        "rank", "rollout", "violated", "share of the estimate", "misses", "longest chain",
+        "NLL [nats]",
+    )  # fmt: skip
     rows = [
         (
             f"{rank}",
             track.title,
             "yes" if track.ranked.violated else "no",
+            share_text(track.ranked.share),
             f"{track.ranked.misses}",
             f"{longest_chain(track)}",
             f"{track.ranked.nll:.1f}",
@@ -237,8 +243,9 @@ def worst_table(tracks: Sequence[Track]) -> str:
         for rank, track in enumerate(tracks, start=1)
     ]
     return (
-        "# Least robust rollouts\n\nNLL: how unlikely the rollout's outcomes are under the "
-        "perception error model.\n\n" + _table(header, rows)
+        "# Least robust rollouts\n\nFirst those that carry the estimate: with the largest "
+        f"weights, {100 * CARRIED:g} % of it. NLL: how unlikely the rollout's outcomes are under "
+        "the perception error model.\n\n" + _table(header, rows)
     )
 
 

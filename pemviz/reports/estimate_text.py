@@ -108,8 +108,10 @@ def number_text(value: float | None, *, unit: str = "") -> str:
 
 
 def share_text(value: float | None) -> str:
-    """A share in per cent, or a dash."""
-    return "-" if value is None else f"{value:.0%}"
+    """A share in per cent, small ones with a digit that counts, or a dash."""
+    if value is None:
+        return "-"
+    return f"{value:.0%}" if value >= 0.1 or value == 0.0 else f"{100.0 * value:.1g}%"
 
 
 def summary_text(result: RunResult) -> str:

@@ -224,7 +224,10 @@ def _worst(result: RunResult) -> list[str]:
             f"repetition {worst.repetition}, stage {worst.stage}, rollout {worst.rollout}",
         ),
     ]
-    return ["### Worst rollout", markdown_table(("least robust of all", ""), rows)]
+    if worst.share is not None:
+        rows.insert(1, ("share of its stage's estimate", share_text(worst.share)))
+    which = "least robust of all" if worst.share is None else "least robust that carries the answer"
+    return ["### Worst rollout", markdown_table((which, ""), rows)]
 
 
 def _provenance(result: RunResult) -> list[str]:

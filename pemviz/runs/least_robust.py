@@ -1,4 +1,7 @@
-"""The least robust rollout of a run, kept whole for whoever wants to look at it."""
+"""The least robust rollout of a run, kept whole for whoever wants to look at it.
+
+Which one that is, the run's result says: see :attr:`pemviz.runs.result.RunResult.least_robust`.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,6 +10,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.runs.events import Event, RunStarted, StageDone
+from pemviz.runs.result import RankedRollout
 from pemviz.types import StageResult
 
 
@@ -50,7 +54,7 @@ class Rollout:
 
 
 class LeastRobust:
-    """Observer that keeps the least robust rollout of a run so far.
+    """Observer that keeps the least robust rollout that carries the answer, as far as a run is.
 
     Attributes:
         rollout: The rollout; ``None`` before the first stage is done.
@@ -69,24 +73,22 @@ class LeastRobust:
             case RunStarted():
                 self._dt_s = event.simulator.dt_s
             case StageDone():
-                self._consider(event.stage)
+                self._consider(event.stage, event.result.least_robust[0])
             case _:
                 pass
 
-    def _consider(self, stage: StageResult) -> None:
-        scored = stage.scored
-        index = int(np.argmin(scored.robustness))
-        robustness = float(scored.robustness[index])
-        if self.rollout is not None and self.rollout.robustness <= robustness:
+    def _consider(self, stage: StageResult, first: RankedRollout) -> None:
+        if (first.repetition, first.stage) != (stage.repetition, stage.stage):
             return
+        scored, index = stage.scored, first.rollout
         signals = {name: np.array(v[index]) for name, v in scored.rollouts.signals.items()}
         states = scored.rollouts.detected.shape[1] + 1
         self.rollout = Rollout(
             repetition=stage.repetition,
             stage=stage.stage,
-            robustness=robustness,
-            violated=bool(scored.violated[index]),
-            nll=float(-scored.rollouts.log_p[index].sum()),
+            robustness=first.robustness,
+            violated=first.violated,
+            nll=first.nll,
             time_s=np.arange(states) * self._dt_s,
             signals=signals,
             detected=np.array(scored.rollouts.detected[index]),

@@ -11,13 +11,14 @@ from typing import Literal
 
 import numpy as np
 
+from pemviz.analysis.contribution import CARRIED, carrying, contributions
 from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
-from pemviz.config.ranges import AtLeastZero, Count, Log10
+from pemviz.config.ranges import AtLeastZero, Count, Log10, Share
 from pemviz.runs.memory import RunMemory
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate, StageKind, StageResult
@@ -77,6 +78,9 @@ class RankedRollout:
         nll: Its negative log-likelihood under the perception error model [nats].
         log_weight: Its log importance weight [nats].
         misses: How many steps missed.
+        share: What it contributes to its stage's estimate, if it is among the rollouts that carry
+            that (:mod:`pemviz.analysis.contribution`); ``None`` if it is not, or if the estimate
+            does not rest on its stage.
     """
 
     repetition: Count
@@ -87,6 +91,7 @@ class RankedRollout:
     nll: float
     log_weight: float
     misses: Count
+    share: Share | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +108,8 @@ class RunResult:
         estimate: The answer; of several repetitions, their mean.
         repetitions: The estimate of each repetition that is done.
         stages: Every stage that is done.
-        least_robust: The least robust rollouts of all, least robust first.
+        least_robust: The least robust of the rollouts that carry the estimate, least robust
+            first, then the least robust of the others; of all as long as nothing carries one.
         memory: What was assumed of how misses hang together, and what the model's own data say
             of it; ``None`` in results of versions that knew no memory.
         reference: The answer by the value-twisted reference, if it was asked for.
@@ -165,23 +171,43 @@ def with_stage(result: RunResult, stage: StageResult) -> RunResult:
     timings_s = dict(result.timings_s)
     for part, seconds in stage.timings_s.items():
         timings_s[part] = timings_s.get(part, 0.0) + seconds
+    stages = (*result.stages, summarise_stage(stage))
+    weighty = _weighty(stages)
     ranked = sorted(
         (*result.least_robust, *rank_rollouts(stage)),
-        key=lambda r: (r.robustness, r.repetition, r.stage, r.rollout),
+        key=lambda r: (
+            r.share is None or (r.repetition, r.stage) not in weighty,
+            r.robustness,
+            r.repetition,
+            r.stage,
+            r.rollout,
+        ),
     )
     return replace(
-        result,
-        stages=(*result.stages, summarise_stage(stage)),
-        least_robust=tuple(ranked[:LEAST_ROBUST]),
-        timings_s=timings_s,
+        result, stages=stages, least_robust=tuple(ranked[:LEAST_ROBUST]), timings_s=timings_s
     )
+
+
+def _weighty(stages: Sequence[StageSummary]) -> set[tuple[int, int]]:
+    """The final stages, by repetition and stage, without which the estimate would be another."""
+    final = [
+        (stage, stage.log10_probability)
+        for stage in stages
+        if stage.kind == "final" and stage.log10_probability is not None
+    ]
+    least = max((log10 for _, log10 in final), default=0.0) + math.log10(1.0 - CARRIED)
+    return {(stage.repetition, stage.stage) for stage, log10 in final if log10 >= least}
 
 
 def rank_rollouts(stage: StageResult, *, count: int = LEAST_ROBUST) -> Sequence[RankedRollout]:
-    """The stage's ``count`` least robust rollouts, least robust first."""
+    """The stage's ``count`` rollouts that :attr:`RunResult.least_robust` would list first."""
     scored = stage.scored
-    order = np.argsort(scored.robustness, kind="stable")[:count]
     chosen = scored.rollouts
+    share = np.zeros(chosen.count)
+    if stage.kind == "final":
+        share = contributions(chosen.log_weight, violated=scored.violated)
+    carries = carrying(share)
+    order = np.lexsort((scored.robustness, ~carries))[:count]
     nll = -row_sums(chosen.log_p[order])
     return [
         RankedRollout(
@@ -193,6 +219,7 @@ def rank_rollouts(stage: StageResult, *, count: int = LEAST_ROBUST) -> Sequence[
             nll=float(nll[place]),
             log_weight=float(chosen.log_weight[index]),
             misses=int(np.count_nonzero(~chosen.detected[index])),
+            share=min(float(share[index]), 1.0) if carries[index] else None,
         )
         for place, index in enumerate(order)
     ]

@@ -117,7 +117,7 @@ def test_start_shows_a_run_and_every_tab_has_content(open_page, shots, first_run
     contents = {
         "Experiment": "The specification is understood.",
         "Learning": "gap [m]",
-        "Trajectories": "Ranks 1 to 12 of 200 under classical",
+        "Trajectories": "the least robust under classical first",
         "Compare": "Overlap of the elites",
         "Why": "How far to trust the number",
         "Recordings": "method, metric",
@@ -213,9 +213,20 @@ def test_a_bad_formula_is_told_where_it_is_typed_and_when_run(open_page, shots):
     expect_done(page)
 
 
-def test_pick_the_worst_rollout_and_play_it(open_page, shots):
+def test_pick_the_worst_rollout_and_play_it(open_page, shots, panel):
     page = open_page()
+    tab(page, "Why")
+    explanation = panel.controller.state.run.result.explanation
+    chain = page.locator("table[aria-label='Likeliest chains of misses'] tr[role=button]").first
+    chain.click()
+    rollout = f"stage {explanation.stage}, rollout {explanation.chains[0].likeliest}"
+    page.locator(f"svg[aria-label*='{rollout}']").wait_for()
     tab(page, "Trajectories")
+    choose(page, "First", "largest contribution")
+    page.get_by_text("the largest contribution first").wait_for()
+    choose(page, "First", "least robust")
+    choose(page, "Among", "all rollouts")
+    page.get_by_text("of 200 rollouts, the least robust").wait_for()
     page.locator("tr[data-rank='4']").click()
     until(page, lambda: selected(page) == 4)
     page.keyboard.press("ArrowDown")
@@ -235,7 +246,7 @@ def test_pick_the_worst_rollout_and_play_it(open_page, shots):
         if cursor.get_attribute("data-cursor") == "80":
             break
     until(page, lambda: cursor.get_attribute("data-cursor") == "80")
-    assert " at 4.00 s" in cursor.text_content()
+    assert re.search(r"m at 4\.00 s|contact at [0-4]\.\d\d s", cursor.text_content())
 
 
 def test_splitting_is_set_up_run_and_explained(open_page, shots, panel):
@@ -326,6 +337,7 @@ def test_two_browsers_and_a_reload_in_mid_run(open_page, shots, panel):
     first, second = open_page(), open_page()
     for page in (first, second):
         tab(page, "Trajectories")
+        choose(page, "Among", "all rollouts")
         page.locator("tr[data-rank='3']").wait_for()
     second.locator("tr[data-rank='3']").click()
     until(second, lambda: selected(second) == 3)

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +62,48 @@ def test_elites_are_counted_as_the_run_counts_them(loaded_run):
             assert np.count_nonzero(chosen[rows]) == stage.elites
 
 
+def test_thinning_keeps_what_carries_the_answer(naive_run):
+    (few,) = thinned(naive_run.parts, stages=naive_run.result.stages, limit=8)
+    table = naive_run.rollouts
+    weight = np.where(table["violated"], naive_run.log_weight, -np.inf)
+    assert np.isin(np.argsort(-weight, kind="stable")[:4], few["rollout"]).all()
+    assert few["violated"].size == 8
+    assert np.argmin(table["robustness"]) in few["rollout"]
+
+
+def test_what_carries_the_answer_makes_up_nearly_all_of_it(naive_run):
+    """Against sums over the stored likelihoods, one rollout after the other."""
+    table = naive_run.rollouts
+    ratio = [
+        math.exp(math.fsum(table["log_p"][i] - table["log_q"][i])) if table["violated"][i] else 0.0
+        for i in range(table["violated"].size)
+    ]
+    total = math.fsum(ratio)
+    ranking = rank(naive_run, "classical", among="carrying")
+    chosen = ranking.order.tolist()
+    rest = set(range(len(ratio))) - set(chosen)
+    assert math.fsum(ratio[i] for i in chosen) >= 0.99 * total
+    assert max(ratio[i] for i in rest) < min(ratio[i] for i in chosen)
+    assert math.fsum(sorted((ratio[i] for i in chosen), reverse=True)[:-1]) < 0.99 * total
+    assert table["violated"][chosen].all()
+    assert (np.diff(table["robustness"][chosen]) >= 0.0).all()
+    by_share = rank(naive_run, "classical", among="carrying", by_share=True)
+    assert sorted(chosen) == sorted(by_share.order.tolist())
+    assert (np.diff([ratio[i] for i in by_share.order]) <= 0.0).all()
+    entry = row(naive_run, by_share, 0)
+    assert entry.share == pytest.approx(max(ratio) / total, rel=1e-12)
+
+
+def test_the_result_lists_what_carries_the_answer_first(naive_run):
+    listed = naive_run.result.least_robust
+    carrying = rank(naive_run, "classical", among="carrying").order
+    expected = naive_run.rollouts["rollout"][carrying][: len(listed)].tolist()
+    assert [one.rollout for one in listed][: len(expected)] == expected
+    assert [one.share is not None for one in listed] == [
+        place < len(expected) for place in range(len(listed))
+    ]
+
+
 def test_csv_has_a_line_a_rollout(naive_run):
     text = ranking_csv(naive_run, rank(naive_run, "agm"))
     lines = list(csv.DictReader(io.StringIO(text)))
@@ -71,7 +114,7 @@ def test_csv_has_a_line_a_rollout(naive_run):
 
 
 def test_thinning_keeps_the_least_robust_and_their_numbers(naive_run):
-    (few,) = thinned(naive_run.parts, limit=7)
+    (few,) = thinned(naive_run.parts, stages=(), limit=7)
     lowest = np.sort(naive_run.rollouts["robustness"])[:7]
     np.testing.assert_array_equal(np.sort(few["robustness"]), lowest)
     for place in range(7):

@@ -28,6 +28,7 @@ from pemviz.reports.pictures.svg import Axis, Plot, nice_ticks
 from pemviz.runs.result import PemInfo
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.simulators.braking.contact import contact_text
 from pemviz.types import Diagnostic
 from tests.reports.runs import PLAN
 
@@ -238,11 +239,14 @@ def test_track_holds_the_rollout_and_its_probabilities(naive_run):
 def test_cursor_stands_at_its_step(naive_run):
     chosen = track(naive_run, row(naive_run, rank(naive_run, "classical"), 0))
     pieces = track_plots(chosen)
-    for step in (0, 40, 99):
+    for step in (0, chosen.contact.step - 1, chosen.contact.step, 99):
         page = with_cursor(pieces, chosen, step, speed=1.0)
         well_formed(page)
         assert f"data-cursor='{step}'" in page
-        assert f"{chosen.gap_m[step]:.2f} m at {step * 0.05:.2f} s" in page
+        words = f"{chosen.gap_m[step]:.2f} m at {step * 0.05:.2f} s"
+        if step >= chosen.contact.step:
+            words = contact_text(chosen.contact)
+        assert words in page
 
 
 def test_ranking_table_marks_the_selected_row(naive_run):

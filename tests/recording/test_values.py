@@ -166,12 +166,15 @@ def test_least_robust_outcomes_are_recorded(learned):
     assert [[word] for word in np.where(detected, "detected", "missed").tolist()] == rows[0]
 
 
-def test_scene_places_the_lead_car_at_the_gap(learned):
+def test_scene_places_the_lead_car_at_the_gap_and_leaves_it_there_once_the_bumpers_touch(learned):
     worst = learned.result.least_robust[0]
     gap_m = learned.stages[worst.stage].scored.rollouts.signals["gap"][worst.rollout]
     latest = [c for c in chunks(learned.path) if c.entity_path == paths.lane(1, "lead")][-1]
     places = latest.to_record_batch()["Transform3D:translation"].to_pylist()
-    np.testing.assert_allclose([row[0][0] for row in places], gap_m, atol=1e-5)
+    touching = np.logical_or.accumulate(gap_m <= 2.0)
+    assert touching.any()
+    drawn_m = np.where(touching, 2.0, gap_m)
+    np.testing.assert_allclose([row[0][0] for row in places], drawn_m, atol=1e-5)
 
 
 def test_recording_changes_no_digit_of_the_result(learned):

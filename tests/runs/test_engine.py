@@ -197,13 +197,30 @@ def test_an_observer_that_cannot_write_fails_the_run_and_the_others_hear_it():
     assert isinstance(listener.events[-1], RunFailed)
 
 
-def test_least_robust_rollouts_are_ranked_over_all_stages():
+def test_what_carries_the_estimate_is_ranked_before_the_least_robust_of_all():
     listener = Listener()
     result = run_experiment(SMALL, observers=[listener])
     stages = [event.stage for event in listener.events if isinstance(event, StageDone)]
-    everything = np.sort(np.concatenate([stage.scored.robustness for stage in stages]))
-    assert [r.robustness for r in result.least_robust] == everything[:20].tolist()
-    worst = result.least_robust[0]
+    final = stages[-1].scored
+    carrying = [r for r in result.least_robust if r.share is not None]
+    assert carrying == list(result.least_robust[: len(carrying)])
+    assert all(r.violated and r.stage == stages[-1].stage for r in carrying)
+    weight = np.where(final.violated, np.exp(final.rollouts.log_weight), 0.0)
+    for one in carrying:
+        assert one.share == pytest.approx(weight[one.rollout] / weight.sum(), rel=1e-9)
+    for some in (carrying, result.least_robust[len(carrying) :]):
+        assert (np.diff([r.robustness for r in some]) >= 0.0).all()
+
+
+def test_before_anything_carries_an_estimate_the_least_robust_of_all_stages_are_listed():
+    listener = Listener()
+    run_experiment(SMALL, observers=[listener])
+    done = [event for event in listener.events if isinstance(event, StageDone)]
+    learned = [event for event in done if event.stage.kind != "final"]
+    everything = np.sort(np.concatenate([one.stage.scored.robustness for one in learned]))
+    listed = learned[-1].result.least_robust
+    assert [r.robustness for r in listed] == everything[:20].tolist()
+    stages, worst = [event.stage for event in done], listed[0]
     stage = stages[worst.stage]
     assert worst.misses == (~stage.scored.rollouts.detected[worst.rollout]).sum()
     assert worst.nll == pytest.approx(-stage.scored.rollouts.log_p[worst.rollout].sum())

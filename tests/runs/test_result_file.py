@@ -33,7 +33,7 @@ MAY_BE_NULL = re.compile(
     r"|pem_interval\.(low|high|median)|data_bound"
     r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning|std_error)"
     r"|causes\.(memory|bursts)|causes\.memory\.(elasticity|target_tau_s|target_ess|warning|std_error)"
-    r"|causes\.bursts\.(begins_gap_m|again)"
+    r"|causes\.bursts\.(begins_gap_m|again)|causes\.stage|causes\.chains\[\d+\]\.likeliest"
     r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
     r"|nll_log_mean|ess|pareto_k|max_weight_share|unbiased\.(probability|std_error)"
     r"|diagnostics\[\d+\]\.(value|limit))|estimate"
@@ -41,13 +41,14 @@ MAY_BE_NULL = re.compile(
     r"|plan|plan\.(labels|reason|sequences|labels\.warning)"
     r"|plan\.labels\.bands\[\d+\]\.(low_m|high_m|labels|most_missed)"
     r"|plan\.refits\[\d+\]\.(low_m|high_m)"
-    r"|stages\[\d+\]\.(threshold|log10_probability|ess|loss)|least_robust\[\d+\]\.robustness"
+    r"|stages\[\d+\]\.(threshold|log10_probability|ess|loss)|least_robust\[\d+\]\.(robustness|share)"
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
     r"|families|ladder|plan|plan\.labels\.warning|memory|memory\.(fitted|curve)|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
-    r"|causes\.(memory|bursts|memory\.(warning|std_error))"
+    r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|chains\[\d+\]\.likeliest)"
+    r"|least_robust\[\d+\]\.share"
     r"|sensitivity\[\d+\]\.(warning|std_error)|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
 OTHER_TYPE = {

@@ -1,14 +1,15 @@
 """The Trajectories tab: the ranking, and how a rollout is picked."""
 
 import time
-from typing import cast, get_args
+from collections.abc import Mapping
+from typing import TypeVar, cast, get_args
 
 import viser
 
 from pemviz.config import MetricName
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, element_id, set_html
-from pemviz.panel.ranking import Ranking, rank, row
+from pemviz.panel.ranking import Among, Ranking, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tabs.player import Player
 from pemviz.panel.views.ranking_table import ranking_table
@@ -18,9 +19,20 @@ METRIC_HINT = (
     "Metric that ranks the rollouts shown; re-ranks what is stored at once, without a new run. "
     "Violations are always decided by the classical metric."
 )
-RANK_HINT = "Which rollout to show; 1 is the least robust. Keys: arrow down, arrow up."
+AMONG_HINT = (
+    "Which rollouts are ranked: those that carry the answer, so that rank 1 is a failure that "
+    "could happen, or all, with those of early stages that pile up misses which hardly ever "
+    "come together."
+)
+ORDER_HINT = "Whether rank 1 is the least robust rollout or contributes most to the probability."
+RANK_HINT = "Which rollout to show. Keys: arrow down, arrow up."
+CARRIES, ALL = "what carries the answer", "all rollouts"
+AMONG: Mapping[str, Among] = {CARRIES: "carrying", ALL: "all"}
+BY_SHARE: Mapping[str, bool] = {"least robust": False, "largest contribution": True}
 FOLLOW_HINT = "Keep the ego car in view while it drives: the road moves beneath it."
 LIVE_PAUSE_S = 0.6
+
+Value = TypeVar("Value")
 
 
 class TrajectoriesTab:
@@ -33,11 +45,14 @@ class TrajectoriesTab:
         self.metric = gui.add_dropdown(
             "Ranked by", get_args(MetricName), initial_value="classical", hint=METRIC_HINT
         )
+        self.among = gui.add_dropdown("Among", tuple(AMONG), hint=AMONG_HINT)
+        self.first = gui.add_dropdown("First", tuple(BY_SHARE), hint=ORDER_HINT)
         self.place = gui.add_number("Rank", 1, min=1, max=1_000_000, step=1, hint=RANK_HINT)
         self._table = gui.add_html("")
         self.follow = gui.add_checkbox("Follow ego", True, hint=FOLLOW_HINT)
         self.follow.on_update(browser.on(lambda: player.follow(self.follow.value)))
-        self.metric.on_update(browser.on(self._re_rank))
+        for control in (self.metric, self.among, self.first):
+            control.on_update(browser.on(self._re_rank))
         self.place.on_update(browser.on(self._pick))
         self._add_keys()
         self._run: RunData | None = None
@@ -89,12 +104,17 @@ class TrajectoriesTab:
         run = self._run
         if run is None:
             return
-        self._ranking = ranking = rank(run, self._metric())
+        self._ranking = ranking = rank(
+            run,
+            self._metric(),
+            among=self._chosen(self.among.value, AMONG, "among"),
+            by_share=self._chosen(self.first.value, BY_SHARE, "first"),
+        )
         if not ranking.order.size:
             set_html(self._table, block(quiet("No rollouts yet.")))
             return
         if place is None:
-            place = self._place_of_picked(run, ranking)
+            place = self._place_of(run, ranking) or 0
         entry = row(run, ranking, place)
         if by_hand:
             self._picked = (run.name, entry.repetition, entry.stage, entry.rollout)
@@ -107,6 +127,22 @@ class TrajectoriesTab:
         )
         self._player.show(run, entry)
 
+    def pick(self, *, repetition: int, stage: int, rollout: int) -> None:
+        """Show a rollout, among all if it is not among those ranked."""
+        if self._run is None:
+            return
+        self._picked = (self._run.name, repetition, stage, rollout)
+        if self._ranking is not None and self._place_of(self._run, self._ranking) is None:
+            self.among.value = ALL
+        self._show(place=None)
+
+    @staticmethod
+    def _chosen(word: str, meanings: Mapping[str, Value], name: str) -> Value:
+        if word not in meanings:
+            message = f"{name} = {word[:40]!r}: must be one of {', '.join(meanings)}"
+            raise InputError(message)
+        return meanings[word]
+
     def _metric(self) -> MetricName:
         metric = self.metric.value
         if metric not in get_args(MetricName):
@@ -114,9 +150,10 @@ class TrajectoriesTab:
             raise InputError(message)
         return cast(MetricName, metric)
 
-    def _place_of_picked(self, run: RunData, ranking: Ranking) -> int:
+    def _place_of(self, run: RunData, ranking: Ranking) -> int | None:
+        """The picked rollout's place; ``None`` if it is not ranked, or none is picked."""
         if self._picked is None or self._picked[0] != run.name:
-            return 0
+            return None
         table = run.rollouts
         same = (
             (table["repetition"] == self._picked[1])
@@ -124,4 +161,4 @@ class TrajectoriesTab:
             & (table["rollout"] == self._picked[3])
         )
         ranks = same[ranking.order].nonzero()[0]
-        return int(ranks[0]) if ranks.size else 0
+        return int(ranks[0]) if ranks.size else None

@@ -1,23 +1,15 @@
 """The ranking as a table whose rows can be clicked."""
 
-from html import escape
-
+from pemviz.analysis.contribution import CARRIED
 from pemviz.colors import MISSED
 from pemviz.panel.ranking import RankedRow, Ranking, row
 from pemviz.panel.run_data import RunData
-from pemviz.reports.pictures.html import MINUS, block, cells, number, quiet
+from pemviz.reports.pictures.html import MINUS, block, cells, clickable, number, percent, quiet
 from pemviz.sampling.registry import by_name
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 PAGE_ROWS = 12
 VIOLATED = f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>"
-
-# A click writes the row's rank into viser's own input, as typing it would.
-CLICK = (
-    "(function(r){var i=document.getElementById(r.dataset.target);if(!i)return;"
-    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,r.dataset.rank);"
-    "i.dispatchEvent(new Event('input',{bubbles:true}));"
-    "setTimeout(function(){i.blur();},0);})(this)"
-)
 
 
 def first_place(selected: int, count: int) -> int:
@@ -34,7 +26,10 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
         return block(quiet("No rollouts yet."))
     start = first_place(selected, count)
     unit = "" if ranking.metric == "agm" else " [m]"
-    header = ("rank", f"robustness{unit}", "violated", "log weight [nats]", "misses", "stage")
+    header = (
+        "rank", f"robustness{unit}", "violated", "of the answer", "log weight [nats]", "misses",
+        "stage",
+    )  # fmt: skip
     head = "".join(f"<th style='{_CELL};color:#52606d;font-weight:500'>{h}</th>" for h in header)
     lines: list[str] = []
     for place in range(start, min(start + PAGE_ROWS, count)):
@@ -43,32 +38,46 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
             f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>" if entry.violated else "no"
         )
         values = (
-            str(entry.rank), robustness_text(entry.robustness), verdict, weight_text(run, entry),
+            str(entry.rank), robustness_text(entry.robustness), verdict,
+            percent(entry.share) if entry.share else "", weight_text(run, entry),
             str(entry.misses), str(entry.stage),
         )  # fmt: skip
         mark = "background:#dbeafe;font-weight:600;" if place == selected else ""
+        selection = f" aria-selected='{'true' if place == selected else 'false'}'"
         lines.append(
-            f"<tr role='button' data-rank='{entry.rank}' data-target='{escape(target, quote=True)}'"
-            f" aria-selected='{'true' if place == selected else 'false'}' onclick=\"{CLICK}\""
+            f"<tr data-rank='{entry.rank}' {clickable(entry.rank, target=target)}{selection}"
             f" style='border-top:1px solid #e4e7eb;cursor:pointer;{mark}'>"
             f"{cells(values, style=_CELL)}</tr>"
         )
     shown = (
-        f"Ranks {start + 1} to {start + len(lines)} of {count:,} under {ranking.metric}. "
+        f"Ranks {start + 1} to {start + len(lines)} of {count:,} {ranked_text(ranking)}. "
         "Click a row, or press the up and down arrow keys; type a rank to jump. In the scene, "
         "flat blue marks on the road say where the camera detected the car ahead, upright crosses "
-        "where it missed; in the blue strip a detection brakes hard, the line is the 2 m limit."
+        "where it missed; in the blue strip a detection brakes hard. The gap is measured from the "
+        f"ego's windscreen camera: at {CAMERA_TO_BUMPER_M:g} m, the red line, the bumpers touch, "
+        "and what a rollout tells after that is grey."
     )
     if run.kept < run.simulated:
         shown += (
-            f" Of {run.simulated:,} rollouts the {run.kept:,} least robust under "
-            f"{run.config.metric} are kept here."
+            f" Of {run.simulated:,} rollouts {run.kept:,} are kept here: those that contribute "
+            f"most to the answer, and the least robust under {run.config.metric}."
         )
     return block(
         f"<table aria-label='Ranking' style='border-collapse:collapse;width:100%;"
         f"font-size:11.5px;font-variant-numeric:tabular-nums'><thead><tr>{head}</tr></thead>"
         f"<tbody>{''.join(lines)}</tbody></table>{quiet(shown)}"
     )
+
+
+def ranked_text(ranking: Ranking) -> str:
+    """Which rollouts are ranked, and how."""
+    which = "rollouts"
+    if ranking.among == "carrying":
+        which = f"rollouts that make up {100 * CARRIED:g} % of the answer"
+    how = f"the least robust under {ranking.metric} first"
+    if ranking.by_share:
+        how = f"the largest contribution first, then the least robust under {ranking.metric}"
+    return f"{which}, {how}"
 
 
 def weight_text(run: RunData, entry: RankedRow) -> str:

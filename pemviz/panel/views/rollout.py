@@ -11,7 +11,13 @@ from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
 from pemviz.reports.pictures.html import number
 from pemviz.reports.pictures.svg import Axis, Plot, svg, text
-from pemviz.simulators.braking.scenario import scenario_signals
+from pemviz.simulators.braking.contact import (
+    CAMERA_TO_BUMPER_M,
+    Contact,
+    contact_text,
+    first_contact,
+)
+from pemviz.simulators.braking.scenario import GAP, scenario_signals
 
 WIDTH, HEIGHT = 900, 190
 PLOT_WIDTH = 300
@@ -32,6 +38,7 @@ class Track:
         pem_detection: ``[T-1]`` P(detected) under the error model.
         proposal_detection: ``[T-1]`` P(detected) under the proposal sampled from.
         violated: The classical verdict on the whole rollout.
+        contact: Where the cars touch, if they do.
     """
 
     title: str
@@ -43,6 +50,7 @@ class Track:
     pem_detection: FloatArray
     proposal_detection: FloatArray
     violated: bool
+    contact: Contact | None = None
 
     @property
     def states(self) -> int:
@@ -73,6 +81,7 @@ def track(run: RunData, entry: RankedRow) -> Track:
         pem_detection=detection_probability(table["log_p"][index], detected),
         proposal_detection=detection_probability(table["log_q"][index], detected),
         violated=entry.violated,
+        contact=first_contact(signals[GAP], dt_s=run.config.scenario.dt_s),
     )
 
 
@@ -112,6 +121,8 @@ def _values(chosen: Track, step: int, *, speed: float) -> tuple[str, str, str]:
     outcome = "end"
     if step < chosen.detected.size:
         outcome = "detected" if chosen.detected[step] else "MISSED"
+    if chosen.contact is not None and step >= chosen.contact.step:
+        return (contact_text(chosen.contact), "after contact", f"played at {speed:g}x")
     return (
         f"{chosen.gap_m[step]:.2f} m at {time_s:.2f} s",
         f"ego {chosen.ego_speed_mps[step]:.1f}, lead {chosen.lead_speed_mps[step]:.1f}",
@@ -138,8 +149,13 @@ def _plots(chosen: Track) -> tuple[Plot, Plot, Plot]:
     gap, speed, perception = _plots_axes(chosen)
     time_s, steps_s = chosen.time_s, chosen.time_s[:-1]
     edge_m = chosen.scenario.emergency_gap_m
-    gap.band(gap.y.low, 2.0, color=VERMILLION, opacity=0.10)
-    gap.hline(2.0, color=VERMILLION, label="2 m", dash="")
+    gap.band(gap.y.low, CAMERA_TO_BUMPER_M, color=VERMILLION, opacity=0.10)
+    gap.hline(
+        CAMERA_TO_BUMPER_M,
+        color=VERMILLION,
+        label=f"{CAMERA_TO_BUMPER_M:g} m: bumpers touch",
+        dash="",
+    )
     gap.hline(edge_m, color=GREY, label=f"{edge_m:g} m: emergency braking")
     gap.line(time_s, chosen.gap_m, color=BLUE, width=2.2)
     speed.line(time_s, chosen.ego_speed_mps, color=EGO, width=2.2)
@@ -156,7 +172,10 @@ def _plots(chosen: Track) -> tuple[Plot, Plot, Plot]:
     base = perception.bottom
     perception.ticks_at(hit, y_px=(base - 9, base - 1), color=DETECTED)
     perception.ticks_at(miss, y_px=(base - 21, base - 12), color=MISSED)
-    for label, y, color in (("hit", base - 2, DETECTED), ("miss", base - 13, MISSED)):
+    for label, y in (("hit", base - 2), ("miss", base - 13)):
         perception.note(label, perception.left - 4, y, anchor="end")
-        del color
+    if chosen.contact is not None:
+        gap.veil(chosen.contact.time_s, label="contact")
+        speed.veil(chosen.contact.time_s, label=f"{chosen.contact.impact_speed_mps:.1f} m/s impact")
+        perception.veil(chosen.contact.time_s)
     return gap, speed, perception

@@ -1,14 +1,15 @@
 """The Why tab: which misses cause violations, and how far to trust the number."""
 
-import math
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
+from pemviz.analysis.contribution import contributions
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.colors import BLACK, VERMILLION
-from pemviz.panel.run_data import RunData
+from pemviz.panel.contribution import log_contributions
+from pemviz.panel.run_data import RunData, final_violations
 from pemviz.reports.estimate_text import REFITS
 from pemviz.reports.pictures.causes import causes_part
 from pemviz.reports.pictures.data_plan import plan_part
@@ -27,18 +28,23 @@ UNWEIGHTED = (
 MOST_BANDS = 250
 
 
-def why(run: RunData | None) -> str:
-    """The whole tab."""
+def why(run: RunData | None, *, target: str = "") -> str:
+    """The whole tab.
+
+    Args:
+        run: The run shown.
+        target: Element id of the input that a click on a chain writes its place into.
+    """
     if run is None:
         return block(quiet("Nothing has run yet."))
     if run.running:
         return block(quiet("Explained when the run under way is done."))
-    return block(run.memo.get("why", lambda: _why(run)))
+    return block(run.memo.get(("why", target), lambda: _why(run, target=target)))
 
 
-def _why(run: RunData) -> str:
+def _why(run: RunData, *, target: str) -> str:
     result = run.result
-    about_answer = _misses(run) + causes_part(result) + plan_part(result)
+    about_answer = _misses(run) + causes_part(result, target=target) + plan_part(result)
     return about_answer + _trust(run) + _data(run) + _assumptions(run)
 
 
@@ -64,43 +70,20 @@ def failures_of(run: RunData) -> Failures | None:
     if not run.parts:
         return None
     rollouts = run.rollouts
-    final = {(s.repetition, s.stage) for s in run.result.stages if s.kind == "final"}
-    violated = np.asarray(rollouts["violated"], dtype=np.bool_)
-    pairs = zip(rollouts["repetition"].tolist(), rollouts["stage"].tolist(), strict=True)
-    in_final = np.fromiter((pair in final for pair in pairs), dtype=np.bool_, count=violated.size)
-    chosen = violated & in_final if np.any(violated & in_final) else violated
+    chosen = final_violations(rollouts, stages=run.result.stages)
+    if not np.any(chosen):
+        chosen = np.asarray(rollouts["violated"], dtype=np.bool_)
     if not np.any(chosen):
         return None
-    log_weight = run.log_weight[chosen] + _log_stage_weight(run)[chosen]
-    weight = np.exp(log_weight - np.max(log_weight))
+    weight = contributions(log_contributions(run), violated=chosen)[chosen]
     detected = np.asarray(rollouts["detected"][chosen], dtype=np.bool_)
     log_p = np.asarray(rollouts["log_p"][chosen], dtype=np.float64)
     return Failures(
         gap_m=np.asarray(rollouts["gap_m"][chosen, :-1], dtype=np.float64),
         missed=~detected,
         pem_miss=np.where(detected, -np.expm1(log_p), np.exp(log_p)),
-        weight=weight / np.sum(weight),
+        weight=weight,
     )
-
-
-def _log_stage_weight(run: RunData) -> FloatArray:
-    """Log weight ``[N]`` that a rollout has through its stage.
-
-    Where stages are independent runs of rollouts without weights, the runs differ by many
-    powers of ten: a run's estimate is shared by its violations.
-    """
-    rollouts = run.rollouts
-    log_weight = np.zeros(rollouts["violated"].shape[0])
-    if by_name(run.config.method).has_likelihood_ratios:
-        return log_weight
-    for stage in run.result.stages:
-        if stage.log10_probability is not None and stage.failures:
-            inside = (rollouts["repetition"] == stage.repetition) & (
-                rollouts["stage"] == stage.stage
-            )
-            share = math.log(10.0) * stage.log10_probability - math.log(stage.failures)
-            log_weight[inside] = share
-    return log_weight
 
 
 def _misses(run: RunData) -> str:

@@ -8,7 +8,7 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.colors import MISSED
 from pemviz.reports.causes_text import BURST_TITLE, burst_rows
-from pemviz.reports.pictures.html import MINUS, grid, heading, number, percent, quiet
+from pemviz.reports.pictures.html import MINUS, clickable, grid, heading, number, percent, quiet
 from pemviz.reports.pictures.svg import FAINT, GRID, nice_ticks, svg, text
 from pemviz.runs.result import RunResult
 
@@ -16,6 +16,7 @@ SHOWN_CHAINS = 8
 SMALLEST_SHOWN = 0.005
 STRIP_WIDTH, STRIP_HEIGHT = 250, 16
 STRIP_MARGIN_S = 0.1
+CLICK_NOTE = " Click one to see the rollout that contributes most to it in the scene."
 DASH = "\N{EN DASH}"
 BURST_NOTE = (
     "The decisive burst of a violation has the most misses where the outcome matters. Figures are "
@@ -24,8 +25,14 @@ BURST_NOTE = (
 )
 
 
-def causes_part(result: RunResult) -> str:
-    """Both tables, if the run explains itself."""
+def causes_part(result: RunResult, *, target: str = "") -> str:
+    """Both tables, if the run explains itself.
+
+    Args:
+        result: The run's.
+        target: Element id of the input that a click on a chain writes its place into; on a page
+            without one, nothing can be clicked.
+    """
     explanation = result.explanation
     if explanation is None:
         return ""
@@ -39,8 +46,8 @@ def causes_part(result: RunResult) -> str:
         dt_s = result.config.scenario.dt_s
         parts += [
             heading("Likeliest chains of misses"),
-            chain_table(explanation.chains, dt_s=dt_s),
-            quiet(_chain_note(explanation.chains)),
+            chain_table(explanation.chains, dt_s=dt_s, target=target),
+            quiet(_chain_note(explanation.chains) + (CLICK_NOTE if target else "")),
         ]
     return "".join(parts)
 
@@ -114,9 +121,14 @@ def _band_note(result: RunResult, explanation: Explanation) -> str:
     return words
 
 
-def chain_table(chains: Sequence[Chain], *, dt_s: float) -> str:
+def shown_chains(chains: Sequence[Chain]) -> list[Chain]:
+    """Those of the table."""
+    return [chain for chain in chains[:SHOWN_CHAINS] if chain.missed_steps]
+
+
+def chain_table(chains: Sequence[Chain], *, dt_s: float, target: str = "") -> str:
     """One line for each chain: its share, its length, and a strip with a stroke at every miss."""
-    shown = [chain for chain in chains[:SHOWN_CHAINS] if chain.missed_steps]
+    shown = shown_chains(chains)
     every = [step for chain in shown for step in chain.missed_steps]
     if not every:
         return ""
@@ -132,7 +144,13 @@ def chain_table(chains: Sequence[Chain], *, dt_s: float) -> str:
     ]
     lines.append(["", "", _axis(low_s, high_s)])
     header = ("of all violations", "misses", "missed at [s]")
-    return grid(header, lines, name="Likeliest chains of misses")
+    places = range(1, len(shown) + 1)
+    return grid(
+        header,
+        lines,
+        name="Likeliest chains of misses",
+        attributes=[clickable(place, target=target) for place in places] if target else [],
+    )
 
 
 def _strip(steps: Sequence[int], *, dt_s: float, low_s: float, high_s: float) -> str:

@@ -17,6 +17,17 @@ SUPERSCRIPT = str.maketrans(
 )
 
 
+# A click writes the row's number into viser's own input, as typing it would; placing the caret
+# there would scroll the tab to it.
+CLICK = (
+    "(function(r){var i=document.getElementById(r.dataset.target);if(!i)return;"
+    "var s=r,y;while(s&&!s.scrollTop)s=s.parentElement;y=s?s.scrollTop:0;"
+    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,r.dataset.number);"
+    "i.dispatchEvent(new Event('input',{bubbles:true}));"
+    "function back(){i.blur();if(s)s.scrollTop=y;}setTimeout(back,0);setTimeout(back,60);})(this)"
+)
+
+
 def number(value: float | None, digits: int = 3) -> str:
     """A number in few digits, a dash if there is none."""
     if value is None or not math.isfinite(value):
@@ -70,11 +81,40 @@ def cells(values: Sequence[str], *, style: str) -> str:
     return "".join(f"<td style='{style}'>{value}</td>" for value in values)
 
 
-def grid(header: Sequence[str], body: Sequence[Sequence[str]], *, name: str) -> str:
-    """A table; cells are HTML already."""
+def clickable(number: int, *, target: str) -> str:
+    """Attributes of a table's row that writes its number into an input when it is clicked.
+
+    Args:
+        number: The row's.
+        target: The input's element id.
+    """
+    return (
+        f"role='button' data-number='{number}' data-target='{escape(target, quote=True)}'"
+        f" onclick='{escape(CLICK, quote=True)}'"
+    )
+
+
+def grid(
+    header: Sequence[str],
+    body: Sequence[Sequence[str]],
+    *,
+    name: str,
+    attributes: Sequence[str] = (),
+) -> str:
+    """A table; cells are HTML already.
+
+    Args:
+        header: Of the columns.
+        body: Rows.
+        name: For who does not see it.
+        attributes: Of the first rows, a text each, for instance :func:`clickable`.
+    """
     head = "".join(f"<th style='{_CELL};color:#52606d;font-weight:500'>{h}</th>" for h in header)
+    more = [*attributes, *[""] * (len(body) - len(attributes))]
     lines = "".join(
-        f"<tr style='border-top:1px solid #e4e7eb'>{cells(line, style=_CELL)}</tr>" for line in body
+        f"<tr {extra} style='border-top:1px solid #e4e7eb{';cursor:pointer' if extra else ''}'>"
+        f"{cells(line, style=_CELL)}</tr>"
+        for line, extra in zip(body, more, strict=True)
     )
     return (
         f"<table aria-label='{escape(name, quote=True)}' style='border-collapse:collapse;"

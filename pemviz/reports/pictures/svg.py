@@ -185,6 +185,23 @@ class Plot:
             f" height='{max(bottom - top, 1):.1f}' fill='{color}' fill-opacity='{opacity}'/>"
         )
 
+    def veil(self, x: float, *, label: str = "") -> None:
+        """What lies beyond a value of x, made faint; the value is marked, and labelled above."""
+        px = min(max(self.px(x), self.left), self.right)
+        self._parts.append(
+            f"<rect x='{px:.1f}' width='{self.right - px:.1f}' y='{self.top}'"
+            f" height='{self.bottom - self.top}' fill='#ffffff' fill-opacity='0.72'/>"
+        )
+        self._over.append(
+            f"<path d='M{px:.1f} {self.top}V{self.bottom}' stroke='{INK}' stroke-dasharray='2 2'/>"
+        )
+        if label:
+            room = self.right - px > 7.0 * len(label) / 1.2
+            self._over.append(
+                text(label, px + (4 if room else -4), self.top + 11,
+                     anchor="start" if room else "end", color=INK)
+            )  # fmt: skip
+
     def bars(
         self,
         edges: FloatArray,

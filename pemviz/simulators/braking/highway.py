@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pemviz.arrays import BoolArray
 from pemviz.config import ScenarioConfig
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
     GAP,
@@ -74,7 +75,7 @@ def frames(config: ScenarioConfig, *, detected: BoolArray) -> Iterator[NDArray[n
 
     Returns:
         T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, the ego blue at
-        the left and the lead car orange.
+        the left and the lead car orange. From contact on the last frame before it, in grey.
 
     Raises:
         ValueError: ``detected`` has another shape.
@@ -90,12 +91,22 @@ def _film(config: ScenarioConfig, detected: BoolArray) -> Iterator[NDArray[np.ui
 
     environment = BrakingEnv(config, render_mode="rgb_array")
     try:
-        yield environment.render()
+        frame, touching = environment.render(), False
+        yield frame
         for is_detected in detected.tolist():
-            environment.advance(detected=is_detected)
-            yield environment.render()
+            if not touching:
+                environment.advance(detected=is_detected)
+                touching = environment.state.gap_m <= CAMERA_TO_BUMPER_M
+                frame = faded(frame) if touching else environment.render()
+            yield frame
     finally:
         environment.close()
+
+
+def faded(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The same picture ``[H, W, 3]`` in shades of grey."""
+    grey = np.rint(frame.mean(axis=-1, keepdims=True)).astype(np.uint8)
+    return np.repeat(grey, frame.shape[-1], axis=-1)
 
 
 @lru_cache(maxsize=SCENES_KEPT)

@@ -30,13 +30,12 @@ from highway_env.vehicle.kinematics import Vehicle
 from pemviz.arrays import FloatArray
 from pemviz.colors import LEAD, SKY, rgb
 from pemviz.config import ScenarioConfig
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import CAR_WIDTH_M
 
 ENVIRONMENT_ID = "pemviz-braking-v0"
 
-BONNET_LENGTH_M = 2.0
-"""Windscreen camera to the ego's front bumper [m]: at the default limit of 2 m the cars touch."""
 EGO_LENGTH_M = 5.0
 
 SDL_DRIVER_VARIABLE = "SDL_VIDEODRIVER"
@@ -115,7 +114,7 @@ class EgoCar(ScenarioCar):
         self.lead = lead
         self.lead_detected = False
         self.speed_error_integral_m = 0.0
-        self.centre_to_camera_m = self.LENGTH / 2 - BONNET_LENGTH_M
+        self.centre_to_camera_m = self.LENGTH / 2 - CAMERA_TO_BUMPER_M
         self.centre_to_zero_gap_m = self.centre_to_camera_m + lead.LENGTH / 2
 
     @property
