@@ -12,102 +12,28 @@ from pemviz.panel.controller import Controller
 from pemviz.panel.viewers import Viewers
 from pemviz.sampling.registry import SHIPPED
 from tests.browser.conftest import WAIT_MS, Panel
+from tests.browser.driving import (
+    choose,
+    enter,
+    expect_done,
+    is_enabled,
+    is_still,
+    legend,
+    newest_curve,
+    rests,
+    run,
+    selected,
+    slide,
+    small,
+    tab,
+    until,
+    warned,
+)
 from tests.panel.conftest import wait_until
 
 pytest.importorskip("viser")
 
-# viser's page sends one change in 50 ms and forgets all but the last: no person is so quick
-THROTTLE_MS = 200
 TABS = ("Experiment", "Learning", "Trajectories", "Compare", "Why", "Recordings")
-
-
-def tab(page, name):
-    page.get_by_text(name, exact=True).first.click()
-
-
-def choose(page, label, option):
-    page.get_by_role("combobox", name=label, exact=True).click()
-    page.get_by_role("option", name=option, exact=True).click()
-
-
-def enter(page, label, value):
-    box = page.get_by_role("textbox", name=label, exact=True)
-    box.fill(str(value))
-    box.press("Enter")
-    page.wait_for_timeout(THROTTLE_MS)
-
-
-def slide(page, label, value):
-    """Sliders have no label of their own: their box is found beside the text."""
-    row = page.locator("div.mantine-Flex-root", has=page.get_by_text(label, exact=True)).last
-    row.get_by_role("textbox").fill(str(value))
-    row.get_by_role("textbox").press("Enter")
-    page.wait_for_timeout(THROTTLE_MS)
-
-
-def small(page, *, stages=2):
-    enter(page, "Stages", stages)
-    enter(page, "Rollouts", 40)
-    enter(page, "Final rollouts", 40)
-
-
-def is_enabled(page, label):
-    """Whether a number's box takes input; a slider that is not used is not there."""
-    if label in ("alpha", "sigma"):
-        return page.get_by_text(label, exact=True).count() == 1
-    return page.get_by_role("textbox", name=label, exact=True).is_enabled()
-
-
-def run(page):
-    page.get_by_role("button", name="Run", exact=True).click()
-
-
-def expect_done(page):
-    page.get_by_text("Ready.").wait_for(timeout=4 * WAIT_MS)
-
-
-def warned(page):
-    """What the panel warns of; viser's own notifications are alerts too."""
-    return page.locator("div[role=alert]", has_text="\N{WARNING SIGN}")
-
-
-def legend(page, words):
-    """Words drawn in a plot; tips of lines hold the same words, unseen."""
-    return page.locator("svg text", has_text=words).first
-
-
-def selected(page):
-    row = page.locator("table[aria-label=Ranking] tr[aria-selected=true]")
-    return int(row.get_attribute("data-rank"))
-
-
-def rests(page, cursor):
-    """Whether the cursor stands still for a second, before the end of the rollout."""
-    step = int(cursor.get_attribute("data-cursor"))
-    page.wait_for_timeout(1000)
-    return int(cursor.get_attribute("data-cursor")) == step < 99
-
-
-def is_still(page):
-    """Whether the page looks the same for three seconds."""
-    before = page.screenshot()
-    page.wait_for_timeout(3000)
-    return page.screenshot() == before
-
-
-def until(page, condition, *, timeout_ms=WAIT_MS):
-    for _ in range(timeout_ms // 50):
-        if condition():
-            return
-        page.wait_for_timeout(50)
-    pytest.fail("the page did not get there")
-
-
-def newest_curve(page):
-    tab(page, "Learning")
-    plot = page.get_by_role("img", name="P(detected) against gap")
-    plot.wait_for()
-    return plot.locator("path[stroke-width='2.4']").first.get_attribute("d")
 
 
 def test_start_shows_a_run_and_every_tab_has_content(open_page, shots, first_run):
