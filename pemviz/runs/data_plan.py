@@ -4,9 +4,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pemviz.analysis.band_models import BandOutcomes
+import numpy as np
+
+from pemviz.analysis.band_models import BandOutcomes, band_outcomes
 from pemviz.analysis.data_plan import DataPlan
-from pemviz.analysis.label_plan import LabelPlan, label_plan
+from pemviz.analysis.label_plan import LARGEST_DRAWN, LabelPlan, label_plan, model_misses
 from pemviz.analysis.refit_plan import RefitBand, refit_plan
 from pemviz.analysis.sequence_plan import SequencePlan, sequence_plan
 from pemviz.errors import PemError
@@ -14,6 +16,7 @@ from pemviz.pem import Pem, load_pem, support_of
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.memory import own_memory
 from pemviz.runs.result import RunResult
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model
 
 EXAMPLE = "rrc"
@@ -72,7 +75,7 @@ def _no_labels_because(result: RunResult, experiment: Experiment) -> str | None:
     if support_of(single_outcome_model(experiment.pem)) is None:
         return f"error model {result.pem.name} carries no counts of its training data"
     if result.explanation is None or result.estimate is None or not result.estimate.failures:
-        return "no violation was seen that tells where misses matter"
+        return "no violation with a weight was seen, to tell where misses matter"
     return None
 
 
@@ -98,9 +101,18 @@ def _labels(
 
 
 def _refits(experiment: Experiment, outcomes: BandOutcomes) -> tuple[RefitBand, ...]:
+    """From the violations at hand, or from such as are drawn for the model where they are far."""
     members: Sequence[Pem] = () if experiment.ensemble is None else experiment.ensemble.members
     if len(members) < 2:
         return ()
+    own = model_misses(experiment.pem, outcomes.salient)
+    if outcomes.effective_failures(own) < SMALL_ESS and experiment.twin is not None:
+        outcomes = band_outcomes(
+            replace(experiment.problem, simulator=experiment.twin),
+            miss=np.where(own > 0.0, own, LARGEST_DRAWN),
+            features=experiment.features,
+            seed=experiment.config.seed,
+        )
     return refit_plan(outcomes, pem=experiment.pem, members=members)
 
 
