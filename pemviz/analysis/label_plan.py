@@ -10,9 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import beta
 
 from pemviz.analysis.band_models import BANDS, MOST_CERTAIN, BandOutcomes, band_outcomes
-from pemviz.analysis.binomial_plan import POWER, labels_if_none_missed, labels_needed
+from pemviz.analysis.binomial_plan import (
+    POWER,
+    LabelsNeeded,
+    labels_if_none_missed,
+    labels_needed,
+)
 from pemviz.analysis.requirements import LabelledBand, cheapest_requirement
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Share
@@ -33,6 +39,9 @@ LARGEST_DRAWN = 0.999
 """No model that violations are drawn for misses more often."""
 FIRST_MARGIN = 0.2
 """By how much the log failure probability stays below the target, for the violations' own error."""
+LEAST_POWER, HALVINGS, SIMULATED = 0.2, 6, 300
+POWER_MARGIN = 0.02
+"""For the error of a probability from SIMULATED samples."""
 NEGLIGIBLE = 0.05
 """Elasticity of a band whose requirement hardly matters."""
 SEED_KEY = 2**32 - 5
@@ -51,9 +60,10 @@ class BandPlan:
         allowed: The largest P(missed) that the data allow.
         required: The largest P(missed) with which the target is met.
         fewest_labels: More labelled obstacles that show it if none of them is missed.
-        labels: More labelled obstacles that show it with the plan's power, if the detector is as
-            the error model says; ``None`` where it misses too often for that.
-        most_missed: How many of these may be missed; ``None`` likewise.
+        labels: More labelled obstacles; with the other bands' they show the target with the plan's
+            power, if the detector is as the error model says. ``None`` where it misses too often.
+        most_missed: With so many of these missed, or fewer, ``required`` is shown; more can be
+            made up for by fewer in other bands. ``None`` likewise.
     """
 
     low_m: float | None
@@ -76,7 +86,8 @@ class LabelPlan:
         target: The failure probability.
         obstacle: What kind of obstacle to label, in words.
         confidence: Of all bands' bounds together.
-        power: How likely all bands' samples suffice, if the detector is as the model says.
+        power: How likely all bands' samples together show the target, if the detector is as the
+            model says.
         bands: Where outcomes may matter, near to far.
         warning: What to keep in mind about the requirement; ``None`` if nothing.
     """
@@ -216,7 +227,14 @@ def label_plan(
         return None
     outcomes, required = found
     bands = task.bands(outcomes)
-    confidence, power = task.confidence(bands), each_power(len(bands))
+    confidence = task.confidence(bands)
+    samples = _samples(
+        outcomes,
+        bands,
+        required=required,
+        confidence=confidence,
+        log_target=math.log(target) - FIRST_MARGIN,
+    )
     effective = outcomes.effective_failures(required)
     plan = LabelPlan(
         target=target,
@@ -224,8 +242,8 @@ def label_plan(
         confidence=CONFIDENCE,
         power=POWER,
         bands=tuple(
-            _band_plan(band, confidence=confidence, power=power, required=required)
-            for band in bands
+            _band_plan(band, sample, confidence=confidence, bound=float(required[band.band]))
+            for band, sample in zip(bands, samples, strict=True)
         ),
         warning=None
         if effective >= SMALL_ESS
@@ -271,19 +289,71 @@ def each_power(bands: int) -> float:
     return POWER ** (1.0 / max(bands, 1))
 
 
+def _samples(
+    outcomes: BandOutcomes,
+    bands: Sequence[LabelledBand],
+    *,
+    required: FloatArray,
+    confidence: float,
+    log_target: float,
+) -> list[LabelsNeeded | None]:
+    """The smallest samples with which the target is shown with POWER, all bands together.
+
+    More misses than planned in one band are made up for by fewer in another: each band's own
+    power may be smaller, and is lowered as far as simulated samples allow.
+    """
+
+    def at(power: float) -> list[LabelsNeeded | None]:
+        return [
+            labels_needed(
+                obstacles=band.obstacles,
+                missed=band.missed,
+                bound=float(required[band.band]),
+                assumed=band.assumed,
+                confidence=confidence,
+                power=power,
+            )
+            for band in bands
+        ]
+
+    high = each_power(len(bands))
+    best = at(high)
+    if any(sample is None for sample in best):
+        return best
+    low = LEAST_POWER
+    for _ in range(HALVINGS):
+        power = 0.5 * (low + high)
+        chance = _chance(outcomes, bands, at(power), confidence=confidence, log_target=log_target)
+        low, high = (low, power) if chance >= POWER + POWER_MARGIN else (power, high)
+    return at(high)
+
+
+def _chance(
+    outcomes: BandOutcomes,
+    bands: Sequence[LabelledBand],
+    samples: Sequence[LabelsNeeded | None],
+    *,
+    confidence: float,
+    log_target: float,
+) -> float:
+    """How likely the samples show the target, if the detector is as assumed: by simulation."""
+    generator = np.random.default_rng(SEED_KEY)
+    miss = np.zeros((SIMULATED, BANDS))
+    for band, sample in zip(bands, samples, strict=True):
+        labels = 0 if sample is None else sample.labels
+        missed = band.missed + generator.binomial(labels, band.assumed, size=SIMULATED)
+        hits = band.obstacles + labels - missed
+        miss[:, band.band] = np.where(
+            hits > 0, beta.ppf(confidence, missed + 1.0, np.maximum(hits, 1)), 1.0
+        )
+    shown = [outcomes.log_probability(row) <= log_target for row in miss]
+    return float(np.mean(shown))
+
+
 def _band_plan(
-    band: LabelledBand, *, confidence: float, power: float, required: FloatArray
+    band: LabelledBand, sample: LabelsNeeded | None, *, confidence: float, bound: float
 ) -> BandPlan:
     edges = (None, *DISTANCE_EDGES_M, None)
-    bound = float(required[band.band])
-    sample = labels_needed(
-        obstacles=band.obstacles,
-        missed=band.missed,
-        bound=bound,
-        assumed=band.assumed,
-        confidence=confidence,
-        power=power,
-    )
     return BandPlan(
         low_m=edges[band.band],
         high_m=edges[band.band + 1],

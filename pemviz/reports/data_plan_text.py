@@ -111,7 +111,8 @@ def _label_sentences(labels: LabelPlan, *, pem: str, halves: bool) -> list[str]:
     )
     last = (
         f"All bands' bounds hold together at {labels.confidence:.0%}; if the detector misses as "
-        f"often as {pem} says, these samples suffice with a probability of {labels.power:.0%}."
+        f"often as {pem} says, the samples together show the target with a probability of "
+        f"{labels.power:.0%}: more misses in one band are made up for by fewer in another."
     )
     warning = [] if labels.warning is None else [f"Mind: {labels.warning}."]
     return [first, *(_band_sentence(band, pem=pem) for band in labels.bands), last, *warning]
