@@ -36,7 +36,7 @@ def short_rows(result: RunResult) -> list[tuple[str, str]]:
         return []
     rows: list[tuple[str, str]] = []
     if plan.labels is not None:
-        rows.append((_collect(plan.labels), _then(plan)))
+        rows.append((_collect(plan.labels), _then(plan, pem=result.pem.name)))
     if plan.refits:
         rows.append(
             (_labels_text(plan.refits), f"the range over {result.pem.name}'s refits halves")
@@ -69,12 +69,15 @@ def _labels_text(bands: Sequence[BandPlan | RefitBand]) -> str:
     return f"label {_join(wanted)}" if wanted else ""
 
 
-def _then(plan: DataPlan) -> str:
+def _then(plan: DataPlan, *, pem: str) -> str:
     assert plan.labels is not None  # noqa: S101  asked before
     halfway = ", halfway to the answer" if plan.halves else ""
     if any(band.labels is None for band in plan.labels.bands):
         return f"labels can show {plan.labels.target:.2g}{halfway}"
-    return f"the data alone show under {plan.labels.target:.2g}{halfway}"
+    shown = f"the data alone show under {plan.labels.target:.2g}{halfway}"
+    if not any(band.labels for band in plan.labels.bands):
+        return shown
+    return f"{shown} ({plan.labels.power:.0%} sure if {pem} is right)"
 
 
 def _sequences_row(plan: SequencePlan) -> tuple[str, str]:

@@ -14,7 +14,8 @@ GRANTED: Mapping[RungKind, str] = {
     "refits": "any refit of {pem} to its data may be right",
     "families": "any of the other shipped kinds of error model may be right",
     "memory": "misses may hang together in time, for as long as was looked at",
-    "data": "of the model no more is granted than that P(missed) is constant in bands of distance",
+    "data": "of the model no more is granted than that P(missed) is constant in bands of distance, "
+    "and misses are as assumed",
 }
 """What each rung takes for granted, beside the assumptions below."""
 
