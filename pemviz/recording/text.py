@@ -10,7 +10,7 @@ from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
-from pemviz.reports.causes_text import BURST_COLUMNS, burst_rows, causes_line
+from pemviz.reports.causes_text import BURST_COLUMNS, BURST_TITLE, burst_rows, causes_line
 from pemviz.reports.data_plan_text import PLAN_TITLE, plan_sentences
 from pemviz.reports.escape import markdown_table
 from pemviz.reports.estimate_text import (
@@ -162,7 +162,7 @@ def _causes(result: RunResult) -> list[str]:
     if explanation is None:
         return []
     rows = burst_rows(explanation, target=result.config.target)
-    table = [_table(BURST_COLUMNS, rows)] if rows else []
+    table = [f"{BURST_TITLE}.", _table(BURST_COLUMNS, rows)] if rows else []
     return [f"## Misses that cause it\n\n{causes_line(explanation)}", *table]
 
 

@@ -5,8 +5,10 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 
 SHOWN_MISSES = 0.005
+SMALLEST_SHOWN = 0.005
+"""Of an elasticity."""
 BURST_TITLE = "Bursts before a violation: misses in one frame after the other"
-BURST_COLUMNS = ("bursts: misses in one frame after the other", "in a violation")
+BURST_COLUMNS = ("bursts", "in a violation")
 BURST = "misses in one frame after the other"
 """What a burst is, where it is first spoken of."""
 FEW = 1e-3
@@ -110,13 +112,15 @@ def elasticity_text(found: BandSensitivity | MemorySensitivity) -> str:
     if found.elasticity is None:
         return "-"
     error = "" if found.std_error is None else f" +- {found.std_error:.2f}"
-    return f"{found.elasticity:.2f}{error}"
+    return f"{round(found.elasticity, 2) + 0.0:.2f}{error}"  # no minus before a zero
 
 
 def _fewer(found: BandSensitivity | MemorySensitivity) -> str:
     """What one per cent less brings."""
     if found.elasticity is None:
         return "nobody knows what: a miss is certain somewhere"
+    if abs(found.elasticity) < SMALLEST_SHOWN:
+        return "hardly any fewer violations"
     error = "" if found.std_error is None else f" +- {found.std_error:.1g}"
     kind = "fewer" if found.elasticity >= 0.0 else "more"
     return f"{abs(found.elasticity):.2g}{error} % {kind} violations"

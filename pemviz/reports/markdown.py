@@ -6,7 +6,7 @@ from dataclasses import fields
 
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
-from pemviz.reports.causes_text import BURST_COLUMNS, burst_rows, causes_line
+from pemviz.reports.causes_text import BURST_COLUMNS, BURST_TITLE, burst_rows, causes_line
 from pemviz.reports.data_plan_text import (
     BAND_COLUMNS,
     BAND_NOTE,
@@ -188,7 +188,7 @@ def _causes(result: RunResult) -> list[str]:
         return []
     parts = ["### Misses that cause it", causes_line(explanation)]
     rows = burst_rows(explanation, target=result.config.target)
-    return [*parts, markdown_table(BURST_COLUMNS, rows)] if rows else parts
+    return [*parts, f"{BURST_TITLE}.", markdown_table(BURST_COLUMNS, rows)] if rows else parts
 
 
 def _warnings(result: RunResult) -> list[str]:

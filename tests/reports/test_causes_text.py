@@ -8,7 +8,7 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.config import ExperimentConfig
 from pemviz.recording.text import answer_text
-from pemviz.reports.causes_text import burst_lines, burst_rows
+from pemviz.reports.causes_text import burst_lines, burst_rows, elasticity_text
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.pictures.causes import bursts_part
 from tests.reports.runs import result
@@ -51,6 +51,9 @@ def test_a_sentence_each_on_bursts_and_on_what_would_help():
     independent = replace(EXPLANATION, memory=None)
     assert burst_lines(independent) == [bursts]
     assert burst_lines(replace(independent, bursts=None)) == []
+    hardly = replace(EXPLANATION, memory=replace(EXPLANATION.memory, elasticity=-3e-18))
+    assert "shorter would bring hardly any fewer violations" in burst_lines(hardly)[1]
+    assert elasticity_text(hardly.memory) == "0.00 +- 0.03"
 
 
 def test_every_view_has_the_rows():
