@@ -100,7 +100,7 @@ def take_pictures(page: Page, folder: Path, *, shown: str, other: str) -> None:
     keep(page, folder / "panel-compare.png")
     tab(page, "Why")
     keep(page, folder / "panel-why.png")
-    page.get_by_text("Likeliest chains of misses").evaluate("e => e.scrollIntoView()")
+    page.get_by_text("Bursts before a violation").evaluate("e => e.scrollIntoView()")
     keep(page, folder / "panel-chains.png")
 
 
