@@ -21,7 +21,7 @@ from pemviz.simulators.latched import VIOLATED
 from pemviz.types import Proposal, ScoredRollouts
 
 DEFENSIVE_STEPS = 2.0
-PILOTED_S = (0.0, 0.3)
+PILOTED_S = (0.0, 0.1, 1.0)
 """Memory times whose models a family of pilots is around, each [s]."""
 
 
