@@ -171,7 +171,7 @@ def test_every_table_of_a_sweep(method, reliable):
     states = [RunState(plan.runs[0], "done", result.estimate)]
     checked_page = plain(_runs_page(plan, states))
     assert bool(DOUBT.search(checked_page)) == bool(against)
-    assert ("8e-16 to 5e-15 (95 %)" in checked_page) == (not against)
+    assert ("8.0e-16 to 5.0e-15 (95 %)" in checked_page) == (not against)
     (row,) = rows(plan, states)
     assert row["interval_caveats"] == "; ".join(against)
     assert all(words in csv_text(plan, [row]) for words in against)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.reports.digits import end_text
 from pemviz.reports.memory_curve import assumption_line
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
@@ -46,7 +47,7 @@ def interval_text(estimate: Estimate, *, caveats: Sequence[str]) -> str:
     """The confidence interval in words, and with ``caveats`` that and why it is none."""
     if estimate.ci_low is None or estimate.ci_high is None:
         return "unknown"
-    ends = f"{estimate.ci_low:.2g} to {estimate.ci_high:.2g}"
+    ends = f"{end_text(estimate.ci_low)} to {end_text(estimate.ci_high)}"
     return f"{ends}, {no_interval_text(estimate)}: {'; '.join(caveats)}" if caveats else ends
 
 
@@ -80,8 +81,8 @@ def model_range_text(interval: ModelInterval | None) -> str:
     """The answer's range over refits of the error model."""
     if interval is None:
         return "unknown: the model has no ensemble, or nothing failed"
-    low = "0" if interval.low is None else f"{interval.low:.2g}"
-    high = "unknown" if interval.high is None else f"{interval.high:.2g}"
+    low = "0" if interval.low is None else end_text(interval.low)
+    high = "unknown" if interval.high is None else end_text(interval.high)
     return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} {REFITS})"
 
 

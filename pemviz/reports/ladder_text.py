@@ -1,5 +1,6 @@
 """The ladder of uncertainty in words: one row a rung, the same on the terminal and in reports."""
 
+from pemviz.reports.digits import end_text
 from pemviz.runs.ladder import Rung, uncertainty_ladder
 from pemviz.runs.result import RunResult
 
@@ -20,7 +21,7 @@ def ends_text(rung: Rung) -> tuple[str, str]:
 
 
 def _end(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2g}"
+    return "-" if value is None else end_text(value)
 
 
 def rung_name(rung: Rung) -> str:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from pemviz.reports.digits import end_text
 from pemviz.runs.memory import RunMemory
 from pemviz.sampling.bursts.curve import MEASURED_S, CurvePoint
 
@@ -47,7 +48,7 @@ def curve_rows(memory: RunMemory) -> list[CurveRow]:
     return [
         CurveRow(
             tau="independent" if point.tau_s == 0.0 else f"{point.tau_s:.3g} s",
-            probability=f"{point.probability:.2g}",
+            probability=end_text(point.probability),
             interval=_interval(point),
             measured=names.get(point.tau_s, ""),
         )
@@ -103,5 +104,5 @@ def _worth(points: dict[float, CurvePoint], memory: RunMemory) -> str:
 def _interval(point: CurvePoint) -> str:
     if point.low is None or point.high is None:
         return "no violation was seen"
-    words = f"{point.low:.2g} to {point.high:.2g}"
+    words = f"{end_text(point.low)} to {end_text(point.high)}"
     return f"{words}: not a 95 % interval, {point.caveats[0]}" if point.caveats else words

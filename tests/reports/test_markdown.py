@@ -92,7 +92,7 @@ def test_the_page_tells_the_whole_story():
         "failure probability 2e-15 +- 1e-15",
         "✅ <strong>Gate passed",
         "always[0,99] (gap &gt;= 2.0)",
-        "8e-16 to 5e-15",
+        "8.0e-16 to 5.0e-15",
         "52 of 100 rollouts (1200 simulated in all)",
         "only 9 failures were seen",
         "-3.25 (classical)",
@@ -100,7 +100,7 @@ def test_the_page_tells_the_whole_story():
         "ab" * 32,
         "37498 obstacles",
         "misses are independent",
-        "1e-17 to 1e-13 (95% of 20 refits of one architecture on the same data, "
+        "1.0e-17 to 1.0e-13 (95% of 20 refits of one architecture on the same data, "
         "not other model families)",
         "no obstacle closer than 7 m",
         "few effective failures",

@@ -94,7 +94,7 @@ def test_every_section_has_its_content_and_the_page_is_well_formed():
     text = "".join(tree.itertext())
     for section in SECTIONS:
         assert section in text
-    for words in ("8e-16 to 5e-15", "label 1,249 more at 5 to 7 m", "ab" * 32, "pemviz 0.1.0"):
+    for words in ("8.0e-16 to 5.0e-15", "label 1,249 more at 5 to 7 m", "ab" * 32, "pemviz 0.1.0"):
         assert words in text
     assert sum(element.tag.endswith("svg") for element in tree.iter()) >= 4
     assert all(len(list(table.iter("td"))) for table in tree.iter("table"))
