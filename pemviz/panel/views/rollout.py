@@ -155,6 +155,7 @@ def _plots(chosen: Track) -> tuple[Plot, Plot, Plot]:
         color=VERMILLION,
         label=f"{CAMERA_TO_BUMPER_M:g} m: bumpers touch",
         dash="",
+        at_left=True,
     )
     gap.hline(edge_m, color=GREY, label=f"{edge_m:g} m: emergency braking")
     gap.line(time_s, chosen.gap_m, color=BLUE, width=2.2)

@@ -166,8 +166,10 @@ class Plot:
             f"{_dash(dash)}/>"
         )
 
-    def hline(self, y: float, *, color: str, label: str = "", dash: str = "4 3") -> None:
-        """A horizontal line, labelled at its right end."""
+    def hline(
+        self, y: float, *, color: str, label: str = "", dash: str = "4 3", at_left: bool = False
+    ) -> None:
+        """A horizontal line, labelled at its right end, or at its left."""
         if not self.y.low <= y <= self.y.high:
             return
         py = self.py(y)
@@ -175,7 +177,8 @@ class Plot:
             f"<path d='M{self.left} {py:.1f}H{self.right}' stroke='{color}'{_dash(dash)}/>"
         )
         if label:
-            self._over.append(text(label, self.right - 3, py - 3, anchor="end", color=color))
+            x, anchor = (self.left + 3, "start") if at_left else (self.right - 3, "end")
+            self._over.append(text(label, x, py - 3, anchor=anchor, color=color))
 
     def band(self, low: float, high: float, *, color: str, opacity: float = 0.18) -> None:
         """A horizontal band."""
@@ -186,7 +189,7 @@ class Plot:
         )
 
     def veil(self, x: float, *, label: str = "") -> None:
-        """What lies beyond a value of x, made faint; the value is marked, and labelled above."""
+        """What lies beyond a value of x, made faint; the value is marked, and labelled below."""
         px = min(max(self.px(x), self.left), self.right)
         self._parts.append(
             f"<rect x='{px:.1f}' width='{self.right - px:.1f}' y='{self.top}'"
@@ -198,7 +201,7 @@ class Plot:
         if label:
             room = self.right - px > 7.0 * len(label) / 1.2
             self._over.append(
-                text(label, px + (4 if room else -4), self.top + 11,
+                text(label, px + (4 if room else -4), self.bottom - 5,
                      anchor="start" if room else "end", color=INK)
             )  # fmt: skip
 
