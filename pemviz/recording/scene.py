@@ -200,7 +200,7 @@ def _log_label(
         paths.lane(rank, "name"),
         rr.Points3D(
             [[-1.0, y_m, LABEL_M]],
-            labels=[f"rank {rank}: robustness {track.ranked.robustness:.3g}"],
+            labels=[f"rank {rank}"],
             radii=0.05,
             colors=rgba(WHITE),
             show_labels=True,

@@ -226,10 +226,7 @@ def _stage_row(row: StageFigures) -> tuple[str, ...]:
 
 def worst_table(tracks: Sequence[Track]) -> str:
     """The least robust rollouts."""
-    header = (
-        "rank", "rollout", "violated", "share of the estimate", "misses", "longest chain",
-        "NLL [nats]",
-    )  # fmt: skip
+    header = ("rank", "rollout", "violated", "share", "misses", "longest chain", "NLL [nats]")
     rows = [
         (
             f"{rank}",
@@ -244,8 +241,8 @@ def worst_table(tracks: Sequence[Track]) -> str:
     ]
     return (
         "# Least robust rollouts\n\nFirst those that carry the estimate: with the largest "
-        f"weights, {100 * CARRIED:g} % of it. NLL: how unlikely the rollout's outcomes are under "
-        "the perception error model.\n\n" + _table(header, rows)
+        f"weights, {100 * CARRIED:g} % of it, each with its share. NLL: how unlikely the rollout's "
+        "outcomes are under the perception error model.\n\n" + _table(header, rows)
     )
 
 
