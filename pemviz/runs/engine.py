@@ -7,6 +7,8 @@ from dataclasses import replace
 from importlib import metadata
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from pemviz._version import __version__
 from pemviz.arrays import read_only
 from pemviz.config import ExperimentConfig
@@ -89,7 +91,10 @@ def run(
     """Run an experiment that is already built; see :func:`run_experiment`."""
     runner = _Runner(experiment, run_id, observers, should_stop)
     try:
-        runner.carry_out()
+        # matrices are small: threads that wait for each other cost more than they bring, most of
+        # all beside another run, and the last digit would depend on their number
+        with threadpool_limits(limits=1, user_api="blas"):
+            runner.carry_out()
     except _StopRequested:
         pass
     except KeyboardInterrupt:

@@ -12,7 +12,7 @@ from pemviz.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = ["--stages", "1", "--rollouts", "20", "--final-rollouts", "20", "--epochs", "2",
-         "--no-recording"]  # fmt: skip
+         "--no-plan", "--no-recording"]  # fmt: skip
 
 
 def record(tmp_path, *words):

@@ -6,7 +6,7 @@ import pytest
 
 from pemviz.cli.main import main
 
-HIGHWAY = ["--simulator", "highway-env", "--stages", "1", "--rollouts", "12",
+HIGHWAY = ["--no-plan", "--simulator", "highway-env", "--stages", "1", "--rollouts", "12",
            "--final-rollouts", "12", "--epochs", "2", "--no-recording", "--json"]  # fmt: skip
 
 

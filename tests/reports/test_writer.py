@@ -9,7 +9,7 @@ from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import RunDone
 from tests.reports.runs import result
 
-QUICK = ["--final-rollouts", "200", "--no-recording", "--json"]
+QUICK = ["--no-plan", "--final-rollouts", "200", "--no-recording", "--json"]
 
 
 def record(tmp_path, *words):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
+from scipy.special import betaincinv
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import PemError
@@ -134,16 +134,17 @@ def miss_interval(missed: int, obstacles: int, *, confidence: float = 0.95) -> t
     """Clopper and Pearson's exact two-sided interval for P(missed); (0, 1) without obstacles."""
     if obstacles == 0:
         return 0.0, 1.0
-    interval = binomtest(missed, obstacles).proportion_ci(confidence, method="exact")
-    return float(interval.low), float(interval.high)
+    each = (1.0 + confidence) / 2.0
+    low = float(betaincinv(missed, obstacles - missed + 1.0, 1.0 - each)) if missed else 0.0
+    return low, miss_upper_bound(missed, obstacles, confidence=each)
 
 
 def miss_upper_bound(missed: int, obstacles: int, *, confidence: float = 0.95) -> float:
     """Clopper and Pearson's exact one-sided upper bound for P(missed); 1 without obstacles."""
-    if obstacles == 0:
+    if missed == obstacles:
         return 1.0
-    test = binomtest(missed, obstacles, alternative="less")
-    return float(test.proportion_ci(confidence, method="exact").high)
+    # the bound is a quantile of a beta distribution
+    return float(betaincinv(missed + 1.0, obstacles - missed, confidence))
 
 
 def cell_in_words(class_id: int, occlusion: int, lateral: int, heading: int) -> str:
