@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
 
 from pemviz.analysis.band_models import BANDS, MOST_CERTAIN, BandOutcomes, band_outcomes
 from pemviz.analysis.binomial_plan import (
@@ -23,7 +22,13 @@ from pemviz.analysis.requirements import LabelledBand, cheapest_requirement
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Share
 from pemviz.pem import Pem, SupportSummary
-from pemviz.pem.data.support import DISTANCE_EDGES_M, cell_in_words, cell_of, miss_upper_bound
+from pemviz.pem.data.support import (
+    DISTANCE_EDGES_M,
+    cell_in_words,
+    cell_of,
+    miss_upper_bound,
+    miss_upper_bounds,
+)
 from pemviz.pem.judging.support_check import kinds_and_bands
 from pemviz.pem.models.protocol import as_rows
 from pemviz.proposals.offset_logistic import StateFeatures
@@ -342,10 +347,8 @@ def _chance(
     for band, sample in zip(bands, samples, strict=True):
         labels = 0 if sample is None else sample.labels
         missed = band.missed + generator.binomial(labels, band.assumed, size=SIMULATED)
-        hits = band.obstacles + labels - missed
-        miss[:, band.band] = np.where(
-            hits > 0, beta.ppf(confidence, missed + 1.0, np.maximum(hits, 1)), 1.0
-        )
+        detected = band.obstacles + labels - missed
+        miss[:, band.band] = miss_upper_bounds(missed, detected, confidence=confidence)
     shown = [outcomes.log_probability(row) <= log_target for row in miss]
     return float(np.mean(shown))
 

@@ -38,7 +38,6 @@ FIRST_VIEW_POSITION = (-15.0, -19.0, 12.0)
 FIRST_VIEW_TARGET = (4.5, 0.0, -3.6)
 FIRST_VIEW_FOV = 0.66
 BRAKING_MPS2 = 1.0
-LIMIT_M = 2.0
 AFTER_CONTACT = (150, 150, 150)
 OUTCOME = {True: "detected", False: "MISSED"}
 
@@ -210,7 +209,7 @@ class Scene:
         )
 
     def _zones(self, emergency_gap_m: float) -> None:
-        """The distance in which a detection brakes hard, and the limit of 2 m, ahead of the ego."""
+        """The distance in which a detection brakes hard, and where the bumpers touch."""
         self._api.add_box(
             "/world/ego/zone",
             color=rgb(BLUE),
@@ -223,7 +222,7 @@ class Scene:
             "/world/ego/limit",
             color=rgb(MISSED),
             dimensions=(0.12, 3.2, 0.03),
-            position=(LIMIT_M, 0.0, 0.03),
+            position=(CAMERA_TO_BUMPER_M, 0.0, 0.03),
             cast_shadow=False,
         )
 
@@ -279,8 +278,8 @@ def linear(color: tuple[int, int, int]) -> tuple[int, int, int]:
 
 
 def gap_color(gap_m: float, *, wide_m: float) -> NDArray[np.uint8]:
-    """RGB ``[3]`` from 0 to 255: grey at ``wide_m`` and beyond, red at the limit and below."""
-    share = float(np.clip((wide_m - gap_m) / max(wide_m - LIMIT_M, 1e-9), 0.0, 1.0))
+    """RGB ``[3]`` from 0 to 255: grey at ``wide_m`` and beyond, red at contact."""
+    share = float(np.clip((wide_m - gap_m) / max(wide_m - CAMERA_TO_BUMPER_M, 1e-9), 0.0, 1.0))
     return np.rint(SAFE + share * (CLOSE - SAFE)).astype(np.uint8)
 
 

@@ -10,7 +10,7 @@ import viser
 from pemviz.panel.browser import TABS_WIDTH_PX, Browser, set_html
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData
-from pemviz.panel.scene import LIMIT_M, Scene
+from pemviz.panel.scene import Scene
 from pemviz.panel.views.rollout import Track, track, track_plots, with_cursor
 
 Key = Literal["space", "arrowleft", "arrowright"]
@@ -172,6 +172,5 @@ class Player:
 
 
 def interesting_step(chosen: Track) -> int:
-    """Where the eye should land: the first violating state, else the closest one."""
-    below = np.flatnonzero(chosen.gap_m < LIMIT_M)
-    return int(below[0]) if below.size else int(np.argmin(chosen.gap_m))
+    """Where the eye should land: the state of contact, else the closest one."""
+    return int(np.argmin(chosen.gap_m)) if chosen.contact is None else chosen.contact.step

@@ -16,6 +16,7 @@ from pemviz.reports.pictures.html import block, grid, heading, number, quiet
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.same_run import setting_differences
 from pemviz.runs.trust import run_interval_caveats
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 DASHES = {"classical": "", "agm": "7 3", "smooth-cumulative": "2 3"}
 
@@ -54,8 +55,9 @@ def least_robust_plot(run: RunData) -> str:
         height=206,
         bottom=48,
     )
-    plot.band(plot.y.low, 2.0, color=VERMILLION, opacity=0.10)
-    plot.hline(2.0, color=VERMILLION, label="2 m", dash="")
+    plot.band(plot.y.low, CAMERA_TO_BUMPER_M, color=VERMILLION, opacity=0.10)
+    words = f"{CAMERA_TO_BUMPER_M:g} m: bumpers touch"
+    plot.hline(CAMERA_TO_BUMPER_M, color=VERMILLION, label=words, dash="", at_left=True)
     for place, (metric, gap_m) in enumerate(gaps.items()):
         color, dash = METRICS.get(metric, BLACK), DASHES.get(metric, "")
         plot.line(time_s, gap_m, color=color, width=3.4 - place, dash=dash, tip=metric)

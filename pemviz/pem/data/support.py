@@ -141,10 +141,16 @@ def miss_interval(missed: int, obstacles: int, *, confidence: float = 0.95) -> t
 
 def miss_upper_bound(missed: int, obstacles: int, *, confidence: float = 0.95) -> float:
     """Clopper and Pearson's exact one-sided upper bound for P(missed); 1 without obstacles."""
-    if missed == obstacles:
-        return 1.0
+    return float(
+        miss_upper_bounds(np.array(missed), np.array(obstacles - missed), confidence=confidence)
+    )
+
+
+def miss_upper_bounds(missed: IntArray, detected: IntArray, *, confidence: float) -> FloatArray:
+    """The same for counts ``[...]`` of missed and of detected obstacles."""
     # the bound is a quantile of a beta distribution
-    return float(betaincinv(missed + 1.0, obstacles - missed, confidence))
+    quantile = betaincinv(missed + 1.0, np.maximum(detected, 1.0), confidence)
+    return np.where(detected > 0, quantile, 1.0)
 
 
 def cell_in_words(class_id: int, occlusion: int, lateral: int, heading: int) -> str:
