@@ -22,7 +22,7 @@ from pemviz.sampling.rollouts.devices import DeviceRunner
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.rollouts.final_batch import weighed
 from pemviz.sampling.rollouts.worker_batches import PooledRunner
-from pemviz.sampling.splitting.particles import draw_particles, restarted
+from pemviz.sampling.splitting.particles import beginning, continued, restart
 
 HALF = ConstantProposal(detection_probability=0.5)
 
@@ -79,15 +79,18 @@ def test_what_is_made_of_rollouts_is_time_major(experiment, scored, tmp_path):
     write_part(path, part_arrays(stage_of(scored), signals))
     again = finished_stage(path, signals)
     generator = np.random.default_rng(0)
-    particles = draw_particles(experiment.problem, count=6, generator=generator)
+    wanted = beginning(experiment.problem, count=6, generator=generator)
+    (particles,) = continued(experiment.problem, [wanted])
     parent, cut = np.array([0, 2, 2]), np.array([3, 50, 98])
-    further = restarted(experiment.problem, particles, parent=parent, cut=cut, generator=generator)
+    wanted = restart(particles, parent=parent, cut=cut, generator=generator)
+    first, further = continued(experiment.problem, [wanted, wanted])
     for batch in (
         again.scored.rollouts,
         scored.rollouts.take(scored.violated),
         scored.rollouts.take(np.array([5, 3])),
         type(scored).concatenate([scored.take(slice(3)), scored.take(slice(20, 30))]).rollouts,
         particles,
+        first,
         further,
     ):
         assert all(is_time_major(array) for array in arrays_of(batch))

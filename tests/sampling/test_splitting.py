@@ -16,7 +16,7 @@ from pemviz.sampling.rollouts.batches import SimulationError
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.splitting.importance import OUT_OF_REACH, importance
 from pemviz.sampling.splitting.method import SplittingSampling
-from pemviz.sampling.splitting.particles import MOST_LOOKS, draw_particles, restarted
+from pemviz.sampling.splitting.particles import MOST_LOOKS, beginning, continued, restart
 from pemviz.sampling.splitting.run import split
 from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
 from pemviz.stl import parse
@@ -41,6 +41,11 @@ def problem_of(simulator, pem):
     )
 
 
+def drawn(problem, *, count, generator):
+    (particles,) = continued(problem, [beginning(problem, count=count, generator=generator)])
+    return particles
+
+
 def run_all(method, problem):
     state = method.init(problem, repetition=0)
     stages = []
@@ -55,9 +60,9 @@ def test_runs_are_unbiased():
     simulator, pem = ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.5)
     truth = toy_probability_by_recursion(simulator, pem)
     assert truth < 1e-4
-    generator = np.random.default_rng(3)
     problem = problem_of(simulator, pem)
-    logs = [split(problem, count=60, generator=generator).log_probability for _ in range(150)]
+    runs = split(problem, count=60, generators=np.random.default_rng(3).spawn(150))
+    logs = [run.log_probability for run in runs]
     assert stats.ttest_1samp(np.exp(logs) / truth, 1.0).pvalue > 1e-4
 
 
@@ -72,9 +77,26 @@ def test_runs_are_unbiased_where_the_importance_function_misleads():
         robustness=lambda signals: np.abs(signals["gap"][:, 1:] - 2.5).max(axis=1) - 0.5,
         violated=lambda signals: np.abs(signals["gap"][:, 1:] - 2.5).max(axis=1) < 0.5,
     )
-    generator = np.random.default_rng(4)
-    logs = [split(problem, count=40, generator=generator).log_probability for _ in range(200)]
+    runs = split(problem, count=40, generators=np.random.default_rng(4).spawn(200))
+    logs = [run.log_probability for run in runs]
     assert stats.ttest_1samp(np.exp(logs), 0.2 * 0.8**5).pvalue > 1e-4
+
+
+def test_runs_that_keep_step_are_what_each_is_alone():
+    """In batches of 40 rollouts runs of 30 go one by one, in batches of 90 by threes."""
+    problem = problem_of(ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.0))
+    method = SplittingSampling(stages=5, rollouts=30, seed=2)
+    alone, *together = (
+        run_all(method, replace(problem, batch_rollouts=size)) for size in (40, 90, 4096)
+    )
+    for found, stages in together:
+        assert found == alone[0]
+        for stage, other in zip(stages, alone[1], strict=True):
+            assert stage.log10_probability == other.log10_probability
+            for name in ("detected", "pem_logit"):
+                np.testing.assert_array_equal(
+                    getattr(stage.scored.rollouts, name), getattr(other.scored.rollouts, name)
+                )
 
 
 def test_estimate_is_near_the_truth_and_says_how_near():
@@ -93,9 +115,9 @@ def test_estimate_is_near_the_truth_and_says_how_near():
 def test_restarted_particles_share_the_past():
     problem = problem_of(ToySimulator(), ToyPem(at_zero=0.0, slope=0.0))
     generator = np.random.default_rng(5)
-    first = draw_particles(problem, count=40, generator=generator)
+    first = drawn(problem, count=40, generator=generator)
     parent, cut = np.arange(40)[::-1], np.tile([9, 6], 20)
-    again = restarted(problem, first, parent=parent, cut=cut, generator=generator)
+    (again,) = continued(problem, [restart(first, parent=parent, cut=cut, generator=generator)])
     order = np.argsort(cut, kind="stable")
     np.testing.assert_array_equal(again.ancestor, parent[order])
     for row, (own, last) in enumerate(zip(parent[order], cut[order], strict=True)):
@@ -116,7 +138,7 @@ def braking():
 
 def test_continuing_from_kept_states_is_replaying(braking):
     """After dozens of cuts every rollout is what its outcomes lead to from the start."""
-    run = split(braking, count=40, generator=np.random.default_rng(1))
+    (run,) = split(braking, count=40, generators=[np.random.default_rng(1)])
     assert run.levels > 10
     rollouts = run.scored.rollouts
     again = replay(simulator=braking.simulator, detected=rollouts.detected)
@@ -129,7 +151,7 @@ def test_continuing_from_kept_states_is_replaying(braking):
 
 def test_looks_are_where_an_unlikely_outcome_changed_something(braking):
     """Beyond 10 m the ego takes no notice of what it detects."""
-    particles = draw_particles(braking, count=300, generator=np.random.default_rng(2))
+    particles = drawn(braking, count=300, generator=np.random.default_rng(2))
     fresh = np.diff(particles.looks, axis=1) > 0
     near = particles.rollouts.signals["gap"][:, :-1] < braking_limit_m()
     np.testing.assert_array_equal(fresh[:, :-1], (near & ~particles.rollouts.detected)[:, :-1])
@@ -167,14 +189,14 @@ def test_cost_is_linear_in_the_length_of_a_rollout(states):
         violated=lambda signals: signals["gap"].min(axis=1) < -0.7 * states,
     )
     count, each = 20, 2 + math.ceil(math.log2(states))  # two extremes and a bisection
-    particles = draw_particles(problem, count=count, generator=np.random.default_rng(0))
+    particles = drawn(problem, count=count, generator=np.random.default_rng(0))
     assert particles.looks.max() <= MOST_LOOKS
     assert simulator.rows <= (2 + each * MOST_LOOKS) * states * count
     before = simulator.rows
     cut = np.full(count, states // 2)
-    restarted(
-        problem, particles, parent=np.arange(count), cut=cut, generator=np.random.default_rng(1)
-    )
+    generator = np.random.default_rng(1)
+    wanted = restart(particles, parent=np.arange(count), cut=cut, generator=generator)
+    continued(problem, [wanted])
     assert simulator.rows - before <= (2 + each * MOST_LOOKS) * (states - states // 2) * count
 
 
@@ -191,7 +213,7 @@ def counted(miss_probability, states=20):
 def test_importance_counts_the_misses_that_are_needed():
     """One, two or three more misses of probability q: minus as many times log q."""
     problem, q = counted(0.07), 0.07
-    particles = draw_particles(problem, count=100, generator=np.random.default_rng(6))
+    particles = drawn(problem, count=100, generator=np.random.default_rng(6))
     row, step = np.repeat(np.arange(100), 12), np.tile(np.arange(12), 100)
     needed = 3 - np.cumsum(~particles.rollouts.detected, axis=1)[row, step - 1] * (step > 0)
     found = importance(problem, particles.rollouts, row=row, step=step)
@@ -228,7 +250,7 @@ def test_importance_where_the_first_misses_cost_nothing():
         simulator=Slipping(states=60),
         robustness=lambda signals: np.minimum(signals["gap"].min(axis=1), 5.0) - 3.0,
     )
-    rollouts = draw_particles(problem, count=5, generator=np.random.default_rng(1)).rollouts
+    rollouts = drawn(problem, count=5, generator=np.random.default_rng(1)).rollouts
     (found,) = importance(problem, rollouts, row=np.array([0]), step=np.array([0]))
     needed = 24.0 + 0.24 / (0.24 + 0.25)
     assert found == pytest.approx(-needed * np.log(0.3), rel=1e-9)
@@ -236,7 +258,7 @@ def test_importance_where_the_first_misses_cost_nothing():
 
 def test_importance_knows_what_is_out_of_reach_and_what_has_happened():
     problem = counted(0.5, states=6)
-    particles = draw_particles(problem, count=200, generator=np.random.default_rng(7))
+    particles = drawn(problem, count=200, generator=np.random.default_rng(7))
     misses = (~particles.rollouts.detected).sum(axis=1)
     robustness = problem.robustness(particles.rollouts.signals)
     np.testing.assert_array_equal(particles.lowest < 0.0, misses >= 4)
@@ -258,13 +280,13 @@ def test_either_outcome_may_be_the_bad_one():
 
     mirrored = replace(problem, simulator=Mirrored(states=20), pem=ConstantPem(0.93))
     one, other = (
-        split(p, count=50, generator=np.random.default_rng(8)) for p in (problem, mirrored)
+        split(p, count=50, generators=[np.random.default_rng(8)])[0] for p in (problem, mirrored)
     )
     assert one.levels == other.levels == 3  # one a miss
     truth = stats.binom.sf(3, 19, 0.07)
     for run in (one, other):
         assert abs(run.log_probability - np.log(truth)) < 1.5
-    rollouts = draw_particles(problem, count=30, generator=np.random.default_rng(9)).rollouts
+    rollouts = drawn(problem, count=30, generator=np.random.default_rng(9)).rollouts
     row, step = np.arange(30), np.full(30, 5)
     turned = replace(rollouts, detected=~rollouts.detected, pem_logit=-rollouts.pem_logit)
     np.testing.assert_allclose(
@@ -294,9 +316,9 @@ def test_states_that_cannot_be_kept_are_refused(kind):
     problem = replace(problem, simulator=wrapped[kind])
     if kind == "monitored":
         with pytest.raises(ConfigError, match="its states carry known beside"):
-            split(problem, count=10, generator=np.random.default_rng(0))
+            split(problem, count=10, generators=[np.random.default_rng(0)])
     else:
-        run = split(problem, count=10, generator=np.random.default_rng(0))
+        (run,) = split(problem, count=10, generators=[np.random.default_rng(0)])
         late = run.scored.rollouts.memory["violated"][:, -1]
         np.testing.assert_array_equal(late, run.scored.violated)
 
@@ -310,7 +332,7 @@ def test_what_is_no_number_is_told_with_its_step():
             return replace(after, signals={"gap": gap})
 
     with pytest.raises(SimulationError, match="gap is nan in rollout 0, step 7"):
-        split(problem_of(Broken(), ToyPem()), count=5, generator=np.random.default_rng(0))
+        split(problem_of(Broken(), ToyPem()), count=5, generators=[np.random.default_rng(0)])
 
 
 def test_progress_follows_the_levels_down_and_never_exceeds_the_whole():
@@ -320,7 +342,7 @@ def test_progress_follows_the_levels_down_and_never_exceeds_the_whole():
         problem_of(ToySimulator(initial_gap=6, states=14), ToyPem(at_zero=2.5)),
         progress=lambda done, total: heard.append((done, total)),
     )
-    found = split(problem, count=60, generator=np.random.default_rng(8))
+    (found,) = split(problem, count=60, generators=[np.random.default_rng(8)])
     done = [part for part, _ in heard]
     assert all(total == 60 for _, total in heard)
     assert done == sorted(done)

@@ -93,8 +93,7 @@ def test_an_upper_end_is_a_probability():
 def test_least_variance_is_no_more_than_the_variance():
     """Of 30 runs, whose own variance is below 0.47 of the true one with probability 1e-3."""
     problem = toy_problem()
-    generator = np.random.default_rng(1)
-    runs = [split(problem, count=100, generator=generator) for _ in range(30)]
+    runs = split(problem, count=100, generators=np.random.default_rng(1).spawn(30))
     variance = np.var([one.log_probability for one in runs], ddof=1)
     least = np.mean([one.least_variance for one in runs])
     assert 0.0 < least < variance * 29 / stats.chi2.ppf(0.001, 29)
@@ -218,8 +217,7 @@ def test_a_likely_violation_needs_no_levels():
     )
     truth = toy_probability_by_recursion(problem.simulator, problem.pem)
     assert truth > 0.6
-    generator = np.random.default_rng(3)
-    runs = [split(problem, count=300, generator=generator) for _ in range(3)]
+    runs = split(problem, count=300, generators=np.random.default_rng(3).spawn(3))
     found = estimate_of_runs(runs, method="splitting")
     for one in runs:
         share = one.scored.violated.mean()

@@ -14,6 +14,7 @@ compared with levels is the importance function of :mod:`pemviz.sampling.splitti
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,10 +29,11 @@ from pemviz.types import Estimate, FinishedStage, StageResult
 
 @dataclass(frozen=True)
 class SplittingState:
-    """The repetition and its runs so far."""
+    """The repetition, its runs so far, and those that were carried out with the last of them."""
 
     repetition: int
     runs: tuple[SplittingRun, ...] = ()
+    ahead: tuple[SplittingRun, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,14 +56,13 @@ class SplittingSampling:
         return SplittingState(repetition=repetition)
 
     def step(self, problem: Problem, state: SplittingState) -> tuple[SplittingState, StageResult]:
-        """Carry out one run."""
+        """Carry out one run, and with it as many as make up a batch of rollouts."""
         stage = len(state.runs)
         finished = problem.finished(state.repetition, stage)
         if finished is None:
-            seeds = stage_seeds(seed=self.seed, repetition=state.repetition, stage=stage)
-            run = split(problem, count=self.rollouts, generator=np.random.default_rng(seeds))
+            run, *ahead = state.ahead or self._next_runs(problem, state)
         else:
-            run = _restored(finished)
+            run, ahead = _restored(finished), []
         result = replace(
             final_stage(
                 repetition=state.repetition,
@@ -82,7 +83,17 @@ class SplittingSampling:
                 "common_ancestry": np.array(run.common_ancestry),
             },
         )
-        return replace(state, runs=(*state.runs, run)), result
+        return replace(state, runs=(*state.runs, run), ahead=tuple(ahead)), result
+
+    def _next_runs(self, problem: Problem, state: SplittingState) -> Sequence[SplittingRun]:
+        first = len(state.runs)
+        together = max(problem.batch_rollouts // self.rollouts, 1)
+        seeds = [
+            stage_seeds(seed=self.seed, repetition=state.repetition, stage=stage)
+            for stage in range(first, min(first + together, self.stages))
+        ]
+        generators = [np.random.default_rng(one) for one in seeds]
+        return split(problem, count=self.rollouts, generators=generators)
 
     def is_done(self, state: SplittingState) -> bool:
         """Whether all runs are done."""

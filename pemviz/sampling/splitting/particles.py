@@ -5,6 +5,7 @@ replayed. N particles of T states take about N T (8 (signals + memory) + 33) byt
 three times that while a level's particles are replaced.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -51,12 +52,26 @@ class Particles(Batch):
         return self.score[:, -1]
 
 
-def draw_particles(problem: Problem, *, count: int, generator: np.random.Generator) -> Particles:
-    """``count`` independent rollouts.
+@dataclass(frozen=True)
+class Continuation:
+    """Particles of one run that are to go on, each from one of its states.
+
+    Attributes:
+        paths: M particles, overwritten after ``cut``.
+        cut: The last state that each keeps, ``[M]``, ascending; 0 draws them whole.
+        uniforms: ``[T-1, M]`` draws from [0, 1) for the outcomes after it.
+    """
+
+    paths: Particles
+    cut: IntArray
+    uniforms: FloatArray
+
+
+def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -> Continuation:
+    """``count`` independent rollouts, to be drawn.
 
     Raises:
         ConfigError: The simulator's states hold more than can be kept.
-        SimulationError: Something is no finite number.
     """
     start = problem.simulator.initial(count=count)
     _check_can_be_kept(problem.simulator, start)
@@ -74,22 +89,19 @@ def draw_particles(problem: Problem, *, count: int, generator: np.random.Generat
         looks=np.zeros((count, states), dtype=np.int64),
         ancestor=np.arange(count),
     )
-    whole = np.zeros(count, dtype=np.int64)
-    return _continued(problem, blank.map(np.asfortranarray), cut=whole, generator=generator)
+    return Continuation(
+        paths=blank.map(np.asfortranarray),
+        cut=np.zeros(count, dtype=np.int64),
+        uniforms=generator.random((states - 1, count)),
+    )
 
 
-def restarted(
-    problem: Problem,
-    particles: Particles,
-    *,
-    parent: IntArray,
-    cut: IntArray,
-    generator: np.random.Generator,
-) -> Particles:
+def restart(
+    particles: Particles, *, parent: IntArray, cut: IntArray, generator: np.random.Generator
+) -> Continuation:
     """New particles that go on independently from states of others.
 
     Args:
-        problem: The scenario and the error model.
         particles: Some of them are gone on from; they stay as they are.
         parent: Which particle each new one shares its states with, ``[M]``.
         cut: The last state that they share, ``[M]``.
@@ -97,13 +109,38 @@ def restarted(
 
     Returns:
         M particles in the order of ``cut``; those with the same keep theirs.
+    """
+    order = np.argsort(cut, kind="stable")
+    return Continuation(
+        paths=particles.take(parent[order]),
+        cut=cut[order],
+        uniforms=generator.random((particles.rollouts.detected.shape[1], cut.size)),
+    )
+
+
+def continued(problem: Problem, runs: Sequence[Continuation]) -> Sequence[Particles]:
+    """The particles of several runs, gone on together: a step of all costs little more than of one.
+
+    What comes out for a run does not depend on the others.
 
     Raises:
         SimulationError: Something is no finite number.
     """
+    if len(runs) == 1:
+        (run,) = runs
+        return [_continued(problem, run.paths, cut=run.cut, uniforms=run.uniforms)]
+    cut = np.concatenate([run.cut for run in runs])
     order = np.argsort(cut, kind="stable")
-    copies = particles.take(parent[order])
-    return _continued(problem, copies, cut=cut[order], generator=generator)
+    together = _continued(
+        problem,
+        Particles.concatenate([run.paths for run in runs]).take(order),
+        cut=cut[order],
+        uniforms=np.concatenate([run.uniforms for run in runs], axis=1)[:, order],
+    )
+    place = np.empty_like(order)
+    place[order] = np.arange(order.size)
+    ends = np.cumsum([run.cut.size for run in runs])[:-1]
+    return [together.take(rows) for rows in np.split(place, ends)]
 
 
 def _check_can_be_kept(simulator: Simulator, states: StateBatch) -> None:
@@ -125,10 +162,10 @@ def _first_column(values: AnyArray, states: int) -> AnyArray:
 
 
 def _continued(
-    problem: Problem, paths: Particles, *, cut: IntArray, generator: np.random.Generator
+    problem: Problem, paths: Particles, *, cut: IntArray, uniforms: FloatArray
 ) -> Particles:
-    """Overwrite ``paths [N]`` after the states ``cut [N]``, ascending; 0 draws them whole."""
-    to_look = _moved_on(problem, paths, cut, generator)
+    """Overwrite ``paths [N]`` after the states ``cut [N]``; see :class:`Continuation`."""
+    to_look = _moved_on(problem, paths, cut, uniforms)
     rollouts = replace(paths.rollouts, proposal_logit=paths.rollouts.pem_logit)
     check_numbers(rollouts, first_rollout=0, simulator=problem.simulator.name)
     step, row = np.nonzero(to_look.T)
@@ -141,9 +178,7 @@ def _continued(
     return replace(paths, rollouts=rollouts, score=score)
 
 
-def _moved_on(
-    problem: Problem, paths: Particles, cut: IntArray, generator: np.random.Generator
-) -> BoolArray:
+def _moved_on(problem: Problem, paths: Particles, cut: IntArray, uniforms: FloatArray) -> BoolArray:
     """Overwrite ``paths`` from ``cut`` on; at which states the importance function is computed.
 
     That is where an outcome that was not the likelier one has just led elsewhere than the
@@ -152,7 +187,6 @@ def _moved_on(
     """
     simulator, rollouts = problem.simulator, paths.rollouts
     count, steps = rollouts.detected.shape
-    uniforms = generator.random((steps, count))
     to_look = np.zeros((count, steps + 1), dtype=np.bool_, order="F")
     pending = np.zeros(count, dtype=np.bool_)
     for step in range(int(cut[0]), steps):

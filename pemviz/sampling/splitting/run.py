@@ -1,6 +1,7 @@
 """One run of adaptive multilevel splitting."""
 
 import math
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -9,7 +10,13 @@ import numpy as np
 from pemviz.arrays import BoolArray, IntArray
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.problem import Problem, in_time, score
-from pemviz.sampling.splitting.particles import Particles, draw_particles, restarted
+from pemviz.sampling.splitting.particles import (
+    Continuation,
+    Particles,
+    beginning,
+    continued,
+    restart,
+)
 from pemviz.types import ScoredRollouts
 
 KILLED_SHARE = 0.5
@@ -39,30 +46,69 @@ class SplittingRun:
     scored: ScoredRollouts
 
 
-def split(problem: Problem, *, count: int, generator: np.random.Generator) -> SplittingRun:
-    """One run with ``count`` particles.
+Levels = Generator[Continuation, Particles, SplittingRun]
+"""A run as it goes: what it wants continued, for what came of that; at the end the run."""
+
+
+def split(
+    problem: Problem, *, count: int, generators: Sequence[np.random.Generator]
+) -> Sequence[SplittingRun]:
+    """Independent runs with ``count`` particles each, one for each of ``generators``.
 
     At every level the particles that have not come below it are replaced by continuations of
     those that have, each as often as any other but for one. The estimate is unbiased, ties
-    included (Brehier, Gazeau, Goudenege, Lelievre, Rousset 2016).
+    included (Brehier, Gazeau, Goudenege, Lelievre, Rousset 2016). The runs keep step, so that
+    the scenario moves all of their particles at once; none depends on another.
 
     Raises:
         ConfigError: The simulator's states hold more than can be kept.
         SimulationError: Something is no finite number, or a level takes too long.
     """
-    particles = in_time(problem, lambda: draw_particles(problem, count=count, generator=generator))
+    done = [0] * len(generators)
+
+    def report(run: int, so_far: int) -> None:
+        done[run] = so_far
+        problem.progress(sum(done) // len(done), count)
+
+    going = {
+        index: _levels(problem, count=count, generator=generator, report=partial(report, index))
+        for index, generator in enumerate(generators)
+    }
+    wanted = {index: next(levels) for index, levels in going.items()}
+    runs: dict[int, SplittingRun] = {}
+    while wanted:
+        found = in_time(problem, partial(continued, problem, list(wanted.values())))
+        for index, particles in zip(list(wanted), found, strict=True):
+            try:
+                wanted[index] = going[index].send(particles)
+            except StopIteration as end:
+                del wanted[index]
+                runs[index] = end.value
+    return [runs[index] for index in going]
+
+
+def _levels(
+    problem: Problem,
+    *,
+    count: int,
+    generator: np.random.Generator,
+    report: Callable[[int], None],
+) -> Levels:
+    """One run; ``report`` is told how many of ``count`` particles are as good as done."""
+    particles = yield beginning(problem, count=count, generator=generator)
     shares: list[float] = []
     simulated = count
     while len(shares) < MOST_LEVELS:
         level = _level(particles)
-        problem.progress(_on_the_way(sum(map(_log, shares)), level, count=count), count)
+        report(_on_the_way(sum(map(_log, shares)), level, count=count))
         killed = particles.lowest >= level
         if level < VIOLATION_THRESHOLD or killed.all():
             break
         shares.append(1.0 - float(killed.mean()))
         simulated += int(killed.sum())
-        particles = in_time(problem, partial(_replaced, problem, particles, level, generator))
-    problem.progress(count, count)
+        new = yield _replacement(particles, level, generator)
+        particles = Particles.concatenate([particles.take(np.flatnonzero(~killed)), new])
+    report(count)
     scored = score(problem, particles.rollouts)
     shares.append(float(scored.violated.mean()))
     return SplittingRun(
@@ -105,16 +151,14 @@ def _copies(killed: BoolArray, generator: np.random.Generator) -> IntArray:
     return np.concatenate([np.tile(np.arange(survivors), whole), some]).astype(np.int64)
 
 
-def _replaced(
-    problem: Problem, particles: Particles, level: float, generator: np.random.Generator
-) -> Particles:
-    """Survivors, and continuations of survivors from where they first came below the level."""
+def _replacement(
+    particles: Particles, level: float, generator: np.random.Generator
+) -> Continuation:
+    """Continuations of survivors from where they first came below the level."""
     killed = particles.lowest >= level
-    alive = np.flatnonzero(~killed)
-    parent = alive[_copies(killed, generator)]
+    parent = np.flatnonzero(~killed)[_copies(killed, generator)]
     cut = np.argmax(particles.score[parent] < level, axis=1)
-    continued = restarted(problem, particles, parent=parent, cut=cut, generator=generator)
-    return Particles.concatenate([particles.take(alive), continued])
+    return restart(particles, parent=parent, cut=cut, generator=generator)
 
 
 def _common_ancestry(ancestor: IntArray) -> float:
