@@ -12,12 +12,18 @@ from scipy import stats
 from pemviz.config import ExperimentConfig
 from pemviz.processes import map_in_processes
 from pemviz.runs.experiment import build_experiment, build_method
+from pemviz.sampling.estimates.diagnostics import reference_disagreement
 from pemviz.sampling.estimates.trust import unreliable_because
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import by_name
-from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
+from pemviz.sampling.value_twisted.reference import (
+    Reference,
+    exact_log_probability,
+    reference,
+)
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from pemviz.types import Diagnostic, Estimate
 
 SEEDS_PER_JOB = 10
 CONFIDENCE = 0.95
@@ -223,19 +229,37 @@ def _run_job(job: tuple[Case, tuple[int, ...]]) -> list[Outcome]:
     return [run_once(method, problem, case.truth) for method in methods]
 
 
-def run_once(method: Method[Any], problem: Problem, truth: float) -> Outcome:
-    """One estimate beside the truth; its time is without what ``method`` builds first."""
+def run_once(
+    method: Method[Any], problem: Problem, truth: float, *, beside: Reference | None = None
+) -> Outcome:
+    """One estimate beside the truth; its time is without what ``method`` builds first.
+
+    Args:
+        method: What estimates.
+        problem: What is estimated.
+        truth: The failure probability.
+        beside: A reference that a run of this problem is compared with.
+    """
     state = method.init(problem, repetition=0)
     began = time.perf_counter()
     while not method.is_done(state):
         state, _ = method.step(problem, state)
     estimate = method.estimate(state)
     low, high = estimate.ci_low, estimate.ci_high
+    diagnostics = (*estimate.diagnostics, *_disagreement(estimate, beside))
     return Outcome(
         ratio=estimate.probability / truth,
         covers=low is not None and high is not None and low <= truth <= high,
         rollouts=estimate.rollouts_simulated,
         wall_s=time.perf_counter() - began,
-        warned=bool(unreliable_because(estimate)),
-        diagnostics=[diagnostic.kind for diagnostic in estimate.diagnostics],
+        warned=bool(unreliable_because(estimate, diagnostics)),
+        diagnostics=[diagnostic.kind for diagnostic in diagnostics],
+    )
+
+
+def _disagreement(estimate: Estimate, beside: Reference | None) -> Sequence[Diagnostic]:
+    if beside is None:
+        return ()
+    return reference_disagreement(
+        estimate, probability=beside.probability, std_error=beside.std_error
     )

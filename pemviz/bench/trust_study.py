@@ -18,6 +18,7 @@ from pemviz.errors import ConfigError, InputError
 from pemviz.processes import map_in_processes
 from pemviz.runs.experiment import build_method
 from pemviz.sampling.registry import by_name
+from pemviz.sampling.value_twisted.reference import reference_of_few_states
 
 RUNS = "runs.jsonl"
 MOST_MISLEADING = 0.01
@@ -186,8 +187,10 @@ def _run_job(job: _Job) -> None:
         for seed in job.seeds
     ]
     samplers[0].init(problem, repetition=0)
+    twin = experiment.twin
+    beside = None if twin is None else reference_of_few_states(problem, twin=twin)
     for seed, sampler in zip(job.seeds, samplers, strict=True):
-        outcome = run_once(sampler, problem, job.case.truth)
+        outcome = run_once(sampler, problem, job.case.truth, beside=beside)
         line = json.dumps({"key": _key(job.case, job.config, seed), **asdict(outcome)})
         with job.path.open("a", encoding="utf-8") as stream:
             stream.write(line + "\n")

@@ -62,10 +62,14 @@ def bound_text(estimate: Estimate, *, caveats: Sequence[str]) -> str:
 
 
 def reference_text(reference: Reference, estimate: Estimate) -> str:
-    """The reference with its standard error, and the estimate as a multiple of it."""
-    exact = f"{reference.probability:.4g} +- {reference.std_error:.1g}"
+    """The reference with its standard error, and the estimate as a multiple of it.
+
+    Without a standard error it is a recursion over all states.
+    """
     if not reference.probability:
-        return exact
+        return f"0 +- {reference.std_error:.1g}"
+    error = f"+- {reference.std_error:.1g}" if reference.std_error else "by recursion"
+    exact = f"{reference.probability:.4g} {error}"
     return f"{exact}; the estimate is {estimate.probability / reference.probability:.3g} times that"
 
 

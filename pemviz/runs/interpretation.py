@@ -29,7 +29,7 @@ from pemviz.sampling.memory import memory_of_pem, single_outcome_model, without_
 from pemviz.sampling.method import PoolsStages
 from pemviz.sampling.problem import nothing_finished
 from pemviz.sampling.rollouts.batches import run_here
-from pemviz.sampling.value_twisted.reference import reference
+from pemviz.sampling.value_twisted.reference import reference, reference_of_few_states
 from pemviz.types import StageResult
 
 
@@ -256,15 +256,21 @@ def _own_point(result: RunResult, *, tau_s: float) -> CurvePoint | None:
 
 
 def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
-    """A finished result with the reference, if it is asked for; a warning if they disagree.
+    """A finished result with the reference; a warning if they disagree.
+
+    Sampled where it is asked for; unasked, the recursion where the scenario has few states.
 
     Args:
         result: With the estimate of all repetitions.
         experiment: What was run; its problem's ``pause`` may raise to stop.
     """
     twin = experiment.twin
-    if not experiment.config.reference or result.estimate is None or twin is None:
+    if result.estimate is None or twin is None:
         return result
-    compared = replace(result, reference=reference(experiment.problem, twin=twin))
+    if experiment.config.reference:
+        beside = reference(experiment.problem, twin=twin)
+    else:
+        beside = reference_of_few_states(experiment.problem, twin=twin)
+    compared = replace(result, reference=beside)
     words = tuple(one.text for one in reference_diagnostics(compared))
     return replace(compared, warnings=(*result.warnings, *words))

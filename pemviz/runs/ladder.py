@@ -70,9 +70,10 @@ def _sampling(result: RunResult) -> Rung:
 def _reference(result: RunResult) -> Rung:
     reference = result.reference
     assert reference is not None  # noqa: S101  asked before
+    sampled = "exact reference (+- 2 standard errors)"
     return Rung(
         kind="reference",
-        name="exact reference (+- 2 standard errors)",
+        name=sampled if reference.std_error else "exact, over all of the few states",
         low=max(reference.probability - 2.0 * reference.std_error, 0.0),
         high=reference.probability + 2.0 * reference.std_error,
         note="",

@@ -1,5 +1,6 @@
 """What a result means, from stages that are handed over one by one."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,12 +8,16 @@ import pytest
 
 from pemviz.analysis.explanation import explain
 from pemviz.analysis.model_uncertainty import member_estimates, model_interval
+from pemviz.bench.trust_cases import trust_cases
+from pemviz.bench.trust_study import chosen
 from pemviz.config import ExperimentConfig
+from pemviz.reports.estimate_text import reference_text
 from pemviz.reports.gate import decide_run
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.interpretation import Interpreted, beside_reference, interpret
+from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.result import with_stage
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.method import final_stage
@@ -185,5 +190,19 @@ def test_an_unreliable_reference_is_no_argument_against_the_estimate():
     assert decide_run(far, limit=1.0).outcome == "undecided"
 
 
-def test_no_reference_is_computed_unasked(experiment, heard):
+def test_no_reference_is_computed_unasked_where_states_are_many(experiment, heard):
     assert beside_reference(heard.empty, experiment=experiment) is heard.empty
+    assert run(experiment).reference is None
+
+
+def test_few_states_are_all_gone_through_unasked():
+    """A chain that no signal points at carries 60 % of the probability; all methods miss it."""
+    (case,) = chosen(["walk: two modes, every other step"], trust_cases())
+    result = run(case.experiment(replace(case.config, method="naive", final_rollouts=400)))
+    assert result.reference == Reference(
+        pytest.approx(case.truth, rel=1e-12), 0.0, pytest.approx(math.log10(case.truth), rel=1e-12)
+    )
+    (rung,) = [one for one in uncertainty_ladder(result) if one.kind == "reference"]
+    assert rung.low == rung.high == result.reference.probability
+    assert "few states" in rung.name
+    assert reference_text(result.reference, result.estimate).startswith("3.211e-06 by recursion")

@@ -12,11 +12,13 @@ from pemviz.sampling.estimates.diagnostics import reference_disagreement
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
+from pemviz.sampling.value_twisted import reference as reference_module
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling
 from pemviz.sampling.value_twisted.reference import (
     Reference,
     exact_log_probability,
     reference,
+    reference_of_few_states,
 )
 from tests.lattice_walk import (
     ToyPem,
@@ -52,6 +54,20 @@ def test_reference_is_the_exact_answer():
     exact = exact_log_probability(PROBLEM, twin=SIMULATOR)
     assert exact is not None
     assert math.exp(exact) == pytest.approx(TRUTH, rel=1e-12)
+
+
+def test_few_states_are_gone_through_unasked(monkeypatch):
+    """The walk has at most 9 states a step, and 20 steps."""
+    found = reference_of_few_states(PROBLEM, twin=SIMULATOR)
+    assert found == Reference(
+        probability=pytest.approx(TRUTH, rel=1e-12),
+        std_error=0.0,
+        log10_probability=pytest.approx(math.log10(TRUTH), rel=1e-12),
+    )
+    for most, known in ((SIMULATOR.states * 9, True), (20, False)):
+        monkeypatch.setattr(reference_module, "FEW_STATES", most)
+        assert (reference_of_few_states(PROBLEM, twin=SIMULATOR) is not None) is known
+    assert reference_of_few_states(replace(PROBLEM, unsafe=None), twin=SIMULATOR) is None
 
 
 def test_what_an_interrupted_run_left_is_not_taken_for_the_reference():

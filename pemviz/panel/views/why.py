@@ -251,8 +251,10 @@ def _reference(run: RunData) -> str:
     ratio = ""
     if estimate is not None and true:
         ratio = f"; the answer is {number(estimate.probability / true, 2)} times that"
-    error = number(reference.std_error, 2)
-    return quiet(f"Reference: {number(true)} \N{PLUS-MINUS SIGN} {error}{ratio}.")
+    error = " by recursion over all states"
+    if reference.std_error:
+        error = f" \N{PLUS-MINUS SIGN} {number(reference.std_error, 2)}"
+    return quiet(f"Reference: {number(true)}{error}{ratio}.")
 
 
 def _interval(run: RunData) -> str:

@@ -25,6 +25,10 @@ def no_pause() -> None:
     """Go on."""
 
 
+class TooManyStates(Exception):  # noqa: N818  an answer, not a fault
+    """A scenario has more states than the caller wants to look at."""
+
+
 class Merger:
     """Merges the states of one step after the other.
 
@@ -33,9 +37,15 @@ class Merger:
     tried for the next.
     """
 
-    def __init__(self, largest_layer: int, pause: Pause = no_pause) -> None:
-        """Merge neighbours where a step has more than ``largest_layer`` states."""
+    def __init__(
+        self, largest_layer: int, pause: Pause = no_pause, *, most_states: int | None = None
+    ) -> None:
+        """Merge neighbours where a step has more than ``largest_layer`` states.
+
+        Above ``most_states`` over all steps, merging ends with :class:`TooManyStates`.
+        """
         self._largest = largest_layer
+        self._most = most_states
         self._pause = pause
         self._total = 0
         self._share = FIRST_COARSE_SHARE
@@ -43,13 +53,19 @@ class Merger:
         """Whether all states taken for one so far were closer than MERGE_DISTANCE."""
 
     def merge(self, states: StateBatch) -> tuple[StateBatch, IntArray]:
-        """The first of the states ``[n]`` in each cell, and the index of each state's ``[n]``."""
+        """The first of the states ``[n]`` in each cell, and the index of each state's ``[n]``.
+
+        Raises:
+            TooManyStates: There are more by now than ``most_states``.
+        """
         columns = _varying(state_columns(states))
         if not columns:
             return states.take(slice(0, 1)), np.zeros(states.shape[0], dtype=np.int64)
         self._pause()
         first, index = distinct(cell_keys(columns, [MERGE_DISTANCE] * len(columns)))
         self._pause()
+        if self._most is not None and self._total + first.size > self._most:
+            raise TooManyStates
         if self._total + first.size > LARGEST_TOTAL:
             self._largest = min(self._largest, COARSE_LAYER)
         if first.size > self._largest:

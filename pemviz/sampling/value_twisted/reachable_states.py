@@ -67,6 +67,7 @@ def explore(
     pem: Pem,
     unsafe: Unsafe,
     largest_layer: int = LARGEST_LAYER,
+    most_states: int | None = None,
     pause: Pause = no_pause,
 ) -> StateGraph:
     """The graph of all states that matter.
@@ -80,13 +81,17 @@ def explore(
         pem: The error model, asked about live states only.
         unsafe: What violates the specification.
         largest_layer: Above so many states a step, neighbouring states are taken for one.
+        most_states: Above so many reachable states in all, nothing is explored.
         pause: Called several times a step.
+
+    Raises:
+        TooManyStates: There are more than ``most_states``.
     """
     start = twin.initial(count=1)
     if unsafe(start)[0]:
         return StateGraph(layers=(), start=UNSAFE_NODE, exact=True)
     walk = _Walk(twin, unsafe, pause)
-    merger = Merger(largest_layer, pause)
+    merger = Merger(largest_layer, pause, most_states=most_states)
     moves = _all_moves(walk, start, merger)
     live = _live(moves)
     if not live or not live[0].any():
