@@ -4,19 +4,19 @@ import statistics
 from collections.abc import Sequence
 
 from pemviz.bench.figures import Figure
-from pemviz.config import ExperimentConfig
+from pemviz.config.toml_files import load_preset
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunResult
 
 
 def paper_figures(*, repeats: int = 3) -> Sequence[Figure]:
-    """Time one ``paper`` repetition (1,200 rollouts, 11 fits) with the vectorized back end.
+    """Time one repetition of the preset ``paper-algorithm``: 1,200 rollouts, 11 fits.
 
     Args:
         repeats: Runs, after one that is not counted; the medians are reported.
     """
-    experiment = build_experiment(ExperimentConfig())
+    experiment = build_experiment(load_preset("paper-algorithm"))
     run(experiment)
     results = [run(experiment) for _ in range(repeats)]
     total_s = _median(results, "total")

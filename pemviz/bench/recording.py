@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pemviz.bench.figures import Figure
 from pemviz.config import ExperimentConfig
+from pemviz.config.toml_files import load_preset
 from pemviz.recording import Recorder
 from pemviz.runs.engine import run
 from pemviz.runs.events import Observer
@@ -25,10 +26,10 @@ def recording_figures(
     as long however short the run is.
 
     Args:
-        config: What to run; the ``paper`` preset by default.
+        config: What to run; the preset ``paper-algorithm`` by default.
         repeats: Pairs of runs, after one that is not counted; the medians are compared.
     """
-    experiment = build_experiment(ExperimentConfig() if config is None else config)
+    experiment = build_experiment(load_preset("paper-algorithm") if config is None else config)
     alone_s: list[float] = []
     recorded_s: list[float] = []
     with tempfile.TemporaryDirectory(prefix="pemviz-bench-") as folder:

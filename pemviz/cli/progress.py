@@ -1,6 +1,7 @@
-"""Progress on standard error: a bar on a terminal, a line a stage elsewhere."""
+"""Progress on standard error: a bar on a terminal, a few lines elsewhere."""
 
 import contextlib
+import time
 from collections.abc import Generator
 
 from rich.console import Console
@@ -15,6 +16,9 @@ from rich.progress import (
 from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
 from pemviz.runs.result import StageSummary, summarise_stage
 from pemviz.sampling.registry import by_name
+
+QUARTERS = 4
+SILENT_S = 30.0
 
 
 class ProgressBar:
@@ -61,26 +65,39 @@ def counted_in_words(done: int, planned: int, *, by_level: bool) -> str:
 
 
 class ProgressLines:
-    """Observer that prints a line a stage, or a repetition if there are several."""
+    """Observer that prints a line where a quarter of the stages is done, or of the repetitions.
+
+    What takes long is told of more often: at least once in :data:`SILENT_S`, if a stage ends.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._repetitions = 1
+        self._stages = 1
+        self._told_s = time.monotonic()
 
     def notify(self, event: Event) -> None:
         """Print what is done."""
         match event:
             case RunStarted():
-                self._repetitions = event.config.repetitions
+                self._repetitions, self._stages = event.config.repetitions, event.stages
             case StageDone() if self._repetitions == 1:
-                self._print(stage_line(summarise_stage(event.stage), repetitions=1))
+                if self._is_told(event.stage.stage, self._stages):
+                    self._print(stage_line(summarise_stage(event.stage), repetitions=1))
             case RepetitionDone() if self._repetitions > 1:
-                number = f"repetition {event.repetition + 1} of {self._repetitions}"
-                self._print(f"{number}: probability {event.estimate.probability:.3g}")
+                if self._is_told(event.repetition, self._repetitions):
+                    number = f"repetition {event.repetition + 1} of {self._repetitions}"
+                    self._print(f"{number}: probability {event.estimate.probability:.3g}")
             case _:
                 pass
 
+    def _is_told(self, place: int, count: int) -> bool:
+        """Whether a quarter more is done, or nothing was told for long."""
+        quarter = (place + 1) * QUARTERS // count > place * QUARTERS // count
+        return quarter or time.monotonic() - self._told_s > SILENT_S
+
     def _print(self, text: str) -> None:
+        self._told_s = time.monotonic()
         self._console.print(text, highlight=False, markup=False)
 
 

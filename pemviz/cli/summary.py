@@ -37,6 +37,7 @@ from pemviz.reports.estimate_text import (
     probability_text,
     reference_text,
     share_text,
+    short_probability,
     violations_text,
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
@@ -69,6 +70,7 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
         if result.memory is not None and result.memory.curve:
             console.print(assumption_line(result.memory), style="bold", markup=False)
             console.print(_memory(result.memory))
+        console.print(LADDER_TITLE, style="italic", markup=False)
         console.print(_ladder(result))
         if result.plan is not None:
             _print_plan(console, result, result.plan, verbose=verbose)
@@ -87,13 +89,15 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
     """How likely a violation is, by what method, and what it takes for granted."""
     config, caveats = result.config, run_interval_caveats(result)
     repeated = f" in {len(result.repetitions)} repetitions" * (len(result.repetitions) > 1)
-    yield f"Failure probability {probability_text(estimate)}"
-    yield (
-        f"  {config.spec}; {config.method}{repeated}, {violations_text(estimate)} violate; "
-        f"error model {result.pem.name}; {result.timings_s.get('total', math.nan):.1f} s"
-    )
+    likely = short_probability(estimate)
+    yield f"Failure probability {likely}, if error model {result.pem.name} is right"
     called = interval_name(estimate, caveats=caveats)
-    yield f"  {called} {interval_text(estimate, caveats=caveats)}"
+    alone = "" if caveats else ", sampling alone; what else leaves it open is below"
+    yield f"  {called} {interval_text(estimate, caveats=caveats)}{alone}"
+    yield (
+        f"  {config.method}{repeated}: {violations_text(estimate)} violate {config.spec}; "
+        f"took {result.timings_s.get('total', math.nan):.1f} s"
+    )
     if caveats:
         yield f"  try next: {remedy(estimate.method)}"
     if result.reference is not None:
@@ -103,7 +107,7 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
 
 def _ladder(result: RunResult) -> Table:
     """What leaves the answer open, a row each."""
-    table = Table(title=LADDER_TITLE, title_justify="left", box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
     for column, justify in zip(LADDER_COLUMNS, ("left", "right", "right", "left"), strict=True):
         table.add_column(column, justify=justify, no_wrap=justify == "right")
     for row in ladder_rows(result):

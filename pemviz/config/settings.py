@@ -73,7 +73,7 @@ class ScenarioConfig:
 class ExperimentConfig:
     """One experiment: scenario, specification, perception error model, method, seed."""
 
-    method: MethodName = "adaptive"
+    method: MethodName = "mixture"
     """How the failure probability is estimated: adaptive, mixture, value-twisted, splitting,
     monte-carlo, naive, or a name that an installed package registers as an entry point of the
     group pemviz.methods."""

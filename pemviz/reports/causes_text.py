@@ -9,7 +9,7 @@ SMALLEST_SHOWN = 0.005
 """Of an elasticity."""
 BURST_TITLE = "Bursts before a violation: misses in one frame after the other"
 BURST_COLUMNS = ("bursts", "in a violation")
-BURST = "misses in one frame after the other"
+BURST = "misses in a row"
 """What a burst is, where it is first spoken of."""
 FEW = 1e-3
 """Smaller probabilities are written with an exponent."""
@@ -28,12 +28,19 @@ def causes_line(explanation: Explanation) -> str:
 
 
 def burst_lines(explanation: Explanation) -> list[str]:
-    """How misses hang together before a violation, and what shorter bursts would bring."""
+    """How misses hang together before a violation, and what shorter bursts would bring.
+
+    A short line each; :func:`burst_rows` has the ranges too.
+    """
     bursts, lines = explanation.bursts, list[str]()
     if bursts is not None:
+        frames, at = bursts.frames.median, bursts.begins_gap_m
+        begins = f"{bursts.begins_s.median:.2f} s" if at is None else f"{at.median:.1f} m"
+        likely = bursts.start if bursts.again is None else bursts.whole
         lines.append(
-            f"Bursts ({BURST}) in a violation: {bursts.count:.1f}; the decisive one lasts "
-            f"{_length(bursts)} and begins {_begins(bursts)}; {_likely(bursts)}"
+            f"Bursts ({BURST}) in a violation: {bursts.count:.1f}; the decisive one: {frames:.0f} "
+            f"frames ({frames * bursts.dt_s:.2f} s) from {begins} on, probability "
+            f"{_probability(likely)}"
         )
     memory, everywhere = explanation.memory, explanation.sensitivity[0]
     if memory is not None:

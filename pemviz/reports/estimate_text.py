@@ -28,6 +28,11 @@ def probability_text(estimate: Estimate) -> str:
     return f"{estimate.probability:.3g}{error}"
 
 
+def short_probability(estimate: Estimate) -> str:
+    """The probability with as many digits as the ends of its ranges have beside it."""
+    return "0: no failure was seen" if estimate.failures == 0 else end_text(estimate.probability)
+
+
 def level_text(estimate: Estimate) -> str:
     """The level of an estimate's interval: '95 %'."""
     return f"{100.0 * estimate.confidence:g} %"
@@ -75,10 +80,10 @@ def reference_text(reference: Reference, estimate: Estimate) -> str:
 
 def violations_text(estimate: Estimate) -> str:
     """How many of the rollouts that count violate, and how many were simulated."""
-    return (
-        f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts "
-        f"({estimate.rollouts_simulated} simulated in all)"
-    )
+    counted = f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts"
+    if estimate.rollouts_simulated == estimate.rollouts_in_estimate:
+        return counted
+    return f"{counted} ({estimate.rollouts_simulated} simulated in all)"
 
 
 def model_range_text(interval: ModelInterval | None) -> str:

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from pemviz.cli.progress import ProgressBar, counted_in_words
+from pemviz.cli.progress import ProgressBar, ProgressLines, counted_in_words
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.panel.run_observer import Watcher
 from pemviz.runs.engine import run_experiment
@@ -53,3 +53,16 @@ def test_both_displays_go_from_nothing_to_the_whole(method):
 def test_what_is_counted_is_said():
     assert counted_in_words(1200, 3400, by_level=False) == "1,200 of 3,400 rollouts"
     assert counted_in_words(50, 200, by_level=True) == "25% of the way to violations"
+
+
+def test_elsewhere_than_on_a_terminal_four_lines_tell_of_the_stages(monkeypatch):
+    config = ExperimentConfig(
+        scenario=EASY, spec="always[0,44] (gap >= 7.0)", stages=10, rollouts=4, final_rollouts=4
+    )
+    for silent_s, told in ((30.0, [2, 5, 8, 11]), (-1.0, list(range(12)))):
+        monkeypatch.setattr("pemviz.cli.progress.SILENT_S", silent_s)
+        shown = io.StringIO()
+        run_experiment(config, observers=[ProgressLines(Console(file=shown, width=200))])
+        lines = shown.getvalue().splitlines()
+        assert [int(line.split()[1].rstrip(",")) for line in lines] == told
+        assert lines[-1].startswith("stage 11, final")

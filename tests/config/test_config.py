@@ -23,8 +23,9 @@ from pemviz.runs.experiment import build_experiment
 def test_presets_are_the_designs():
     paper, town = load_preset("paper"), load_preset("town01")
     assert preset_names() == ("paper", "paper-algorithm", "town01")
-    assert load_preset("paper-algorithm") == ExperimentConfig()
-    assert paper == ExperimentConfig(method="mixture", plan=True)
+    assert load_preset("paper-algorithm") == ExperimentConfig(method="adaptive")
+    assert paper == ExperimentConfig(plan=True)
+    assert paper.method == "mixture"
     assert paper.scenario.initial_speed_mps == pytest.approx(70 / 3.6)
     assert town.scenario == replace(
         paper.scenario,

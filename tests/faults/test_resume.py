@@ -17,7 +17,7 @@ from pemviz.runs.resume import carry_out, run_lock
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.sampling.rollouts.batches import run_here
 
-SMALL = ExperimentConfig(
+SMALL = ExperimentConfig(method="adaptive",
     stages=3, rollouts=40, final_rollouts=60, epochs=5, repetitions=2, seed=11,
     scenario=ScenarioConfig(states=100),
 )  # fmt: skip

@@ -9,7 +9,9 @@ from pemviz.panel.controller import Controller, PanelState
 from pemviz.panel.loading import load_run
 from pemviz.panel.run_data import RunData
 
-SMALL = ExperimentConfig(stages=3, rollouts=40, final_rollouts=40, epochs=20, seed=5)
+SMALL = ExperimentConfig(
+    method="adaptive", stages=3, rollouts=40, final_rollouts=40, epochs=20, seed=5
+)
 NAIVE = replace(SMALL, method="naive", final_rollouts=60)
 
 

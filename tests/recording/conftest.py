@@ -15,7 +15,7 @@ from pemviz.types import StageResult
 from tests.recording import read_back
 from tests.toy import constant_pem
 
-LEARNING = ExperimentConfig(stages=2, rollouts=40, final_rollouts=60, epochs=20)
+LEARNING = ExperimentConfig(method="adaptive", stages=2, rollouts=40, final_rollouts=60, epochs=20)
 
 
 class Listener:

@@ -81,7 +81,7 @@ def result(one=None, *, repetitions=1, **changes):
     base = RunResult(
         run_id="20260101-000000-adaptive",
         status="done",
-        config=ExperimentConfig(repetitions=repetitions),
+        config=ExperimentConfig(method="adaptive", repetitions=repetitions),
         pem=PemInfo(name="ml-nn", digest="ab" * 32, data="37498 obstacles"),
         versions={"pemviz": "0.1.0", "numpy": "2.3.0"},
         assumptions=("misses are independent",),
@@ -109,7 +109,7 @@ def nasty_result():
     one = estimate(diagnostics=(warned(NASTY), warned("second")))
     return result(
         one,
-        config=ExperimentConfig(spec=NASTY, pem=NASTY),
+        config=ExperimentConfig(method="adaptive", spec=NASTY, pem=NASTY),
         run_id=NASTY,
         message=NASTY,
         status="failed",

@@ -40,9 +40,8 @@ BEGINS = "at 9.0 (7.1 to 11.4) m, 2.05 (1.60 to 2.55) s after the start"
 def test_a_sentence_each_on_bursts_and_on_what_would_help():
     bursts, help_ = burst_lines(EXPLANATION)
     assert bursts == (
-        "Bursts (misses in one frame after the other) in a violation: 1.1; the decisive one lasts "
-        f"{LENGTH} and begins {BEGINS}; starting it has a probability of 0.0026, each further miss "
-        "0.78, all these together 4.7e-10"
+        "Bursts (misses in a row) in a violation: 1.1; the decisive one: 15 frames (0.75 s) from "
+        "9.0 m on, probability 4.7e-10"
     )
     assert help_ == (
         "A memory 1 % shorter would bring 1.9 +- 0.03 % fewer violations; 1 % fewer misses, the "

@@ -24,7 +24,7 @@ from pemviz.runs.store import RunStore
 from tests.toy import FunctionPem
 
 ROOT = Path(__file__).resolve().parents[2]
-SMALL = ExperimentConfig(stages=2, rollouts=30, final_rollouts=30, epochs=5)
+SMALL = ExperimentConfig(method="adaptive", stages=2, rollouts=30, final_rollouts=30, epochs=5)
 
 
 class Listener:

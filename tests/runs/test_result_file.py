@@ -56,7 +56,7 @@ OTHER_TYPE = {
 }  # fmt: skip
 
 
-TINY = ExperimentConfig(
+TINY = ExperimentConfig(method="adaptive",
     stages=1, rollouts=20, final_rollouts=30, epochs=2, seed=3, spec="always[0,11] (gap >= 2.0)",
     scenario=ScenarioConfig(states=12, dt_s=0.4),
 )  # fmt: skip

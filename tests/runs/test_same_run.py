@@ -19,7 +19,7 @@ OTHER = {
 
 @pytest.mark.parametrize("kind", [ExperimentConfig, ScenarioConfig])
 def test_every_setting_tells_runs_apart(kind):
-    config = ExperimentConfig()
+    config = ExperimentConfig(method="adaptive")
     part = config if kind is ExperimentConfig else config.scenario
     for field in fields(kind):
         if field.name == "scenario":
