@@ -22,6 +22,15 @@ HOLDS = SKY
 VIOLATED = VERMILLION
 EGO = BLUE
 LEAD = ORANGE
+RUNGS = {
+    "sampling": BLUE,
+    "reference": GREEN,
+    "refits": ORANGE,
+    "families": VERMILLION,
+    "memory": GREY,
+    "data": PURPLE,
+}
+"""Of the ladder of uncertainty, by kind of doubt."""
 METRICS = {"classical": BLUE, "agm": ORANGE, "smooth-cumulative": GREEN}
 
 # on white, as in the panel, and on black, as in rerun's viewer

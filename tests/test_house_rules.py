@@ -31,8 +31,6 @@ LONG_FUNCTIONS = {
         "pem/judging/distance_curve_picture.py",
         "write_picture",
     ): "one picture, back to front",
-    ("recording/views.py", "_learning"): "a list of views with their titles",
-    ("recording/views.py", "_worst"): "a list of views with their titles",
     (
         "sampling/estimates/estimate.py",
         "mixture_estimate",

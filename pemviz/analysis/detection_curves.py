@@ -35,11 +35,11 @@ class DetectionCurves:
     proposal: FloatArray
 
 
-def gap_grid(simulator: Simulator) -> FloatArray:
-    """Gaps ``[G]`` from contact to a third beyond the initial gap, at least 20 m, every 0.1 m."""
+def gap_grid(simulator: Simulator, *, step_m: float = STEP_M) -> FloatArray:
+    """Gaps ``[G]`` from 0 to a third beyond the initial gap, at least 20 m, every ``step_m``."""
     initial_m = float(np.max(simulator.initial(count=1).signals[GAP]))
     end_m = max(SMALLEST_END_M, float(np.ceil(MARGIN * initial_m)))
-    return np.linspace(0.0, end_m, round(end_m / STEP_M) + 1)
+    return np.linspace(0.0, end_m, round(end_m / step_m) + 1)
 
 
 def pem_curve(*, simulator: Simulator, pem: Pem, gap_m: FloatArray) -> FloatArray:

@@ -8,8 +8,14 @@ import rerun.blueprint as rrb
 from pemviz.recording import paths
 from pemviz.recording.views import ContainerSpec, ViewKind, ViewSpec, keep_views
 
-EYE_M = (10.0, -11.5, 9.5)
-LOOK_AT_M = (10.0, 7.5, 0.0)
+EYE_M = (7.0, -10.0, 19.0)
+LOOK_AT_M = (7.0, 8.2, 0.0)
+LEGEND_CORNERS = {
+    paths.MISSED_SHARE: rrb.Corner2D.RightTop,
+}
+"""Of plots with few curves: where these hardly ever run."""
+PLOT_BACKGROUND = (13, 16, 17)
+"""That of the viewer's own plots."""
 
 
 def blueprint(views: ContainerSpec) -> rrb.Blueprint:
@@ -72,20 +78,18 @@ def _common(spec: ViewSpec) -> dict[str, Any]:
 
 
 def _series(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:
-    few_curves = spec.paths[0] == paths.WORST_DETECTION or spec.paths[0].endswith(
-        paths.MISSED_SHARE
-    )
+    corner = LEGEND_CORNERS.get(spec.paths[0].rpartition("/")[2])
     return rrb.TimeSeriesView(
         **common,
         axis_y=rrb.ScalarAxis(range=spec.axis) if spec.axis else None,
-        plot_legend=rrb.PlotLegend(visible=few_curves),
+        plot_legend=rrb.PlotLegend(corner, visible=corner is not None),
     )
 
 
 def _tensor(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
     return rrb.TensorView(
         **common,
-        scalar_mapping=rrb.TensorScalarMapping(colormap="viridis", mag_filter="nearest"),
+        scalar_mapping=rrb.TensorScalarMapping(colormap="spectral", mag_filter="nearest"),
         view_fit="fill",
     )
 
@@ -100,16 +104,19 @@ def _scene(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
     )
 
 
-def _bars(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
-    return rrb.BarChartView(**common, plot_legend=rrb.PlotLegend(visible=False))
+def _plot(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:
+    return rrb.Spatial2DView(
+        **common,
+        background=PLOT_BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=spec.shape.bounds_x, y_range=spec.shape.bounds_y),
+    )
 
 
 VIEWS: dict[ViewKind, Callable[[ViewSpec, dict[str, Any]], rrb.View]] = {
     "text": lambda _, common: rrb.TextDocumentView(**common),
-    "bars": _bars,
+    "plot": _plot,
     "series": _series,
     "tensor": _tensor,
-    "states": lambda _, common: rrb.StateTimelineView(**common),
     "scene": _scene,
     "image": lambda _, common: rrb.Spatial2DView(**common),
 }

@@ -12,25 +12,49 @@ from pemviz.analysis.detection_curves import DetectionCurves
 from pemviz.arrays import FloatArray
 from pemviz.colors import (
     GREEN,
-    GREY,
-    ORANGE,
-    PEM_BARS_ON_BLACK,
-    PROPOSAL_BARS_ON_BLACK,
+    PEM_ON_BLACK,
+    PROPOSAL_ON_BLACK,
     PURPLE,
     SKY,
     VERMILLION,
+    VIOLATED,
     Rgba,
+    rgb,
     rgba,
 )
 from pemviz.recording import paths
+from pemviz.recording.estimates import Drawn, log10_or_none, stage_axis
+from pemviz.recording.plot import (
+    FEW_TICKS,
+    LARGE,
+    WITHOUT_LEGEND,
+    Axis,
+    Frame,
+    Log,
+    dots,
+    legend,
+    line,
+    log_axes,
+    number_axis,
+)
 from pemviz.recording.stream import RecordingFile
+from pemviz.recording.views import shown_stages
 from pemviz.sampling.estimates.stage_interval import stage_interval
 from pemviz.sampling.registry import by_name
 from pemviz.types import StageResult
 
 HISTOGRAM_BINS = 40
-BAR_WIDTH = 0.8
 ALWAYS_REDRAWN = 100
+LEGEND_STAGES = 5
+RAMP = tuple(map(rgb, (SKY, PURPLE, VERMILLION, PROPOSAL_ON_BLACK)))
+DRAWN: Mapping[str, tuple[str, str | None]] = {
+    "threshold": (GREEN, None),
+    "failures": (VERMILLION, ""),
+    "ess": (SKY, ""),
+    "loss": (PURPLE, ""),
+}
+"""Figures that are drawn against the stage: colour, and unit at the ticks (``None``: of
+robustness)."""
 
 
 @dataclass(frozen=True)
@@ -66,61 +90,110 @@ def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
         ess=stage.ess,
         loss=stage.loss,
         log10_probability=None if interval == "none" else stage.log10_probability,
-        log10_ci_low=_log10(bounds.low),
-        log10_ci_high=_log10(bounds.high),
+        log10_ci_low=log10_or_none(bounds.low),
+        log10_ci_high=log10_or_none(bounds.high),
         caveats=bounds.caveats,
     )
 
 
-def _log10(value: float | None) -> float | None:
-    return math.log10(value) if value is not None and value > 0.0 else None
+def drawn_stage(row: StageFigures) -> Drawn | None:
+    """The stage's estimate as it is drawn; ``None`` without one."""
+    if row.log10_probability is None:
+        return None
+    return Drawn(
+        place=row.stage,
+        log10=row.log10_probability,
+        low=row.log10_ci_low,
+        high=row.log10_ci_high,
+        holds=not row.caveats,
+    )
 
 
 def log_pem_curve(file: RecordingFile, gap_m: FloatArray, probability: FloatArray) -> None:
-    """The perception error model's curve ``[G]``; it does not change."""
-    file.static(paths.PEM_CURVE, _curve(gap_m, probability, rgba(PEM_BARS_ON_BLACK)))
+    """Axes, and the perception error model's curve ``[G]``; neither changes."""
+    frame = curve_frame(gap_m)
+    log_axes(file.static, paths.PROPOSALS, frame)
+    color = rgba(PEM_ON_BLACK)
+    file.static(paths.PEM_CURVE, line(frame, gap_m, probability, color=color, width=3.0))
+    file.static(paths.legend(paths.PEM_CURVE), legend(frame, [(0, "error model", color)]))
 
 
-def log_curves(file: RecordingFile, curves: DetectionCurves, *, stage: int) -> None:
-    """The proposal's curve, in the current view and as one of all stages."""
-    bars = _curve(curves.gap_m, curves.proposal, rgba(PROPOSAL_BARS_ON_BLACK))
-    file.at_stage(paths.PROPOSAL_CURVE, bars, stage=stage)
-    file.at_stage(paths.stage_curve(stage), bars, stage=stage)
+def curve_frame(gap_m: FloatArray) -> Frame:
+    """Axes of P(detected) over the gap."""
+    ticks = tuple((value, f"{value:g}") for value in (0.0, 0.25, 0.5, 0.75, 1.0))
+    return Frame(
+        x=number_axis(0.0, float(gap_m[-1]), unit="m"),
+        y=Axis(low=0.0, high=1.0, ticks=ticks),
+        shape=LARGE,
+    )
 
 
-def _curve(gap_m: FloatArray, probability: FloatArray, color: Rgba) -> rr.BarChart:
-    """Bars as wide as the grid's steps; rerun places a bar by its left edge."""
-    step_m = float(gap_m[1] - gap_m[0])
-    return rr.BarChart(probability, abscissa=gap_m, widths=np.full(gap_m.size, step_m), color=color)
+def log_curves(file: RecordingFile, curves: DetectionCurves, *, stage: int, stages: int) -> None:
+    """The proposal's curve: one of all stages, and on top of them while it is the newest."""
+    frame, color = curve_frame(curves.gap_m), stage_color(stage, stages=stages)
+    path = paths.stage_curve(stage)
+    drawn = partial(line, frame, curves.gap_m, curves.proposal)
+    file.at_stage(path, drawn(color=color, width=1.5), stage=stage)
+    rows = {named: row for row, named in enumerate(shown_stages(stages, LEGEND_STAGES), start=1)}
+    if stage in rows:
+        words = legend(frame, [(rows[stage], f"stage {stage}", color)])
+        file.at_stage(paths.legend(path), words, stage=stage)
+    newest = drawn(color=rgba(PROPOSAL_ON_BLACK), width=4.0)
+    file.at_stage(paths.NEWEST_CURVE, newest, stage=stage)
 
 
-def log_robustness(file: RecordingFile, stage: StageResult, *, limit: int = HISTOGRAM_BINS) -> None:
-    """The distribution of the stage's robustness, as a histogram."""
+def stage_color(stage: int, *, stages: int) -> Rgba:
+    """Of a stage's curve: from blue at the first to the proposal's colour at the last."""
+    place = (len(RAMP) - 1) * stage / max(stages - 1, 1)
+    shades = [np.interp(place, range(len(RAMP)), part) for part in zip(*RAMP, strict=True)]
+    red, green, blue = (round(float(shade)) for shade in shades)
+    return red, green, blue, 255
+
+
+def log_robustness(
+    file: RecordingFile, stage: StageResult, *, unit: str, limit: int = HISTOGRAM_BINS
+) -> None:
+    """The distribution of the stage's robustness, as a histogram's outline; red: violated."""
     values = stage.scored.robustness[np.isfinite(stage.scored.robustness)]
     if values.size == 0:
         return
     counts, edges = np.histogram(values, bins=min(limit, max(10, values.size // 5)))
-    file.at_stage(
-        paths.ROBUSTNESS,
-        rr.BarChart(
-            counts.astype(np.float64),
-            abscissa=edges[:-1],
-            widths=np.diff(edges),
-            color=rgba(SKY),
-        ),
-        stage=stage.stage,
+    frame = robustness_frame(edges, highest=int(counts.max()), unit=unit)
+    log = partial(file.at_stage, stage=stage.stage)
+    log_axes(log, paths.ROBUSTNESS, frame)
+    heights = np.concatenate([[0.0], np.repeat(counts.astype(np.float64), 2), [0.0]])
+    outline = line(frame, np.repeat(edges, 2), heights, color=rgba(SKY), width=2.0)
+    log(paths.part(paths.ROBUSTNESS, "counts"), outline)
+    if frame.x.low < 0.0 < frame.x.high:
+        ends = np.array([frame.y.low, frame.y.high])
+        limit_line = line(frame, np.zeros(2), ends, color=rgba(VIOLATED), width=1.5)
+        log(paths.part(paths.ROBUSTNESS, "limit"), limit_line)
+
+
+def robustness_frame(edges: FloatArray, *, highest: int, unit: str) -> Frame:
+    """Axes of a histogram with these edges."""
+    return Frame(
+        x=number_axis(float(edges[0]), float(edges[-1]), unit=unit),
+        y=number_axis(0.0, 1.05 * max(highest, 1), whole=True, most=FEW_TICKS),
+        shape=WITHOUT_LEGEND,
     )
 
 
-def log_figures(file: RecordingFile, rows: Sequence[StageFigures], *, stages: int) -> None:
-    """The newest stage's figures as scalars, and all so far as bars against the stage."""
+def log_figures(
+    file: RecordingFile, rows: Sequence[StageFigures], *, stages: int, robustness_unit: str
+) -> None:
+    """The newest stage's figures as scalars, and all so far drawn against the stage."""
     newest = rows[-1]
     for name in paths.FIGURES:
         value = getattr(newest, name)
         if value is not None:
             file.on_stage_only(paths.figure(name), rr.Scalars(float(value)), stage=newest.stage)
-    if is_redrawn(newest.stage, stages=stages):
-        _log_bars(file, rows)
+    if not is_redrawn(newest.stage, stages=stages):
+        return
+    log = partial(file.at_stage, stage=newest.stage)
+    for name, (color, unit) in DRAWN.items():
+        shown_unit = robustness_unit if unit is None else unit
+        _log_figure(log, rows, name=name, color=rgba(color), stages=stages, unit=shown_unit)
 
 
 def is_redrawn(stage: int, *, stages: int) -> bool:
@@ -132,68 +205,22 @@ def is_redrawn(stage: int, *, stages: int) -> bool:
     return stage % every == 0 or stage >= stages - 1
 
 
-def _log_bars(file: RecordingFile, rows: Sequence[StageFigures]) -> None:
-    draw = partial(_log_bar, file, newest=rows[-1].stage)
-    plain: Mapping[str, Rgba] = {
-        "threshold": rgba(GREEN),
-        "failures": rgba(VERMILLION),
-        "ess": rgba(SKY),
-        "loss": rgba(PURPLE),
-    }
-    for name, color in plain.items():
-        draw(rows, name=name, path=paths.bars(name), color=color, width=BAR_WIDTH)
-    middle, width = "log10_probability", BAR_WIDTH / 3
-    draw(rows, name=middle, path=paths.bars(middle), color=rgba(ORANGE), width=width)
-    held = [row for row in rows if not row.caveats]
-    doubted = [row for row in rows if row.caveats]
-    for name, shift in (("log10_ci_low", -width), ("log10_ci_high", width)):
-        end = partial(draw, name=name, width=width, shift=shift)
-        end(held, path=paths.bars(name), color=rgba(SKY))
-        end(doubted, path=paths.doubted_bars(name), color=rgba(GREY))
-
-
-def _log_bar(
-    file: RecordingFile,
-    rows: Sequence[StageFigures],
-    *,
-    name: str,
-    path: str,
-    color: Rgba,
-    width: float,
-    newest: int,
-    shift: float = 0.0,
+def _log_figure(
+    log: Log, rows: Sequence[StageFigures], *, name: str, color: Rgba, stages: int, unit: str
 ) -> None:
-    """Bars centred on the stage's number plus ``shift``; rerun places them by the left edge."""
-    points = [
-        (row.stage, float(getattr(row, name))) for row in rows if getattr(row, name) is not None
-    ]
+    """One figure of every stage: points with a line through them."""
+    points = [(row.stage, getattr(row, name)) for row in rows if getattr(row, name) is not None]
     if not points:
         return
-    stages = np.array([stage for stage, _ in points], dtype=np.float64)
-    file.at_stage(
-        path,
-        rr.BarChart(
-            np.array([value for _, value in points]),
-            abscissa=stages + shift - width / 2,
-            widths=np.full(stages.size, width),
-            color=color,
-        ),
-        stage=newest,
+    x, y = (np.array(values, dtype=np.float64) for values in zip(*points, strict=True))
+    low, high = min(float(y.min()), 0.0), max(float(y.max()), 0.0)
+    high += 0.05 * (high - low or 1.0)
+    frame = Frame(
+        x=stage_axis(stages),
+        y=number_axis(low, high, unit=unit, most=FEW_TICKS),
+        shape=WITHOUT_LEGEND,
     )
-
-
-def log_repetitions(file: RecordingFile, log10_probabilities: Sequence[float | None]) -> None:
-    """One bar for each repetition's estimate."""
-    estimates = [(i, value) for i, value in enumerate(log10_probabilities) if value is not None]
-    if not estimates:
-        return
-    places = np.array([place for place, _ in estimates], dtype=np.float64)
-    file.static(
-        paths.REPETITIONS,
-        rr.BarChart(
-            np.array([value for _, value in estimates]),
-            abscissa=places - BAR_WIDTH / 2,
-            widths=np.full(places.size, BAR_WIDTH),
-            color=rgba(ORANGE),
-        ),
-    )
+    path = paths.by_stage(name)
+    log_axes(log, path, frame)
+    drawn = line(frame, x, y, color=color, width=1.5)
+    log(paths.part(path, "values"), drawn, dots(frame, x, y, colors=[color] * x.size))

@@ -12,7 +12,8 @@ TIMELINES = (STAGE, STEP, SIM_TIME)
 
 ANSWER = "/answer/summary"
 WARNINGS = "/answer/warnings"
-REPETITIONS = "/answer/repetitions/log10_probability"
+LADDER = "/answer/ladder"
+REPETITIONS = "/answer/repetitions"
 
 CONFIG = "/config/config_toml"
 RESULT = "/config/result_json"
@@ -21,9 +22,10 @@ CONTENTS = "/config/about_this_recording"
 
 LEARNING = "/learning"
 STAGE_TABLE = "/learning/table"
-CURVES = "/learning/curves"
-PEM_CURVE = "/learning/curves/pem"
-PROPOSAL_CURVE = "/learning/curves/proposal"
+PROPOSALS = "/learning/proposals"
+PEM_CURVE = "/learning/proposals/error_model"
+NEWEST_CURVE = "/learning/proposals/newest"
+ESTIMATES = "/learning/by_stage/estimate"
 ROBUSTNESS = "/learning/robustness"
 FIGURES = (
     "threshold",
@@ -58,14 +60,19 @@ def figure(name: str) -> str:
     return f"/learning/figures/{name}"
 
 
-def bars(name: str) -> str:
-    """A stage figure as bars against the stages done so far."""
+def by_stage(name: str) -> str:
+    """A stage figure drawn against the stages done so far."""
     return f"/learning/by_stage/{name}"
 
 
-def doubted_bars(name: str) -> str:
-    """As :func:`bars`, of stages whose interval is no 95 % interval."""
-    return f"{bars(name)}/doubted"
+def part(plot: str, name: str) -> str:
+    """A part of a drawn plot: ``axes``, ``values``, ``answer``."""
+    return f"{plot}/{name}"
+
+
+def legend(path: str) -> str:
+    """The words that say what is drawn at a path."""
+    return f"{path}/legend"
 
 
 def stage_curve(stage: int) -> str:

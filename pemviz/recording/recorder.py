@@ -2,7 +2,8 @@
 
 import threading
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from pemviz.arrays import FloatArray
 from pemviz.recording import learning, paths, scene, text, worst
 from pemviz.recording.blueprint import blueprint, views_with_data
 from pemviz.recording.compact import compact
+from pemviz.recording.estimates import Answer, drawn_answer, drawn_repetitions, log_estimates
+from pemviz.recording.ladder import log_ladder
 from pemviz.recording.rollouts import log_rollouts
-from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota
+from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota, unvaried
 from pemviz.recording.stream import RecordingFile
-from pemviz.recording.views import ContainerSpec, Subject, all_views
+from pemviz.recording.views import ContainerSpec, Subject, all_views, without_signals
 from pemviz.runs.events import (
     Event,
     RepetitionDone,
@@ -29,6 +32,8 @@ from pemviz.types import StageResult
 
 RECORDED_REPETITION = 0
 REDRAW_GROWTH = 1.1
+CURVE_STEP_M = 0.25
+"""Of the curves against gap; finer ones would show the noise of averages over few states."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +150,8 @@ class Recorder:
         self._tracks = worst.update_tracks(before, stage, event.result)
         if stage.repetition != RECORDED_REPETITION:
             return
+        if stage.stage == 0:
+            run = self._run = _without_constants(file, run, stage)
         self._write_learning(file, run, stage)
         log_rollouts(
             file,
@@ -163,10 +170,13 @@ class Recorder:
     def _write_learning(self, file: RecordingFile, run: _Run, stage: StageResult) -> None:
         config = run.started.config
         self._figures.append(learning.stage_figures(stage, method=config.method))
-        learning.log_figures(file, self._figures, stages=run.started.stages)
-        learning.log_robustness(file, stage)
-        if learning.is_redrawn(stage.stage, stages=run.started.stages):
+        unit = robustness_unit(config.metric)
+        stages = run.started.stages
+        learning.log_figures(file, self._figures, stages=stages, robustness_unit=unit)
+        learning.log_robustness(file, stage, unit=unit)
+        if learning.is_redrawn(stage.stage, stages=stages):
             self._write_stage_table(file, run)
+            self._write_estimates(file, run, answer=None)
         if run.gap_m is None:
             return
         curves = detection_curves(
@@ -176,7 +186,14 @@ class Recorder:
             gap_m=run.gap_m,
             rollouts=stage.scored.rollouts,
         )
-        learning.log_curves(file, curves, stage=stage.stage)
+        learning.log_curves(file, curves, stage=stage.stage, stages=stages)
+
+    def _write_estimates(self, file: RecordingFile, run: _Run, *, answer: Answer | None) -> None:
+        """Estimates of all stages so far; no more than one needs no plot."""
+        if run.started.stages > 1:
+            drawn = [one for row in self._figures if (one := learning.drawn_stage(row))]
+            log = partial(file.at_stage, stage=self._figures[-1].stage)
+            log_estimates(log, paths.ESTIMATES, drawn, places=run.started.stages, answer=answer)
 
     def _write_stage_table(self, file: RecordingFile, run: _Run) -> None:
         unit = robustness_unit(run.started.config.metric)
@@ -194,10 +211,18 @@ class Recorder:
     def _write_repetitions(self, file: RecordingFile, result: RunResult) -> None:
         self._drawn_repetitions = len(result.repetitions)
         if result.config.repetitions > 1:
-            learning.log_repetitions(file, [e.log10_probability for e in result.repetitions])
+            log_estimates(
+                file.static,
+                paths.REPETITIONS,
+                drawn_repetitions(result.repetitions),
+                places=len(result.repetitions),
+                answer=drawn_answer(result.estimate),
+            )
 
     def _write_texts(self, file: RecordingFile, result: RunResult, *, running: bool) -> None:
         file.markdown(paths.ANSWER, text.answer_text(result, running=running))
+        if not running:
+            log_ladder(file, result)
         file.markdown(paths.WARNINGS, text.warnings_text(result))
         file.markdown(paths.PROVENANCE, text.provenance_text(result))
         if self._tracks:
@@ -209,6 +234,7 @@ class Recorder:
         file.markdown(paths.RESULT, text.result_text(result))
         if self._figures:
             self._write_stage_table(file, run)
+            self._write_estimates(file, run, answer=drawn_answer(result.estimate))
             self._write_worst(file, run)
         with_data = views_with_data(run.views, file.logged)
         if with_data != run.views:
@@ -253,9 +279,20 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
             stages=event.stages,
             limit=rollout_limit,
         ),
-        gap_m=gap_grid(event.simulator) if GAP in names else None,
+        gap_m=gap_grid(event.simulator, step_m=CURVE_STEP_M) if GAP in names else None,
         has_scene={GAP, EGO_SPEED} <= names,
     )
+
+
+def _without_constants(file: RecordingFile, run: _Run, stage: StageResult) -> _Run:
+    """The run, its views without those of signals that are the same in every rollout."""
+    same = unvaried(stage.scored.rollouts)
+    keys = {signal.key for signal in run.started.signals if signal.name in same}
+    views = without_signals(run.views, keys)
+    if views == run.views:
+        return run
+    file.blueprint(blueprint(views))
+    return replace(run, views=views)
 
 
 def _import_filming() -> None:

@@ -17,7 +17,8 @@ THICK = 2.5
 THIN = 1.0
 PEM_ALPHA = 70
 CROWDED = 300
-RASTER_RANGE = (0.0, 1.6)  # keeps a raster full of detections from glaring
+RASTER_RANGE = (-0.23, 1.14)
+"""Where the colour map has orange for a miss (0) and blue for a detection (1)."""
 
 
 def log_rollouts(

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 
 from pemviz.arrays import AnyArray, FloatArray
-from pemviz.colors import DETECTED, GREEN, GREY, MISSED, WHITE, Rgba, rgba
+from pemviz.colors import DETECTED, EGO, GREEN, GREY, LEAD, MISSED, WHITE, Rgba, rgba
 from pemviz.config import ScenarioConfig
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
@@ -28,13 +28,14 @@ from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, EGO_SP
 
 LANES = 5
 POST_M = 5.5
-LABEL_M = 2.8
+LABEL_X_M, LABEL_STEP_M = -7.5, -0.7
+"""Where a lane's words stand; farther lanes' cover more of the road."""
 LANE_SPACING_M = 4.5
 ROAD_START_M = -12.0
 ROAD_END_M = 32.0
 DASH_SPACING_M = 6.0
 DASH_M = 2.5
-TICKS_M = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
+TICKS_M = (0.0, 5.0, 10.0, 15.0, 20.0)
 BONNET_HEIGHT_M = 0.9
 FOCAL_PX = 721.5
 IMAGE_PX = (1242, 375)
@@ -121,7 +122,7 @@ def _log_lane_setting(file: RecordingFile, rank: int, scenario: ScenarioConfig) 
         ),
     )
     length_m = scenario.lead_length_m
-    ego = _car(x_m=CAMERA_TO_BUMPER_M - length_m, y_m=y_m, length_m=length_m, color=rgba(WHITE))
+    ego = _car(x_m=CAMERA_TO_BUMPER_M - length_m, y_m=y_m, length_m=length_m)
     file.static(paths.lane(rank, "ego"), ego)
     file.static(
         paths.lane(rank, "camera"),
@@ -130,16 +131,13 @@ def _log_lane_setting(file: RecordingFile, rank: int, scenario: ScenarioConfig) 
             focal_length=FOCAL_PX, width=IMAGE_PX[0], height=IMAGE_PX[1], image_plane_distance=1.5
         ),
     )
-    file.static(
-        paths.lane(rank, "lead/body"), _car(x_m=0.0, y_m=y_m, length_m=length_m, color=None)
-    )
+    file.static(paths.lane(rank, "lead/body"), _car(x_m=0.0, y_m=y_m, length_m=length_m))
 
 
-def _car(*, x_m: float, y_m: float, length_m: float, color: Rgba | None) -> rr.Boxes3D:
+def _car(*, x_m: float, y_m: float, length_m: float) -> rr.Boxes3D:
     """Cabin and bonnet of a car whose rear is at ``x_m``; the bonnet ends in front.
 
-    What is logged once for all time hides what is logged over time: a car that changes its
-    colour gets none here.
+    It has no colour here: what is logged once for all time hides what is logged over time.
     """
     cabin_m = length_m - CAMERA_TO_BUMPER_M
     return rr.Boxes3D(
@@ -151,7 +149,6 @@ def _car(*, x_m: float, y_m: float, length_m: float, color: Rgba | None) -> rr.B
             [cabin_m / 2, CAR_WIDTH_M / 2, CAR_HEIGHT_M / 2],
             [CAMERA_TO_BUMPER_M / 2, CAR_WIDTH_M / 2, BONNET_HEIGHT_M / 2],
         ],
-        colors=color,
         fill_mode="solid",
     )
 
@@ -162,11 +159,14 @@ def _log_lane(
     contact = first_contact(track.signals[GAP], dt_s=scenario.dt_s)
     gap_m = drawn_gap(track.signals[GAP], contact)
     times = StepTimes(stage=stage, count=gap_m.size, dt_s=scenario.dt_s)
-    shades = _outcome_colors(track, contact)
+    grey_from = gap_m.size if contact is None else contact.step
     zeros = np.zeros(gap_m.size)
     lead = np.stack([gap_m, zeros, zeros], axis=1)
     file.along(paths.lane(rank, "lead"), rr.Transform3D.columns(translation=lead), times=times)
-    file.along(paths.lane(rank, "lead/body"), rr.Boxes3D.columns(colors=shades), times=times)
+    for part, color in (("ego", EGO), ("lead/body", LEAD)):
+        body = _car_colors(color, count=gap_m.size, grey_from=grey_from)
+        file.along(paths.lane(rank, part), rr.Boxes3D.columns(colors=body), times=times)
+    shades = _outcome_colors(track, grey_from=grey_from)
     file.along(paths.lane(rank, "camera"), rr.Pinhole.columns(color=shades), times=times)
     travelled_m = _travelled_m(track.signals[EGO_SPEED], dt_s=scenario.dt_s)
     travelled_m = until_contact(travelled_m, contact)
@@ -178,42 +178,36 @@ def _log_lane(
 def _log_label(
     file: RecordingFile, rank: int, track: Track, *, contact: Contact | None, times: StepTimes
 ) -> None:
-    """What happens at each step, in words, above the lead car."""
+    """What happens at each step, in words, at the lane's beginning: there is room there."""
     gap_m = track.signals[GAP]
     outcomes = [*np.where(track.detected, "detected", "MISSED").tolist(), "end"]
     words = [f"{word}, gap {gap:.1f} m" for word, gap in zip(outcomes, gap_m.tolist(), strict=True)]
     if contact is not None:
         words[contact.step :] = [contact_text(contact)] * (gap_m.size - contact.step)
-    y_m, x_m = lane_y_m(rank), drawn_gap(gap_m, contact) + 2.5
-    position = np.stack([x_m, np.full(gap_m.size, y_m), np.full(gap_m.size, LABEL_M)], axis=1)
     path = paths.lane(rank, "outcome")
-    file.static(
-        path,
-        rr.Points3D.from_fields(radii=[0.05], colors=[rgba(WHITE)], show_labels=True),
+    place = rr.Points3D.from_fields(
+        positions=[[LABEL_X_M + (rank - 1) * LABEL_STEP_M, lane_y_m(rank), 0.3]],
+        radii=[0.02],
+        colors=[rgba(WHITE)],
+        show_labels=True,
     )
-    file.along(
-        path,
-        rr.Points3D.columns(positions=position, labels=words),
-        times=times,
-    )
-    file.at_stage(
-        paths.lane(rank, "name"),
-        rr.Points3D(
-            [[-1.0, y_m, LABEL_M]],
-            labels=[f"rank {rank}"],
-            radii=0.05,
-            colors=rgba(WHITE),
-            show_labels=True,
-        ),
-        stage=times.stage,
-    )
+    file.static(path, place)
+    labels = [f"rank {rank}: {word}" for word in words]
+    file.along(path, rr.Points3D.columns(labels=labels), times=times)
 
 
-def _outcome_colors(track: Track, contact: Contact | None) -> AnyArray:
+def _car_colors(color: str, *, count: int, grey_from: int) -> AnyArray:
+    """RGBA ``[T, 4]`` of a car: grey from contact on, what follows happens in no encounter."""
+    shades = np.tile(np.array(rgba(color), dtype=np.uint8), (count, 1))
+    shades[grey_from:] = rgba(GREY)
+    return shades
+
+
+def _outcome_colors(track: Track, *, grey_from: int) -> AnyArray:
     """RGBA ``[T, 4]``: detected, missed; grey at the last state and from contact on."""
     shades = np.empty((track.detected.size + 1, 4), dtype=np.uint8)
     shades[:-1] = np.where(track.detected[:, None], rgba(DETECTED), rgba(MISSED))
-    shades[track.detected.size if contact is None else contact.step :] = rgba(GREY)
+    shades[min(grey_from, track.detected.size) :] = rgba(GREY)
     return shades
 
 

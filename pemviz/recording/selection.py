@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.types import RolloutBatch
 
 ROLLOUT_LIMIT = 3000
 SMALLEST_STAGE = 10
@@ -31,6 +32,15 @@ class Quota:
             f"even sample of {self.per_stage - self.per_stage // LEAST_ROBUST_SHARE} others "
             f"are recorded. Figures and texts count all of them."
         )
+
+
+def unvaried(rollouts: RolloutBatch) -> frozenset[str]:
+    """Signals that are the same in all rollouts, if others differ: what is missed does not matter.
+
+    Where all signals are the same, as without a miss, nothing is known of any.
+    """
+    same = {name for name, values in rollouts.signals.items() if not np.any(values != values[:1])}
+    return frozenset() if len(same) == len(rollouts.signals) else frozenset(same)
 
 
 def quota(*, rollouts: int, stages: int, limit: int = ROLLOUT_LIMIT) -> Quota:

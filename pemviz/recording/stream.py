@@ -87,16 +87,15 @@ class RecordingFile:
 
     def static(self, path: str, *archetypes: Any) -> None:
         """Log something that does not change with time."""
-        for archetype in archetypes:
-            self._stream.log(path, archetype, static=True)
+        self._stream.log(path, *archetypes, static=True)
         self.logged.add(path)
 
-    def at_stage(self, path: str, archetype: Any, *, stage: int) -> None:
+    def at_stage(self, path: str, *archetypes: Any, stage: int) -> None:
         """Log something that belongs to a stage; it shows on every timeline."""
         self._stream.set_time(paths.STAGE, sequence=stage)
         self._stream.set_time(paths.STEP, sequence=0)
         self._stream.set_time(paths.SIM_TIME, duration=0.0)
-        self._stream.log(path, archetype)
+        self._stream.log(path, *archetypes)
         self._stream.reset_time()
         self.logged.add(path)
 

@@ -11,7 +11,8 @@ from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
 from pemviz.reports.causes_text import BURST_COLUMNS, BURST_TITLE, burst_rows, causes_line
-from pemviz.reports.data_plan_text import PLAN_TITLE, plan_sentences
+from pemviz.reports.data_plan_text import PLAN_TITLE, plan_heading, plan_sentences, short_rows
+from pemviz.reports.digits import end_text
 from pemviz.reports.escape import markdown_table
 from pemviz.reports.estimate_text import (
     REFITS,
@@ -20,6 +21,7 @@ from pemviz.reports.estimate_text import (
     memory_text,
     no_interval_text,
     share_text,
+    short_probability,
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
@@ -29,6 +31,7 @@ from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_cavea
 from pemviz.types import Estimate
 
 NOTHING = "none"
+KINDS = {"pretrain": " (first)", "learn": "", "final": " (final)"}
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -44,10 +47,9 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         *_status(result, running=running),
     ]
     if estimate is not None:
-        parts += _memory(result)
-        parts.append(_model_range(result.pem_interval))
         parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
-        parts += [*_plan(result), *_causes(result), _diagnostics(estimate)]
+        parts += [*_next(result), *_memory(result), _model_range(result.pem_interval)]
+        parts += [*_causes(result), _diagnostics(estimate), *_plan(result)]
     parts.append(_question(result))
     parts.append(
         "## How to read on\n"
@@ -68,7 +70,7 @@ def _headline(estimate: Estimate | None, *, caveats: Sequence[str], running: boo
     interval = f"{_interval(estimate, caveats=caveats)}{_caution(estimate, caveats=caveats)}"
     if estimate.failures == 0:
         return f"# No violation was seen\n\n{interval}"
-    probability = number(estimate.probability)
+    probability = short_probability(estimate)
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
         probability = f"10^{estimate.log10_probability:.1f}"
     return f"# Probability of a violation: {probability}\n\n{interval}"
@@ -79,7 +81,7 @@ def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:
     if low is None or high is None:
         return "No interval is known."
     called = interval_name(estimate, caveats=caveats)
-    interval = f"{called[0].upper()}{called[1:]}: **{number(low)} to {number(high)}**"
+    interval = f"{called[0].upper()}{called[1:]}: **{end_text(low)} to {end_text(high)}**"
     if not caveats:
         return interval
     return f"{interval}, **{no_interval_text(estimate)}**: {'; '.join(caveats)}"
@@ -88,10 +90,10 @@ def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:
 def _model_range(interval: ModelInterval | None) -> str:
     if interval is None or interval.high is None:
         return f"Over refits of the error model ({REFITS}): unknown."
-    low = "0" if interval.low is None else number(interval.low)
+    low = "0" if interval.low is None else end_text(interval.low)
     return (
         f"Over {interval.members} {REFITS}: {interval.confidence:.0%} of them between "
-        f"**{low} and {number(interval.high)}**"
+        f"**{low} and {end_text(interval.high)}**"
     )
 
 
@@ -110,12 +112,20 @@ def _status(result: RunResult, *, running: bool) -> list[str]:
     return [f"**The run {result.status}** after {stages} stages{reason}."]
 
 
+def _next(result: RunResult) -> list[str]:
+    """What to measure next, a line each, if it was asked for."""
+    if result.plan is None:
+        return []
+    lines = "\n".join(f"- {collect}: {then}" for collect, then in short_rows(result))
+    return [f"## {plan_heading(result.plan)}\n{lines}"]
+
+
 def _plan(result: RunResult) -> list[str]:
-    """What to measure next, if it was asked for."""
+    """The same in sentences, with what was seen so far."""
     if result.plan is None:
         return []
     sentences = "\n".join(f"- {words}" for words in plan_sentences(result))
-    return [f"## {PLAN_TITLE}\n{sentences}"]
+    return [f"## {PLAN_TITLE}, in full\n{sentences}"]
 
 
 def _diagnostics(estimate: Estimate) -> str:
@@ -192,50 +202,58 @@ def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
     """Every stage's figures."""
     header = (
         "stage",
-        "rollouts",
         f"threshold{_bracketed(robustness_unit)}",
-        "elites",
+        "learned from",
         "violations",
         "ESS",
         "loss [nats a step]",
-        "log10 estimate (interval)",
+        "estimate",
+        "95 % interval",
     )
     note = (
-        "Intervals are those of a stage's own estimate, at 95 % unless something speaks against "
-        "it.\n\n"
+        "Each stage's own estimate. Threshold: rollouts at or below it are learned from; so many "
+        "are. ESS: how many equally weighted violations the estimate is worth. An interval in "
+        "brackets is not a 95 % interval; why stands below.\n\n"
     )
-    return f"# Stages\n\n{note}" + _table(header, [_stage_row(row) for row in rows])
+    doubts = [f"- stage {row.stage}: {'; '.join(row.caveats)}" for row in rows if row.caveats]
+    why = "\n\n## Why some are not 95 % intervals\n" + "\n".join(doubts) if doubts else ""
+    return f"# Stages\n\n{note}" + _table(header, [_stage_row(row) for row in rows]) + why
 
 
 def _stage_row(row: StageFigures) -> tuple[str, ...]:
-    estimate = number(row.log10_probability, 4)
+    interval = "-"
     if row.log10_ci_low is not None and row.log10_ci_high is not None:
-        words = f", not a 95 % interval: {'; '.join(row.caveats)}" if row.caveats else ""
-        estimate += f" ({row.log10_ci_low:.1f} to {row.log10_ci_high:.1f}{words})"
+        interval = f"{power_text(row.log10_ci_low)} to {power_text(row.log10_ci_high)}"
     return (
-        f"{row.stage} {row.kind}",
-        f"{row.rollouts}",
+        f"{row.stage}{KINDS[row.kind]}",
         number(row.threshold),
-        f"{row.elites}",
-        f"{row.failures}",
+        f"{row.elites}" if row.elites else NOTHING,
+        f"{row.failures} of {row.rollouts}",
         number(row.ess),
         number(row.loss),
-        estimate,
+        NOTHING if row.log10_probability is None else power_text(row.log10_probability),
+        f"({interval})" if row.caveats and interval != "-" else interval,
     )
+
+
+def power_text(log10: float) -> str:
+    """Ten to this power, also where that is too small for a double."""
+    value = 10.0**log10
+    return end_text(value) if value > 0.0 else f"1e{log10:.0f}"
 
 
 def worst_table(tracks: Sequence[Track]) -> str:
     """The least robust rollouts."""
-    header = ("rank", "rollout", "violated", "share", "misses", "longest chain", "NLL [nats]")
+    header = ("rank", "robustness", "share", "misses", "in a row", "NLL [nats]", "which")
     rows = [
         (
             f"{rank}",
-            track.title,
-            "yes" if track.ranked.violated else "no",
+            f"{track.ranked.robustness:.3g}{'' if track.ranked.violated else ' (holds)'}",
             share_text(track.ranked.share),
             f"{track.ranked.misses}",
             f"{longest_chain(track)}",
             f"{track.ranked.nll:.1f}",
+            track.name,
         )
         for rank, track in enumerate(tracks, start=1)
     ]

@@ -1,19 +1,19 @@
 """The views of a recording as plain data: what is shown where, and under which title."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from pemviz.recording import paths
+from pemviz.recording.plot import LARGE, NORMAL, ROWS, WITHOUT_LEGEND, Shape
 from pemviz.types import Signal
 
-ViewKind = Literal["text", "bars", "series", "tensor", "states", "scene", "image"]
+ViewKind = Literal["text", "plot", "series", "tensor", "scene", "image"]
 ContainerKind = Literal["tabs", "horizontal", "vertical", "grid"]
 
 MOST_STAGE_TABS = 14
-MOST_CURVES = 12
 GRID_COLUMNS = 3
 PROBABILITY_AXIS = (-0.02, 1.03)
 
@@ -27,12 +27,14 @@ class ViewSpec:
         title: Names the quantities and their units.
         paths: The entities it shows; the last is its subject, without which it is left out.
         axis: Fixed range of the vertical axis.
+        shape: Of a drawn plot.
     """
 
     kind: ViewKind
     title: str
     paths: tuple[str, ...]
     axis: tuple[float, float] | None = None
+    shape: Shape = NORMAL
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,12 @@ def keep_views(spec: ContainerSpec, wanted: Callable[[ViewSpec], bool]) -> Conta
     )
 
 
+def without_signals(spec: ContainerSpec, keys: Collection[str]) -> ContainerSpec:
+    """The container without views of these signals, by their keys."""
+    kept = keep_views(spec, lambda view: view.paths[0].rpartition("/")[2] not in keys)
+    return spec if kept is None else kept
+
+
 def shown_stages(stages: int, limit: int = MOST_STAGE_TABS) -> list[int]:
     """Stages that get a tab: all, or evenly spread ones with the first and the last."""
     if stages <= limit:
@@ -140,37 +148,28 @@ def _title(signal: Signal) -> str:
     return f"{signal.name.replace('_', ' ').capitalize()}{_bracketed(signal.unit)} against step"
 
 
+def _plot(title: str, path: str, *, shape: Shape = NORMAL) -> ViewSpec:
+    return ViewSpec("plot", title, (path + paths.SUBTREE,), shape=shape)
+
+
+def _figure(title: str, name: str) -> ViewSpec:
+    return _plot(f"{title} against stage", paths.by_stage(name), shape=WITHOUT_LEGEND)
+
+
 def _estimate_view() -> ViewSpec:
-    ends = ("log10_ci_low", "log10_ci_high")
-    return ViewSpec(
-        "bars",
-        "log10 estimate with 95 % interval (grey ends: not a 95 % interval) against stage",
-        (
-            paths.bars("log10_probability"),
-            *(paths.bars(end) + paths.SUBTREE for end in ends),
-        ),
-    )
+    return _plot("Estimate against stage", paths.ESTIMATES)
 
 
 def _robustness_view(subject: Subject) -> ViewSpec:
-    title = f"Number of rollouts against robustness{_bracketed(subject.robustness_unit)}"
-    return ViewSpec("bars", title, (paths.ROBUSTNESS,))
+    title = f"Rollouts against robustness{_bracketed(subject.robustness_unit)}, newest stage"
+    return _plot(title, paths.ROBUSTNESS, shape=WITHOUT_LEGEND)
 
 
 def _answer(subject: Subject) -> ContainerSpec:
-    gap = subject.signals[0]
-    plots: list[ViewSpec] = [_estimate_view() if subject.stages > 1 else _robustness_view(subject)]
+    plots = [_plot("How far the answer is open (line: the answer)", paths.LADDER, shape=ROWS)]
     if subject.repetitions > 1:
-        plots.append(
-            ViewSpec("bars", "log10 of the estimate against repetition", (paths.REPETITIONS,))
-        )
-    plots.append(
-        ViewSpec(
-            "series",
-            f"Least robust rollouts: {_title(gap).lower()}",
-            (paths.worst_series(gap.key),),
-        )
-    )
+        plots.append(_plot("Estimate against repetition", paths.REPETITIONS))
+    plots.append(_estimate_view() if subject.stages > 1 else _robustness_view(subject))
     texts = ContainerSpec(
         "vertical",
         "Texts",
@@ -190,49 +189,31 @@ def _answer(subject: Subject) -> ContainerSpec:
 
 def _learning(subject: Subject) -> ContainerSpec:
     unit = _bracketed(subject.robustness_unit)
-    current = ContainerSpec(
-        "vertical",
-        "Now",
-        (
-            ViewSpec(
-                "bars",
-                "P(detected) against gap [m]: proposal (orange) beside the error model (grey)",
-                (paths.PEM_CURVE, paths.PROPOSAL_CURVE),
-            ),
-            ViewSpec("text", "Stages", (paths.STAGE_TABLE,)),
-        ),
-    )
+    proposals = _plot("P(detected) against gap, by proposal", paths.PROPOSALS, shape=LARGE)
+    table = ViewSpec("text", "Stages", (paths.STAGE_TABLE,))
+    robustness = _robustness_view(subject)
     if subject.stages == 1:
-        both = (current, _robustness_view(subject))
-        return ContainerSpec("horizontal", "Learning", both, shares=(1.2, 1.0))
-    figures = ContainerSpec(
+        curves = ContainerSpec("vertical", "Now", (proposals, table))
+        return ContainerSpec("horizontal", "Learning", (curves, robustness), shares=(1.2, 1.0))
+    overview = ContainerSpec(
+        "horizontal",
+        "Proposals and estimates",
+        (proposals, ContainerSpec("vertical", "Results", (_estimate_view(), robustness))),
+        shares=(1.2, 1.0),
+    )
+    plots = ContainerSpec(
         "grid",
-        "Figures",
+        "Plots",
         (
-            ViewSpec("bars", f"Threshold{unit} against stage", (paths.bars("threshold"),)),
-            ViewSpec("bars", "Violations [rollouts] against stage", (paths.bars("failures"),)),
-            ViewSpec("bars", "Effective sample size against stage", (paths.bars("ess"),)),
-            ViewSpec("bars", "Loss [nats a step] against stage", (paths.bars("loss"),)),
-            _estimate_view(),
-            _robustness_view(subject),
+            _figure(f"Threshold{unit}", "threshold"),
+            _figure("Violations", "failures"),
+            _figure("Effective sample size", "ess"),
+            _figure("Loss [nats a step]", "loss"),
         ),
         columns=2,
     )
-    overview = ContainerSpec("horizontal", "Overview", (current, figures), shares=(1.0, 1.2))
-    curves = ContainerSpec(
-        "grid",
-        "Proposal of every stage",
-        tuple(
-            ViewSpec(
-                "bars",
-                f"Stage {stage}: P(detected) against gap [m]",
-                (paths.PEM_CURVE, paths.stage_curve(stage)),
-            )
-            for stage in shown_stages(subject.stages, MOST_CURVES)
-        ),
-        columns=4,
-    )
-    return ContainerSpec("tabs", "Learning", (overview, curves))
+    figures = ContainerSpec("vertical", "Figures of every stage", (plots, table), shares=(1.3, 1.0))
+    return ContainerSpec("tabs", "Learning", (overview, figures))
 
 
 def _rollouts(subject: Subject) -> ContainerSpec:
@@ -245,34 +226,40 @@ def _stage_rollouts(subject: Subject, stage: int) -> ContainerSpec:
     def path(part: str) -> str:
         return paths.rollouts(stage, part)
 
-    views = [ViewSpec("series", _title(signal), (path(signal.key),)) for signal in subject.signals]
-    views += [
+    signals = [
+        ViewSpec("series", _title(signal), (path(signal.key),)) for signal in subject.signals
+    ]
+    outcomes = [
         ViewSpec(
             "series",
-            "P(detected) against step: proposal (coloured), error model (grey)",
+            "P(detected) against step",
             (path(paths.PEM_SERIES), path(paths.PROPOSAL_SERIES)),
             axis=PROBABILITY_AXIS,
         ),
         ViewSpec(
             "series",
-            "Share of rollouts that missed, against step",
+            "Share missed against step",
             (path(paths.MISSED_SHARE),),
             axis=PROBABILITY_AXIS,
         ),
         ViewSpec(
             "tensor",
-            "Outcomes: rollout against step, bright detected, dark missed",
+            "Missed (orange), by rollout and step",
             (path(paths.DETECTED),),
         ),
     ]
-    return ContainerSpec("grid", f"Stage {stage}", tuple(views))
+    rows = (
+        ContainerSpec("horizontal", "Signals", tuple(signals)),
+        ContainerSpec("horizontal", "Perception", tuple(outcomes)),
+    )
+    return ContainerSpec("vertical", f"Stage {stage}", rows)
 
 
 def _worst(subject: Subject) -> ContainerSpec:
     gap = subject.signals[0]
     scene = ViewSpec(
         "scene",
-        "Least robust rollouts as the ego car sees them [m], nearest is the least robust",
+        "Least robust rollouts, seen from the ego car",
         (paths.SCENE + paths.SUBTREE,),
     )
     frames = [ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,))]
@@ -283,12 +270,12 @@ def _worst(subject: Subject) -> ContainerSpec:
             *(frames if subject.frames else []),
             ViewSpec(
                 "series",
-                f"Least robust rollouts: {_title(gap).lower()}",
+                f"Least robust: {_title(gap).lower()}",
                 (paths.worst_series(gap.key),),
             ),
             ViewSpec(
                 "series",
-                "Rank 1: P(detected) against step",
+                "P(detected) against step, grey: model",
                 (paths.WORST_DETECTION,),
                 axis=PROBABILITY_AXIS,
             ),
@@ -299,11 +286,7 @@ def _worst(subject: Subject) -> ContainerSpec:
         "horizontal",
         "Outcomes",
         (
-            ViewSpec(
-                "states",
-                "Outcomes against step, by rank: blue detected, orange missed",
-                (paths.OUTCOMES + paths.SUBTREE,),
-            ),
+            _plot("Misses against time, by rank", paths.OUTCOMES),
             ViewSpec("text", "Ranking", (paths.WORST_SUMMARY,)),
         ),
         shares=(1.6, 1.0),

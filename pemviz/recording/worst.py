@@ -10,17 +10,16 @@ import rerun as rr
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.colors import DETECTED, MISSED, PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
+from pemviz.colors import PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
 from pemviz.config import ScenarioConfig
 from pemviz.recording import paths
+from pemviz.recording.outcomes import log_outcomes
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.types import Signal, StageResult
 
 JPEG_QUALITY = 85
-OUTCOME_LANES = 8
-KEPT_STATES = ("detected", "missed")
 
 
 @dataclass(frozen=True)
@@ -42,14 +41,16 @@ class Track:
     proposal_probability: FloatArray
 
     @property
-    def title(self) -> str:
-        """For labels and legends."""
+    def name(self) -> str:
+        """Which it is."""
         ranked = self.ranked
         repetition = f"repetition {ranked.repetition}, " if ranked.repetition else ""
-        return (
-            f"{repetition}stage {ranked.stage}, rollout {ranked.rollout}, "
-            f"robustness {ranked.robustness:.3g}"
-        )
+        return f"{repetition}stage {ranked.stage}, rollout {ranked.rollout}"
+
+    @property
+    def title(self) -> str:
+        """For labels and legends."""
+        return f"{self.name}, robustness {self.ranked.robustness:.3g}"
 
 
 def update_tracks(
@@ -117,22 +118,7 @@ def log_worst_plots(
         np.array([worst.pem_probability, worst.proposal_probability]),
         times=acting,
     )
-    for rank, track in enumerate(tracks[:OUTCOME_LANES], start=1):
-        _log_outcomes(file, track, path=paths.outcomes(rank), times=acting)
-
-
-def _log_outcomes(file: RecordingFile, track: Track, *, path: str, times: StepTimes) -> None:
-    """A lane that changes colour where perception missed."""
-    file.static(
-        path,
-        rr.StateConfiguration(
-            values=list(KEPT_STATES),
-            labels=[" ", "miss"],
-            colors=[rgba(DETECTED), rgba(MISSED)],
-        ),
-    )
-    words = np.where(track.detected, *KEPT_STATES).tolist()
-    file.along(path, rr.StateChange.columns(state=words), times=times)
+    log_outcomes(file, [track.detected for track in tracks], stage=stage, dt_s=dt_s)
 
 
 def log_frames(file: RecordingFile, track: Track, *, scenario: ScenarioConfig, stage: int) -> None:

@@ -1,7 +1,7 @@
 """Makes the sample run that ships with the project: ``python -m pemviz.reproduce.sample``.
 
-A small but complete run of the paper's algorithm on the paper's scenario, so that a newcomer
-can open a recording before having made one.
+A small but complete run of the default method on the paper's scenario, so that a newcomer can
+open a recording before having made one.
 """
 
 import shutil
@@ -24,14 +24,14 @@ MOST_BYTES = 2_000_000
 
 
 def sample_config() -> ExperimentConfig:
-    """The ``paper-algorithm`` preset, fewer stages, fewer and shorter rollouts, to stay small."""
-    paper = load_preset("paper-algorithm")
+    """The preset ``paper`` with fewer stages, fewer and shorter rollouts, to stay small."""
+    paper = load_preset("paper")
     return replace(
         paper,
         stages=5,
         rollouts=26,
         final_rollouts=18,
-        seed=6,
+        seed=0,
         spec="always[0,69] (gap >= 2.0)",
         scenario=replace(paper.scenario, states=70),
     )

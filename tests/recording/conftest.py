@@ -6,6 +6,7 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.recording import Recorder
+from pemviz.recording.plot import Frame
 from pemviz.runs.engine import run
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import Experiment, build_experiment
@@ -80,25 +81,42 @@ def texts(path: Path) -> dict[str, str]:
     return found
 
 
-def bars(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Abscissa and values of the last bar chart at a path."""
-    found = None
+def strips(path: Path, entity: str) -> list[np.ndarray]:
+    """The last line strips ``[N, 2]`` at a path."""
+    name = "LineStrips2D:strips"
+    batches = [c.to_record_batch() for c in chunks(path) if c.entity_path == entity]
+    found = [b[name].to_pylist()[-1] for b in batches if name in b.schema.names]
+    assert found, f"no lines at {entity}"
+    return [np.array(strip, dtype=np.float64) for strip in found[-1]]
+
+
+def dots(path: Path, entity: str) -> np.ndarray:
+    """The last points ``[N, 2]`` at a path."""
+    name = "Points2D:positions"
+    batches = [c.to_record_batch() for c in chunks(path) if c.entity_path == entity]
+    found = [b[name].to_pylist()[-1] for b in batches if name in b.schema.names]
+    assert found, f"no points at {entity}"
+    return np.array(found[-1], dtype=np.float64)
+
+
+def words(path: Path) -> dict[str, list[str]]:
+    """The last labels at each path."""
+    found = {}
     for chunk in chunks(path):
-        if chunk.entity_path == entity:
-            batch = chunk.to_record_batch()
-            if "BarChart:values" in batch.schema.names:
-                found = [
-                    tensor_values(batch[name].to_pylist()[-1][0])
-                    for name in ("BarChart:abscissa", "BarChart:values")
-                ]
-    assert found is not None, f"no bars at {entity}"
-    return found[0], found[1]
+        batch = chunk.to_record_batch()
+        for name in ("Points2D:labels", "Points3D:labels"):
+            if name in batch.schema.names:
+                found[chunk.entity_path] = batch[name].to_pylist()[-1]
+    return found
 
 
-def tensor_values(tensor) -> np.ndarray:
-    buffer = tensor["buffer"]
-    values = next(iter(buffer.values())) if isinstance(buffer, dict) else buffer
-    return np.asarray(values, dtype=np.float64).reshape(tensor["shape"])
+def values_at(frame: Frame, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What was drawn at places ``[N, 2]``."""
+    across, up = places[:, 0] / frame.shape.width, 1.0 - places[:, 1]
+    return (
+        frame.x.low + across * (frame.x.high - frame.x.low),
+        frame.y.low + up * (frame.y.high - frame.y.low),
+    )
 
 
 def scalars(path: Path, entity: str, timeline: str) -> dict[int, list[float]]:

@@ -12,15 +12,22 @@ from scipy.special import expit
 from pemviz.analysis.detection_curves import detection_curves, gap_grid
 from pemviz.arrays import row_sums
 from pemviz.recording import paths
+from pemviz.recording.estimates import stage_axis
+from pemviz.recording.learning import curve_frame, robustness_frame
+from pemviz.recording.outcomes import outcome_frame
+from pemviz.recording.plot import WITHOUT_LEGEND, Axis, Frame, decade_axis
+from pemviz.recording.recorder import CURVE_STEP_M
 from pemviz.runs.engine import run
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.rollouts.final_batch import weighed
 from tests.recording.conftest import (
     LEARNING,
-    bars,
     chunks,
+    dots,
     record,
     scalars,
+    strips,
+    values_at,
     with_blind_pem,
 )
 from tests.recording.read_back import read_stages
@@ -120,12 +127,34 @@ def test_each_stages_interval_is_that_of_an_estimate_from_its_rollouts(learned):
         assert high[stage.stage] == pytest.approx([np.log10(estimate.ci_high)])
 
 
-def test_bars_show_every_stage_so_far(learned):
+def test_figures_are_drawn_of_every_stage_so_far(learned):
     for name in ("failures", "loss"):
-        abscissa, values = bars(learned.path, paths.bars(name))
+        places = dots(learned.path, paths.part(paths.by_stage(name), "values"))
         known = [s for s in learned.stages if getattr(s, name) is not None]
-        assert values.tolist() == [getattr(stage, name) for stage in known]
-        np.testing.assert_allclose(abscissa + 0.4, [stage.stage for stage in known])
+        high = 1.05 * max(getattr(stage, name) for stage in known)
+        frame = Frame(x=stage_axis(4), y=Axis(0.0, high, ()), shape=WITHOUT_LEGEND)
+        stages, values = values_at(frame, places)
+        np.testing.assert_allclose(stages, [stage.stage for stage in known], atol=1e-5)
+        np.testing.assert_allclose(values, [getattr(s, name) for s in known], rtol=1e-5)
+
+
+def test_estimates_are_drawn_on_powers_of_ten_with_their_intervals(learned):
+    low = scalars(learned.path, paths.figure("log10_ci_low"), paths.STAGE)
+    high = scalars(learned.path, paths.figure("log10_ci_high"), paths.STAGE)
+    estimate = learned.result.estimate
+    own = [stage.log10_probability for stage in learned.stages]
+    ends = [*low.values(), *high.values(), own]
+    frame = Frame(x=stage_axis(4), y=decade_axis(min(map(min, ends)), max(map(max, ends))))
+    entity = paths.part(paths.ESTIMATES, "values")
+    stages, values = values_at(frame, dots(learned.path, entity))
+    np.testing.assert_allclose(stages, range(4), atol=1e-5)
+    np.testing.assert_allclose(values, own, atol=1e-4)
+    bars = strips(learned.path, entity)[::3]  # each with two caps
+    for stage, bar in enumerate(bars):
+        _, drawn = values_at(frame, bar)
+        np.testing.assert_allclose(drawn, [low[stage][0], high[stage][0]], atol=1e-4)
+    answer = strips(learned.path, paths.part(paths.ESTIMATES, "answer"))[0]
+    np.testing.assert_allclose(values_at(frame, answer)[1], estimate.log10_probability, atol=1e-4)
 
 
 def test_curves_against_gap_are_those_of_the_proposal_sampled_from(learned):
@@ -136,34 +165,38 @@ def test_curves_against_gap_are_those_of_the_proposal_sampled_from(learned):
             simulator=simulator,
             pem=experiment.problem.pem,
             proposal=stage.sampled_from,
-            gap_m=gap_grid(simulator),
+            gap_m=gap_grid(simulator, step_m=CURVE_STEP_M),
             rollouts=stage.scored.rollouts,
         )
-        gap_m, probability = bars(learned.path, paths.stage_curve(stage.stage))
-        np.testing.assert_array_equal(gap_m, expected.gap_m)
-        np.testing.assert_array_equal(probability, expected.proposal)
-    _, pem = bars(learned.path, paths.PEM_CURVE)
-    np.testing.assert_array_equal(pem, expected.pem)
+        frame = curve_frame(expected.gap_m)
+        (strip,) = strips(learned.path, paths.stage_curve(stage.stage))
+        gap_m, probability = values_at(frame, strip)
+        np.testing.assert_allclose(gap_m, expected.gap_m, atol=1e-5)
+        np.testing.assert_allclose(probability, expected.proposal, atol=1e-6)
+    (newest,) = strips(learned.path, paths.NEWEST_CURVE)
+    np.testing.assert_array_equal(newest, strip)
+    (pem,) = strips(learned.path, paths.PEM_CURVE)
+    np.testing.assert_allclose(values_at(frame, pem)[1], expected.pem, atol=1e-6)
 
 
 def test_histogram_counts_every_rollout(learned):
-    _, counts = bars(learned.path, paths.ROBUSTNESS)
+    (outline,) = strips(learned.path, paths.part(paths.ROBUSTNESS, "counts"))
+    robustness = learned.stages[-1].scored.robustness
+    counts, edges = np.histogram(robustness, bins=(outline.shape[0] - 2) // 2)
+    frame = robustness_frame(edges, highest=int(counts.max()), unit="m")
+    heights = values_at(frame, outline)[1][1:-1:2]
+    np.testing.assert_allclose(heights, counts, atol=1e-4)
     assert counts.sum() == LEARNING.final_rollouts
 
 
 def test_least_robust_outcomes_are_recorded(learned):
     worst = learned.result.least_robust[0]
-    stage = learned.stages[worst.stage]
-    detected = stage.scored.rollouts.detected[worst.rollout]
-    rows = [
-        batch["StateChange:state"].to_pylist()
-        for batch in (
-            chunk.to_record_batch()
-            for chunk in chunks(learned.path)
-            if chunk.entity_path == paths.outcomes(1) and not chunk.is_static
-        )
-    ]
-    assert [[word] for word in np.where(detected, "detected", "missed").tolist()] == rows[0]
+    detected = learned.stages[worst.stage].scored.rollouts.detected[worst.rollout]
+    dt_s = LEARNING.scenario.dt_s
+    frame = outcome_frame(8, steps=detected.size, dt_s=dt_s)
+    _, *strokes = strips(learned.path, paths.outcomes(1))
+    at_s = [values_at(frame, stroke)[0][0] for stroke in strokes]
+    np.testing.assert_allclose(at_s, (np.flatnonzero(~detected) + 0.5) * dt_s, atol=1e-4)
 
 
 def test_scene_places_the_lead_car_at_the_gap_and_leaves_it_there_once_the_bumpers_touch(learned):
@@ -189,9 +222,13 @@ def test_repetitions_show_the_first_in_detail_and_every_estimate(tmp_path):
     np.testing.assert_array_equal(
         found[0].series["gap_m"], recorded.stages[0].scored.rollouts.signals["gap"]
     )
-    abscissa, values = bars(recorded.path, paths.REPETITIONS)
-    np.testing.assert_allclose(abscissa + 0.4, [0, 1, 2])
-    assert values.tolist() == [e.log10_probability for e in recorded.result.repetitions]
+    places = dots(recorded.path, paths.part(paths.REPETITIONS, "values"))
+    repetitions = recorded.result.repetitions
+    ends = np.log10([end for e in repetitions for end in (e.ci_low, e.ci_high) if end > 0.0])
+    frame = Frame(x=stage_axis(3), y=decade_axis(ends.min(), ends.max()))
+    repetition, values = values_at(frame, places)
+    np.testing.assert_allclose(repetition, [0, 1, 2], atol=1e-5)
+    np.testing.assert_allclose(values, [e.log10_probability for e in repetitions], atol=1e-4)
 
 
 def test_another_metric_is_recorded_too(tmp_path):

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
+from pemviz.colors import RUNGS
 from pemviz.reports.ladder_text import LADDER_TITLE
 from pemviz.reports.pictures.html import number
 from pemviz.reports.pictures.svg import FAINT, FONT, GRID, INK, nice_ticks
@@ -15,14 +15,6 @@ WIDTH, ROW, TOP, BOTTOM = 360, 25, 16, 18
 LEFT, RIGHT = 0, 352
 FARTHEST = -40.0
 """Decades below which nothing is drawn: an end below, or 0, is drawn as an arrow."""
-COLORS = {
-    "sampling": BLUE,
-    "reference": GREEN,
-    "refits": ORANGE,
-    "families": VERMILLION,
-    "memory": GREY,
-    "data": PURPLE,
-}
 
 
 def ladder_plot(result: RunResult) -> str:
@@ -80,7 +72,7 @@ def _row(rung: Rung, top: float, low: float) -> str:
         f"<text x='{LEFT}' y='{top + 11:.1f}' {FONT} font-size='10.5' fill='{INK}'>{name}"
         f"<title>{escape(_tip(rung))}</title></text>"
     )
-    middle, color = top + 19.0, COLORS[rung.kind]
+    middle, color = top + 19.0, RUNGS[rung.kind]
     if rung.low is None or rung.high is None:
         line = (
             f"<line x1='{LEFT}' x2='{RIGHT}' y1='{middle}' y2='{middle}' stroke='{color}' "

@@ -28,7 +28,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from pemviz.arrays import FloatArray
-from pemviz.colors import LEAD, SKY, rgb
+from pemviz.colors import EGO, LEAD, rgb
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.emergency_braking import brakes
@@ -42,7 +42,7 @@ SDL_DRIVER_VARIABLE = "SDL_VIDEODRIVER"
 
 FRAME_WIDTH_PX = 640
 FRAME_HEIGHT_PX = 160
-EGO_RGB, LEAD_RGB = rgb(SKY), rgb(LEAD)
+EGO_RGB, LEAD_RGB = rgb(EGO), rgb(LEAD)
 
 
 class BrakingState(NamedTuple):

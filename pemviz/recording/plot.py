@@ -1,0 +1,201 @@
+"""Plots drawn in a 2D view: lines, points, intervals and words, with axes and ticks of their own.
+
+The viewer's own plots run along its timelines or are bars. A drawn one can have any axis and error
+bars, and zooms as they do. Places are in heights of the plotting area, from its upper left corner.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import rerun as rr
+
+from pemviz.arrays import FloatArray
+from pemviz.colors import DARK_GREY, GREY, WHITE, Rgba, rgba
+from pemviz.recording import paths
+
+ABOVE = 0.1
+LEGEND_ROW = 0.155
+TICK_Y = 0.03
+MOST_TICKS = 6
+FEW_TICKS = 4
+"""Upwards, where words stand above each other."""
+NO_DOT: Any = rr.Radius.ui_points(0.1)
+
+
+class Log(Protocol):
+    """Logs archetypes at a path, at a time that the caller chose."""
+
+    def __call__(self, path: str, *archetypes: Any) -> None:
+        """Log them."""
+        ...
+
+
+def ui(points: float) -> Any:
+    """A radius on the screen, however far one zooms in."""
+    return rr.Radius.ui_points(points)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis.
+
+    Attributes:
+        low: Value at its start.
+        high: Value at its end.
+        ticks: Values with their words, units among them.
+    """
+
+    low: float
+    high: float
+    ticks: tuple[tuple[float, str], ...]
+
+    def share(self, values: FloatArray) -> FloatArray:
+        """Where values ``[N]`` lie: 0 at the start, 1 at the end."""
+        return (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How wide a plot is, and its margins, in its heights: those of a large view are smaller."""
+
+    width: float = 1.75
+    left: float = 0.24
+    right: float = 0.56
+    below: float = 0.2
+    words_up: float = 0.06
+    """How far words stand above where they are put, as the viewer writes below a place."""
+
+    @property
+    def bounds_x(self) -> tuple[float, float]:
+        """From the left margin's edge to the right one's."""
+        return -self.left, self.width + self.right
+
+    @property
+    def bounds_y(self) -> tuple[float, float]:
+        """From top to bottom."""
+        return -ABOVE, 1.0 + self.below
+
+
+NORMAL = Shape()
+LARGE = Shape(width=1.2, left=0.14, right=0.32, words_up=0.035)
+WITHOUT_LEGEND = Shape(width=2.3, left=0.28, right=0.1, below=0.32)
+ROWS = Shape(width=1.9, left=0.1, right=0.1)
+"""Rows that carry their own words."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Two axes of a plot of some shape."""
+
+    x: Axis
+    y: Axis
+    shape: Shape = NORMAL
+
+    def places(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Places ``[N, 2]`` of values ``[N]``; what lies beyond an axis is on its end."""
+        across, up = np.clip(self.x.share(x), 0.0, 1.0), np.clip(self.y.share(y), 0.0, 1.0)
+        return np.stack([self.shape.width * across, 1.0 - up], axis=1)
+
+
+def number_axis(
+    low: float, high: float, *, unit: str = "", whole: bool = False, most: int = MOST_TICKS
+) -> Axis:
+    """An axis with round ticks.
+
+    Args:
+        low: Value at its start.
+        high: Value at its end.
+        unit: Stands behind every tick.
+        whole: Whether only whole numbers get a tick.
+        most: About how many ticks.
+    """
+    if not high > low:
+        low, high = low - 0.5, low + 0.5
+    raw = (high - low) / most
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(power * m for m in (1, 2, 5, 10) if power * m >= raw * 0.999)
+    step = max(step, 1.0) if whole else step
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    words = f" {unit}" if unit else ""
+    ticks = tuple((place * step, f"{place * step:.6g}{words}") for place in range(first, last + 1))
+    return Axis(low, high, ticks)
+
+
+def decade_axis(low: float, high: float) -> Axis:
+    """An axis of decimal logarithms from ``low`` to ``high``, ticks at whole powers of ten."""
+    first, last = math.floor(low + 1e-9), math.ceil(high - 1e-9)
+    first = min(first, last - 1)
+    every = math.ceil((last - first) / MOST_TICKS)
+    ticks = tuple((float(e), f"1e{e}" if e else "1") for e in range(last, first - 1, -every))
+    return Axis(float(first), float(last), ticks)
+
+
+def log_axes(log: Log, path: str, frame: Frame) -> None:
+    """Grid lines, and words at the ticks."""
+    ends_x, ends_y = np.array([frame.x.low, frame.x.high]), np.array([frame.y.low, frame.y.high])
+    across = [frame.places(ends_x, np.full(2, value)) for value, _ in frame.y.ticks]
+    up = [frame.places(np.full(2, value), ends_y) for value, _ in frame.x.ticks]
+    edge = [frame.places(ends_x, np.full(2, frame.y.low))]
+    colors = [rgba(DARK_GREY)] * (len(across) + len(up)) + [rgba(GREY)]
+    grid = rr.LineStrips2D([*across, *up, *edge], colors=colors, radii=ui(0.5), draw_order=1.0)
+    below = [(place[0][0], 1.0 + TICK_Y) for place in up]
+    beside = [(-0.45 * frame.shape.left, place[0][1] - frame.shape.words_up) for place in across]
+    words = [*(words for _, words in frame.x.ticks), *(words for _, words in frame.y.ticks)]
+    ticks = written([*below, *beside], words, colors=[rgba(WHITE)] * len(words))
+    log(paths.part(path, "axes"), grid, ticks)
+
+
+def written(
+    places: Sequence[tuple[float, float]], words: Sequence[str], *, colors: Sequence[Rgba]
+) -> rr.Points2D:
+    """Words centred below places."""
+    return rr.Points2D(
+        [(float(x), float(y)) for x, y in places],
+        labels=list(words),
+        colors=list(colors),
+        radii=NO_DOT,
+        show_labels=True,
+    )
+
+
+def legend(frame: Frame, entries: Sequence[tuple[int, str, Rgba]]) -> rr.Points2D:
+    """Words beside the plot: row from the top, words, colour."""
+    x = frame.shape.width + 0.5 * frame.shape.right
+    places = [(x, row * LEGEND_ROW) for row, _, _ in entries]
+    return written(
+        places, [words for _, words, _ in entries], colors=[color for *_, color in entries]
+    )
+
+
+def line(
+    frame: Frame, x: FloatArray, y: FloatArray, *, color: Rgba, width: float
+) -> rr.LineStrips2D:
+    """A line through points ``[N]``; ``width`` in points of the screen."""
+    strip = frame.places(x, y)
+    return rr.LineStrips2D([strip], colors=color, radii=ui(width / 2), draw_order=20.0 + width)
+
+
+def dots(frame: Frame, x: FloatArray, y: FloatArray, *, colors: Sequence[Rgba]) -> rr.Points2D:
+    """Points ``[N]``."""
+    return rr.Points2D(
+        frame.places(x, y), colors=list(colors), radii=ui(4.0), draw_order=30.0, show_labels=False
+    )
+
+
+def whiskers(
+    frame: Frame, x: FloatArray, low: FloatArray, high: FloatArray, *, colors: Sequence[Rgba]
+) -> rr.LineStrips2D:
+    """An interval at each of ``[N]`` places, with a cap at either end."""
+    bottom, top = frame.places(x, low), frame.places(x, high)
+    step = frame.shape.width / max(frame.x.high - frame.x.low, 1.0)
+    half = np.array([min(0.03, 0.3 * step), 0.0])
+    strips = [
+        strip
+        for first, last in zip(bottom, top, strict=True)
+        for strip in ([first, last], [first - half, first + half], [last - half, last + half])
+    ]
+    shades = [color for color in colors for _ in range(3)]
+    return rr.LineStrips2D(strips, colors=shades, radii=ui(1.0), draw_order=25.0)
