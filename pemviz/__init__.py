@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pemviz.config import ExperimentConfig, ScenarioConfig
     from pemviz.errors import ConfigError, InputError, PemvizError, RunError
     from pemviz.pem import DetectorModel
+    from pemviz.proposals.offset_logistic import StateFeatures
     from pemviz.reports.estimate_text import summary_text
     from pemviz.runs.engine import run, run_experiment
     from pemviz.runs.experiment import Experiment, build_experiment
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from pemviz.runs.store import RunStore
     from pemviz.sampling.description import MethodDescription
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator
-    from pemviz.types import Estimate, Signal, Simulator, StateBatch
+    from pemviz.simulators.slots import Slot, SlotSimulator
+    from pemviz.types import Estimate, Proposal, RolloutBatch, Signal, Simulator, StateBatch
 
 _HOMES = {
     "BoolArray": "arrays",
@@ -38,14 +40,19 @@ _HOMES = {
     "LeastRobust": "runs.least_robust",
     "MethodDescription": "sampling.description",
     "PemvizError": "errors",
+    "Proposal": "types",
     "Rollout": "runs.least_robust",
+    "RolloutBatch": "types",
     "RunError": "errors",
     "RunResult": "runs.result",
     "RunStore": "runs.store",
     "ScenarioConfig": "config",
     "Signal": "types",
     "Simulator": "types",
+    "Slot": "simulators.slots",
+    "SlotSimulator": "simulators.slots",
     "StateBatch": "types",
+    "StateFeatures": "proposals.offset_logistic",
     "build_experiment": "runs.experiment",
     "read_result": "runs.result_file",
     "run": "runs.engine",
@@ -66,14 +73,19 @@ __all__ = [
     "LeastRobust",
     "MethodDescription",
     "PemvizError",
+    "Proposal",
     "Rollout",
+    "RolloutBatch",
     "RunError",
     "RunResult",
     "RunStore",
     "ScenarioConfig",
     "Signal",
     "Simulator",
+    "Slot",
+    "SlotSimulator",
     "StateBatch",
+    "StateFeatures",
     "__version__",
     "build_experiment",
     "read_result",

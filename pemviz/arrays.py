@@ -132,10 +132,11 @@ def read_only(array: AnyArray) -> AnyArray:
 
 
 def row_sums(values: FloatArray) -> FloatArray:
-    """Sums ``[N]`` over the second axis of ``[N, M]``.
+    """Sums ``[N]`` over all axes but the first of ``[N, M]`` or ``[N, M, K]``.
 
     The order of additions depends on how an array lies in memory. Here it is always that of a
     row in one piece, whatever the layout, so that a row's sum does not depend on how many rows
     there are.
     """
-    return np.sum(np.ascontiguousarray(values), axis=1)
+    values = np.ascontiguousarray(values)
+    return np.sum(values if values.ndim == 2 else values.reshape(len(values), -1), axis=1)

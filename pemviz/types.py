@@ -20,6 +20,8 @@ from pemviz.arrays import (
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 
 StageKind = Literal["pretrain", "learn", "final"]
+CERTAIN = "outcome_certain"
+"""Memory of states at which perception's outcome is certain; proposals leave it to the model."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,8 @@ class RolloutBatch(Batch):
     Attributes:
         signals: ``[N, T]`` by signal name.
         memory: ``[N, T]`` by name; see :class:`StateBatch`.
-        detected: ``[N, T-1]`` perception's outcomes.
+        detected: ``[N, T-1]`` perception's outcomes. Where observers and files are told of a
+            scenario with K slots, K above 1, these and their logits are ``[N, T-1, K]``.
         pem_logit: ``[N, T-1]`` logit of 'detected' under the perception error model.
         proposal_logit: ``[N, T-1]`` logit of 'detected' under the distribution sampled from.
     """
@@ -193,7 +196,7 @@ class RolloutBatch(Batch):
 
     @cached_property
     def log_weight(self) -> FloatArray:
-        """Log importance weight ``[N]``: sum over steps of log p - log q [nats]."""
+        """Log importance weight ``[N]``: sum over outcomes of log p - log q [nats]."""
         return read_only(row_sums(np.subtract(self.log_p, self.log_q, order="C")))
 
     def decision_states(self) -> StateBatch:

@@ -62,7 +62,12 @@ class Bursts:
 
 
 def bursts_of(
-    failures: Failures, *, mattering: BoolArray, dt_s: float, gap: str | None = "gap"
+    failures: Failures,
+    *,
+    mattering: BoolArray,
+    dt_s: float,
+    gap: str | None = "gap",
+    turns: int = 1,
 ) -> Bursts | None:
     """Bursts of violations; ``None`` if no violation has a miss that matters.
 
@@ -71,13 +76,12 @@ def bursts_of(
         mattering: States at which the outcome matters to the scenario, ``[M, T-1]``.
         dt_s: Time between two frames [s].
         gap: The distance, if the scenario has one.
+        turns: Outcomes of a step: a burst is one slot's.
     """
     states = failures.rollouts.decision_states()
-    live = np.ones(failures.rollouts.detected.shape, dtype=np.bool_)
-    if VIOLATED in states.memory:
-        live &= ~np.asarray(states.memory[VIOLATED], dtype=np.bool_)
-    missed = np.ascontiguousarray(~failures.rollouts.detected & live)
-    of_step, sizes, useful = _runs(missed, missed & mattering)
+    missed = _missed_alive(failures)
+    mattering, missed = (slot_after_slot(v, turns=turns) for v in (missed & mattering, missed))
+    of_step, sizes, useful = _runs(missed, mattering)
     counted = useful > 0
     share = np.where(counted.any(axis=1), failures.share, 0.0)
     if not share.sum() > 0.0:
@@ -89,22 +93,31 @@ def bursts_of(
     inside = missed & (of_step == decisive[:, None])
     first = np.argmax(inside, axis=1)
     frames = sizes[rows, decisive]
-    log_p = np.where(inside, failures.rollouts.log_p, 0.0)
+    log_p = np.where(inside, slot_after_slot(failures.rollouts.log_p, turns=turns), 0.0)
     log_start = log_p[rows, first]
     log_rest = row_sums(log_p) - log_start
     further = float(share @ (frames - 1))
-    values = None if gap is None else states.signals[gap][rows, first]
+    gaps = None if gap is None else slot_after_slot(states.signals[gap], turns=turns)
     return Bursts(
         dt_s=dt_s,
         count=float(share @ counted.sum(axis=1)),
         misses=float(share @ np.where(counted, sizes, 0).sum(axis=1)),
         frames=weighted_spread(frames, share),
-        begins_s=weighted_spread(first * dt_s, share),
-        begins_gap_m=None if values is None else weighted_spread(values, share),
+        begins_s=weighted_spread(first % (missed.shape[1] // turns) * dt_s, share),
+        begins_gap_m=None if gaps is None else weighted_spread(gaps[rows, first], share),
         start=_mean_power(share, log_start),
         again=float(np.exp(float(share @ log_rest) / further)) if further > 0.0 else None,
         whole=_mean_power(share, log_rest),
     )
+
+
+def _missed_alive(failures: Failures) -> BoolArray:
+    """Misses before the violation, ``[M, T-1]``."""
+    rollouts = failures.rollouts
+    memory = rollouts.decision_states().memory
+    if VIOLATED not in memory:
+        return ~rollouts.detected
+    return ~rollouts.detected & ~np.asarray(memory[VIOLATED], dtype=np.bool_)
 
 
 def _runs(missed: BoolArray, useful: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -120,6 +133,18 @@ def _runs(missed: BoolArray, useful: BoolArray) -> tuple[IntArray, IntArray, Int
         return np.bincount(cell[chosen.ravel()], minlength=size).reshape(-1, most)
 
     return of_step, totals(missed), totals(useful)
+
+
+def slot_after_slot(values: AnyArray, *, turns: int) -> AnyArray:
+    """Values ``[M, K (T-1)]`` of K turns a step as ``[M, K T]``: slot after slot, 0 after each.
+
+    With one turn a step they are as they were.
+    """
+    if turns == 1:
+        return np.ascontiguousarray(values)
+    by_slot = np.ascontiguousarray(values).reshape(len(values), -1, turns).transpose(0, 2, 1)
+    between = np.zeros((*by_slot.shape[:2], 1), dtype=values.dtype)
+    return np.concatenate([by_slot, between], axis=2).reshape(len(values), -1)
 
 
 def _mean_power(share: FloatArray, log_values: FloatArray) -> float:

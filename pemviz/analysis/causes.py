@@ -11,7 +11,7 @@ from pemviz.config.ranges import AtLeastZero, Count, Share, StepIndex
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.simulators.latched import VIOLATED
-from pemviz.types import RolloutBatch, ScoredRollouts
+from pemviz.types import CERTAIN, RolloutBatch, ScoredRollouts
 
 CHAINS = 10
 
@@ -60,11 +60,12 @@ class Chain:
     """Violating rollouts that miss at the same deciding steps.
 
     Attributes:
-        missed_steps: Which steps.
+        missed_steps: Which steps; with slots, that of each error.
         share: Share of the failure probability.
         rollouts: How many rollouts show it.
         nll: Negative log likelihood of the deciding outcomes under the error model [nats].
         likeliest: Index in its batch of the rollout that contributes most to it.
+        slots: Names of the slots whose errors they are, as many; empty without several slots.
     """
 
     missed_steps: tuple[StepIndex, ...]
@@ -72,6 +73,7 @@ class Chain:
     rollouts: Count
     nll: float
     likeliest: Count | None = None
+    slots: tuple[str, ...] = ()
 
 
 def failures_of(
@@ -92,8 +94,9 @@ def failures_of(
     deciding = np.ones(rollouts.detected.shape, dtype=np.bool_)
     if features is not None:
         deciding &= features.reacts(states)
-    if VIOLATED in states.memory:
-        deciding &= ~np.asarray(states.memory[VIOLATED], dtype=np.bool_)
+    for over in (VIOLATED, CERTAIN):
+        if over in states.memory:
+            deciding &= ~np.asarray(states.memory[over], dtype=np.bool_)
     log_weight = rollouts.log_weight
     return Failures(rollouts, chosen, np.exp(log_weight - log_sum(log_weight)), deciding)
 

@@ -1,7 +1,7 @@
 """Why the violations of a run happen, and what a better detector would change."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pemviz.analysis.bursts import Bursts, bursts_of
 from pemviz.analysis.causes import (
@@ -13,15 +13,22 @@ from pemviz.analysis.causes import (
     miss_probability_by_step,
     misses_by_distance,
 )
-from pemviz.analysis.outcome_likelihood import RememberedOutcomes
+from pemviz.analysis.outcome_likelihood import (
+    IndependentOutcomes,
+    OutcomeLikelihood,
+    RememberedOutcomes,
+)
 from pemviz.analysis.sensitivity import (
     BandSensitivity,
     MemorySensitivity,
     band_sensitivities,
     memory_sensitivity,
 )
+from pemviz.analysis.slot_errors import SlotErrors, any_error_by_step, in_steps, slot_errors
+from pemviz.arrays import BoolArray
 from pemviz.config.ranges import Count, Share
 from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.sampling.folding import Folding
 from pemviz.sampling.memory import single_outcome_features
 from pemviz.types import StageResult
 
@@ -42,6 +49,8 @@ class Explanation:
         memory: Sensitivity to the memory time; ``None`` where misses are independent, and in
             results of versions that did not tell it.
         bursts: Bursts of misses; ``None`` where no miss matters, and in such results.
+        slots: Errors by slot, where there are several; what is told of misses above is told of
+            the errors of all slots.
     """
 
     repetition: Count
@@ -52,6 +61,7 @@ class Explanation:
     memory: MemorySensitivity | None = None
     bursts: Bursts | None = None
     stage: Count | None = None
+    slots: tuple[SlotErrors, ...] = ()
 
 
 def explain(
@@ -62,6 +72,7 @@ def explain(
     target: float | None,
     dt_s: float,
     tau_s: float = 0.0,
+    folding: Folding | None = None,
 ) -> Explanation | None:
     """Explain a final stage; ``None`` if nothing failed in it.
 
@@ -73,43 +84,77 @@ def explain(
         target: Failure probability that the detector is to be improved for.
         dt_s: Time between two frames [s].
         tau_s: Memory time of misses [s]; 0: they are independent given the state.
+        folding: To the scenario's own steps, where it has slots.
     """
     failures = failures_of(stage.scored, features=features)
     if failures is None or stage.log10_probability is None:
         return None
-    count = 0 if farthest_m is None else math.ceil(farthest_m / BAND_WIDTH_M)
-    edges = [BAND_WIDTH_M * band for band in range(count + 1)]
-    log_probability = stage.log10_probability * math.log(10.0)
-    remembered = None
-    if tau_s > 0.0:
-        remembered = RememberedOutcomes.of(failures.rollouts, tau_s=tau_s, dt_s=dt_s)
-    return Explanation(
+    edges = _edges(farthest_m)
+    log_mu = stage.log10_probability * math.log(10.0)
+    remembered = _remembered(failures, tau_s=tau_s, dt_s=dt_s)
+    explanation = Explanation(
         repetition=stage.repetition,
         stage=stage.stage,
         misses_by_distance=misses_by_distance(failures, edges=edges),
         miss_probability_by_step=tuple(miss_probability_by_step(failures).tolist()),
         chains=likeliest_chains(failures),
         sensitivity=band_sensitivities(
+            failures, log_probability=log_mu, edges=edges, target=target, likelihood=remembered
+        ),
+        memory=_memory(failures, remembered, log_mu, target),
+        bursts=bursts_of(
             failures,
-            log_probability=log_probability,
-            edges=edges,
-            target=target,
-            likelihood=remembered,
+            mattering=_mattering(failures, features),
+            dt_s=dt_s,
+            gap=None if farthest_m is None else "gap",
+            turns=1 if folding is None else folding.turns,
         ),
-        memory=None
-        if remembered is None
-        else memory_sensitivity(
-            failures, remembered, log_probability=log_probability, target=target
-        ),
-        bursts=_bursts(failures, features=features, farthest_m=farthest_m, dt_s=dt_s),
     )
+    if folding is None or folding.turns == 1:
+        return explanation
+    return _by_slot(explanation, failures, likelihood=remembered, folding=folding)
 
 
-def _bursts(
-    failures: Failures, *, features: StateFeatures, farthest_m: float | None, dt_s: float
-) -> Bursts | None:
-    """Bursts by where the scenario itself reacts, not by what is remembered as well."""
-    mattering = single_outcome_features(features).reacts(failures.rollouts.decision_states())
-    return bursts_of(
-        failures, mattering=mattering, dt_s=dt_s, gap=None if farthest_m is None else "gap"
+def _edges(farthest_m: float | None) -> list[float]:
+    count = 0 if farthest_m is None else math.ceil(farthest_m / BAND_WIDTH_M)
+    return [BAND_WIDTH_M * band for band in range(count + 1)]
+
+
+def _mattering(failures: Failures, features: StateFeatures) -> BoolArray:
+    """Where the scenario itself reacts, whatever is remembered as well, ``[M, T-1]``."""
+    return single_outcome_features(features).reacts(failures.rollouts.decision_states())
+
+
+def _memory(
+    failures: Failures,
+    likelihood: RememberedOutcomes | None,
+    log_probability: float,
+    target: float | None,
+) -> MemorySensitivity | None:
+    if likelihood is None:
+        return None
+    return memory_sensitivity(failures, likelihood, log_probability=log_probability, target=target)
+
+
+def _remembered(failures: Failures, *, tau_s: float, dt_s: float) -> RememberedOutcomes | None:
+    if tau_s == 0.0:
+        return None
+    return RememberedOutcomes.of(failures.rollouts, tau_s=tau_s, dt_s=dt_s)
+
+
+def _by_slot(
+    explanation: Explanation,
+    failures: Failures,
+    *,
+    likelihood: OutcomeLikelihood | None,
+    folding: Folding,
+) -> Explanation:
+    """The explanation in the scenario's own steps, with the slot of each error."""
+    likelihood = likelihood or IndependentOutcomes.of(failures.rollouts)
+    by_step = any_error_by_step(failures, folding=folding)
+    return replace(
+        explanation,
+        miss_probability_by_step=tuple(by_step.tolist()),
+        chains=tuple(in_steps(chain, folding=folding) for chain in explanation.chains),
+        slots=slot_errors(failures, folding=folding, likelihood=likelihood),
     )

@@ -131,7 +131,7 @@ def memory_sensitivity(
         target: Failure probability to get below, above 0; ``None``: no target.
     """
     tau_s = likelihood.tau_s
-    elasticity, error = _mean_sum(failures, likelihood.slope_of_tau(), failures.deciding)
+    elasticity, error = mean_sum(failures, likelihood.slope_of_tau(), failures.deciding)
     if target is None:
         return MemorySensitivity(tau_s, elasticity, None, None, std_error=error)
 
@@ -155,7 +155,7 @@ def _sensitivity(
 ) -> BandSensitivity:
     """Of misses ``inside``; ``aim`` is the log of the failure probability, and the target."""
     log_probability, target = aim
-    elasticity, error = _mean_sum(failures, likelihood.slope(), inside)
+    elasticity, error = mean_sum(failures, likelihood.slope(), inside)
     if target is None:
         return BandSensitivity(*band, elasticity, None, None, std_error=error)
 
@@ -169,7 +169,7 @@ def _sensitivity(
     return BandSensitivity(*band, elasticity, factor, ess, warning, error)
 
 
-def _mean_sum(
+def mean_sum(
     failures: Failures, slope: FloatArray, inside: BoolArray
 ) -> tuple[float | None, float | None]:
     """Mean over the failures of the sum of ``slope [M, T-1]`` over the steps ``inside``.

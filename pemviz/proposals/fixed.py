@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray, Move, namespace
-from pemviz.types import StateBatch
+from pemviz.types import CERTAIN, StateBatch
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,17 @@ class PemProposal:
 
 @dataclass(frozen=True)
 class ConstantProposal:
-    """Detects with the same probability everywhere."""
+    """Detects with the same probability everywhere but where the outcome is certain."""
 
     detection_probability: float
 
-    def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:  # noqa: ARG002
+    def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """The constant's logit, ``[...]``."""
-        probability = self.detection_probability
-        logit = float(np.log(probability) - np.log1p(-probability))
-        return namespace(pem_logit).full_like(pem_logit, logit)
+        probability, xp = self.detection_probability, namespace(pem_logit)
+        logit = xp.full_like(pem_logit, float(np.log(probability) - np.log1p(-probability)))
+        if CERTAIN in states.memory:
+            return xp.where(states.memory[CERTAIN], pem_logit, logit)
+        return logit
 
     def moved(self, move: Move) -> Self:  # noqa: ARG002
         """Itself: it holds no arrays."""

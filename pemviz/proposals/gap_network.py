@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray, Move, namespace
 from pemviz.chunks import map_rows
-from pemviz.types import StateBatch
+from pemviz.types import CERTAIN, StateBatch
 
 GAP_SCALE_M = 12.0
 HIDDEN_UNITS = 32
@@ -36,9 +36,12 @@ class GapNetwork:
         rows = gap_m.reshape(-1)[:, None] / self.gap_scale_m
         return map_rows(self._forward, rows).reshape(gap_m.shape)
 
-    def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Logit of 'detected' ``[...]``, from the gap alone."""
-        return self.logit_at(states.signals["gap"])
+    def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+        """Logit of 'detected' ``[...]``, from the gap alone; the model's where that is certain."""
+        logit = self.logit_at(states.signals["gap"])
+        if CERTAIN in states.memory:
+            return namespace(logit).where(states.memory[CERTAIN], pem_logit, logit)
+        return logit
 
     def arrays(self) -> Mapping[str, AnyArray]:
         """The six parameters, named as torch names those of a sequential network."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, Move, moved, namespace
 from pemviz.proposals.defensive_share import defended
-from pemviz.types import Signal, StateBatch
+from pemviz.types import CERTAIN, Signal, StateBatch
 
 STANDARD_RANGE = 3.0
 LARGEST_SHIFT = 12.0
@@ -160,6 +160,7 @@ def acting(
 ) -> BoolArray:
     """Where a proposal may leave the error model: ``shape``."""
     acts = features.reacts(states)
-    if violated in states.memory:
-        acts = acts & ~states.memory[violated]
+    for over in (violated, CERTAIN):
+        if over in states.memory:
+            acts = acts & ~states.memory[over]
     return namespace(acts).broadcast_to(acts, shape)

@@ -1,18 +1,22 @@
 """The simulator of an experiment with what is known about it."""
 
+from dataclasses import replace
+
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.proposals.offset_logistic import SignalFeatures
+from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
 from pemviz.sampling.back_end import GAP, BackEnd
 from pemviz.sampling.description import Need
 from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.devices import is_gpu
 from pemviz.sampling.rollouts.final_batch import largest_part
+from pemviz.sampling.slots import SlotFeatures, StepFeatures, turns_of
 from pemviz.simulators.braking.features import BrakingFeatures
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.registry import SHIPPED, build_named_simulator
+from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.types import Simulator
 
 SLOW_BATCH_ROLLOUTS = 50
@@ -45,8 +49,14 @@ def batch_rollouts(config: ExperimentConfig) -> int:
     return largest if is_gpu(config.device) else min(BATCH_ROLLOUTS, largest)
 
 
-def own_back_end(simulator: Simulator, *, twin: Simulator | None = None) -> BackEnd:
+def own_back_end(
+    simulator: Simulator | SlotSimulator,
+    *,
+    twin: Simulator | SlotSimulator | None = None,
+) -> BackEnd:
     """A simulator of the user's own, tried out, with a twin of its own if it has one.
+
+    One with slots is unrolled.
 
     Raises:
         ConfigError: One of them does not keep to the protocol, or they differ in their states.
@@ -54,16 +64,50 @@ def own_back_end(simulator: Simulator, *, twin: Simulator | None = None) -> Back
     check_simulator(simulator)
     if twin is not None:
         check_simulator(twin)
-        if (twin.states, twin.signals) != (simulator.states, simulator.signals):
+        if _of_states(twin) != _of_states(simulator):
             message = f"twin of simulator {simulator.name!r}: must have the same states and signals"
             raise ConfigError(message)
+    own = _single_outcome(simulator)
     return BackEnd(
-        simulator=simulator,
-        features=SignalFeatures(simulator.signals),
-        twin=twin,
-        batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=simulator.states)),
+        simulator=own,
+        features=SlotFeatures(own)
+        if isinstance(own, UnrolledSimulator)
+        else SignalFeatures(own.signals),
+        twin=None if twin is None else _single_outcome(twin),
+        batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=own.states)),
         is_own=True,
     )
+
+
+def with_choices(
+    back_end: BackEnd, *, features: StateFeatures | None, batch_rollouts: int | None
+) -> BackEnd:
+    """The back end with what the user chose of it; ``None``: as it is.
+
+    Raises:
+        ConfigError: A batch is empty, or the features lack a method.
+    """
+    if batch_rollouts is not None:
+        if batch_rollouts < 1:
+            message = f"batch_rollouts = {batch_rollouts}: must be at least 1"
+            raise ConfigError(message)
+        back_end = replace(back_end, batch_rollouts=batch_rollouts)
+    if features is None:
+        return back_end
+    lacks = [method for method in ("values", "reacts") if not hasattr(features, method)]
+    if lacks:
+        message = f"features = {type(features).__name__}: has no method {' and no '.join(lacks)}"
+        raise ConfigError(message)
+    turns = turns_of(back_end.simulator)
+    return replace(back_end, features=StepFeatures(features, turns) if turns > 1 else features)
+
+
+def _of_states(simulator: Simulator | SlotSimulator) -> tuple[object, ...]:
+    return simulator.states, simulator.signals, getattr(simulator, "slots", ())
+
+
+def _single_outcome(simulator: Simulator | SlotSimulator) -> Simulator:
+    return UnrolledSimulator(simulator) if isinstance(simulator, SlotSimulator) else simulator
 
 
 def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
@@ -78,10 +122,15 @@ def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
         lacking["twin"] = f"needs a fast twin, and simulator {name!r} has none"
     if back_end.farthest_m is None:
         lacking["gap"] = f"needs the gap, and simulator {name!r} has no signal {GAP!r}"
+    elif turns_of(back_end.simulator) > 1:
+        lacking["gap"] = f"looks at one gap alone, and simulator {name!r} has several slots"
     for need, complaint in lacking.items():
         if need in by_name(config.method).needs:
             message = f"method = {config.method!r}: {complaint}; {FIT_ANYWHERE}"
             raise ConfigError(message)
+    if config.memory_curve and turns_of(back_end.simulator) > 1:
+        message = f"memory_curve = true: not with slots, and simulator {name!r} has them"
+        raise ConfigError(message)
     if config.reference and "twin" in lacking:
         message = (
             f"reference = true: the reference {lacking['twin']}; "

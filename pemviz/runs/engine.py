@@ -35,6 +35,7 @@ from pemviz.runs.interpretation import (
 from pemviz.runs.memory import memory_of
 from pemviz.runs.result import PemInfo, RunResult, with_stage
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
+from pemviz.simulators.slots import Slot
 from pemviz.types import StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
@@ -130,8 +131,8 @@ class _Runner:
             self._observers,
             RunStarted(
                 config=experiment.config,
-                signals=experiment.problem.simulator.signals,
-                simulator=experiment.problem.simulator,
+                signals=experiment.declared.signals,
+                simulator=experiment.declared,
                 pem=experiment.pem,
                 stages=experiment.method.stages,
                 planned_rollouts=experiment.planned_rollouts,
@@ -210,8 +211,10 @@ class _Runner:
             raise _StopRequested
 
     def _tell_stage(self, stage: StageResult) -> None:
-        frozen = replace(stage, scored=stage.scored.map(read_only))
-        result = self._keep(with_stage(self._interpreted.result, frozen))
+        result = self._keep(with_stage(self._interpreted.result, stage))
+        folding = self._experiment.folding
+        scored = stage.scored if folding is None else folding.scored(stage.scored)
+        frozen = replace(stage, scored=scored.map(read_only))
         notify_all(self._observers, StageDone(stage=frozen, result=result))
 
     def _keep(self, result: RunResult) -> RunResult:
@@ -242,9 +245,18 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
 
 def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     first, *others = OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS
+    if experiment.folding is not None:
+        first = slots_assumption(experiment.folding.simulator.slots)
     tau_s = experiment.config.memory_s
     bursts = f"given the state, misses hang together with a memory time of {tau_s:g} s and no more"
     return (first, bursts if tau_s else INDEPENDENT, *others)
+
+
+def slots_assumption(slots: Sequence[Slot]) -> str:
+    """What is assumed of perception where slots are declared."""
+    names = ", ".join(slot.name for slot in slots)
+    alone = "" if len(slots) == 1 else "; errors of slots are independent given the state"
+    return f"perception reports something or nothing, at every step, for {names}{alone}"
 
 
 def versions() -> dict[str, str]:

@@ -7,6 +7,7 @@ from typing import Protocol
 from pemviz.config import ExperimentConfig
 from pemviz.pem import Pem
 from pemviz.runs.result import RunResult
+from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Estimate, Signal, Simulator, StageResult
 
 
@@ -27,7 +28,7 @@ class RunStarted:
 
     config: ExperimentConfig
     signals: tuple[Signal, ...]
-    simulator: Simulator
+    simulator: Simulator | SlotSimulator
     pem: Pem
     stages: int
     planned_rollouts: int
@@ -58,7 +59,7 @@ class StageDone:
     """A stage is done; its arrays are read-only.
 
     Attributes:
-        stage: The stage with all its rollouts.
+        stage: The stage with all its rollouts, in the scenario's own steps.
         result: The run's result so far.
     """
 

@@ -14,10 +14,16 @@ from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.runs.back_ends import build_back_end, check_method_fits, own_back_end
+from pemviz.runs.back_ends import (
+    build_back_end,
+    check_method_fits,
+    own_back_end,
+    with_choices,
+)
 from pemviz.runs.error_model_check import check_error_model
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.folding import Folding, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.memory import remembering_as, with_memory
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
@@ -29,9 +35,11 @@ from pemviz.sampling.rollouts.devices import (
     has_tensors,
 )
 from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.slots import turns_of, with_slots
 from pemviz.sampling.value_twisted.method import require_unsafe
 from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
 from pemviz.simulators.registry import build_named_simulator
+from pemviz.simulators.slots import SlotSimulator
 from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
 
@@ -74,6 +82,17 @@ class Experiment:
         return self.back_end.twin
 
     @property
+    def folding(self) -> Folding | None:
+        """How rollouts become those of the scenario's own steps; ``None`` without slots."""
+        return folding_of(self.problem.simulator)
+
+    @property
+    def declared(self) -> Simulator | SlotSimulator:
+        """The simulator as observers and files know it: with its own steps and slots."""
+        folding = self.folding
+        return self.problem.simulator if folding is None else folding.simulator.scenario
+
+    @property
     def features(self) -> StateFeatures:
         """What the scenario's states offer to look at."""
         return self.back_end.features
@@ -97,9 +116,11 @@ class Experiment:
 def build_experiment(
     config: ExperimentConfig,
     *,
-    simulator: Simulator | None = None,
-    pem: DetectorModel | None = None,
-    twin: Simulator | None = None,
+    simulator: Simulator | SlotSimulator | None = None,
+    pem: DetectorModel | Mapping[str, DetectorModel] | None = None,
+    twin: Simulator | SlotSimulator | None = None,
+    features: StateFeatures | None = None,
+    batch_rollouts: int | None = None,
     allow_python: bool = False,
 ) -> Experiment:
     """Validate ``config`` and build everything it names; nothing is estimated yet.
@@ -109,9 +130,13 @@ def build_experiment(
         simulator: A system of your own instead of the one that ``config`` names. It is tried
             out on whole rollouts, so that what is wrong with it is told here.
         pem: A detector model of your own, anything with ``logit(salient)``, instead of the
-            one that ``config`` names.
+            one that ``config`` names; for a simulator with slots also one for each by name.
         twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
             thousands of states costs it little) for method value-twisted and the reference.
+        features: What proposals look at instead of what the simulator offers: for one of your own
+            that is all signals and the step, in a slot's turn what is about that slot.
+        batch_rollouts: How many rollouts are simulated at a time; the result does not depend on
+            it, but speed and memory do.
         allow_python: Whether the error model may be ``module:attribute``, whose code then runs.
             Never taken from a configuration: a file must not decide that code runs.
 
@@ -120,10 +145,13 @@ def build_experiment(
             parse or fit the scenario, the perception error model cannot be loaded, or your own
             simulator or detector does not keep to its protocol.
     """
-    config, model, back_end = _named_parts(config, simulator, pem, twin, allow_python=allow_python)
+    own = None if simulator is None else own_back_end(simulator, twin=twin)
+    config, named, back_end = _named_parts(config, own, pem, allow_python=allow_python)
+    back_end = with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
     check_method_fits(config, back_end)
-    warnings = check_error_model(model, back_end.simulator)
     ensemble = ensemble_of(config.pem) if pem is None else None
+    model, ensemble = with_slots(back_end.simulator, named, ensemble)
+    warnings = check_error_model(model, back_end.simulator)
     others = () if back_end.is_own else families_beside(model)
     memory = Memory(tau_s=config.memory_s)
     back_end, model, ensemble = with_memory(back_end, model, ensemble, memory=memory)
@@ -149,38 +177,56 @@ def build_experiment(
 
 def _named_parts(
     config: ExperimentConfig,
-    simulator: Simulator | None,
-    pem: DetectorModel | None,
-    twin: Simulator | None,
+    own: BackEnd | None,
+    pem: DetectorModel | Mapping[str, DetectorModel] | None,
     *,
     allow_python: bool,
-) -> tuple[ExperimentConfig, Pem, BackEnd]:
+) -> tuple[ExperimentConfig, Pem | Mapping[str, Pem], BackEnd]:
     """The user's own parts, or those that ``config`` names; it then names what is used."""
-    own_pem = None if pem is None else as_pem(pem)
-    own = None if simulator is None else own_back_end(simulator, twin=twin)
+    own_pem = None if pem is None else _own_pem(pem)
     if own is not None:
         if own.simulator.name in SHIPPED_SIMULATORS:
             message = f"simulator {own.simulator.name!r}: a shipped one has this name already"
             raise ConfigError(message)
         config = replace(config, simulator=own.simulator.name)
     if own_pem is not None:
-        config = replace(config, pem=own_pem.name)
+        config = replace(config, pem=_name_of(own_pem))
     config.validate()
     check_device(config.device)
     model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
     return config, model, own or build_back_end(config)
 
 
+def _own_pem(pem: DetectorModel | Mapping[str, DetectorModel]) -> Pem | Mapping[str, Pem]:
+    """Whatever stands for several slots, stays one."""
+    if not isinstance(pem, Mapping):
+        return as_pem(pem)
+    wrapped = {id(model): as_pem(model) for model in pem.values()}
+    return {slot: wrapped[id(model)] for slot, model in pem.items()}
+
+
+def _name_of(pem: Pem | Mapping[str, Pem]) -> str:
+    if not isinstance(pem, Mapping):
+        return pem.name
+    return "+".join(dict.fromkeys(model.name for model in pem.values()))
+
+
 def _problem(
     config: ExperimentConfig, formula: stl.Formula, pem: Pem, back_end: BackEnd
 ) -> Problem:
     metric = build_metric(config, back_end.simulator)
+    folding = folding_of(back_end.simulator)
+    turns = 1 if folding is None else folding.turns
+    monitor = FormulaMonitor(formula)
+
+    def in_steps(signals: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+        return signals if folding is None else folding.signals(signals)
 
     def robustness(signals: Mapping[str, FloatArray]) -> FloatArray:
-        return stl.robustness(formula, signals, metric)
+        return stl.robustness(formula, in_steps(signals), metric)
 
     def violated(signals: Mapping[str, FloatArray]) -> BoolArray:
-        return stl.violated(formula, signals)
+        return stl.violated(formula, in_steps(signals))
 
     return Problem(
         simulator=back_end.simulator,
@@ -190,8 +236,9 @@ def _problem(
         batch_rollouts=back_end.batch_rollouts,
         run_batches=batch_runner(config.device),
         batch_time_limit_s=config.batch_time_limit_s,
-        unsafe=unsafe_states(formula),
-        monitor=FormulaMonitor(formula),
+        unsafe=unsafe_states(formula, turns=turns),
+        monitor=monitor if folding is None else StepMonitor(monitor, turns),
+        turns=turns,
     )
 
 
@@ -230,15 +277,15 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
             rollout is long.
     """
     try:
-        formula = stl.parse(config.spec, signals=[signal.name for signal in simulator.signals])
+        formula = stl.parse(config.spec, signals=[s.name for s in declared_signals(simulator)])
     except stl.FormulaError as error:
         message = f"spec = {config.spec!r}: {error}"
         raise ConfigError(message) from error
-    last = simulator.states - 1
+    last = (simulator.states - 1) // turns_of(simulator)
     if formula.horizon_steps() > last:
         message = (
             f"spec = {config.spec!r}: looks {formula.horizon_steps()} steps ahead, but a rollout "
-            f"of {simulator.name!r} has {simulator.states} states, steps 0 to {last}"
+            f"of {simulator.name!r} has {last + 1} states, steps 0 to {last}"
         )
         raise ConfigError(message)
     return formula
@@ -252,7 +299,7 @@ def build_metric(config: ExperimentConfig, simulator: Simulator) -> stl.Metric:
     """
     if config.metric == "agm":
         check_bounds_hold(simulator)
-        return stl.Agm(bounds={s.name: (s.low, s.high) for s in simulator.signals})
+        return stl.Agm(bounds={s.name: (s.low, s.high) for s in declared_signals(simulator)})
     if config.metric == "smooth-cumulative":
         return stl.SmoothCumulative(beta=config.smooth_beta_per_m)
     return stl.Classical()
@@ -260,6 +307,8 @@ def build_metric(config: ExperimentConfig, simulator: Simulator) -> stl.Metric:
 
 def check_bounds_hold(simulator: Simulator) -> None:
     """Check the signals' bounds on the two extreme rollouts, all missed and all detected.
+
+    With slots: all outcomes errors, and all nominal.
 
     Raises:
         ConfigError: One of them leaves the bounds.

@@ -112,6 +112,7 @@ def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageRes
         target=experiment.config.target,
         dt_s=experiment.back_end.simulator.dt_s,
         tau_s=memory_of_pem(experiment.pem).tau_s,
+        folding=experiment.folding,
     )
     if explanation is None:
         return interpreted

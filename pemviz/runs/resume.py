@@ -62,8 +62,10 @@ def carry_out(
     """
     with run_lock(folder):
         check_resumable(experiment, folder)
-        archive = Archive(folder, experiment.problem.simulator.signals)
-        problem = replace(experiment.problem, finished=archive)
+        archive = Archive(folder, experiment.declared.signals)
+        folding = experiment.folding
+        finished = archive if folding is None else folding.finished(archive)
+        problem = replace(experiment.problem, finished=finished)
         return run(
             replace(experiment, problem=problem),
             run_id=folder.name,

@@ -88,13 +88,13 @@ def _without_prefix(arrays: Mapping[str, AnyArray], prefix: str) -> dict[str, An
 
 def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
     rollouts = scored.rollouts
-    if rollouts.detected.ndim != 2:
+    if rollouts.detected.ndim not in (2, 3):
         message = f"stage {path}: detected has shape {rollouts.detected.shape}"
         raise InputError(message)
-    count, steps = rollouts.detected.shape
+    count, steps = rollouts.detected.shape[:2]
     expected = {
         (count, steps + 1): (*rollouts.signals.values(), *rollouts.memory.values()),
-        (count, steps): (rollouts.pem_logit, rollouts.proposal_logit),
+        rollouts.detected.shape: (rollouts.pem_logit, rollouts.proposal_logit),
         (count,): (scored.robustness, scored.violated),
     }
     for shape, arrays in expected.items():

@@ -67,6 +67,7 @@ class Problem:
         unsafe: States ``[N]`` to whether being in one of them is what violates the
             specification, ``[N]``; ``None`` where the verdict takes more than single states.
         monitor: Tells violations from the states so far where ``unsafe`` does not.
+        turns: Outcomes of a step of the scenario; each counts as a step here.
     """
 
     simulator: Simulator
@@ -81,6 +82,7 @@ class Problem:
     finished: Callable[[int, int], FinishedStage | None] = nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None
     monitor: Monitor | None = None
+    turns: int = 1
 
 
 def sample(
@@ -133,7 +135,12 @@ def _next_batch(
     problem: Problem, simulated: Iterator[RolloutBatch], *, first_rollout: int
 ) -> RolloutBatch:
     rollouts = in_time(problem, lambda: next(simulated))
-    check_numbers(rollouts, first_rollout=first_rollout, simulator=problem.simulator.name)
+    check_numbers(
+        rollouts,
+        first_rollout=first_rollout,
+        simulator=problem.simulator.name,
+        turns=problem.turns,
+    )
     return rollouts
 
 

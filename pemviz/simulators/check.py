@@ -7,7 +7,15 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
+from pemviz.simulators.check_slots import (
+    check_asked,
+    check_ever_present,
+    check_kept,
+    check_slots,
+    outcomes_by_slot,
+)
 from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Signal, Simulator, StateBatch
 
 Value = TypeVar("Value")
@@ -21,12 +29,13 @@ COUNT = 4
 COMPLETE = "; all that decides how a rollout goes on must be in signals and memory"
 
 
-def check_simulator(simulator: Simulator) -> None:
+def check_simulator(simulator: Simulator | SlotSimulator) -> None:
     """Try the simulator on whole rollouts: missed, detected, and mixed outcomes twice.
 
     They are carried to the end three times: together; together in reverse order; and one of
     them alone, from the start and from a state that was kept in the middle. All must agree,
     since methods continue from kept states, and results must not depend on batches.
+    Where slots are declared, "missed" is an error in every slot, and now and then in one alone.
 
     Raises:
         ConfigError: One line: what is missing, of the wrong shape, not pure, or random.
@@ -34,23 +43,32 @@ def check_simulator(simulator: Simulator) -> None:
     if isinstance(simulator, type):
         name = simulator.__name__
         _refuse(f"simulator: {name} is a class: give an instance of it, such as {name}()")
-    absent = [member for member in MEMBERS if not hasattr(simulator, member)]
+    members = (*MEMBERS, "present") if hasattr(simulator, "slots") else MEMBERS
+    absent = [member for member in members if not hasattr(simulator, member)]
     if absent:
         kind = type(simulator).__name__
         _refuse(f"simulator: {kind} is no pemviz.Simulator, it lacks {', '.join(absent)}")
     where = f"simulator {simulator.name!r}"
     _check_facts(simulator, where)
+    if isinstance(simulator, SlotSimulator):
+        check_slots(simulator, where)
     start = _call(where, "initial", lambda: simulator.initial(count=COUNT))
     _check_states(start, simulator, f"{where}: initial(count={COUNT})", step=0)
     _check_start(simulator, start, where)
+    if isinstance(simulator, SlotSimulator):
+        check_kept(start, where)
+        check_asked(simulator, start, where)
     course = _course(simulator, start, where)
-    _check_salient(simulator, course[1].signals, where)
+    if isinstance(simulator, SlotSimulator):
+        check_ever_present(simulator, course, where)
+    else:
+        _check_salient(simulator, course[1].signals, where)
     _check_alike(simulator, course, where)
     _check_order(simulator, course, where)
     _check_continued(simulator, course, where)
 
 
-def _outcomes(simulator: Simulator) -> BoolArray:
+def _outcomes(simulator: Simulator | SlotSimulator) -> BoolArray:
     """``[COUNT, T-1]``: what the rollouts are tried with."""
     steps = simulator.states - 1
     outcomes = np.zeros((COUNT, steps), dtype=np.bool_)
@@ -60,7 +78,7 @@ def _outcomes(simulator: Simulator) -> BoolArray:
     return outcomes
 
 
-def _check_start(simulator: Simulator, start: StateBatch, where: str) -> None:
+def _check_start(simulator: Simulator | SlotSimulator, start: StateBatch, where: str) -> None:
     for row in range(1, COUNT):
         other = _difference(simulator, _row(start, 0), _row(start, row))
         if other is not None:
@@ -74,7 +92,9 @@ def _check_start(simulator: Simulator, start: StateBatch, where: str) -> None:
         _refuse(f"{where}: initial gives another state when it is called again ({other})")
 
 
-def _course(simulator: Simulator, start: StateBatch, where: str) -> list[StateBatch]:
+def _course(
+    simulator: Simulator | SlotSimulator, start: StateBatch, where: str
+) -> list[StateBatch]:
     """The states ``[COUNT]`` at every step; ``step`` leaves those that it is given alone."""
     outcomes = _outcomes(simulator)
     course = [start]
@@ -87,7 +107,9 @@ def _course(simulator: Simulator, start: StateBatch, where: str) -> list[StateBa
     return course
 
 
-def _check_alike(simulator: Simulator, course: Sequence[StateBatch], where: str) -> None:
+def _check_alike(
+    simulator: Simulator | SlotSimulator, course: Sequence[StateBatch], where: str
+) -> None:
     """Equal outcomes from equal states must lead to equal states."""
     for step, states in enumerate(course):
         other = _difference(simulator, _row(states, MIXED), _row(states, MIXED_AGAIN))
@@ -98,7 +120,9 @@ def _check_alike(simulator: Simulator, course: Sequence[StateBatch], where: str)
             )
 
 
-def _check_order(simulator: Simulator, course: Sequence[StateBatch], where: str) -> None:
+def _check_order(
+    simulator: Simulator | SlotSimulator, course: Sequence[StateBatch], where: str
+) -> None:
     """A second time and in reverse order, every rollout must be what it was."""
     outcomes = _outcomes(simulator)[::-1]
     states = _call(where, "initial", lambda: simulator.initial(count=COUNT))
@@ -116,7 +140,9 @@ def _check_order(simulator: Simulator, course: Sequence[StateBatch], where: str)
                 )
 
 
-def _check_continued(simulator: Simulator, course: Sequence[StateBatch], where: str) -> None:
+def _check_continued(
+    simulator: Simulator | SlotSimulator, course: Sequence[StateBatch], where: str
+) -> None:
     """One rollout alone, from the start and from a state kept in the middle."""
     outcomes = _outcomes(simulator)[MIXED]
     steps = simulator.states - 1
@@ -140,12 +166,17 @@ def _check_continued(simulator: Simulator, course: Sequence[StateBatch], where: 
 
 
 def _stepped(
-    simulator: Simulator, states: StateBatch, detected: BoolArray, where: str
+    simulator: Simulator | SlotSimulator, states: StateBatch, detected: BoolArray, where: str
 ) -> StateBatch:
+    if isinstance(simulator, SlotSimulator):
+        by_slot = _call(where, "present", lambda: outcomes_by_slot(simulator, states, detected))
+        return _call(where, "step", lambda: simulator.step(states, by_slot))
     return _call(where, "step", lambda: simulator.step(states, detected.copy()))
 
 
-def _difference(simulator: Simulator, one: StateBatch, other: StateBatch) -> str | None:
+def _difference(
+    simulator: Simulator | SlotSimulator, one: StateBatch, other: StateBatch
+) -> str | None:
     """The first thing in which states differ, in words; ``None`` if they agree.
 
     Signals and numbers in memory may differ by rounding. Objects, such as copies of an
@@ -171,7 +202,7 @@ def _difference(simulator: Simulator, one: StateBatch, other: StateBatch) -> str
     return None
 
 
-def _check_facts(simulator: Simulator, where: str) -> None:
+def _check_facts(simulator: Simulator | SlotSimulator, where: str) -> None:
     if not simulator.name.strip():
         _refuse("simulator: name is empty")
     if simulator.states < 2:  # one decision and what it leads to
@@ -196,7 +227,9 @@ def _check_names(signals: tuple[Signal, ...], where: str) -> None:
             _refuse(f"{where}: signal {signal.name!r}: low must be below high")
 
 
-def _check_states(states: StateBatch, simulator: Simulator, where: str, *, step: int) -> None:
+def _check_states(
+    states: StateBatch, simulator: Simulator | SlotSimulator, where: str, *, step: int
+) -> None:
     if np.ndim(states.step) != 0 or int(states.step) != step:
         _refuse(f"{where}: step is {states.step!r}: must be one number for the batch, here {step}")
     declared = {signal.name for signal in simulator.signals}

@@ -9,10 +9,13 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
 from pemviz.errors import ConfigError
 from pemviz.simulators.latched import WrappedSimulator
-from pemviz.types import Signal, Simulator, StateBatch
+from pemviz.simulators.slots import UnrolledSimulator
+from pemviz.types import CERTAIN, Signal, Simulator, StateBatch
 
 LAST_OUTCOME = Signal(name="last_outcome", key="last_outcome", unit="", low=-1.0, high=1.0)
 """Missed (-1), detected (1), or none yet (0)."""
+LAST = "last_outcome_"
+"""Memory, with a slot's number: its last outcome."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,34 @@ class RememberingSimulator(WrappedSimulator):
         return None if scenario is None else RememberingSimulator(scenario)
 
 
+@dataclass(frozen=True)
+class RememberingSlots(RememberingSimulator):
+    """The same for a scenario with slots: the signal shows the last outcome of the slot in turn.
+
+    A slot that was absent has none: what comes into view again begins anew.
+    """
+
+    scenario: UnrolledSimulator
+
+    def initial(self, *, count: int) -> StateBatch:
+        """The unrolled initial states, before any outcome."""
+        start = self.scenario.initial(count=count)
+        none = {f"{LAST}{slot}": np.zeros(count) for slot in range(self.scenario.turns)}
+        return _after(replace(start, memory={**start.memory, **none}), np.zeros(count))
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The unrolled next states after outcomes ``[N]``."""
+        turn = int(states.step) % self.scenario.turns
+        kept = {n: v for n, v in states.memory.items() if n.startswith(LAST)}
+        own = {n: v for n, v in states.memory.items() if n not in kept}
+        after = self.scenario.step(replace(states, memory=own), detected)
+        outcome = np.where(detected, 1.0, -1.0)
+        kept[f"{LAST}{turn}"] = np.where(states.memory[CERTAIN], 0.0, outcome)
+        following = kept[f"{LAST}{(turn + 1) % self.scenario.turns}"]
+        shown = np.where(after.memory[CERTAIN], 0.0, following)
+        return _after(replace(after, memory={**after.memory, **kept}), shown)
+
+
 def remembering(simulator: Simulator) -> RememberingSimulator:
     """A back end that carries the last outcome.
 
@@ -62,6 +93,8 @@ def remembering(simulator: Simulator) -> RememberingSimulator:
             "where memory_s is above 0; choose another name"
         )
         raise ConfigError(message)
+    if isinstance(simulator, UnrolledSimulator):
+        return RememberingSlots(simulator)
     return RememberingSimulator(simulator)
 
 

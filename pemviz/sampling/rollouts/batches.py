@@ -74,13 +74,16 @@ def run_here(simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]) -> Iter
         )
 
 
-def check_numbers(rollouts: RolloutBatch, *, first_rollout: int, simulator: str) -> None:
+def check_numbers(
+    rollouts: RolloutBatch, *, first_rollout: int, simulator: str, turns: int = 1
+) -> None:
     """Refuse rollouts in which something is no finite number.
 
     Args:
         rollouts: A batch of a stage's rollouts.
         first_rollout: Index in the stage of the batch's first.
         simulator: Its name, for the message.
+        turns: Outcomes of a step.
 
     Raises:
         SimulationError: Names what, in which rollout and at which step, earliest step first.
@@ -101,4 +104,4 @@ def check_numbers(rollouts: RolloutBatch, *, first_rollout: int, simulator: str)
         if worst is None or step < worst[0]:
             worst = (step, rollout, complaint)
     if worst is not None:
-        raise SimulationError(f"{worst[2]}, step {worst[0]}: must be a finite number")
+        raise SimulationError(f"{worst[2]}, step {worst[0] // turns}: must be a finite number")

@@ -16,7 +16,7 @@ from pemviz.errors import ConfigError
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import check_numbers
 from pemviz.sampling.splitting.importance import importance, importance_at_end
-from pemviz.types import RolloutBatch, Simulator, StateBatch
+from pemviz.types import CERTAIN, RolloutBatch, Simulator, StateBatch
 
 MOST_LOOKS = 64
 """States of one rollout at which the importance function is computed at most, so that what a
@@ -167,7 +167,8 @@ def _continued(
     """Overwrite ``paths [N]`` after the states ``cut [N]``; see :class:`Continuation`."""
     to_look = _moved_on(problem, paths, cut, uniforms)
     rollouts = replace(paths.rollouts, proposal_logit=paths.rollouts.pem_logit)
-    check_numbers(rollouts, first_rollout=0, simulator=problem.simulator.name)
+    name = problem.simulator.name
+    check_numbers(rollouts, first_rollout=0, simulator=name, turns=problem.turns)
     step, row = np.nonzero(to_look.T)
     fresh = np.full_like(paths.score, np.inf)
     fresh[row, step] = importance(problem, rollouts, row=row, step=step)
@@ -204,19 +205,21 @@ def _moved_on(problem: Problem, paths: Particles, cut: IntArray, uniforms: Float
         unlikely = np.flatnonzero(detected != (logit >= 0.0))
         if unlikely.size:
             pending[unlikely] |= _mattered(simulator, before, after, detected, unlikely)
-        _mark(to_look, paths.looks, pending, step + 1, active)
+        # where the outcome is certain, the state's logit says nothing about the way to a violation
+        ready = pending[:active] & ~after.memory.get(CERTAIN, np.False_)
+        pending[:active] &= ~_marked(to_look, paths.looks, ready, step + 1)
     return to_look
 
 
-def _mark(to_look: BoolArray, looks: AnyArray, pending: BoolArray, step: int, active: int) -> None:
-    """Decide which of the first ``active`` particles are looked from at ``step``."""
-    last = looks.shape[1] - 1
+def _marked(to_look: BoolArray, looks: AnyArray, ready: BoolArray, step: int) -> BoolArray:
+    """Decide and tell which of the first particles, ``ready [M]``, are looked from at ``step``."""
+    last, active = looks.shape[1] - 1, ready.size
     allowed = MOST_LOOKS * (last + step) // (2 * last) if step < last else 0
     before = looks[:active, step - 1]
-    chosen = pending[:active] & (before < allowed)
+    chosen = ready & (before < allowed)
     to_look[:active, step] = chosen
     looks[:active, step] = before + chosen
-    pending[:active] &= ~chosen
+    return chosen
 
 
 def _states_at(rollouts: RolloutBatch, step: int, active: int) -> StateBatch:

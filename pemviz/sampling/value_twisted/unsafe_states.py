@@ -28,18 +28,20 @@ class UnsafeStates:
 
     Attributes:
         rules: All must hold.
+        turns: Outcomes of a step; states between them count as steps of their own.
     """
 
     rules: tuple[StateRule, ...]
+    turns: int = 1
 
     @property
     def last(self) -> int:
-        """The last step at which a state can be unsafe."""
-        return max(rule.last for rule in self.rules)
+        """The last step at which a state can become unsafe."""
+        return self.turns * max(rule.last for rule in self.rules)
 
     def __call__(self, states: StateBatch) -> BoolArray:
         """Whether states ``[N]``, all of one step, break a rule ``[N]``."""
-        step = int(states.step)
+        step = int(states.step) // self.turns
         like = next(iter(states.signals.values()))
         xp = namespace(like)
         unsafe = xp.zeros(like.shape, dtype=xp.bool, device=like.device)
@@ -61,15 +63,19 @@ def _broken(predicate: Formula, signals: Mapping[str, FloatArray]) -> BoolArray:
     return stl.violated(predicate, {name: values[:, None] for name, values in signals.items()})
 
 
-def unsafe_states(formula: Formula) -> UnsafeStates | None:
+def unsafe_states(formula: Formula, *, turns: int = 1) -> UnsafeStates | None:
     """The states that violate ``formula``; ``None`` where single states do not decide it.
 
     Within reach are ``always`` over a formula without temporal operators, nested ``always``,
     and conjunctions of these. A rollout violates the formula if and only if one of its states
     breaks a rule.
+
+    Args:
+        formula: Over steps.
+        turns: Outcomes of a step.
     """
     rules = _rules(formula)
-    return None if rules is None else UnsafeStates(rules)
+    return None if rules is None else UnsafeStates(rules, turns)
 
 
 def _rules(formula: Formula) -> tuple[StateRule, ...] | None:

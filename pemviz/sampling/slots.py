@@ -1,0 +1,212 @@
+"""Scenarios with slots, for methods: error model and features of a slot in its turn.
+
+:mod:`pemviz.simulators.slots` makes of a scenario with K slots one with a single outcome a step.
+Here an error model of the user's becomes one of that scenario, and proposals get what a slot's turn
+offers to look at. :mod:`pemviz.sampling.folding` leads back to the scenario's own steps.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.errors import ConfigError
+from pemviz.pem import DetectorModel, Pem, PemEnsemble, PemError, as_pem
+from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.simulators.slots import ERROR, Slot, UnrolledSimulator
+from pemviz.types import Simulator, StateBatch
+
+CERTAIN_LOGIT = 1000.0
+"""Of the nominal outcome of an absent slot: its probability is 1 and its log 0 to the last bit."""
+
+
+@dataclass(frozen=True, eq=False)
+class SlotPem:
+    """Logit of a slot's nominal outcome in its turn.
+
+    Attributes:
+        models: One for each of K slots, of P(detected); the same one may stand for several.
+        nominal: Each slot's nominal outcome, ``[K]``.
+    """
+
+    models: tuple[Pem, ...]
+    nominal: BoolArray
+
+    @property
+    def name(self) -> str:
+        """The models' names."""
+        return "+".join(model.name for model in self._distinct)
+
+    @property
+    def digest(self) -> str:
+        """The model's digest, or one of all; empty if one of them has none."""
+        digests = [model.digest for model in self._distinct]
+        if len(digests) == 1 or not all(digests):
+            return digests[0] if len(digests) == 1 else ""
+        return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+    @property
+    def data(self) -> str:
+        """What the models were trained on."""
+        return "; ".join(dict.fromkeys(model.data for model in self._distinct))
+
+    @property
+    def licence(self) -> str:
+        """Terms of the models' use."""
+        return "; ".join(dict.fromkeys(model.licence for model in self._distinct))
+
+    def logit(self, salient: FloatArray) -> FloatArray:
+        """Logit of the nominal outcome ``[...]``; see :meth:`UnrolledSimulator.salient`."""
+        present, slot = salient[..., -2] > 0.5, salient[..., -1].astype(np.int64)
+        result = np.full(salient.shape[:-1], CERTAIN_LOGIT)
+        for model in self._distinct:
+            asked = np.array([own is model for own in self.models])
+            chosen = present & asked[slot]
+            if chosen.any():
+                logit = self._answer(model, salient[chosen][:, :-2])
+                result[chosen] = np.where(self.nominal[slot[chosen]], logit, -logit)
+        return result
+
+    @property
+    def _distinct(self) -> Sequence[Pem]:
+        return list({id(model): model for model in self.models}.values())
+
+    @staticmethod
+    def _answer(model: Pem, salient: FloatArray) -> FloatArray:
+        logit = np.asarray(model.logit(salient))
+        if logit.shape != salient.shape[:1]:
+            message = (
+                f"pem = {model.name!r}: logit of salient variables {list(salient.shape)} has shape "
+                f"{list(logit.shape)}: must be {list(salient.shape[:1])}"
+            )
+            raise PemError(message)
+        return logit
+
+
+@dataclass(frozen=True)
+class SlotEnsemble:
+    """Models of single slots that the same data could have produced, each for all slots."""
+
+    name: str
+    members: Sequence[Pem]
+
+
+@dataclass(frozen=True)
+class SlotFeatures:
+    """What proposals look at in a slot's turn; slots share a proposal's coefficients.
+
+    These are the signals that are no slot's, the slot's own, its number, how many slots before it
+    erred in this step, and the step.
+
+    Attributes:
+        simulator: The scenario.
+    """
+
+    simulator: UnrolledSimulator
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """Numbers ``[..., D]``."""
+        turns, signals = self.simulator.turns, states.signals
+        slot = self.simulator.slot_of(signals)
+        columns: list[FloatArray] = [signals[name] for name in self._shared]
+        for place in zip(*(slot.signals for slot in self.simulator.slots), strict=True):
+            of_all = np.stack([signals[name] for name in place], axis=-1)
+            columns.append(np.take_along_axis(of_all, slot[..., None], axis=-1)[..., 0])
+        if turns > 1:
+            errors = [states.memory[f"{ERROR}{before}"] for before in range(turns - 1)]
+            columns.append(slot.astype(np.float64))
+            columns.append(np.stack(errors, axis=-1).sum(axis=-1, dtype=np.float64))
+        step = np.asarray(states.step // turns, dtype=np.float64)
+        columns.append(np.broadcast_to(step, slot.shape))
+        return np.stack(columns, axis=-1)
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """True everywhere."""
+        return np.ones(states.shape, dtype=np.bool_)
+
+    @property
+    def _shared(self) -> Sequence[str]:
+        owned = {name for slot in self.simulator.slots for name in slot.signals}
+        names = [signal.name for signal in self.simulator.scenario.signals]
+        return [name for name in names if name not in owned]
+
+
+@dataclass(frozen=True)
+class StepFeatures:
+    """Features of the user's own, which count steps as the scenario does.
+
+    Attributes:
+        features: They are asked in every slot's turn, ``slot`` is among the signals.
+        turns: Outcomes of a step.
+    """
+
+    features: StateFeatures
+    turns: int
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """The user's own, ``[..., D]``."""
+        return self.features.values(self._in_steps(states))
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """The user's own, ``[...]``."""
+        return self.features.reacts(self._in_steps(states))
+
+    def _in_steps(self, states: StateBatch) -> StateBatch:
+        return replace(states, step=states.step // self.turns)
+
+
+def unrolled(simulator: object) -> UnrolledSimulator | None:
+    """The scenario with slots within a simulator, whatever wraps it; ``None``: there is none."""
+    while not isinstance(simulator, UnrolledSimulator):
+        simulator = getattr(simulator, "scenario", None)
+        if simulator is None:
+            return None
+    return simulator
+
+
+def turns_of(simulator: Simulator) -> int:
+    """Outcomes of a step: K with slots, else 1."""
+    scenario = unrolled(simulator)
+    return 1 if scenario is None else scenario.turns
+
+
+def slot_pem(pem: DetectorModel | Mapping[str, DetectorModel], slots: Sequence[Slot]) -> SlotPem:
+    """An error model for all slots, or one for each by the slot's name.
+
+    Raises:
+        ConfigError: The names are not those of the slots.
+        PemError: A model has no method ``logit``.
+    """
+    nominal = np.array([slot.nominal for slot in slots], dtype=np.bool_)
+    if not isinstance(pem, Mapping):
+        return SlotPem((as_pem(pem),) * len(slots), nominal)
+    names = [slot.name for slot in slots]
+    if set(pem) != set(names):
+        message = f"pem: has models for {sorted(pem)}: must be the slots, {sorted(names)}"
+        raise ConfigError(message)
+    by_model = {id(model): as_pem(model) for model in pem.values()}
+    return SlotPem(tuple(by_model[id(pem[name])] for name in names), nominal)
+
+
+def with_slots(
+    simulator: Simulator, pem: Pem | Mapping[str, Pem], ensemble: PemEnsemble | None
+) -> tuple[Pem, PemEnsemble | None]:
+    """Error model and ensemble for a simulator; as they are if it has no slots.
+
+    Raises:
+        ConfigError: There is a model for each slot by name, and the names do not fit.
+    """
+    scenario = unrolled(simulator)
+    if scenario is None:
+        if isinstance(pem, Mapping):
+            message = f"pem: models by slot, and simulator {simulator.name!r} has no slots"
+            raise ConfigError(message)
+        return pem, ensemble
+    members = None
+    if ensemble is not None:
+        members = SlotEnsemble(
+            ensemble.name, [slot_pem(member, scenario.slots) for member in ensemble.members]
+        )
+    return slot_pem(pem, scenario.slots), members

@@ -1,0 +1,119 @@
+"""What a simulator with slots must keep to beyond what every simulator must."""
+
+from collections.abc import Sequence
+from typing import NoReturn
+
+import numpy as np
+
+from pemviz.arrays import BoolArray
+from pemviz.errors import ConfigError
+from pemviz.simulators.remembering import LAST, LAST_OUTCOME
+from pemviz.simulators.slots import ERROR, SLOT, Slot, SlotSimulator
+from pemviz.types import CERTAIN, StateBatch
+
+TAKEN = (SLOT, LAST_OUTCOME.name)
+TAKEN_MEMORY = (CERTAIN, ERROR, LAST)
+
+
+def check_slots(simulator: SlotSimulator, where: str) -> None:
+    """The declaration: slots with names of their own, and signals that are there.
+
+    Raises:
+        ConfigError: One line, which begins with ``where``.
+    """
+    slots = simulator.slots
+    if not _is_slots(slots):
+        _refuse(f"{where}: slots must be a tuple of pemviz.Slot")
+    if not slots:
+        _refuse(f"{where}: slots is empty: must be one at least")
+    names = [slot.name for slot in slots]
+    if len(set(names)) < len(names) or not all(name.strip() for name in names):
+        _refuse(f"{where}: slots are named {names}: each must have a name of its own")
+    declared = {signal.name for signal in simulator.signals}
+    for slot in slots:
+        unknown = [name for name in slot.signals if name not in declared]
+        if unknown:
+            _refuse(
+                f"{where}: slot {slot.name!r} has the signals {unknown}: must be among "
+                f"{sorted(declared)}"
+            )
+    numbers = [len(slot.signals) for slot in slots]
+    if len(set(numbers)) > 1:
+        _refuse(f"{where}: slots have {numbers} signals of their own: must be as many for each")
+    taken = [name for name in TAKEN if name in declared]
+    if taken:
+        _refuse(f"{where}: the signal {taken[0]!r} is pemviz's own where there are slots")
+
+
+def _is_slots(declared: object) -> bool:
+    """Whether this is a tuple of slots."""
+    return isinstance(declared, tuple) and all(isinstance(slot, Slot) for slot in declared)
+
+
+def check_kept(start: StateBatch, where: str) -> None:
+    """What states carry beside signals: plain memory, under names of its own.
+
+    Raises:
+        ConfigError: One line, which begins with ``where``.
+    """
+    if type(start) is not StateBatch:
+        _refuse(f"{where}: initial gives a {type(start).__name__}: must be a pemviz.StateBatch")
+    taken = [name for name in start.memory if name.startswith(TAKEN_MEMORY)]
+    if taken:
+        _refuse(f"{where}: the memory {taken[0]!r} is pemviz's own; choose another name")
+
+
+def check_asked(simulator: SlotSimulator, states: StateBatch, where: str) -> None:
+    """Shapes of salient variables and of presence at ``states [N]``.
+
+    Raises:
+        ConfigError: One of them is of the wrong shape or type.
+    """
+    slots = len(simulator.slots)
+    flat, count = states.signals, states.shape[0]
+    twice = {name: np.stack([values, values], axis=1) for name, values in flat.items()}
+    for signals, shape in ((flat, (count,)), (twice, (count, 2))):
+        try:
+            present, salient = simulator.present(signals), simulator.salient(signals)
+        except Exception as error:  # the user's code may raise anything
+            message = (
+                f"{where}: present or salient raises {type(error).__name__} for signals of shape "
+                f"{shape}: {error}"
+            )
+            raise ConfigError(" ".join(message.split())) from error
+        if np.shape(present) != (*shape, slots) or np.asarray(present).dtype != np.bool_:
+            _refuse(
+                f"{where}: present gives {np.asarray(present).dtype} of shape {np.shape(present)} "
+                f"for signals of shape {shape}: must be bool of shape {(*shape, slots)}"
+            )
+        if np.ndim(salient) != len(shape) + 2 or np.shape(salient)[:-1] != (*shape, slots):
+            _refuse(
+                f"{where}: salient gives shape {np.shape(salient)} for signals of shape {shape}: "
+                f"must be {(*shape, slots)} and D variables"
+            )
+
+
+def check_ever_present(simulator: SlotSimulator, course: Sequence[StateBatch], where: str) -> None:
+    """Perception must have something to answer, somewhere along whole rollouts.
+
+    Raises:
+        ConfigError: It has not.
+    """
+    if not any(simulator.present(states.signals).any() for states in course[:-1]):
+        _refuse(f"{where}: no slot is ever present: perception would have nothing to answer")
+
+
+def outcomes_by_slot(simulator: SlotSimulator, states: StateBatch, nominal: BoolArray) -> BoolArray:
+    """Outcomes ``[N, K]`` from whether they are nominal ``[N]``; of the absent they always are.
+
+    At every third step only one slot errs where they are not, each in its turn.
+    """
+    slots, step = simulator.slots, int(states.step)
+    errs = np.full(len(slots), step % 3 > 0)
+    errs[step // 3 % len(slots)] = True
+    error = ~nominal[:, None] & errs & np.asarray(simulator.present(states.signals))
+    return error ^ np.array([slot.nominal for slot in slots], dtype=np.bool_)
+
+
+def _refuse(message: str) -> NoReturn:
+    raise ConfigError(message)
