@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pemviz.reports.estimate_text import summary_text
     from pemviz.runs.engine import run, run_experiment
     from pemviz.runs.experiment import Experiment, build_experiment
+    from pemviz.runs.kept_stages import KeptStages
     from pemviz.runs.least_robust import LeastRobust, Rollout
     from pemviz.runs.result import RunResult
     from pemviz.runs.result_file import read_result
@@ -37,6 +38,7 @@ _HOMES = {
     "FloatArray": "arrays",
     "GymnasiumSimulator": "simulators.gymnasium_adapter",
     "InputError": "errors",
+    "KeptStages": "runs.kept_stages",
     "LeastRobust": "runs.least_robust",
     "MethodDescription": "sampling.description",
     "PemvizError": "errors",
@@ -70,6 +72,7 @@ __all__ = [
     "FloatArray",
     "GymnasiumSimulator",
     "InputError",
+    "KeptStages",
     "LeastRobust",
     "MethodDescription",
     "PemvizError",

@@ -18,6 +18,7 @@ from pemviz.arrays import (
     row_sums,
 )
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
+from pemviz.display import ShownInNotebooks
 
 StageKind = Literal["pretrain", "learn", "final"]
 CERTAIN = "outcome_certain"
@@ -293,7 +294,7 @@ class Diagnostic:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(ShownInNotebooks):
     """A failure probability with what is needed to judge it.
 
     Undefined values are ``None``. ``ci_low`` and ``ci_high`` bound the probability at

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.display import ShownInNotebooks
 from pemviz.runs.events import Event, RunStarted, StageDone
 from pemviz.runs.result import RankedRollout
 from pemviz.types import StageResult
 
 
 @dataclass(frozen=True)
-class Rollout:
+class Rollout(ShownInNotebooks):
     """One rollout.
 
     Attributes:

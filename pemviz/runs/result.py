@@ -19,6 +19,7 @@ from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Share
+from pemviz.display import ShownInNotebooks
 from pemviz.runs.memory import RunMemory
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate, StageKind, StageResult
@@ -95,7 +96,7 @@ class RankedRollout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunResult:
+class RunResult(ShownInNotebooks):
     """Everything a run tells, but for the rollouts themselves.
 
     Attributes:

@@ -76,6 +76,10 @@ def sample():
         "std_error": 0.1,
     }  # fmt: skip
     assert causes["bursts"]
+    warning = {"kind": "few-failures", "value": 3.0, "limit": 10.0, "text": "few"}
+    for table in (document["estimate"], *document["repetitions"]):
+        table["diagnostics"] = [dict(warning), dict(warning)]
+        table["warnings"] = ["few", "few"]
     document["reference"] = {"probability": 1e-18, "std_error": 1e-21, "log10_probability": -18.0}
     fitted = {"tau_s": 0.24, "low_s": 0.2, "high_s": 0.3, "confidence": 0.95}
     document["memory"]["fitted"] = fitted
@@ -227,7 +231,7 @@ def test_what_a_run_always_writes_may_not_be_absent(sample):
     ("path", "value", "words"),
     [
         ("status", "going", "status = 'going': must be one of done, stopped, failed"),
-        ("seed", 7, "seed = 7: must be that of config, 6"),
+        ("seed", 6, "seed = 6: must be that of config, 7"),
         ("config.method", "best", "config.method = 'best': no such method; there are: adaptive,"),
         ("config.seed", -1, "config.seed = -1: must be a whole number, at least 0"),
         ("config.device", "gpu", "device = 'gpu': must be cpu"),

@@ -73,6 +73,6 @@ NAIVE = MethodDescription(
     curve_name="what rollouts are drawn from",
     learning_words=(
         "Nothing is learned by this method: all rollouts are drawn with one constant probability "
-        "of detection (red). Black: how likely the detector is to see the car ahead."
+        "of detection (orange). Black: how likely the detector is to see the car ahead."
     ),
 )

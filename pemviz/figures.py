@@ -1,0 +1,235 @@
+"""Figures of a run as matplotlib figures, for notebooks and papers.
+
+Each function returns a figure that a notebook shows by itself and ``savefig`` keeps; none needs a
+display or pyplot.
+"""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid
+from pemviz.arrays import FloatArray
+from pemviz.colors import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    HOLDS,
+    MISSED,
+    PEM,
+    PROPOSAL,
+    RUNGS,
+    VIOLATED,
+)
+from pemviz.errors import InputError
+from pemviz.reports.ladder_text import LADDER_TITLE, ends_text, rung_name
+from pemviz.runs.kept_stages import KeptStages
+from pemviz.runs.ladder import uncertainty_ladder
+from pemviz.runs.result import RunResult
+from pemviz.types import StageResult
+
+WIDTH_IN = 7.0
+DOTS_PER_INCH = 90
+FARTHEST = 1e-40
+"""An end of a range below, or at 0, is drawn at the axis' end."""
+CURVE_STEP_M = 0.25
+BINS = 40
+
+
+class RunFigure(Figure):
+    """A matplotlib figure that shows itself in a notebook without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        picture = io.BytesIO()
+        self.savefig(picture, format="png", dpi=DOTS_PER_INCH)
+        return picture.getvalue()
+
+
+def ladder(*, result: RunResult) -> RunFigure:
+    """How far the answer is open: a bar for each source of doubt, on one logarithmic axis.
+
+    Raises:
+        InputError: The run has no estimate.
+    """
+    rungs = uncertainty_ladder(result)
+    if not rungs:
+        message = "ladder: the run has no estimate"
+        raise InputError(message)
+    figure, axes = _figure(0.45 * len(rungs) + 1.0)
+    known = [end for rung in rungs for end in (rung.low, rung.high) if end]
+    left = max(min(known, default=1e-20) / 100.0, FARTHEST)
+    for row, rung in enumerate(rungs):
+        if rung.high is None:
+            axes.text(left * 3.0, row, "not bounded", color=GREY, va="center")
+            continue
+        low = max(rung.low or 0.0, left)
+        axes.plot([low, max(rung.high, low)], [row, row], color=RUNGS[rung.kind], linewidth=6.0)
+        axes.text(rung.high * 2.0, row, " to ".join(ends_text(rung)), color=BLACK, va="center")
+    if result.estimate is not None and result.estimate.probability > 0.0:
+        axes.axvline(result.estimate.probability, color=GREEN, linewidth=1.2)
+    axes.set_yticks(range(len(rungs)), [rung_name(rung) for rung in rungs])
+    axes.set(xscale="log", xlim=(left, 10.0), xlabel="failure probability")
+    axes.set_title(LADDER_TITLE, loc="left")
+    axes.set_ylim(len(rungs) - 0.5, -0.5)
+    return figure
+
+
+def robustness_distribution(*, stages: Sequence[StageResult], unit: str = "m") -> RunFigure:
+    """Robustness of all rollouts of some stages, those that violate apart.
+
+    Args:
+        stages: For example :attr:`pemviz.KeptStages.stages`, or the last of them.
+        unit: Of the metric's scores; empty for agm.
+
+    Raises:
+        InputError: There is no rollout with a finite robustness.
+    """
+    robustness = _joined([stage.scored.robustness for stage in stages])
+    violated = _joined([stage.scored.violated for stage in stages]).astype(np.bool_)
+    finite = np.isfinite(robustness)
+    if not finite.any():
+        message = "robustness_distribution: there is no rollout with a finite robustness"
+        raise InputError(message)
+    figure, axes = _figure(3.4)
+    edges = _edges_about_zero(robustness[finite])
+    groups = (("specification holds", ~violated, HOLDS), ("violated", violated, VIOLATED))
+    drawn = [(name, robustness[rows & finite], color) for name, rows, color in groups]
+    axes.hist(
+        [values for _, values, _ in drawn],
+        bins=edges.tolist(),
+        stacked=True,
+        color=[color for *_, color in drawn],
+        label=[f"{name} ({values.size:,})" for name, values, _ in drawn],
+    )
+    axes.axvline(0.0, color=BLACK, linewidth=1.0)
+    bracketed = f" [{unit}]" if unit else ""
+    axes.set(xlabel=f"robustness{bracketed}", ylabel="rollouts")
+    axes.set_title("Robustness of rollouts", loc="left")
+    axes.legend(frameon=False)
+    return figure
+
+
+def proposal_curves(*, kept: KeptStages, repetition: int = 0) -> RunFigure:
+    """P(detected) over the gap: the error model, and the proposal that each stage sampled from.
+
+    Args:
+        kept: The observer that was given to the run.
+        repetition: Whose stages.
+
+    Raises:
+        InputError: The run has not that repetition, or its scenario has no gap.
+    """
+    stages = [stage for stage in kept.stages if stage.repetition == repetition]
+    started = kept.started
+    if started is None or not stages:
+        message = f"proposal_curves: nothing is kept of repetition {repetition}"
+        raise InputError(message)
+    if GAP not in {signal.name for signal in started.signals}:
+        message = "proposal_curves: the scenario has no signal named gap"
+        raise InputError(message)
+    gap_m = gap_grid(started.simulator, step_m=CURVE_STEP_M)
+    figure, axes = _figure(3.8)
+    for place, stage in enumerate(stages):
+        curves = detection_curves(
+            simulator=started.simulator,
+            pem=started.pem,
+            proposal=stage.sampled_from,
+            gap_m=gap_m,
+            rollouts=stage.scored.rollouts,
+        )
+        if place == 0:
+            axes.plot(gap_m, curves.pem, color=PEM, linewidth=2.0, label="error model")
+        last = place == len(stages) - 1
+        axes.plot(
+            gap_m,
+            curves.proposal,
+            color=PROPOSAL,
+            alpha=1.0 if last else 0.15 + 0.5 * place / len(stages),
+            linewidth=2.4 if last else 1.2,
+            label=f"proposal of stage {stage.stage}" if last or place == 0 else None,
+        )
+    axes.set(xlabel="gap [m]", ylabel="P(detected)", ylim=(-0.02, 1.03))
+    axes.set_title("How the proposal came about", loc="left")
+    axes.legend(frameon=False)
+    return figure
+
+
+def causes(*, result: RunResult) -> RunFigure:
+    """Misses in a violation by gap, and what one per cent fewer of them would bring.
+
+    Raises:
+        InputError: The run does not tell what causes violations.
+    """
+    explanation = result.explanation
+    if explanation is None:
+        message = "causes: the run does not tell what causes violations"
+        raise InputError(message)
+    figure, axes = _figure(4.6, rows=2)
+    bands = explanation.misses_by_distance
+    middles = np.array([(band.low + band.high) / 2.0 for band in bands])
+    widths = np.array([0.9 * (band.high - band.low) for band in bands])
+    axes[0].bar(middles, [band.misses for band in bands], width=widths, color=MISSED)
+    axes[0].set(ylabel="misses in a violation")
+    axes[0].set_title("Where misses cause violations", loc="left")
+    _, *by_band = explanation.sensitivity
+    told = [
+        (middle, band.elasticity, band.std_error)
+        for middle, band in zip(middles.tolist(), by_band, strict=True)
+        if band.elasticity is not None
+    ]
+    axes[1].axhline(0.0, color=GREY, linewidth=0.8)
+    for middle, elasticity, error in told:
+        bar = None if error is None else 2.0 * error
+        axes[1].errorbar([middle], [elasticity], yerr=bar, fmt="o", color=BLUE, capsize=3.0)
+    axes[1].set(xlabel="gap [m]", ylabel="% fewer violations\nby 1 % fewer misses")
+    return figure
+
+
+def memory_curve(*, result: RunResult) -> RunFigure:
+    """The failure probability over memory times of misses, with intervals.
+
+    Raises:
+        InputError: The run has no such curve.
+    """
+    curve = () if result.memory is None else result.memory.curve
+    points = [point for point in curve if point.probability > 0.0]
+    if not points:
+        message = "memory_curve: the run has none; ask for it with memory_curve=True"
+        raise InputError(message)
+    figure, axes = _figure(3.4)
+    tau_s = [point.tau_s for point in points]
+    axes.plot(tau_s, [point.probability for point in points], color=PROPOSAL, linewidth=2.0)
+    for point in points:
+        if point.low and point.high:
+            style = ":" if point.caveats else "-"
+            ends = [point.low, point.high]
+            axes.plot([point.tau_s] * 2, ends, color=PROPOSAL, linestyle=style, marker="_")
+    held = not any(point.caveats for point in points)
+    note = "95 % intervals" if held else "dotted: not a 95 % interval"
+    axes.set(yscale="log", xlabel=f"memory time of misses [s] ({note})")
+    axes.set(ylabel="failure probability")
+    axes.set_title("If misses come in bursts", loc="left")
+    return figure
+
+
+def _figure(height_in: float, *, rows: int = 1) -> tuple[RunFigure, Any]:
+    figure = RunFigure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True)
+    for each in np.atleast_1d(axes):
+        each.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _edges_about_zero(values: FloatArray) -> FloatArray:
+    """Of bins that hold what violates or what does not, never both."""
+    step = float(np.ptp(values)) / BINS or 1.0
+    first, last = np.floor(np.min(values) / step), np.floor(np.max(values) / step) + 1.0
+    return step * np.arange(first, last + 1.0)
+
+
+def _joined(parts: Sequence[Any]) -> FloatArray:
+    return np.concatenate(parts) if parts else np.zeros(0)
