@@ -47,7 +47,7 @@ MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
     r"|families|ladder|plan|plan\.labels\.warning|memory|memory\.(fitted|curve)|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
-    r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|chains\[\d+\]\.likeliest)"
+    r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|slots|chains\[\d+\]\.(likeliest|slots))"
     r"|least_robust\[\d+\]\.share"
     r"|sensitivity\[\d+\]\.(warning|std_error)|config\.(?!seed$).*|versions\..*|timings_s\..*"
 )
