@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.analysis.band_models import rollouts_under
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.config.ranges import AtLeastZero, Confidence, Count, Share
+from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 from pemviz.pem import (
     Pem,
     PemEnsemble,
@@ -54,6 +54,9 @@ class ModelInterval:
         members: How many models.
         confidence: Share of them inside.
         warnings: What limits the interval.
+        log10_answers: The decimal logarithm of the failure probability under each model, lowest
+            first; ``None`` where no rollout violates under it. Empty in results of versions that
+            did not keep them.
     """
 
     low: AtLeastZero | None
@@ -62,6 +65,7 @@ class ModelInterval:
     members: Count
     confidence: Confidence
     warnings: tuple[str, ...]
+    log10_answers: tuple[Log10 | None, ...] = ()
 
 
 def member_estimates(
@@ -107,6 +111,10 @@ def model_interval(repetitions: Sequence[MemberEstimates]) -> ModelInterval:
         members=interval.members,
         confidence=interval.confidence,
         warnings=interval.warnings,
+        log10_answers=tuple(
+            value if math.isfinite(value) else None
+            for value in sorted((pooled.log_mu / math.log(10.0)).tolist())
+        ),
     )
 
 

@@ -10,7 +10,7 @@ import viser
 from pemviz.config.toml_files import load_preset
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
-from pemviz.panel.browser import TABS_WIDTH_PX, Hub
+from pemviz.panel.browser import Hub
 from pemviz.panel.controller import Controller
 from pemviz.panel.loading import load_run
 from pemviz.panel.memory import give_back
@@ -18,6 +18,7 @@ from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
 from pemviz.panel.server import guarded_server
 from pemviz.panel.session import Session
+from pemviz.panel.views.page import COLUMN_PX
 
 LOG = logging.getLogger(__name__)
 
@@ -43,7 +44,7 @@ class App:
         self.server = server = guarded_server(host=host, port=port)
         server.gui.set_panel_label("pemviz")
         server.gui.main_panel.dock_left()
-        server.gui.main_panel.set_width(TABS_WIDTH_PX)
+        server.gui.main_panel.set_width(COLUMN_PX)
         server.initial_camera.position = FIRST_VIEW_POSITION
         server.initial_camera.look_at = FIRST_VIEW_TARGET
         server.initial_camera.fov = FIRST_VIEW_FOV

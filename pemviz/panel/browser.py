@@ -18,8 +18,6 @@ from pemviz.panel.loading import LoadedRuns
 from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.run_data import RunData
 
-TABS_WIDTH_PX = 500
-
 OpenRecording = Callable[[Path], str]
 
 

@@ -1,18 +1,24 @@
 """The folder of kept runs: what is there, and safe access to it by name."""
 
-from dataclasses import dataclass
+import shutil
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from pemviz.config import MethodName, MetricName
 from pemviz.errors import InputError
+from pemviz.files.atomic import write_text
 from pemviz.runs.result import RunResult, RunStatus
 from pemviz.runs.result_file import RESULT_FILE, has_result
+from pemviz.runs.resume import run_lock
 from pemviz.runs.same_run import read_whole_run
 from pemviz.runs.trust import run_unreliable_because
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
+NOTES_FILE = "notes.txt"
+MOST_NOTED = 20_000
+"""Characters of a run's notes."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +34,7 @@ class RunEntry:
         probability: The estimate; ``None`` if there is none.
         unreliable: Why it must not decide anything; empty if nothing speaks against it.
         has_recording: Whether there is a ``run.rrd``.
+        notes: What somebody noted about it; empty if nobody did.
     """
 
     name: str
@@ -38,6 +45,7 @@ class RunEntry:
     probability: float | None
     unreliable: tuple[str, ...]
     has_recording: bool
+    notes: str = ""
 
 
 class RecordingsFolder:
@@ -53,7 +61,11 @@ class RecordingsFolder:
 
     def entries(self) -> list[RunEntry]:
         """All readable runs, newest first (the names start with the time)."""
-        return [found for found in self._found() if isinstance(found, RunEntry)]
+        return [
+            replace(found, notes=self.notes(found.name))
+            for found in self._found()
+            if isinstance(found, RunEntry)
+        ]
 
     def damaged(self) -> list[str]:
         """What is wrong with the runs that cannot be read, one line each."""
@@ -108,6 +120,51 @@ class RecordingsFolder:
             message = f"run {name}: {file} is larger than 512 MB; copy it from {path}"
             raise InputError(message)
         return path.read_bytes()
+
+    def notes(self, name: str) -> str:
+        """What was noted about the run ``name``; empty if nothing was, or it cannot be read."""
+        path = self.root / name / NOTES_FILE
+        try:
+            if path.is_symlink() or path.stat().st_size > 4 * MOST_NOTED:
+                return ""
+            return path.read_text(encoding="utf-8", errors="replace")[:MOST_NOTED]
+        except OSError:
+            return ""
+
+    def note(self, name: str, text: str) -> None:
+        """Keep notes in the run's folder; an empty text takes them away.
+
+        Raises:
+            InputError: There is no such run, the text is too long, or it cannot be written.
+        """
+        path = self.folder(name) / NOTES_FILE
+        if len(text) > MOST_NOTED:
+            message = f"notes: {len(text):,} characters, must be at most {MOST_NOTED:,}"
+            raise InputError(message)
+        try:
+            if text.strip():
+                write_text(path, text)
+            else:
+                path.unlink(missing_ok=True)
+        except OSError as error:
+            message = f"run {name}: notes cannot be written ({error.strerror or error})"
+            raise InputError(message) from error
+
+    def delete(self, name: str) -> None:
+        """Delete a run's folder for good.
+
+        Raises:
+            InputError: There is no such run, somebody is at work in it, or it cannot be deleted.
+        """
+        folder = self.folder(name)
+        removed = folder.with_name(f".{name}.removed")
+        try:
+            with run_lock(folder):
+                folder.rename(removed)  # gone at once: a kill in between leaves no half of a run
+            shutil.rmtree(removed)
+        except OSError as error:
+            message = f"run {name}: cannot be deleted ({error.strerror or error})"
+            raise InputError(message) from error
 
     def _entry(self, name: str) -> RunEntry | str:
         """The run's line, or what is wrong with it."""

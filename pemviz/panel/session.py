@@ -9,10 +9,11 @@ import viser
 
 from pemviz.errors import PemvizError
 from pemviz.panel.browser import Browser, Hub
+from pemviz.panel.page_layout import Window
 from pemviz.panel.tabs.compare import CompareTab
 from pemviz.panel.tabs.experiment import ExperimentTab
 from pemviz.panel.tabs.player import Player
-from pemviz.panel.tabs.read_only import Head, LearningTab, WhyTab
+from pemviz.panel.tabs.read_only import Head, LearningTab, WeightsTab, WhyTab
 from pemviz.panel.tabs.recordings import RecordingsTab
 from pemviz.panel.tabs.trajectories import TrajectoriesTab
 
@@ -20,6 +21,7 @@ LOG = logging.getLogger(__name__)
 
 FRAME_S = 1 / 12
 REFRESH_S = 0.2
+LIST_S = 2.0
 
 
 class Session:
@@ -27,7 +29,7 @@ class Session:
 
     def __init__(self, client: viser.ClientHandle, hub: Hub) -> None:
         self._browser = Browser(client, hub)
-        self._refreshed_s = 0.0
+        self._refreshed_s = self._listed_s = 0.0
         self._thread = threading.Thread(
             target=self._live, name=f"pemviz-browser-{client.client_id}", daemon=True
         )
@@ -62,17 +64,34 @@ class Session:
             tabs = browser.client.gui.add_tab_group()
             with tabs.add_tab("Experiment"):
                 self.experiment = ExperimentTab(browser)
-            with tabs.add_tab("Learning"):
-                self.learning = LearningTab(browser)
             with tabs.add_tab("Trajectories"):
                 self.trajectories = TrajectoriesTab(browser, self.player)
-            with tabs.add_tab("Compare"):
+            recordings = tabs.add_tab("Recordings")
+            self.analysis = analysis = Window(browser.client, at_top=True)
+            with analysis.panel.add_tab("Learning"):
+                self.learning = LearningTab(browser)
+            with analysis.panel.add_tab("Weights"):
+                self.weights = WeightsTab(browser, self.trajectories)
+            with analysis.panel.add_tab("Compare"):
                 self.compare = CompareTab(browser)
-            with tabs.add_tab("Why"):
+            with analysis.panel.add_tab("Why"):
                 self.why = WhyTab(browser, self.trajectories)
-            with tabs.add_tab("Recordings"):
-                self.recordings = RecordingsTab(browser, self.player)
+            with recordings:
+                self.recordings = RecordingsTab(
+                    browser,
+                    self.player,
+                    use_settings=self.experiment.show,
+                    list_runs=self.compare.list_runs,
+                )
+            analysis.panel.minimize()
+            self._fit()
+            browser.client.camera.on_update(lambda _: browser.post(self._fit))
             self._refresh()
+
+    def _fit(self) -> None:
+        """Lay the windows over the scene as large as it is."""
+        self.analysis.fit()
+        self.player.window.fit()
 
     def _turn(self) -> None:
         """Do what is asked, or else let time pass."""
@@ -83,6 +102,9 @@ class Session:
         self.player.advance()
         if time.monotonic() - self._refreshed_s >= REFRESH_S:
             self._refresh()
+        if time.monotonic() - self._listed_s >= LIST_S:
+            self._listed_s = time.monotonic()
+            self.recordings.look()
 
     def _refresh(self) -> None:
         """Show what has changed in the state that all share."""
@@ -94,12 +116,13 @@ class Session:
         browser.shown_version = state.version
         run = browser.loaded or state.run
         with browser.client.atomic():  # first what a person waits for after Run and Stop
-            self.head.refresh(state, run)
+            self.head.refresh(state, run, limit=self.experiment.limit)
             self.experiment.refresh(state)
         with browser.client.atomic():
             self.learning.refresh(run)
             self.why.refresh(run)
             self.trajectories.refresh(run)
+            self.weights.refresh(run)
             self.compare.refresh(state, run)
             self.recordings.refresh(state)
 

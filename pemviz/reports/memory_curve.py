@@ -91,6 +91,16 @@ def assumption_line(memory: RunMemory | None) -> str | None:
     return f"{assumed}. The failure probability is {', '.join(others)}.{_worth(points, memory)}"
 
 
+def assumption_worth(memory: RunMemory | None) -> str:
+    """The assumption and what it is worth, in one short sentence; empty without a curve."""
+    if memory is None or not memory.curve:
+        return ""
+    words = "Misses are taken as independent given the state."
+    if memory.tau_s > 0.0:
+        words = f"A memory time of {memory.tau_s:g} s is an assumption."
+    return words + _worth({point.tau_s: point for point in memory.curve}, memory)
+
+
 def _worth(points: dict[float, CurvePoint], memory: RunMemory) -> str:
     """How many orders of magnitude lie between independence and a detector's memory."""
     independent = points[0.0].probability

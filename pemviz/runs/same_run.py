@@ -43,16 +43,16 @@ def setting_differences(
     first: ExperimentConfig, second: ExperimentConfig
 ) -> dict[str, tuple[Any, Any]]:
     """The settings in which two configurations differ, by dotted name, with both values."""
-    one, other = _flat(config_table(first)), _flat(config_table(second))
+    one, other = flat_settings(config_table(first)), flat_settings(config_table(second))
     return {name: (one[name], other[name]) for name in one if one[name] != other[name]}
 
 
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested settings with dotted names."""
     found: dict[str, Any] = {}
     for name, value in settings.items():
         if isinstance(value, Mapping):
-            found |= _flat(cast(Mapping[str, Any], value), f"{prefix}{name}.")
+            found |= flat_settings(cast(Mapping[str, Any], value), f"{prefix}{name}.")
         else:
             found[prefix + name] = value
     return found

@@ -133,6 +133,9 @@ def open_page(chromium, panel):
         page.goto(panel.address)
         page.get_by_role("button", name="Run", exact=True).wait_for()
         page.locator("g[data-cursor]").wait_for()
+        notice = page.locator("#webgl-software-rendering .mantine-Notification-closeButton")
+        if notice.count():  # would lie over the analysis
+            notice.click()
         return page
 
     yield open_one

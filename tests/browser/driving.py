@@ -24,11 +24,15 @@ def enter(page, label, value):
     page.wait_for_timeout(THROTTLE_MS)
 
 
-def slide(page, label, value):
-    """Sliders have no label of their own: their box is found beside the text."""
+def beside(page, label):
+    """The box beside a text: sliders and texts have no label of their own."""
     row = page.locator("div.mantine-Flex-root", has=page.get_by_text(label, exact=True)).last
-    row.get_by_role("textbox").fill(str(value))
-    row.get_by_role("textbox").press("Enter")
+    return row.get_by_role("textbox")
+
+
+def slide(page, label, value):
+    beside(page, label).fill(str(value))
+    beside(page, label).press("Enter")
     page.wait_for_timeout(THROTTLE_MS)
 
 
@@ -90,8 +94,23 @@ def until(page, condition, *, timeout_ms=WAIT_MS):
     pytest.fail("the page did not get there")
 
 
+def charted(page, words):
+    """A line's name beside a chart."""
+    return page.locator(".uplot .u-label", has_text=words).first
+
+
 def newest_curve(page):
+    """What the chart of the tab Learning draws of the newest proposal."""
     tab(page, "Learning")
-    plot = page.get_by_role("img", name="P(detected) against gap")
-    plot.wait_for()
-    return plot.locator("path[stroke-width='2.4']").first.get_attribute("d")
+    page.locator(".uplot canvas").first.wait_for()
+    charts = "Object.values(window.__viserTestpoints.uplots)"
+    return str(page.evaluate(f"{charts}.map(shown => Array.from(shown.chart.data[1]))"))
+
+
+def on_the_page(page, locator):
+    """Whether all of an element is within what the browser shows."""
+    box, size = locator.bounding_box(), page.viewport_size
+    return (
+        box is not None and box["x"] >= 0 and box["x"] + box["width"] <= size["width"]
+        and box["y"] >= 0 and box["y"] + box["height"] <= size["height"]
+    )  # fmt: skip

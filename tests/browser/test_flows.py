@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from urllib.parse import urlsplit
 
 import pytest
@@ -13,13 +14,15 @@ from pemviz.panel.viewers import Viewers
 from pemviz.sampling.registry import SHIPPED
 from tests.browser.conftest import WAIT_MS, Panel
 from tests.browser.driving import (
+    beside,
+    charted,
     choose,
     enter,
     expect_done,
     is_enabled,
     is_still,
-    legend,
     newest_curve,
+    on_the_page,
     rests,
     run,
     selected,
@@ -33,7 +36,7 @@ from tests.panel.conftest import wait_until
 
 pytest.importorskip("viser")
 
-TABS = ("Experiment", "Learning", "Trajectories", "Compare", "Why", "Recordings")
+SIZES = ((1800, 1140), (1000, 700))
 
 
 def test_start_shows_a_run_and_every_tab_has_content(open_page, shots, first_run):
@@ -42,20 +45,32 @@ def test_start_shows_a_run_and_every_tab_has_content(open_page, shots, first_run
     assert "P(violation)" in page.content()
     contents = {
         "Experiment": "The specification is understood.",
-        "Learning": "gap [m]",
         "Trajectories": "the least robust under classical first",
+        "Recordings": "reliable?",
+        "Learning": "Rollouts that violate",
+        "Weights": "How near the cars come",
         "Compare": "Overlap of the elites",
         "Why": "How far to trust the number",
-        "Recordings": "method, metric",
     }
-    for name in TABS:
+    for name, words in contents.items():
         tab(page, name)
-        page.get_by_text(contents[name]).first.wait_for()
+        page.get_by_text(words).first.wait_for()
         page.wait_for_timeout(400)
         page.screenshot(path=shots / f"tab-{name.lower()}.png")
+        if name == "Learning":
+            for width, height in SIZES:
+                page.set_viewport_size({"width": width, "height": height})
+                until(page, lambda: fits(page))
     # drawn, not blank: the scene's pixels differ from one another
     canvas = page.locator("canvas").first
     assert len(canvas.screenshot()) > 20_000
+
+
+def fits(page):
+    """Playback is on the page, and a plot of the analysis is drawn at its size or larger."""
+    plot = page.get_by_role("img", name="Estimate of P(violation)").bounding_box()
+    buttons = [page.get_by_role("button", name=name, exact=True) for name in ("Play", "2x")]
+    return plot["width"] >= 380 and all(on_the_page(page, button) for button in buttons)
 
 
 @pytest.mark.parametrize(
@@ -72,12 +87,12 @@ def test_paper_runs_end_to_end(open_page, shots, preset, counts):
     page.get_by_text(re.compile(r"Stage \d+ of 11: .* rollouts")).wait_for()
     assert page.get_by_role("button", name="Run", exact=True).is_disabled()
     tab(page, "Learning")
-    legend(page, re.compile(r"proposal after stage \d")).wait_for()
+    charted(page, re.compile(r"proposal after stage \d")).wait_for()
     page.screenshot(path=shots / "paper-running.png")
     expect_done(page)
     page.get_by_text(re.compile(r"P\(violation\) = [\d.]+ × 10⁻¹⁵")).wait_for()
     page.get_by_text(counts).wait_for()
-    legend(page, "proposal after stage 10").wait_for()
+    charted(page, "proposal after stage 10").wait_for()
     page.screenshot(path=shots / f"{preset}-done.png")
 
 
@@ -120,7 +135,7 @@ def test_stop_keeps_what_was_finished(open_page, shots, panel):
     assert (folder / "rollouts.npz").exists()
 
 
-def test_a_bad_formula_is_told_where_it_is_typed_and_when_run(open_page, shots):
+def test_a_bad_formula_is_told_where_it_is_typed_and_is_not_run(open_page, shots, panel):
     page = open_page()
     box = page.locator("textarea:not([aria-hidden])")
     box.fill("always[0,99] (gap >= ")
@@ -129,14 +144,21 @@ def test_a_bad_formula_is_told_where_it_is_typed_and_when_run(open_page, shots):
     box.fill("always[0,99] (distance >= 2.0)")
     warned(page).get_by_text("distance").wait_for()
     assert warned(page).first.inner_text() != first
-    run(page)
-    until(page, lambda: warned(page).count() >= 2)
+    button = page.get_by_role("button", name="Run", exact=True)
+    assert button.is_disabled()
     page.screenshot(path=shots / "bad-formula.png")
     box.fill("always[0,99] (gap >= 1.0)")
     page.get_by_text("The specification is understood.").wait_for()
+    beside(page, "Target").fill("-1")
+    warned(page).get_by_text("target = '-1': must be above 0").wait_for()
+    assert button.is_disabled()
+    beside(page, "Target").fill("1e-9")
+    beside(page, "Fail above").fill("1e-30")
+    page.get_by_text("Fail above 1.0 × 10⁻³⁰:").wait_for()
     choose(page, "Method", "naive")
     run(page)
     expect_done(page)
+    assert panel.controller.state.run.config.target == 1e-9
 
 
 def test_pick_the_worst_rollout_and_play_it(open_page, shots, panel):
@@ -147,6 +169,14 @@ def test_pick_the_worst_rollout_and_play_it(open_page, shots, panel):
     chain.click()
     rollout = f"stage {explanation.stage}, rollout {explanation.chains[0].likeliest}"
     page.locator(f"svg[aria-label*='{rollout}']").wait_for()
+    tab(page, "Weights")
+    point = page.locator("g[data-target] g[data-number]").nth(7)
+    index = int(point.get_attribute("data-number"))
+    point.locator("circle").last.click()
+    page.locator(f"g[data-shown='{index}']").wait_for()
+    number = int(panel.controller.state.run.rollouts["rollout"][index])
+    page.locator(f"svg[aria-label*=', rollout {number}']").wait_for()
+    page.screenshot(path=shots / "weights.png")
     tab(page, "Trajectories")
     choose(page, "First", "largest contribution")
     page.get_by_text("the largest contribution first").wait_for()
@@ -294,8 +324,26 @@ def test_recordings_load_compare_and_download(open_page, shots, panel, first_run
     tab(page, "Compare")
     choose(page, "Compare with", first_run.name)
     page.get_by_text("Settings that differ").wait_for()
-    page.screenshot(path=shots / "compare-two-runs.png")
+    other = tmp_path / "recordings" / "20200101-000000-another"
+    shutil.copytree(first_run, other)  # by another program, while the panel runs
+    choose(page, "Compare with", other.name)
+    page.locator("table[aria-label='Estimates of the runs'] tr").nth(3).wait_for()
+    page.screenshot(path=shots / "compare-three-runs.png")
     tab(page, "Recordings")
+    choose(page, "Run", other.name)
+    beside(page, "Notes").fill("older drawing <b>")
+    page.get_by_role("button", name="Save notes").click()
+    page.locator("table[aria-label=Recordings] i", has_text="older drawing <b>").wait_for()
+    assert (other / "notes.txt").read_text() == "older drawing <b>"
+    page.get_by_role("button", name="Use this run's settings").click()
+    page.get_by_text("Settings taken over").wait_for()
+    page.get_by_role("button", name="Delete", exact=True).click()
+    page.get_by_role("button", name="Keep it").click()
+    assert other.is_dir()
+    page.get_by_role("button", name="Delete", exact=True).click()
+    page.get_by_role("button", name="Delete it for good").click()
+    until(page, lambda: not other.exists())
+    page.locator("table[aria-label=Recordings]", has_text=other.name).wait_for(state="detached")
     choose(page, "Run", first_run.name)
     page.get_by_role("button", name="Load", exact=True).click()
     page.get_by_role("button", name="Back to the latest run").wait_for()
@@ -308,6 +356,9 @@ def test_recordings_load_compare_and_download(open_page, shots, panel, first_run
         assert path.stat().st_size > 1000
     assert (tmp_path / "download.json").read_bytes() == (first_run / "result.json").read_bytes()
     assert (tmp_path / "download.csv").read_text().startswith("rank,repetition,stage")
+    tab(page, "Experiment")
+    assert page.get_by_role("textbox", name="Seed", exact=True).input_value() == "5"
+    tab(page, "Recordings")
     assert "__VISER_EMBED_DATA__" in (tmp_path / "download.html").read_text()
     page.get_by_role("button", name="run.rrd", exact=True).click()
     page.get_by_text("has no run.rrd").wait_for()

@@ -65,7 +65,8 @@ def _safetensors_bytes(rng: random.Random, path: Path) -> bytes:
 
 def pages(run: RunData) -> None:
     """Everything that the panel makes of a run."""
-    page = "".join((headline(run), learning(run), why(run), metrics_page(run), runs_page(run, run)))
+    compared = metrics_page(run) + runs_page([run, run])
+    page = headline(run) + learning(run) + why(run) + compared
     assert "Traceback" not in page
     if run.kept:
         for metric in metric_names():

@@ -20,7 +20,7 @@ from pemviz.panel.run_observer import Progress
 from pemviz.panel.scene import braking, gap_color
 from pemviz.panel.tabs import experiment
 from pemviz.panel.tabs.player import interesting_step
-from pemviz.panel.views import compare, headline, learning, recordings, why
+from pemviz.panel.views import compare, headline, learning, recordings, weights, why
 from pemviz.panel.views.ranking_table import first_place, ranking_table
 from pemviz.panel.views.rollout import track, track_plots, with_cursor
 from pemviz.reports.pictures.html import number
@@ -46,7 +46,8 @@ def test_every_page_is_well_formed(live_run, loaded_run, naive_run):
             learning.learning(run),
             why.why(run),
             compare.metrics_page(run),
-            compare.runs_page(run, live_run),
+            compare.runs_page([run, live_run, naive_run]),
+            weights.weights_page(run, target="x", selected=3),
             ranking_table(run, rank(run, "classical"), selected=0, target="x"),
         ):
             well_formed(page)
@@ -110,18 +111,20 @@ def test_a_strangers_recording_cannot_smuggle_markup(naive_run):
         timings_s={CRAFTED: 1.0},
     )
     entry = recordings.RunEntry(
-        CRAFTED, CRAFTED, CRAFTED, CRAFTED, 0, None, (CRAFTED,), has_recording=False
+        CRAFTED, CRAFTED, CRAFTED, CRAFTED, 0, 0.1, (CRAFTED,), has_recording=False, notes=CRAFTED
     )
     for page in (
         headline.headline(run),
         learning.learning(run),
         why.why(run),
-        compare.runs_page(run, naive_run),
+        compare.runs_page([run, naive_run]),
+        weights.weights_page(run, target="x", selected=0),
         compare.metrics_page(with_result(run, config=replace(run.config, spec=whole.config.spec))),
         recordings.recordings_table([entry], folder=CRAFTED),
+        recordings.delete_question(CRAFTED),
         recordings.viewer_link("http://127.0.0.1:1/", name=CRAFTED),
         headline.status(PanelState(error=CRAFTED)),
-        experiment.spec_verdict(CRAFTED, spec="x"),
+        experiment.verdict([CRAFTED]),
     ):
         assert "<script" not in page
         well_formed(page)
@@ -138,11 +141,11 @@ def test_status_tells_stage_rollouts_and_time_left():
     assert "gap is no signal" in headline.status(PanelState(error="gap is no signal"))
 
 
-def test_parser_message_is_shown_without_repeating_the_text():
-    spec = "always[0,99] (gap >="
-    text = experiment.spec_verdict(f"spec = {spec!r}: column 21: a number is missing", spec=spec)
-    assert "column 21" in text
-    assert "always" not in text
+def test_everything_that_is_wrong_with_what_was_typed_is_told():
+    text = experiment.verdict(["column 21: a number is missing", "target = 'x': must be"])
+    assert text.index("column 21") < text.index("target = ")
+    assert "understood" not in text
+    assert "understood" in experiment.verdict([])
 
 
 def test_every_control_has_a_hint_with_what_the_field_says():
@@ -204,9 +207,9 @@ def test_causes_are_told_in_words_with_units(naive_run):
 def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
     def page(method):
         run = with_result(naive_run, config=replace(naive_run.config, method=method))
-        text = learning.learning(run)
+        text = learning.learning_words(run) + learning.learning(run)
         well_formed(text)
-        return text
+        return text + " ".join(line.name for line in learning.proposal_curves(run).lines)
 
     assert "older stages fade" in page("adaptive")
     for method in ("splitting", "monte-carlo", "naive", "value-twisted"):
@@ -266,7 +269,7 @@ def test_a_full_overlap_is_a_hundred_per_cent():
 
 
 def test_settings_that_differ_are_listed(live_run, naive_run):
-    table = compare.differences_table(live_run, naive_run)
+    table = compare.differences_table([live_run, naive_run])
     assert "method" in table
     assert "final_rollouts" in table
     assert "alpha" not in table

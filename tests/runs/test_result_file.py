@@ -30,7 +30,7 @@ from tests.runs.results import results
 MAY_BE_NULL = re.compile(
     r"message|config\.(target|alpha)|memory|memory\.fitted|memory\.curve\[\d+\]\.(low|high|ess)"
     r"|reference|reference\.log10_probability|pem_interval"
-    r"|pem_interval\.(low|high|median)|data_bound"
+    r"|pem_interval\.(low|high|median|log10_answers\[\d+\])|data_bound"
     r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning|std_error)"
     r"|causes\.(memory|bursts)|causes\.memory\.(elasticity|target_tau_s|target_ess|warning|std_error)"
     r"|causes\.bursts\.(begins_gap_m|again)|causes\.stage|causes\.chains\[\d+\]\.likeliest"
@@ -45,7 +45,7 @@ MAY_BE_NULL = re.compile(
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|families|ladder|plan|plan\.labels\.warning|memory|memory\.(fitted|curve)|warnings|timings_s"
+    r"|pem_interval\.log10_answers|families|ladder|plan|plan\.labels\.warning|memory|memory\.(fitted|curve)|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|slots|chains\[\d+\]\.(likeliest|slots))"
     r"|least_robust\[\d+\]\.share"

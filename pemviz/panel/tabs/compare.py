@@ -1,46 +1,91 @@
-"""The Compare tab: metrics against each other, and two runs."""
+"""The Compare tab: metrics against each other, and runs side by side."""
 
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
-from pemviz.panel.views.compare import metrics_page, runs_page
+from pemviz.panel.tabs.chart import Chart
+from pemviz.panel.views.compare import (
+    MOST_RUNS,
+    metric_curves,
+    metrics_page,
+    run_curves,
+    runs_page,
+)
 
 NONE = "none"
+ADD_HINT = (
+    "A run of the recordings folder, shown beside the run shown (A); one after the other, up to "
+    "six side by side."
+)
+REMOVE_HINT = "Take a run away again."
 
 
 class CompareTab:
-    """This browser's choice of a second run."""
+    """This browser's choice of further runs."""
 
     def __init__(self, browser: Browser) -> None:
         self._browser = browser
         self._run: RunData | None = None
-        self._second: RunData | None = None
-        self._finished = -1
+        self._others: list[RunData] = []
+        self._names: tuple[str, ...] = ()
         gui = browser.client.gui
-        self.other = gui.add_dropdown("Compare with", list[str]([NONE]), initial_value=NONE,
-            hint="A run of the recordings folder, shown as B beside the run shown, A.")  # fmt: skip
-        self.other.on_update(browser.on(self._choose))
+        self.add = gui.add_dropdown("Compare with", list[str]([NONE]), initial_value=NONE,
+            hint=ADD_HINT)  # fmt: skip
+        self.remove = gui.add_dropdown("Take away", list[str]([NONE]), initial_value=NONE,
+            hint=REMOVE_HINT, visible=False)  # fmt: skip
+        self.add.on_update(browser.on(self._add))
+        self.remove.on_update(browser.on(self._remove))
+        self._curves = Chart(browser)
         self._runs = gui.add_html("")
+        self._gaps = Chart(browser)
         self._metrics = gui.add_html("")
 
-    def refresh(self, state: PanelState, run: RunData | None) -> None:
+    def refresh(self, state: PanelState, run: RunData | None) -> None:  # noqa: ARG002
         """Show a run, when there is time for it."""
         self._run = run
-        if state.finished_runs != self._finished:
-            self._finished = state.finished_runs
-            names = (NONE, *self._browser.hub.recordings.names())
-            if tuple(self.other.options) != names:
-                self.other.options = names
         self._browser.later("compare", self._show)
 
-    def _choose(self) -> None:
-        name = self.other.value
-        if name == NONE:
-            self._second = None
-        else:
-            self._second = self._browser.hub.loaded.get(self._browser.hub.recordings.folder(name))
+    def list_runs(self, names: tuple[str, ...]) -> None:
+        """Offer other runs."""
+        self._names = names
+        self._offer()
+
+    def _offer(self) -> None:
+        chosen = [run.name for run in self._others]
+        options = (NONE, *(name for name in self._names if name not in chosen))
+        if tuple(self.add.options) != options:
+            self.add.options = options
+        self.add.value = NONE
+        shown = (NONE, *chosen)
+        if tuple(self.remove.options) != shown:
+            self.remove.options = shown
+        self.remove.value = NONE
+        if self.remove.visible != bool(chosen):
+            self.remove.visible = bool(chosen)
+        full = len(chosen) >= MOST_RUNS - 1
+        if self.add.disabled != full:
+            self.add.disabled = full
+
+    def _add(self) -> None:
+        name, hub = self.add.value, self._browser.hub
+        if name == NONE or len(self._others) >= MOST_RUNS - 1:
+            return
+        try:
+            self._others.append(hub.loaded.get(hub.recordings.folder(name)))
+        finally:
+            self._offer()
+        self._show()
+
+    def _remove(self) -> None:
+        name = self.remove.value
+        self._others = [run for run in self._others if run.name != name]
+        self._offer()
         self._show()
 
     def _show(self) -> None:
-        set_html(self._runs, runs_page(self._run, self._second))
-        set_html(self._metrics, metrics_page(self._run))
+        runs = [] if self._run is None else [self._run, *self._others]
+        with self._browser.client.atomic():
+            self._curves.show(run_curves(runs))
+            set_html(self._runs, runs_page(runs))
+            self._gaps.show(metric_curves(self._run))
+            set_html(self._metrics, metrics_page(self._run))

@@ -1,5 +1,7 @@
 """The Experiment tab: what to run, Run and Stop."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast, get_args
 
@@ -32,6 +34,11 @@ OWN_ALPHA_HINT = (
 ALPHA_AT_FIRST = 0.1
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
 MEMORY_STEP_S = 0.01
+TARGET_WORDS = " Empty: none."
+LIMIT_HINT = (
+    "Limit of a gate: beside the answer it is told whether the upper 95 % bound stays below it, as "
+    "pemviz record --fail-above does; above 0, at most 1. Empty: none."
+)
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
 
 
@@ -42,6 +49,7 @@ class ExperimentTab:
         self._browser = browser
         self._scenario = load_preset(FIRST_PRESET).scenario
         self._base = load_preset(FIRST_PRESET)
+        self._running = self._wrong = False
         self._add_buttons()
         self._add_choices()
         self._add_numbers()
@@ -50,9 +58,10 @@ class ExperimentTab:
 
     @property
     def config(self) -> ExperimentConfig:
-        """What the controls say, not validated.
+        """What the controls say; what is wrong between them is told when the run is built.
 
-        Choices that came over the wire are checked like all else when the run is built.
+        Raises:
+            InputError: What was typed as a target is no probability.
         """
         return replace(
             self._base,
@@ -67,18 +76,27 @@ class ExperimentTab:
             pem=self.pem.value,
             simulator=self.simulator.value,
             memory_s=float(self.memory.value),
+            target=read_probability(self.target.value, name="target"),
             memory_curve=self.memory_curve.value,
             reference=self.reference.value,
             spec=self.spec.value,
         )
 
     def refresh(self, state: PanelState) -> None:
-        """Run is possible while nothing runs, Stop while something does."""
-        if self.run.disabled != state.running:
-            self.run.disabled = state.running
+        """Run is possible while nothing runs and nothing is wrong, Stop while something runs."""
+        self._running = state.running
+        self._enable_run()
         idle = not state.running or state.stopping
         if self.stop.disabled != idle:
             self.stop.disabled = idle
+
+    @property
+    def limit(self) -> float | None:
+        """What the upper bound must not exceed; ``None`` where nothing sensible is said."""
+        try:
+            return read_probability(self.fail_above.value, name="fail above")
+        except InputError:
+            return None
 
     def show(self, config: ExperimentConfig) -> None:
         """Fill the controls with another run's settings."""
@@ -126,10 +144,14 @@ class ExperimentTab:
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
         self.memory_curve = gui.add_checkbox("Memory curve", False, hint=hint("memory_curve"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
+        self.target = gui.add_text("Target", "", hint=hint("target") + TARGET_WORDS)
+        self.fail_above = gui.add_text("Fail above", "", hint=LIMIT_HINT)
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
         self._verdict = gui.add_html("")
         self._facts = gui.add_html("")
-        self.spec.on_update(browser.on(self._check_spec))
+        for typed in (self.spec, self.target):
+            typed.on_update(browser.on(self._check))
+        self.fail_above.on_update(browser.on(self._judge))
 
     def _float(self, label: str, name: str, *, step: float) -> viser.GuiSliderHandle[float]:
         low, high = limits(name, step=step)
@@ -165,9 +187,10 @@ class ExperimentTab:
         self.pem.value, self.simulator.value = config.pem, config.simulator
         self.memory.value, self.memory_curve.value = config.memory_s, config.memory_curve
         self.reference.value, self.spec.value = config.reference, config.spec
+        self.target.value = "" if config.target is None else f"{config.target:g}"
         set_html(self._facts, scenario_text(config.scenario))
         self._enable()
-        self._check_spec()
+        self._check()
 
     def _fill_alpha(self, config: ExperimentConfig) -> None:
         own = by_name(config.method).alpha
@@ -200,14 +223,32 @@ class ExperimentTab:
             if control.disabled == (name in used):
                 control.disabled = name not in used
 
-    def _check_spec(self) -> None:
+    def _enable_run(self) -> None:
+        disabled = self._running or self._wrong
+        if self.run.disabled != disabled:
+            self.run.disabled = disabled
+
+    def _judge(self) -> None:
+        """The limit of the gate has changed."""
+        self._check()
+        self._browser.refresh()
+
+    def _check(self) -> None:
+        """Say what is wrong with what was typed, and have Run wait until it is right."""
+        spec, complaints = self.spec.value, list[str]()
         try:
-            config = self.config
+            config = replace(self._base, spec=spec)
             build_formula(config, build_simulator(replace(config, simulator="vectorized")))
         except InputError as error:
-            set_html(self._verdict, spec_verdict(str(error), spec=self.spec.value))
-        else:
-            set_html(self._verdict, spec_verdict(None, spec=self.spec.value))
+            complaints.append(str(error).removeprefix(f"spec = {spec!r}: "))
+        for name, typed in (("target", self.target), ("fail above", self.fail_above)):
+            try:
+                read_probability(typed.value, name=name)
+            except InputError as error:
+                complaints.append(str(error))
+        self._wrong = bool(complaints)
+        set_html(self._verdict, verdict(complaints))
+        self._enable_run()
 
     def _run(self) -> None:
         browser = self._browser
@@ -234,9 +275,27 @@ def scenario_text(scenario: ScenarioConfig) -> str:
     )
 
 
-def spec_verdict(complaint: str | None, *, spec: str) -> str:
-    """What the parser says of a specification; the text itself is not repeated."""
-    if complaint is None:
+def read_probability(typed: str, *, name: str) -> float | None:
+    """A probability as it was typed; ``None`` for an empty field.
+
+    Raises:
+        InputError: It is no number above 0 and at most 1.
+    """
+    if not typed.strip():
+        return None
+    try:
+        value = float(typed)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value <= 1.0:
+        message = f"{name} = {typed.strip()[:40]!r}: must be above 0 and at most 1, or empty"
+        raise InputError(message)
+    return value
+
+
+def verdict(complaints: Sequence[str]) -> str:
+    """What is wrong with what was typed; the specification itself is not repeated."""
+    if not complaints:
         return block(good("The specification is understood."))
-    message = complaint.removeprefix(f"spec = {spec!r}: ")
-    return block(f"<div role='alert'>{warning(message)}</div>")
+    lines = "".join(warning(words) for words in complaints)
+    return block(f"<div role='alert'>{lines}</div>")

@@ -7,10 +7,12 @@ from typing import Literal
 import numpy as np
 import viser
 
-from pemviz.panel.browser import TABS_WIDTH_PX, Browser, set_html
+from pemviz.panel.browser import Browser, set_html
+from pemviz.panel.page_layout import Window
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData
 from pemviz.panel.scene import Scene
+from pemviz.panel.views.page import ROLLOUT, SHEET
 from pemviz.panel.views.rollout import Track, track, track_plots, with_cursor
 
 Key = Literal["space", "arrowleft", "arrowright"]
@@ -18,15 +20,7 @@ Key = Literal["space", "arrowleft", "arrowright"]
 SPEEDS = {"0.1x": 0.1, "0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0}
 STEP_HINT = "State of the rollout; drag to scrub. Keys: arrow left, arrow right."
 PLAY_HINT = "Play and pause (key: space), start again, speed as a multiple of real time."
-MARGIN_PX = 8
-PANEL_HEIGHT_PX = 274
-NARROWEST_PX = 420
 PLOT_PAUSE_S = 0.12
-# viser tells the scene's width in the screen's own pixels, of which there may be more than CSS's
-NOT_WIDER = (
-    "<style>[data-floating-window]{max-width:max("
-    f"{NARROWEST_PX}px,calc(100vw - {TABS_WIDTH_PX + 2 * MARGIN_PX}px))}}</style>"
-)
 
 
 class Player:
@@ -37,18 +31,15 @@ class Player:
         self.playing = False
         self._key: object = None
         self.track: Track | None = None
-        self._pieces = ("", "")
+        self._pieces: tuple[str, ...] = ()
         self._step = 0
         self._began: tuple[float, int] = (0.0, 0)
         self._plotted_s = 0.0
-        self._width_px = 0
         self._speed = 1.0
         self.scene = Scene(browser.client.scene)
-        self._panel = browser.client.gui.add_panel()
-        with self._panel.add_tab("Rollout", viser.Icon.MOVIE):
+        self.window = Window(browser.client, at_top=False)
+        with self.window.panel.add_tab("Rollout", viser.Icon.MOVIE):
             self._add_controls()
-        self._fit()
-        browser.client.camera.on_update(lambda _: browser.post(self._fit))
 
     def show(self, run: RunData, entry: RankedRow) -> None:
         """Show a rollout; nothing changes if it is the one shown."""
@@ -79,11 +70,11 @@ class Player:
 
     def _add_controls(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
-        gui.add_html(NOT_WIDER)
-        self._plots = gui.add_html("")
+        gui.add_html(f"{SHEET}<div class='{ROLLOUT}'></div>")
         self.slider = gui.add_slider("Step", 0, 99, 1, 0, hint=STEP_HINT)
         buttons = ("Play", "Pause", "Restart", *SPEEDS)
         self.play = gui.add_button_group("Playback", buttons, hint=PLAY_HINT)
+        self._plots = gui.add_html("")
         self.slider.on_update(browser.on(self._scrub))
         self.play.on_click(browser.on(self._play_clicked))
         self._key_for("Play or pause", "space", self._toggle)
@@ -156,19 +147,6 @@ class Player:
         """Whether the view keeps up with the ego car."""
         self.scene.follow(follow)
         self._go_to(self._step)
-
-    def _fit(self) -> None:
-        """Lay the panel along the lower edge of the scene, as wide as the scene is."""
-        width_px = int(self._browser.client.camera.image_width) - 2 * MARGIN_PX
-        if width_px == self._width_px:
-            return
-        self._width_px = width_px
-        self._panel.float(
-            x=MARGIN_PX,
-            y=-MARGIN_PX,
-            width=max(width_px, NARROWEST_PX),
-            height=PANEL_HEIGHT_PX,
-        )
 
 
 def interesting_step(chosen: Track) -> int:

@@ -3,15 +3,22 @@
 from pemviz.panel.browser import Browser, element_id, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
+from pemviz.panel.tabs.chart import Chart
 from pemviz.panel.tabs.trajectories import TrajectoriesTab
 from pemviz.panel.views.headline import headline, status
-from pemviz.panel.views.learning import learning
+from pemviz.panel.views.learning import learning, learning_words, proposal_curves
+from pemviz.panel.views.weights import weights_page
 from pemviz.panel.views.why import why
 from pemviz.reports.pictures.causes import SHOWN_CHAINS, shown_chains
 
 CHAIN_HINT = (
     "Show the rollout that contributes most to the chain of misses at this place of the table "
     "below, in the scene; or click the chain there."
+)
+
+NUMBER_HINT = (
+    "Show a rollout in the scene and below: its place in the run's rollouts.npz, counted from 0; "
+    "or click a point."
 )
 
 
@@ -24,9 +31,9 @@ class Head:
         self._status = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, visible=False, color="blue")
 
-    def refresh(self, state: PanelState, run: RunData | None) -> None:
-        """Show the state."""
-        set_html(self._headline, headline(run))
+    def refresh(self, state: PanelState, run: RunData | None, *, limit: float | None) -> None:
+        """Show the state; the answer is judged by ``limit``."""
+        set_html(self._headline, headline(run, limit=limit))
         set_html(self._status, status(state))
         if self._bar.visible != state.running:
             self._bar.visible = state.running
@@ -37,11 +44,51 @@ class LearningTab:
     """How the proposal forms."""
 
     def __init__(self, browser: Browser) -> None:
+        self._words = browser.client.gui.add_html("")
+        self._curves = Chart(browser)
         self._page = browser.client.gui.add_html("")
 
     def refresh(self, run: RunData | None) -> None:
         """Show a run."""
+        set_html(self._words, learning_words(run))
+        self._curves.show(proposal_curves(run))
         set_html(self._page, learning(run))
+
+
+class WeightsTab:
+    """All rollouts at once; a click on one shows it."""
+
+    def __init__(self, browser: Browser, trajectories: TrajectoriesTab) -> None:
+        gui = browser.client.gui
+        self._trajectories = trajectories
+        self._run: RunData | None = None
+        self.number = gui.add_number("Show rollout", 0, min=0, max=10_000_000, step=1,
+            hint=NUMBER_HINT)  # fmt: skip
+        self._page = gui.add_html("")
+        self.number.on_update(browser.on(self._show_rollout))
+        trajectories.on_show(self._mark)
+
+    def refresh(self, run: RunData | None) -> None:
+        """Show a run."""
+        self._run = run
+        self._draw()
+
+    def _draw(self) -> None:
+        shown = self._trajectories.shown
+        selected = None if shown is None or self._run is None else shown.index
+        page = weights_page(self._run, target=element_id(self.number), selected=selected)
+        set_html(self._page, page)
+
+    def _mark(self) -> None:
+        """Another rollout is shown."""
+        shown = self._trajectories.shown
+        if shown is not None and self.number.value != shown.index:
+            self.number.value = shown.index
+        self._draw()
+
+    def _show_rollout(self) -> None:
+        if self._run is not None:
+            self._trajectories.pick_index(int(self.number.value))
 
 
 class WhyTab:

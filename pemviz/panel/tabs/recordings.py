@@ -1,14 +1,21 @@
-"""The Recordings tab: runs that are kept, loading, downloads."""
+"""The Recordings tab: runs that are kept; loading, settings, notes, downloads, deleting."""
 
+from collections.abc import Callable
+
+from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.ranking import rank, ranking_csv
 from pemviz.panel.scene import scene_html
 from pemviz.panel.tabs.player import Player
-from pemviz.panel.views.recordings import recordings_table, viewer_link
+from pemviz.panel.views.recordings import delete_question, recordings_table, viewer_link
+from pemviz.runs.same_run import read_whole_run
 
 NONE = "no runs yet"
+SETTINGS_HINT = "Fill the Experiment tab with the settings of the run chosen; nothing is run yet."
+NOTES_HINT = "Kept in the run's folder as notes.txt, and shown in the table below."
+DELETE_HINT = "Delete the folder of the run chosen for good; asks first."
 DOWNLOAD_HINT = (
     "Of the run chosen: its recording, its result, its ranking as a table. Of the rollout shown: "
     "a page that plays the scene without a server."
@@ -19,45 +26,92 @@ DOWNLOADS = ("run.rrd", "result.json", "CSV", "3D scene (HTML)")
 class RecordingsTab:
     """This browser's choice of a run."""
 
-    def __init__(self, browser: Browser, player: Player) -> None:
+    def __init__(
+        self,
+        browser: Browser,
+        player: Player,
+        *,
+        use_settings: Callable[[ExperimentConfig], None],
+        list_runs: Callable[[tuple[str, ...]], None],
+    ) -> None:
+        """Build it.
+
+        Args:
+            browser: The browser.
+            player: Holds the rollout shown.
+            use_settings: Fills the Experiment tab.
+            list_runs: Told of the names of all runs when they have changed.
+        """
         self._browser = browser
         self._player = player
-        self._finished = -1
-        self._running = False
-        gui = browser.client.gui
+        self._use_settings = use_settings
+        self._list_runs = list_runs
+        self._moment = (-1, False)
+        self._seen: object = None
+        self._add_choice()
+        self._add_notes()
+        self.name.on_update(browser.on(self._chosen))
+
+    def _add_choice(self) -> None:
+        gui, browser = self._browser.client.gui, self._browser
         self.name = gui.add_dropdown("Run", list[str]([NONE]), initial_value=NONE,
             hint="A run of the recordings folder, newest first.")  # fmt: skip
         self.load = gui.add_button("Load", hint="Show this run here; other browsers keep theirs.")
         self.back = gui.add_button("Back to the latest run", visible=False, color="gray",
             hint="Show the run that was started last, or is under way.")  # fmt: skip
+        self.settings = gui.add_button("Use this run's settings", color="gray", hint=SETTINGS_HINT)
+        self._table = gui.add_html("")
         self.download = gui.add_button_group("Download", DOWNLOADS,
             hint=DOWNLOAD_HINT)  # fmt: skip
         self.viewer = gui.add_button("Open in rerun", color="gray",
             visible=browser.hub.open_recording is not None,
             hint="Serve this run's recording to rerun's viewer in the browser.")  # fmt: skip
         self._link = gui.add_html("")
-        self._table = gui.add_html("")
         self.load.on_click(browser.on(self._load))
         self.back.on_click(browser.on(self._back))
+        self.settings.on_click(browser.on(self._settings))
         self.download.on_click(browser.on(self._download))
         self.viewer.on_click(browser.on(self._open))
-        self.name.on_update(browser.on(lambda: set_html(self._link, "")))
+
+    def _add_notes(self) -> None:
+        gui, browser = self._browser.client.gui, self._browser
+        self.notes = gui.add_text("Notes", "", multiline=True, hint=NOTES_HINT)
+        self.save = gui.add_button("Save notes", color="gray", hint=NOTES_HINT)
+        self.delete = gui.add_button("Delete", color="red", hint=DELETE_HINT)
+        self.save.on_click(browser.on(self._save))
+        self.delete.on_click(browser.on(self._ask))
 
     def refresh(self, state: PanelState) -> None:
         """List the folder anew when a run began or ended."""
         if self.back.visible != (self._browser.loaded is not None):
             self.back.visible = self._browser.loaded is not None
-        if (state.finished_runs, state.running) == (self._finished, self._running):
-            return
-        self._finished, self._running = state.finished_runs, state.running
+        self._moment = (state.finished_runs, state.running)
+        self.look()
+
+    def look(self) -> None:
+        """List the folder anew if its runs are others, or one began or ended."""
+        seen = (self._moment, tuple(self._browser.hub.recordings.names()))
+        if seen != self._seen:
+            self._seen = seen
+            self._list()
+
+    def _list(self) -> None:
         folder = self._browser.hub.recordings
         entries = folder.entries()
         names = tuple(entry.name for entry in entries) or (NONE,)
         if tuple(self.name.options) != names:
+            before = self.name.value
             self.name.options = names
+            self.name.value = before if before in names else names[0]
+            self._chosen()
+            self._list_runs(tuple(entry.name for entry in entries))
         damaged = folder.damaged()
         table = recordings_table(entries, folder=str(folder.root), damaged=damaged)
         set_html(self._table, table)
+
+    def _chosen(self) -> None:
+        set_html(self._link, "")
+        self.notes.value = self._browser.hub.recordings.notes(self.name.value)
 
     def _load(self) -> None:
         hub = self._browser.hub
@@ -65,6 +119,43 @@ class RecordingsTab:
 
     def _back(self) -> None:
         self._browser.look_at(None)
+
+    def _settings(self) -> None:
+        name = self.name.value
+        self._use_settings(read_whole_run(self._browser.hub.recordings.folder(name)).config)
+        self._browser.tell("Settings taken over", f"The Experiment tab has those of {name}.",
+            color="blue")  # fmt: skip
+
+    def _save(self) -> None:
+        self._browser.hub.recordings.note(self.name.value, self.notes.value)
+        self._list()
+        self._browser.tell("Notes", f"Kept with {self.name.value}.", color="blue")
+
+    def _ask(self) -> None:
+        name, browser = self.name.value, self._browser
+        browser.hub.recordings.folder(name)
+        asked = browser.client.gui.add_modal("Delete a run")
+        with asked:
+            browser.client.gui.add_html(delete_question(name))
+            yes = browser.client.gui.add_button("Delete it for good", color="red")
+            no = browser.client.gui.add_button("Keep it", color="gray")
+
+        def delete() -> None:
+            asked.close()
+            self._delete(name)
+
+        yes.on_click(browser.on(delete))
+        no.on_click(browser.on(asked.close))
+
+    def _delete(self, name: str) -> None:
+        hub = self._browser.hub
+        state = hub.controller.state
+        if state.running and state.run is not None and state.run.name == name:
+            message = f"run {name}: is under way; stop it first"
+            raise InputError(message)
+        hub.recordings.delete(name)
+        self._list()
+        self._browser.tell("Deleted", name, color="blue")
 
     def _download(self) -> None:
         filename, content = self._downloaded(self.download.value, self.name.value)

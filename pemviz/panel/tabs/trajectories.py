@@ -1,7 +1,7 @@
 """The Trajectories tab: the ranking, and how a rollout is picked."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TypeVar, cast, get_args
 
 import viser
@@ -9,7 +9,7 @@ import viser
 from pemviz.config import MetricName
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, element_id, set_html
-from pemviz.panel.ranking import Among, Ranking, rank, row
+from pemviz.panel.ranking import Among, RankedRow, Ranking, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tabs.player import Player
 from pemviz.panel.views.ranking_table import ranking_table
@@ -59,6 +59,12 @@ class TrajectoriesTab:
         self._ranking: Ranking | None = None
         self._picked: tuple[str, int, int, int] | None = None
         self._shown_s = 0.0
+        self._listeners: list[Callable[[], None]] = []
+        self.shown: RankedRow | None = None
+
+    def on_show(self, listener: Callable[[], None]) -> None:
+        """Have somebody told when another rollout is shown."""
+        self._listeners.append(listener)
 
     def refresh(self, run: RunData | None) -> None:
         """Show another run, or a later state of the same one."""
@@ -126,6 +132,10 @@ class TrajectoriesTab:
             ranking_table(run, ranking, selected=place, target=element_id(self.place)),
         )
         self._player.show(run, entry)
+        before, self.shown = self.shown, entry
+        if before is None or before.index != entry.index:
+            for listener in self._listeners:
+                listener()
 
     def pick(self, *, repetition: int, stage: int, rollout: int) -> None:
         """Show a rollout, among all if it is not among those ranked."""
@@ -135,6 +145,24 @@ class TrajectoriesTab:
         if self._ranking is not None and self._place_of(self._run, self._ranking) is None:
             self.among.value = ALL
         self._show(place=None)
+
+    def pick_index(self, index: int) -> None:
+        """Show the rollout at an index of the run's tables.
+
+        Raises:
+            InputError: There is none.
+        """
+        run = self._run
+        kept = 0 if run is None else run.kept
+        if run is None or not 0 <= index < kept:
+            message = f"rollout = {index}: must be at least 0 and below {kept}"
+            raise InputError(message)
+        table = run.rollouts
+        self.pick(
+            repetition=int(table["repetition"][index]),
+            stage=int(table["stage"][index]),
+            rollout=int(table["rollout"][index]),
+        )
 
     @staticmethod
     def _chosen(word: str, meanings: Mapping[str, Value], name: str) -> Value:

@@ -1,68 +1,68 @@
-"""The Compare tab: metrics against each other, and two runs side by side."""
+"""The Compare tab: metrics against each other, and runs side by side."""
 
+from collections.abc import Sequence
 from html import escape
 from typing import cast, get_args
 
 import numpy as np
 
 from pemviz.arrays import BoolArray
-from pemviz.colors import BLACK, BLUE, METRICS, PEM, VERMILLION
+from pemviz.colors import BLACK, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
+from pemviz.config.toml_files import config_table
 from pemviz.panel.ranking import elites, rank, row
 from pemviz.panel.run_data import RunData
+from pemviz.panel.views.curves import RUN_COLORS, RUN_DASHES, Curves, Line, over_common
 from pemviz.panel.views.learning import DOUBTED, logs_of_answer
+from pemviz.panel.views.page import cell, page, wide
 from pemviz.reports.estimate_text import no_interval_text
-from pemviz.reports.pictures.html import block, grid, heading, number, quiet
+from pemviz.reports.pictures.html import grid, heading, number, quiet
 from pemviz.reports.pictures.svg import Axis, Plot
-from pemviz.runs.same_run import setting_differences
-from pemviz.runs.trust import run_interval_caveats
+from pemviz.runs.same_run import flat_settings
+from pemviz.runs.trust import run_interval_caveats, run_unreliable_because
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
-DASHES = {"classical": "", "agm": "7 3", "smooth-cumulative": "2 3"}
+METRIC_DASHES = {"agm": (7.0, 3.0), "smooth-cumulative": (2.0, 3.0)}
+LETTERS = "ABCDEF"
+MOST_RUNS = len(LETTERS)
 
 
 def metrics_page(run: RunData | None) -> str:
-    """The least robust rollout of each metric, and how far their elites agree."""
+    """How far the elites of the metrics agree."""
     if run is None or not run.parts:
-        return block(quiet("No rollouts yet."))
+        return page(wide(quiet("No rollouts yet.")))
     if run.running:
-        return block(quiet("Compared when the run under way is done."))
-    return block(run.memo.get("compare", lambda: _metrics_page(run)))
+        return page(wide(quiet("Metrics are compared when the run under way is done.")))
+    return run.memo.get("compare", lambda: page(cell(overlap_table(run))))
 
 
-def _metrics_page(run: RunData) -> str:
-    return "".join(
-        (
-            heading(f"Metrics, on the {run.kept:,} rollouts of {run.name}"),
-            least_robust_plot(run),
-            quiet("Each metric's least robust rollout. Where lines coincide they chose the same."),
-            overlap_table(run),
-        )
-    )
-
-
-def least_robust_plot(run: RunData) -> str:
+def metric_curves(run: RunData | None) -> Curves | None:
     """Gap against time of each metric's least robust rollout."""
-    gaps = {m: np.asarray(run.rollouts["gap_m"][row(run, rank(run, m), 0).index], dtype=np.float64)
-            for m in metric_names()}  # fmt: skip
-    every = np.concatenate(list(gaps.values()))
-    states = np.arange(run.config.scenario.states, dtype=np.float64)
-    time_s = states * run.config.scenario.dt_s
-    plot = Plot(
-        title="Least robust rollout of each metric",
-        x=Axis(0.0, float(time_s[-1]), "time [s]"),
-        y=Axis(min(-1.0, float(np.min(every)) - 0.5), float(np.max(every)) * 1.05, "gap [m]"),
-        height=206,
-        bottom=48,
+    if run is None or not run.parts or run.running:
+        return None
+    return run.memo.get("metric curves", lambda: _metric_curves(run))
+
+
+def _metric_curves(run: RunData) -> Curves:
+    lines = [
+        Line(
+            f"{metric}, gap [m]",
+            np.asarray(run.rollouts["gap_m"][row(run, rank(run, metric), 0).index], np.float64),
+            METRICS.get(metric, BLACK),
+            width=3.4 - 0.8 * place,
+            dash=METRIC_DASHES.get(metric, ()),
+        )
+        for place, metric in enumerate(metric_names())
+    ]
+    time_s = np.arange(run.config.scenario.states, dtype=np.float64) * run.config.scenario.dt_s
+    touch = np.full(time_s.size, CAMERA_TO_BUMPER_M)
+    return Curves(
+        title=f"Each metric's least robust of {run.kept:,} rollouts (one line: the same)",
+        x=time_s,
+        x_label="time [s]",
+        y_label="gap [m]",
+        lines=(*lines, Line("bumpers touch [m]", touch, VERMILLION, width=1.0)),
     )
-    plot.band(plot.y.low, CAMERA_TO_BUMPER_M, color=VERMILLION, opacity=0.10)
-    words = f"{CAMERA_TO_BUMPER_M:g} m: bumpers touch"
-    plot.hline(CAMERA_TO_BUMPER_M, color=VERMILLION, label=words, dash="", at_left=True)
-    for place, (metric, gap_m) in enumerate(gaps.items()):
-        color, dash = METRICS.get(metric, BLACK), DASHES.get(metric, "")
-        plot.line(time_s, gap_m, color=color, width=3.4 - place, dash=dash, tip=metric)
-        plot.legend([(metric, color, dash)], x=plot.left + 100 * place, y=plot.height - 6)
-    return plot.text()
 
 
 def overlap_table(run: RunData) -> str:
@@ -96,90 +96,99 @@ def metric_names() -> tuple[MetricName, ...]:
     return cast(tuple[MetricName, ...], get_args(MetricName))
 
 
-def runs_page(first: RunData | None, second: RunData | None) -> str:
-    """Two runs side by side."""
-    if first is None or second is None:
-        return block(
-            heading("Two runs") + quiet("Choose another run above to see it beside this one.")
-        )
-    return block(
-        heading("Two runs")
-        + quiet(f"A: {first.name} (shown). B: {second.name}.")
-        + curves_plot(first, second)
-        + estimates_plot(first, second)
-        + estimates_table(first, second)
-        + differences_table(first, second)
+def runs_page(runs: Sequence[RunData]) -> str:
+    """Runs side by side: answers, figures, and the settings in which they differ."""
+    if len(runs) < 2:
+        words = "Add a run above to see it beside the run shown: up to six side by side."
+        return page(wide(heading("Runs side by side") + quiet(words)))
+    return page(
+        cell(heading("Answers") + estimates_plot(runs)),
+        cell(heading("Settings that differ") + differences_table(runs)),
+        wide(estimates_table(runs)),
     )
 
 
-def curves_plot(first: RunData, second: RunData) -> str:
-    """Last proposals and error models."""
-    high = max([float(r.gap_m[-1]) for r in (first, second) if r.gap_m.size], default=20.0)
-    plot = Plot(
-        title="P(detected) against gap, last proposals",
-        x=Axis(0.0, high, "gap [m]"),
-        y=Axis(0.0, 1.0, "P(detected)", ticks=(0.0, 0.5, 1.0)),
-        height=186,
-        bottom=48,
-    )
-    for place, (run, name, dash) in enumerate(((first, "A", ""), (second, "B", "6 3"))):
-        color = (VERMILLION, BLUE)[place]
-        plot.line(run.gap_m, run.pem_detection, color=PEM, dash=dash, tip=f"error model of {name}")
+def run_curves(runs: Sequence[RunData]) -> Curves | None:
+    """P(detected) over the gap under the runs' last proposals and their error models."""
+    drawn = [run for run in runs if run.gap_m.size]
+    if len(runs) < 2 or not drawn:
+        return None
+    gap_m = max((run.gap_m for run in drawn), key=lambda grid_m: float(grid_m[-1]))
+    lines: list[Line] = []
+    for run, letter, color, dash in zip(runs, LETTERS, RUN_COLORS, RUN_DASHES, strict=False):
         if run.curves:
             last = run.final_curves[-1]
-            plot.line(last.gap_m, last.detection, color=color, width=2.4, dash=dash, tip=name)
-        plot.legend([(f"proposal {name}", color, dash)], x=plot.left + 110 * place, y=180)
-    plot.legend([("error models", PEM, "")], x=plot.left + 220, y=180)
-    return plot.text()
+            (values,) = over_common(gap_m, [(last.gap_m, last.detection)])
+            lines.append(Line(f"proposal {letter}", values, color, width=2.2, dash=dash))
+    models = {run.config.pem: run for run in reversed(drawn)}
+    for (name, run), (_, dash) in zip(models.items(), enumerate(RUN_DASHES), strict=False):
+        (values,) = over_common(gap_m, [(run.gap_m, run.pem_detection)])
+        lines.append(Line(f"error model {name.rsplit('/', 1)[-1][:18]}", values, PEM, dash=dash))
+    return Curves(
+        title="P(detected) over the gap: last proposals",
+        x=gap_m,
+        x_label="gap [m]",
+        y_label="P(detected)",
+        lines=tuple(lines),
+        y_range=(0.0, 1.0),
+    )
 
 
-def estimates_plot(first: RunData, second: RunData) -> str:
-    """Both answers with their intervals on a log axis."""
-    doubted = [bool(run_interval_caveats(run.result)) for run in (first, second)]
+def estimates_plot(runs: Sequence[RunData]) -> str:
+    """The answers with their intervals on a log axis."""
+    doubted = [bool(run_interval_caveats(run.result)) for run in runs]
     kind = "intervals (dashed: not 95 %)" if any(doubted) else "95 % intervals"
-    answers = [logs_of_answer(run.result.estimate) for run in (first, second)]
+    answers = [logs_of_answer(run.result.estimate) for run in runs]
     every = [value for answer, interval in answers for value in (*answer, *interval)]
     exponents = [v for v in every if v > -60.0] or [-20.0, 0.0]
     plot = Plot(
-        title=f"Estimates with {kind}",
-        x=Axis(-0.5, 1.5, "run", ticks=()),
+        title=f"P(violation) with {kind}",
+        x=Axis(-0.5, len(runs) - 0.5, "run", ticks=()),
         y=Axis(float(np.floor(min(exponents))) - 1, min(0.0, float(np.ceil(max(exponents))) + 1),
                "probability", log10=True),
-        height=150,
+        height=220,
         left=52,
     )  # fmt: skip
     for place, (answer, interval) in enumerate(answers):
-        color = (VERMILLION, BLUE)[place]
+        color = RUN_COLORS[place]
         if len(interval) == 2:
             dash = DOUBTED if doubted[place] else ""
             plot.whisker(place, interval[0], interval[1], color=color, dash=dash)
         for value in answer:
             plot.points([place], [value], color=color, radius=4.0)
-        plot.note("AB"[place], plot.px(place), plot.bottom + 13, anchor="middle")
+        if not answer:
+            plot.note("none", plot.px(place), plot.bottom - 5, anchor="middle")
+        plot.note(LETTERS[place], plot.px(place), plot.bottom + 13, anchor="middle")
     return plot.text()
 
 
-def estimates_table(first: RunData, second: RunData) -> str:
-    """Both answers in figures."""
-    names = (
+def estimates_table(runs: Sequence[RunData]) -> str:
+    """The answers in figures, a run a line."""
+    columns = (
         ("P(violation)", "probability"),
         ("standard error", "std_error"),
         ("interval from", "ci_low"),
-        ("interval to", "ci_high"),
+        ("to", "ci_high"),
         ("violations", "failures"),
         ("rollouts simulated", "rollouts_simulated"),
         ("effective sample size", "ess"),
         ("Pareto k-hat", "pareto_k"),
-        ("NLL of violations [nats]", "nll_mean"),
+        ("NLL [nats]", "nll_mean"),
     )
-    answers = (first.result.estimate, second.result.estimate)
     lines = [
-        [label, *(number(None if a is None else getattr(a, field), 3) for a in answers)]
-        for label, field in names
+        [
+            f"<b style='color:{RUN_COLORS[place]}'>{LETTERS[place]}</b> {escape(run.name)}",
+            *(
+                number(None if run.result.estimate is None else getattr(run.result.estimate, f), 3)
+                for _, f in columns
+            ),
+            _is_interval(run),
+            _is_reliable(run),
+        ]
+        for place, run in enumerate(runs)
     ]
-    after = 1 + [field for _, field in names].index("ci_high")
-    lines.insert(after, ["does it hold at 95 %?", *map(_is_interval, (first, second))])
-    return grid(["", "A", "B"], lines, name="Estimates of two runs")
+    header = ["run", *(label for label, _ in columns), "does the interval hold?", "reliable?"]
+    return heading("Estimates in figures") + grid(header, lines, name="Estimates of the runs")
 
 
 def _is_interval(run: RunData) -> str:
@@ -190,16 +199,28 @@ def _is_interval(run: RunData) -> str:
     return escape(f"{no_interval_text(estimate)}: {'; '.join(caveats)}") if caveats else "yes"
 
 
-def differences_table(first: RunData, second: RunData) -> str:
-    """The settings in which two runs differ."""
-    differences = setting_differences(first.config, second.config)
-    if not differences:
-        return heading("Settings") + quiet("All settings are equal.")
-    lines = [
-        [escape(name), *(escape(shown_setting(value)) for value in values)]
-        for name, values in sorted(differences.items())
+def _is_reliable(run: RunData) -> str:
+    """Whether the answer may decide anything; the reasons stand where the pointer rests."""
+    if run.result.estimate is None:
+        return number(None)
+    reasons = run_unreliable_because(run.result)
+    if not reasons:
+        return "yes"
+    return f"<span title='{escape('; '.join(reasons), quote=True)}'>\N{WARNING SIGN} no</span>"
+
+
+def differences_table(runs: Sequence[RunData]) -> str:
+    """The settings in which runs differ, with every run's value."""
+    settings = [flat_settings(config_table(run.config)) for run in runs]
+    differing = [
+        name for name in sorted(settings[0]) if any(s[name] != settings[0][name] for s in settings)
     ]
-    return heading("Settings that differ") + grid(["", "A", "B"], lines, name="Settings")
+    if not differing:
+        return quiet("All settings are equal.")
+    lines = [
+        [escape(name), *(escape(shown_setting(s[name])) for s in settings)] for name in differing
+    ]
+    return grid(["", *LETTERS[: len(runs)]], lines, name="Settings")
 
 
 def shown_setting(value: object) -> str:

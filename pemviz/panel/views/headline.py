@@ -8,16 +8,22 @@ from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
 from pemviz.reports.data_plan_text import short_rows
 from pemviz.reports.estimate_text import interval_name, level_text, no_interval_text
-from pemviz.reports.pictures.html import block, number, quiet, warning
+from pemviz.reports.gate import decide_run
+from pemviz.reports.memory_curve import assumption_worth
+from pemviz.reports.pictures.html import block, good, number, quiet, warning
 from pemviz.reports.pictures.ladder import ladder_plot
-from pemviz.reports.pictures.memory import memory_curve
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_diagnostics, run_interval_caveats
 from pemviz.types import Estimate
 
 
-def headline(run: RunData | None) -> str:
-    """The run's name and its answer."""
+def headline(run: RunData | None, *, limit: float | None = None) -> str:
+    """The run's name and its answer.
+
+    Args:
+        run: The run shown.
+        limit: What its upper bound is to be compared with.
+    """
     if run is None:
         return block(quiet("Nothing has run yet. Press Run in the Experiment tab."))
     config = run.config
@@ -26,7 +32,7 @@ def headline(run: RunData | None) -> str:
         f"<b>{escape(run.name)}</b>"
         f"<span style='color:#52606d'>{escape(config.method)}, {escape(config.metric)}</span></div>"
     )
-    return block(title + _answer(run))
+    return block(title + _answer(run) + _gate(run, limit))
 
 
 def _answer(run: RunData) -> str:
@@ -49,12 +55,22 @@ def _answer(run: RunData) -> str:
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
-    lines += memory_curve(run.result.memory)
+    worth = assumption_worth(run.result.memory)
+    lines += warning(f"{worth} (more in Why)") if worth else ""
     diagnostics = run_diagnostics(run.result)
     for first in diagnostics[:1]:
         others = len(diagnostics) - 1
         lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
     return lines + ladder_plot(run.result) + _next(run.result)
+
+
+def _gate(run: RunData, limit: float | None) -> str:
+    """Whether the answer stays below a limit; nothing without one."""
+    if limit is None or run.running:
+        return ""
+    decision = decide_run(run.result, limit=limit)
+    words = f"Fail above {number(limit, 2)}: {decision.sentence}"
+    return good(words) if decision.outcome == "passed" else warning(words)
 
 
 def _next(result: RunResult) -> str:

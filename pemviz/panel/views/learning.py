@@ -6,8 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
-from pemviz.panel.run_data import RunData
-from pemviz.reports.pictures.html import block, number, quiet
+from pemviz.panel.run_data import ProposalCurve, RunData
+from pemviz.panel.views.curves import Curves, Line, over_common
+from pemviz.panel.views.page import cell, page, wide
+from pemviz.reports.pictures.html import number, quiet
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.result import StageSummary
 from pemviz.runs.trust import run_interval_caveats
@@ -15,6 +17,9 @@ from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
+HEIGHT = 220
+OLDER = ("#E8894A", "#EDA878", "#F0BE9B", "#F3D0B7", "#F6DFCF")
+"""Of proposals learned before the newest one, paler and paler."""
 FAR_BELOW = -60.0
 MOST_DECADES = 10.0
 DOUBTED = "3 3"
@@ -24,17 +29,21 @@ DOUBTED = "3 3"
 def learning(run: RunData | None) -> str:
     """All plots of the tab."""
     if run is None:
-        return block(quiet("Nothing has run yet."))
-    return block(run.memo.get("learning", lambda: _learning(run)))
+        return page(wide(quiet("Nothing has run yet.")))
+    return run.memo.get("learning", lambda: _learning(run))
+
+
+def learning_words(run: RunData | None) -> str:
+    """What there is to see, in a few sentences."""
+    return "" if run is None else page(wide(quiet(by_name(run.config.method).learning_words)))
 
 
 def _learning(run: RunData) -> str:
     stages = _last_repetition(run.result.stages)
-    parts = [proposal_plot(run), quiet(by_name(run.config.method).learning_words)]
+    cells = [cell(estimate_plot(run, stages))]
     if has_stages(run, stages):
-        parts += _stage_plots(run, stages)
-    parts.append(estimate_plot(run, stages))
-    return "".join(parts)
+        cells += map(cell, _stage_plots(run, stages))
+    return page(*cells)
 
 
 def has_stages(run: RunData, stages: Sequence[StageSummary]) -> bool:
@@ -49,34 +58,36 @@ def _stage_plots(run: RunData, stages: Sequence[StageSummary]) -> list[str]:
     return [threshold, failure_plot(stages), ess_plot(stages)]
 
 
-def proposal_plot(run: RunData) -> str:
-    """Proposals of all stages against the error model's curve."""
-    high = float(run.gap_m[-1]) if run.gap_m.size else 20.0
-    plot = Plot(
-        title="P(detected) against gap",
-        x=Axis(0.0, high, "gap [m]"),
-        y=Axis(0.0, 1.0, "P(detected)", ticks=(0.0, 0.25, 0.5, 0.75, 1.0)),
-        height=216,
-        bottom=48,
-    )
+def proposal_curves(run: RunData | None) -> Curves | None:
+    """The newest proposal, some of those before it, and the error model."""
+    if run is None or not run.gap_m.size:
+        return None
     method = by_name(run.config.method)
-    curves = () if method.follows_model else run.final_curves[-40:]
-    for age, curve in enumerate(reversed(curves)):
-        plot.line(
-            curve.gap_m,
-            curve.detection,
-            color=PROPOSAL,
-            width=2.4 if age == 0 else 1.3,
-            opacity=max(0.14, 0.75 ** (age + (1 if age else 0))) if age else 1.0,
-            tip=method.curve_name or f"proposal after stage {curve.stage}",
-        )
-    plot.line(run.gap_m, run.pem_detection, color=PEM, width=2.0, tip="error model")
-    y = plot.height - 6
-    plot.legend([(f"error model ({_shown_pem(run)})", PEM, "")], x=plot.left + 6, y=y)
-    if curves:
-        label = method.curve_name or f"proposal after stage {curves[-1].stage}"
-        plot.legend([(label, PROPOSAL, "")], x=plot.left + 184, y=y)
-    return plot.text()
+    curves = () if method.follows_model else run.final_curves
+    lines: list[Line] = []
+    for age, curve in enumerate(_spread(tuple(reversed(curves)))):
+        name = method.curve_name or f"proposal after stage {curve.stage}"
+        color = PROPOSAL if age == 0 else OLDER[min(age, len(OLDER)) - 1]
+        (values,) = over_common(run.gap_m, [(curve.gap_m, curve.detection)])
+        lines.append(Line(name, values, color, width=2.6 if age == 0 else 1.4))
+    model = Line(f"error model ({_shown_pem(run)})", run.pem_detection, PEM, 2.0, (7.0, 3.0))
+    return Curves(
+        title="P(detected) over the gap",
+        x=run.gap_m,
+        x_label="gap [m]",
+        y_label="P(detected)",
+        lines=(*lines, model),
+        y_range=(0.0, 1.0),
+    )
+
+
+def _spread(curves: Sequence[ProposalCurve]) -> list[ProposalCurve]:
+    """The first, the last, and some between them: as many as can be told apart."""
+    most = 1 + len(OLDER)
+    if len(curves) <= most:
+        return list(curves)
+    places = np.linspace(0, len(curves) - 1, most).round().astype(int)
+    return [curves[place] for place in places.tolist()]
 
 
 def _shown_pem(run: RunData) -> str:
@@ -92,7 +103,7 @@ def threshold_plot(stages: Sequence[StageSummary], *, unit: str) -> str:
         title="Threshold: rollouts at or below it are learned from",
         x=_stage_axis(stages),
         y=Axis(low, high, f"robustness{unit}"),
-        height=128,
+        height=HEIGHT,
     )
     plot.hline(0.0, color=VERMILLION, label="violation below 0")
     xs, ys = np.array([p[0] for p in points], float), np.array([p[1] for p in points], float)
@@ -116,7 +127,7 @@ def failure_plot(
         title=title,
         x=_stage_axis(stages, each),
         y=Axis(0.0, 100.0, "share [%]", ticks=(0.0, 50.0, 100.0)),
-        height=118,
+        height=HEIGHT,
     )
     for x, y, stage in zip(xs, ys, with_rollouts, strict=True):
         tip = f"{each} {stage.stage}: {stage.failures} of {stage.rollouts}"
@@ -135,7 +146,7 @@ def ess_plot(stages: Sequence[StageSummary]) -> str:
         title="Effective sample size of the violations",
         x=_stage_axis(stages),
         y=Axis(0.0, top, "rollouts"),
-        height=118,
+        height=HEIGHT,
     )
     plot.hline(SMALL_ESS, color=GREY, label=f"below {SMALL_ESS:g}: do not quote")
     plot.line(np.array(xs), np.array(ys), color=GREEN)
@@ -162,7 +173,7 @@ def estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
         title="Estimate of P(violation)",
         x=x,
         y=Axis(low, high, "probability", log10=True),
-        height=176,
+        height=HEIGHT,
         left=52,
         bottom=48,
     )

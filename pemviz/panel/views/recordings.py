@@ -7,6 +7,9 @@ from pemviz.panel.recordings import RunEntry
 from pemviz.reports.pictures.html import block, grid, number, quiet, warning
 
 MOST_COMPLAINTS = 10
+TABLE_PX = 260
+SHOWN_NOTES = 120
+ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
 
 
 def recordings_table(
@@ -21,27 +24,43 @@ def recordings_table(
         return block(complaints + quiet(words))
     lines = [
         [
-            escape(entry.name),
-            f"{escape(entry.method)}<br>{escape(entry.metric)}",
-            _probability(entry),
-            str(entry.seed),
-            escape(entry.status),
-            "yes" if entry.has_recording else "no",
+            f"{escape(entry.name)}{_notes(entry)}",
+            f"{escape(entry.method)}<br>{escape(entry.metric)}<br>seed {entry.seed}",
+            number(entry.probability),
+            _reliability(entry),
+            escape(entry.status) + ("" if entry.has_recording else "<br>no .rrd"),
         ]
         for entry in entries
     ]
-    header = ("run", "method, metric", "P(violation)", "seed", "status", ".rrd")
+    header = ("run, notes", "method", "P(violation)", "reliable?", "status")
     table = grid(header, lines, name="Recordings")
+    table = f"<div style='max-height:{TABLE_PX}px;overflow-y:auto'>{table}</div>"
     return block(table + complaints + quiet(f"Folder: {folder}"))
 
 
-def _probability(entry: RunEntry) -> str:
-    """The estimate, and that it is unreliable, with the reasons where the pointer rests."""
-    shown = number(entry.probability)
+def _notes(entry: RunEntry) -> str:
+    """The first words of a run's notes; all of them where the pointer rests."""
+    words = " ".join(entry.notes.split())
+    if not words:
+        return ""
+    short = words if len(words) <= SHOWN_NOTES else words[: SHOWN_NOTES - 1] + ELLIPSIS
+    return f"<br><i title='{escape(words, quote=True)}'>{escape(short)}</i>"
+
+
+def _reliability(entry: RunEntry) -> str:
+    """Whether the estimate may decide anything; why not stands where the pointer rests."""
+    if entry.probability is None:
+        return "no estimate"
     if not entry.unreliable:
-        return shown
+        return "\N{CHECK MARK} yes"
     reasons = escape("; ".join(entry.unreliable), quote=True)
-    return f"{shown}<br><span title='{reasons}'>\N{WARNING SIGN} unreliable</span>"
+    return f"<span title='{reasons}'>\N{WARNING SIGN} unreliable</span>"
+
+
+def delete_question(name: str) -> str:
+    """What is lost if a run is deleted."""
+    words = "Its result, rollouts, recording and notes are deleted. Nothing brings them back."
+    return block(f"<b>{escape(name)}</b>" + quiet(words))
 
 
 def viewer_link(address: str, *, name: str) -> str:

@@ -1,5 +1,6 @@
 """One rollout against time, with a cursor in step with the scene."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from pemviz.colors import BLUE, DETECTED, EGO, GREY, LEAD, MISSED, PEM, PROPOSAL
 from pemviz.config import ScenarioConfig
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
+from pemviz.panel.views.page import PLOTS, SPEEDS
 from pemviz.reports.pictures.html import number
 from pemviz.reports.pictures.svg import Axis, Plot, svg, text
 from pemviz.simulators.braking.contact import (
@@ -19,8 +21,7 @@ from pemviz.simulators.braking.contact import (
 )
 from pemviz.simulators.braking.scenario import GAP, scenario_signals
 
-WIDTH, HEIGHT = 900, 190
-PLOT_WIDTH = 300
+PLOT_WIDTH, HEIGHT = 300, 190
 CURSOR = "#111827"
 
 
@@ -94,26 +95,28 @@ def row_title(entry: RankedRow) -> str:
     )
 
 
-def track_plots(chosen: Track) -> tuple[str, str]:
-    """The plots in two pieces, between which a cursor is put by :func:`with_cursor`."""
-    groups = "".join(plot.group(dx=PLOT_WIDTH * place) for place, plot in enumerate(_plots(chosen)))
-    whole = svg(groups + "@@", width=WIDTH, height=HEIGHT, title=chosen.title)
-    before, after = whole.split("@@")
-    return before, after
+def track_plots(chosen: Track) -> tuple[str, ...]:
+    """The plots, each without its end, where :func:`with_cursor` puts a cursor."""
+    names = (chosen.title, "Speeds", "Perception")
+    return tuple(
+        svg(plot.group() + "@@", width=PLOT_WIDTH, height=HEIGHT, title=name).split("@@")[0]
+        for plot, name in zip(_plots(chosen), names, strict=True)
+    )
 
 
-def with_cursor(pieces: tuple[str, str], chosen: Track, step: int, *, speed: float) -> str:
-    """The plots with a cursor at a step, and the values there."""
-    marks: list[str] = []
+def with_cursor(plots: Sequence[str], chosen: Track, step: int, *, speed: float) -> str:
+    """The plots side by side with a cursor at a step, and the values there."""
+    shown: list[str] = []
     values = _values(chosen, step, speed=speed)
-    for place, plot in enumerate(_plots_axes(chosen)):
-        x = plot.px(float(chosen.time_s[step])) + PLOT_WIDTH * place
-        marks.append(
-            f"<path d='M{x:.1f} {plot.top}V{plot.bottom}' stroke='{CURSOR}' stroke-width='1.4'/>"
-        )
-        right = PLOT_WIDTH * place + plot.right
-        marks.append(text(values[place], right, plot.top - 9, anchor="end", color=CURSOR))
-    return pieces[0] + f"<g data-cursor='{step}'>{''.join(marks)}</g>" + pieces[1]
+    for place, (drawn, plot) in enumerate(zip(plots, _plots_axes(chosen), strict=True)):
+        x = plot.px(float(chosen.time_s[step]))
+        line = f"<path d='M{x:.1f} {plot.top}V{plot.bottom}' stroke='{CURSOR}' stroke-width='1.4'/>"
+        words = text(values[place], plot.right, plot.top - 9, anchor="end", color=CURSOR)
+        named = "" if place else f" data-cursor='{step}'"
+        shown.append(f"{drawn}<g{named}>{line}{words}</g></svg>")
+    gap, speeds, perception = shown
+    middle = speeds.replace("<svg ", f"<svg class='{SPEEDS}' ", 1)
+    return f"<div class='{PLOTS}'>{gap}{middle}{perception}</div>"
 
 
 def _values(chosen: Track, step: int, *, speed: float) -> tuple[str, str, str]:

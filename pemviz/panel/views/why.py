@@ -10,10 +10,12 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.contribution import log_contributions
 from pemviz.panel.run_data import RunData, final_violations
-from pemviz.reports.estimate_text import REFITS
-from pemviz.reports.pictures.causes import causes_part
+from pemviz.panel.views.models import models_part
+from pemviz.panel.views.page import cell, page, wide
+from pemviz.reports.pictures.causes import cause_sections
 from pemviz.reports.pictures.data_plan import plan_part
-from pemviz.reports.pictures.html import block, good, grid, heading, number, percent, quiet, warning
+from pemviz.reports.pictures.html import good, grid, heading, number, percent, quiet, warning
+from pemviz.reports.pictures.memory import memory_curve
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.trust import data_warnings, run_diagnostics
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
@@ -36,16 +38,24 @@ def why(run: RunData | None, *, target: str = "") -> str:
         target: Element id of the input that a click on a chain writes its place into.
     """
     if run is None:
-        return block(quiet("Nothing has run yet."))
+        return page(wide(quiet("Nothing has run yet.")))
     if run.running:
-        return block(quiet("Explained when the run under way is done."))
-    return block(run.memo.get(("why", target), lambda: _why(run, target=target)))
+        return page(wide(quiet("Explained when the run under way is done.")))
+    return run.memo.get(("why", target), lambda: _why(run, target=target))
 
 
 def _why(run: RunData, *, target: str) -> str:
     result = run.result
-    about_answer = _misses(run) + causes_part(result, target=target) + plan_part(result)
-    return about_answer + _trust(run) + _data(run) + _assumptions(run)
+    return page(
+        *map(cell, _misses(run)),
+        *map(cell, cause_sections(result, target=target)),
+        cell(plan_part(result)),
+        cell(_trust(run)),
+        cell(models_part(result)),
+        cell(memory_curve(result.memory)),
+        cell(_data(run)),
+        cell(_assumptions(run)),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,24 +96,24 @@ def failures_of(run: RunData) -> Failures | None:
     )
 
 
-def _misses(run: RunData) -> str:
+def _misses(run: RunData) -> list[str]:
+    """Where and when violations miss, in two cells."""
+    title = heading("Misses that cause violations")
     failures = failures_of(run)
     if failures is None:
-        return heading("Misses that cause violations") + quiet(
+        words = (
             "No rollout of this run violates: there is nothing to explain. Plain simulation "
             "hardly ever finds a violation; choose another method in the Experiment tab."
         )
-    return (
-        heading("Misses that cause violations")
-        + quiet(miss_sentence(failures, misses=deciding_misses(run), dt_s=_dt_s(run)))
-        + distance_plot(failures)
-        + time_plot(failures, dt_s=_dt_s(run))
-        + quiet(
-            "Bars: share of steps missed in violations, weighted by how likely each is under the "
-            "error model. Black: what the error model itself says"
-            f"{', given the outcome before' if run.config.memory_s else ''}."
-        )
+        return [title + quiet(words)]
+    given = ", given the outcome before" if run.config.memory_s else ""
+    note = (
+        "Bars: share of steps missed in violations, weighted by how likely each is under the "
+        f"error model. Black: what the error model itself says{given}."
     )
+    sentence = miss_sentence(failures, misses=deciding_misses(run), dt_s=_dt_s(run))
+    where = title + quiet(sentence) + distance_plot(failures)
+    return [where, time_plot(failures, dt_s=_dt_s(run)) + quiet(note)]
 
 
 def _dt_s(run: RunData) -> float:
@@ -179,7 +189,7 @@ def distance_plot(failures: Failures) -> str:
         title="Missed in violations, by distance",
         x=Axis(0.0, float(edges[-1]), "gap [m]"),
         y=Axis(0.0, 100.0, "steps missed [%]", ticks=(0.0, 50.0, 100.0)),
-        height=150,
+        height=200,
     )
     tips = [
         f"{edges[i]:g} to {edges[i + 1]:g} m: {100 * missed[i]:.0f} % missed, error model "
@@ -200,7 +210,7 @@ def time_plot(failures: Failures, *, dt_s: float) -> str:
         title="Missed in violations, by time",
         x=Axis(0.0, float(edges[-1]), "time [s]"),
         y=Axis(0.0, 100.0, "steps missed [%]", ticks=(0.0, 50.0, 100.0)),
-        height=150,
+        height=200,
     )
     plot.bars(edges, missed, color=VERMILLION)
     plot.line(edges[:-1] + dt_s / 2, expected, color=BLACK, width=1.8)
@@ -220,7 +230,7 @@ def _trust(run: RunData) -> str:
         parts.append(quiet(f"The interval: {method.interval_caveat}."))
     if method.rests_on_weights and estimate is not None and estimate.ess is not None:
         parts.append(diagnostics_table(estimate))
-    parts += [_reference(run), _interval(run)]
+    parts.append(_reference(run))
     return "".join(parts)
 
 
@@ -255,18 +265,6 @@ def _reference(run: RunData) -> str:
     if reference.std_error:
         error = f" \N{PLUS-MINUS SIGN} {number(reference.std_error, 2)}"
     return quiet(f"Reference: {number(true)}{error}{ratio}.")
-
-
-def _interval(run: RunData) -> str:
-    interval = run.result.pem_interval
-    if interval is None:
-        return ""
-    return quiet(
-        f"Refits of the error model: of {number(interval.members, 6)} {REFITS}, "
-        f"{100 * interval.confidence:.3g} % put P(violation) between "
-        f"{number(interval.low, 2)} and {number(interval.high, 2)} "
-        f"(median {number(interval.median, 2)})."
-    )
 
 
 def _assumptions(run: RunData) -> str:

@@ -26,7 +26,12 @@ BURST_NOTE = (
 
 
 def causes_part(result: RunResult, *, target: str = "") -> str:
-    """Both tables, if the run explains itself.
+    """Both tables, if the run explains itself; see :func:`cause_sections`."""
+    return "".join(cause_sections(result, target=target))
+
+
+def cause_sections(result: RunResult, *, target: str = "") -> list[str]:
+    """Misses by distance, bursts and chains, each with its heading, as far as a run tells them.
 
     Args:
         result: The run's.
@@ -35,21 +40,22 @@ def causes_part(result: RunResult, *, target: str = "") -> str:
     """
     explanation = result.explanation
     if explanation is None:
-        return ""
-    parts = [
+        return []
+    by_distance = (
         heading("Misses by distance, and what fewer of them would bring"),
         band_table(explanation, target=result.config.target),
         quiet(_band_note(result, explanation)),
-    ]
-    parts.append(bursts_part(explanation, target=result.config.target))
+    )
+    sections = ["".join(by_distance), bursts_part(explanation, target=result.config.target)]
     if explanation.chains:
         dt_s = result.config.scenario.dt_s
-        parts += [
+        chains = (
             heading("Likeliest chains of misses"),
             chain_table(explanation.chains, dt_s=dt_s, target=target),
             quiet(_chain_note(explanation.chains) + (CLICK_NOTE if target else "")),
-        ]
-    return "".join(parts)
+        )
+        sections.append("".join(chains))
+    return sections
 
 
 def bursts_part(explanation: Explanation, *, target: float | None) -> str:

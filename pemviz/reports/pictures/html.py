@@ -17,15 +17,17 @@ SUPERSCRIPT = str.maketrans(
 )
 
 
-# A click writes the row's number into viser's own input, as typing it would; placing the caret
-# there would scroll the tab to it.
+# A click writes the number of a row, or of a point, into viser's own input, as typing it would;
+# placing the caret there would scroll the tab to it.
 CLICK = (
-    "(function(r){var i=document.getElementById(r.dataset.target);if(!i)return;"
+    "(function(r,t){var i=document.getElementById(t);if(!i||!r)return;"
     "var s=r,y;while(s&&!s.scrollTop)s=s.parentElement;y=s?s.scrollTop:0;"
     "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,r.dataset.number);"
     "i.dispatchEvent(new Event('input',{bubbles:true}));"
-    "function back(){i.blur();if(s)s.scrollTop=y;}setTimeout(back,0);setTimeout(back,60);})(this)"
+    "function back(){i.blur();if(s)s.scrollTop=y;}setTimeout(back,0);setTimeout(back,60);})"
 )
+CLICK_ROW = f"{CLICK}(this,this.dataset.target)"
+CLICK_POINT = f"{CLICK}(event.target.closest('[data-number]'),this.dataset.target)"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -90,8 +92,14 @@ def clickable(number: int, *, target: str) -> str:
     """
     return (
         f"role='button' data-number='{number}' data-target='{escape(target, quote=True)}'"
-        f" onclick='{escape(CLICK, quote=True)}'"
+        f" onclick='{escape(CLICK_ROW, quote=True)}'"
     )
+
+
+def clickable_points(*, target: str) -> str:
+    """Attributes of what holds points with a ``data-number`` each, as :func:`clickable`."""
+    onclick = escape(CLICK_POINT, quote=True)
+    return f"data-target='{escape(target, quote=True)}' onclick='{onclick}'"
 
 
 def grid(

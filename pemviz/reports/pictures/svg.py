@@ -180,6 +180,19 @@ class Plot:
             x, anchor = (self.left + 3, "start") if at_left else (self.right - 3, "end")
             self._over.append(text(label, x, py - 3, anchor=anchor, color=color))
 
+    def vline(self, x: float, *, color: str, label: str = "", dash: str = "4 3") -> None:
+        """A vertical line, labelled at its upper end."""
+        if not self.x.low <= x <= self.x.high:
+            return
+        px = self.px(x)
+        self._parts.append(
+            f"<path d='M{px:.1f} {self.top}V{self.bottom}' stroke='{color}'{_dash(dash)}/>"
+        )
+        if label:
+            room = self.right - px > 6.0 * len(label)
+            at, anchor = (px + 4, "start") if room else (px - 4, "end")
+            self._over.append(text(label, at, self.top + 9, anchor=anchor, color=color))
+
     def band(self, low: float, high: float, *, color: str, opacity: float = 0.18) -> None:
         """A horizontal band."""
         top, bottom = self.py(min(high, self.y.high)), self.py(max(low, self.y.low))
@@ -249,9 +262,10 @@ class Plot:
             f"</clipPath>{self._frame()}{body}{''.join(self._over)}</g>"
         )
 
-    def text(self) -> str:
-        """The plot as one SVG document."""
-        return svg(self.group(), width=self.width, height=self.height, title=self._title)
+    def text(self, *, extra: str = "") -> str:
+        """The plot as one SVG document, with more SVG over it."""
+        body = self.group() + extra
+        return svg(body, width=self.width, height=self.height, title=self._title)
 
     def _frame(self) -> str:
         parts = [

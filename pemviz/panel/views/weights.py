@@ -1,0 +1,253 @@
+"""The Weights tab: weights over robustness, and how near the cars come."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
+from pemviz.panel.contribution import shares
+from pemviz.panel.run_data import RunData
+from pemviz.panel.views.page import cell, page, wide
+from pemviz.reports.pictures.html import clickable_points, number, percent, quiet
+from pemviz.reports.pictures.svg import Axis, Plot, text
+from pemviz.sampling.registry import by_name
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
+
+MOST_POINTS = 1_000
+HEIGHT = 300
+FARTHEST = -60.0
+"""Decades below which weights are drawn at the lower edge."""
+LN10 = math.log(10.0)
+
+
+def weights_page(run: RunData | None, *, target: str, selected: int | None) -> str:
+    """The whole tab.
+
+    Args:
+        run: The run shown.
+        target: Element id of the input that a click on a point writes the rollout's number into.
+        selected: The number of the rollout shown, its index in the run's tables.
+    """
+    if run is None or not run.parts:
+        return page(wide(quiet("No rollouts yet.")))
+    if run.running:
+        return page(wide(quiet("Drawn when the run under way is done.")))
+    before, after = run.memo.get(("weights", target), lambda: _weights(run, target=target))
+    gaps = run.memo.get("least gaps", lambda: _least_gaps(run))
+    return page(cell(before + _ring(run, selected) + after), cell(gaps))
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Rollouts that are drawn.
+
+    Attributes:
+        index: ``[P]`` in the run's tables.
+        robustness: ``[P]``, finite.
+        log10_weight: ``[P]``.
+        violated: ``[P]``.
+        share: ``[P]`` of the answer.
+    """
+
+    index: IntArray
+    robustness: FloatArray
+    log10_weight: FloatArray
+    violated: BoolArray
+    share: FloatArray
+
+
+def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> Points:
+    """Those that contribute most to the answer, and of the others some, evenly by robustness."""
+    robustness = np.asarray(run.rollouts["robustness"], dtype=np.float64)
+    share = shares(run)
+    usable = np.flatnonzero(np.isfinite(robustness) & np.isfinite(run.log_weight))
+    chosen = usable
+    if usable.size > most:
+        heavy = usable[np.argsort(-share[usable], kind="stable")[: most // 2]]
+        rest = np.setdiff1d(usable, heavy)
+        rest = rest[np.argsort(robustness[rest], kind="stable")]
+        places = np.linspace(0, rest.size - 1, most - heavy.size).round().astype(np.int64)
+        chosen = np.sort(np.concatenate([heavy, rest[places]]))
+    return Points(
+        index=chosen.astype(np.int64),
+        robustness=robustness[chosen],
+        log10_weight=run.log_weight[chosen] / LN10,
+        violated=np.asarray(run.rollouts["violated"][chosen], dtype=np.bool_),
+        share=share[chosen],
+    )
+
+
+def _weights(run: RunData, *, target: str) -> tuple[str, str]:
+    """The plot of weights over robustness, in two pieces between which the ring is put."""
+    if not by_name(run.config.method).has_likelihood_ratios:
+        return quiet("Splitting's rollouts carry no weights: there is nothing to draw here."), ""
+    points = drawn_points(run)
+    plot = _weight_axes(run, points)
+    plot.vline(0.0, color=VERMILLION, label="0")
+    shapes = "".join(_point(run, plot, points, place) for place in range(points.index.size))
+    group = f"<g {clickable_points(target=target)} style='cursor:pointer'>{shapes}</g>"
+    plot.legend([("violates", MISSED, "")], x=plot.left, y=plot.height - 6)
+    plot.legend([("does not", BLUE, "")], x=plot.left + 90, y=plot.height - 6)
+    before, after = plot.text(extra=f"{group}@@").split("@@")
+    words = (
+        "Each rollout's weight, by how much rarer or commoner it is under the error model than as "
+        "drawn; the larger, the more it contributes to the answer. Click a point: that rollout "
+        "shows below and in the scene."
+    )
+    if points.index.size < run.simulated:
+        words += (
+            f" Drawn are {points.index.size:,} of {run.simulated:,}: those that contribute most, "
+            "and of the others some."
+        )
+    return before, after + quiet(words)
+
+
+def _weight_axes(run: RunData, points: Points) -> Plot:
+    unit = "" if run.config.metric == "agm" else " [m]"
+    low, high = _ends(points.robustness, least=0.1)
+    bottom, top = _ends(np.maximum(points.log10_weight, FARTHEST), least=1.0)
+    return Plot(
+        title="Weight over robustness",
+        x=Axis(low, high, f"robustness, {run.config.metric}{unit}"),
+        y=Axis(bottom, top, "weight p / q", log10=True),
+        height=HEIGHT,
+        left=54,
+        bottom=50,
+    )
+
+
+def _ends(values: FloatArray, *, least: float) -> tuple[float, float]:
+    """An axis around values, with some room."""
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+    room = max(0.04 * (high - low), least / 2)
+    return low - room, high + room
+
+
+def _point(run: RunData, plot: Plot, points: Points, place: int) -> str:
+    """A rollout, as a cross if it violates; larger if it is one of those that carry the answer."""
+    index, share = int(points.index[place]), float(points.share[place])
+    x = plot.px(float(points.robustness[place]))
+    y = plot.py(max(float(points.log10_weight[place]), FARTHEST))
+    part = f", {percent(share)} of the answer" if share >= 5e-4 else ""
+    stage, rollout = (int(run.rollouts[key][index]) for key in ("stage", "rollout"))
+    tip = (
+        f"stage {stage}, rollout {rollout}: robustness {number(float(points.robustness[place]))}, "
+        f"weight {number(10.0 ** float(points.log10_weight[place]))}{part}"
+    )
+    if points.violated[place]:
+        r = 2.4 + 3.0 * math.sqrt(min(share / 0.05, 1.0))
+        shape = f"<path d='M{x - r:.1f} {y - r:.1f}l{2 * r:.1f} {2 * r:.1f}m0 {-2 * r:.1f}"
+        shape += f"l{-2 * r:.1f} {2 * r:.1f}' stroke='{MISSED}' stroke-width='1.5' fill='none'/>"
+    else:
+        shape = f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.2' fill='{BLUE}' fill-opacity='0.6'/>"
+    hit = f"<circle cx='{x:.1f}' cy='{y:.1f}' r='5' fill='transparent'/>"
+    return f"<g data-number='{index}'>{shape}{hit}<title>{tip}</title></g>"
+
+
+def _ring(run: RunData, selected: int | None) -> str:
+    """A ring around the rollout shown."""
+    robust = run.rollouts["robustness"]
+    if selected is None or selected >= robust.size:
+        return ""
+    if not by_name(run.config.method).has_likelihood_ratios:
+        return ""
+    points = run.memo.get("drawn points", lambda: drawn_points(run))
+    plot = _weight_axes(run, points)
+    weight = max(float(run.log_weight[selected]) / LN10, FARTHEST)
+    x, y = plot.px(float(robust[selected])), plot.py(weight)
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return ""
+    ring = f"<circle cx='{x:.1f}' cy='{y:.1f}' r='8' fill='none' stroke='{BLACK}'"
+    label = text("shown", x + 11, y + 3.5, color=BLACK)
+    return (
+        f"<g data-shown='{selected}' pointer-events='none'>{ring} stroke-width='1.8'/>{label}</g>"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LeastGaps:
+    """How likely the cars come nearer than a gap.
+
+    Attributes:
+        gap_m: ``[P]`` ascending, every rollout's least gap [m].
+        sampled: ``[P]`` share of the rollouts, as drawn, with a least gap up to this one.
+        log10_probability: ``[P]`` of the same under the error model; empty where rollouts carry
+            no weights.
+    """
+
+    gap_m: FloatArray
+    sampled: FloatArray
+    log10_probability: FloatArray
+
+
+def least_gaps(run: RunData) -> LeastGaps | None:
+    """From the rollouts that the estimate averages; ``None`` without any."""
+    stages = [stage for stage in run.result.stages if stage.kind == "final"]
+    drawn = sum(stage.rollouts for stage in stages)
+    table = run.rollouts
+    keys = np.zeros(run.kept, dtype=np.bool_)
+    for stage in stages:
+        keys |= (table["repetition"] == stage.repetition) & (table["stage"] == stage.stage)
+    chosen = np.flatnonzero(keys)
+    if not chosen.size or not drawn:
+        return None
+    gap_m = np.min(np.asarray(table["gap_m"][chosen], dtype=np.float64), axis=1)
+    order = np.argsort(gap_m, kind="stable")
+    log10 = np.empty(0)
+    if by_name(run.config.method).has_likelihood_ratios:
+        log_weight = run.log_weight[chosen][order]
+        log10 = (np.logaddexp.accumulate(log_weight) - math.log(drawn)) / LN10
+    return LeastGaps(gap_m[order], np.arange(1, order.size + 1) / drawn, log10)
+
+
+def _least_gaps(run: RunData) -> str:
+    """How likely the least gap is below a value: under the error model, and as drawn."""
+    gaps = least_gaps(run)
+    if gaps is None:
+        return quiet("No rollouts that the answer rests on yet.")
+    low, high = _ends(gaps.gap_m, least=1.0)
+    logs = [np.log10(gaps.sampled), gaps.log10_probability]
+    floor = max(min(float(np.min(v[np.isfinite(v)], initial=0.0)) for v in logs), FARTHEST)
+    plot = Plot(
+        title="How near the cars come",
+        x=Axis(low, high, "least gap in a rollout [m]"),
+        y=Axis(math.floor(floor) - 0.5, 0.4, "probability of less", log10=True),
+        height=HEIGHT,
+        left=54,
+        bottom=50,
+    )
+    plot.vline(
+        CAMERA_TO_BUMPER_M, color=VERMILLION, label=f"{CAMERA_TO_BUMPER_M:g} m: bumpers touch"
+    )
+    entries: list[tuple[str, str, str]] = []
+    for values, entry in zip(
+        logs, (("as drawn", GREY, "5 3"), ("under the error model", BLUE, "")), strict=True
+    ):
+        if values.size:
+            _staircase(plot, gaps.gap_m, np.minimum(values, 0.0), color=entry[1], dash=entry[2])
+            entries.append(entry)
+    for place, entry in enumerate(reversed(entries)):
+        plot.legend([entry], x=plot.left + 160 * place, y=plot.height - 6)
+    return plot.text() + quiet(_gap_words(run, weighted=bool(gaps.log10_probability.size)))
+
+
+def _staircase(plot: Plot, x: FloatArray, y: FloatArray, *, color: str, dash: str) -> None:
+    kept = np.unique(np.linspace(0, x.size - 1, min(x.size, MOST_POINTS)).round().astype(np.int64))
+    plot.line(x[kept], y[kept], color=color, width=2.0, dash=dash)
+
+
+def _gap_words(run: RunData, *, weighted: bool) -> str:
+    words = (
+        "The share of rollouts that come nearer than a gap. As drawn: under the proposal, which "
+        "looks for violations."
+    )
+    if weighted:
+        words += (
+            " Under the error model: every rollout with its weight, so how likely it is in truth; "
+            "towards 1 it is rough, for common rollouts are hardly drawn."
+        )
+    if run.kept < run.simulated:
+        words += f" From the {run.kept:,} of {run.simulated:,} rollouts that are kept here."
+    return words
