@@ -85,8 +85,8 @@ class RunData:
 
     @property
     def name(self) -> str:
-        """The run's id."""
-        return self.result.run_id
+        """Its folder's, which somebody may have renamed or copied; its id if it has none."""
+        return self.result.run_id if self.folder is None else self.folder.name
 
     @property
     def config(self) -> ExperimentConfig:

@@ -157,7 +157,7 @@ def test_a_bad_formula_is_told_where_it_is_typed_and_is_not_run(open_page, shots
     page.get_by_text("Fail above 1.0 × 10⁻³⁰:").wait_for()
     choose(page, "Method", "naive")
     run(page)
-    expect_done(page)
+    until(page, lambda: panel.controller.state.finished_runs > 0)
     assert panel.controller.state.run.config.target == 1e-9
 
 

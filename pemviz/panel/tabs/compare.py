@@ -26,7 +26,7 @@ class CompareTab:
     def __init__(self, browser: Browser) -> None:
         self._browser = browser
         self._run: RunData | None = None
-        self._others: list[RunData] = []
+        self._others: dict[str, RunData] = {}
         self._names: tuple[str, ...] = ()
         gui = browser.client.gui
         self.add = gui.add_dropdown("Compare with", list[str]([NONE]), initial_value=NONE,
@@ -51,7 +51,7 @@ class CompareTab:
         self._offer()
 
     def _offer(self) -> None:
-        chosen = [run.name for run in self._others]
+        chosen = list(self._others)
         options = (NONE, *(name for name in self._names if name not in chosen))
         if tuple(self.add.options) != options:
             self.add.options = options
@@ -71,19 +71,18 @@ class CompareTab:
         if name == NONE or len(self._others) >= MOST_RUNS - 1:
             return
         try:
-            self._others.append(hub.loaded.get(hub.recordings.folder(name)))
+            self._others[name] = hub.loaded.get(hub.recordings.folder(name))
         finally:
             self._offer()
         self._show()
 
     def _remove(self) -> None:
-        name = self.remove.value
-        self._others = [run for run in self._others if run.name != name]
+        self._others.pop(self.remove.value, None)
         self._offer()
         self._show()
 
     def _show(self) -> None:
-        runs = [] if self._run is None else [self._run, *self._others]
+        runs = [] if self._run is None else [self._run, *self._others.values()]
         with self._browser.client.atomic():
             self._curves.show(run_curves(runs))
             set_html(self._runs, runs_page(runs))

@@ -30,7 +30,7 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
         "rank", f"robustness{unit}", "violated", "of the answer", "log weight [nats]", "misses",
         "stage",
     )  # fmt: skip
-    head = "".join(f"<th style='{_CELL};color:#52606d;font-weight:500'>{h}</th>" for h in header)
+    head = "".join(f"<th style='{_HEAD}'>{h}</th>" for h in header)
     lines: list[str] = []
     for place in range(start, min(start + PAGE_ROWS, count)):
         entry = row(run, ranking, place)
@@ -94,3 +94,4 @@ def robustness_text(value: float) -> str:
 
 
 _CELL = "padding:2px 4px;text-align:right;white-space:nowrap"
+_HEAD = "padding:2px 4px;text-align:right;vertical-align:bottom;color:#52606d;font-weight:500"

@@ -13,6 +13,8 @@ from pemviz.runs.result import RunResult
 
 WIDTH, ROW, TOP, BOTTOM = 360, 25, 16, 18
 LEFT, RIGHT = 0, 352
+MARGIN = 12
+"""Pixels within which a tick's label would not fit around it."""
 FARTHEST = -40.0
 """Decades below which nothing is drawn: an end below, or 0, is drawn as an arrow."""
 
@@ -52,10 +54,11 @@ def _axis(low: float, height: int) -> list[str]:
     for tick in nice_ticks(low, 0.0, count=5, whole=True):
         x = _x(10.0**tick, low)
         power = f"{tick:g}".replace("-", "\N{MINUS SIGN}")
+        anchor = "start" if x - LEFT < MARGIN else "end" if RIGHT - x < MARGIN else "middle"
         parts.append(
             f"<line x1='{x:.1f}' x2='{x:.1f}' y1='{TOP}' y2='{height - BOTTOM}' stroke='{GRID}'/>"
             f"<text x='{x:.1f}' y='{height - 5}' {FONT} font-size='9' fill='{FAINT}' "
-            f"text-anchor='middle'>10<tspan dy='-3' font-size='7'>{power}</tspan></text>"
+            f"text-anchor='{anchor}'>10<tspan dy='-3' font-size='7'>{power}</tspan></text>"
         )
     return parts
 

@@ -181,7 +181,7 @@ class Plot:
             self._over.append(text(label, x, py - 3, anchor=anchor, color=color))
 
     def vline(self, x: float, *, color: str, label: str = "", dash: str = "4 3") -> None:
-        """A vertical line, labelled at its upper end."""
+        """A vertical line, labelled at its lower end."""
         if not self.x.low <= x <= self.x.high:
             return
         px = self.px(x)
@@ -191,7 +191,7 @@ class Plot:
         if label:
             room = self.right - px > 6.0 * len(label)
             at, anchor = (px + 4, "start") if room else (px - 4, "end")
-            self._over.append(text(label, at, self.top + 9, anchor=anchor, color=color))
+            self._over.append(text(label, at, self.bottom - 5, anchor=anchor, color=color))
 
     def band(self, low: float, high: float, *, color: str, opacity: float = 0.18) -> None:
         """A horizontal band."""
