@@ -16,7 +16,7 @@ import numpy as np
 
 from pemviz.analysis.causes import failures_of
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.pem import Pem, PemCard
+from pemviz.pem import PemCard
 from pemviz.pem.data.support import DISTANCE_EDGES_M, SHAPE, cell_of
 from pemviz.pem.judging.support_check import BEHIND_M
 from pemviz.pem.models.tabulated import TabulatedPem
@@ -91,20 +91,19 @@ def band_model(miss: FloatArray, *, name: str = "by band") -> TabulatedPem:
 
 
 def rollouts_under(
-    problem: Problem, *, pem: Pem, features: StateFeatures, seed: int
+    problem: Problem, *, features: StateFeatures, seed: int
 ) -> tuple[Estimate, ScoredRollouts, FloatArray]:
-    """A small run of method ``mixture`` with another error model.
+    """A small run of method ``mixture``.
 
     Args:
-        problem: On a fast simulator; its own error model is not looked at.
-        pem: The error model.
+        problem: On a fast simulator.
         features: What proposals look at.
         seed: Root of all randomness.
 
     Returns:
         The estimate, all rollouts, and their log weights ``[N]``.
     """
-    asked = replace(problem, pem=pem, run_batches=run_here, finished=nothing_finished)
+    asked = replace(problem, run_batches=run_here, finished=nothing_finished)
     method = MixtureSampling(
         learning_stages=LEARNING_STAGES,
         rollouts=LEARNING_ROLLOUTS,
@@ -126,7 +125,9 @@ def band_outcomes(
 ) -> BandOutcomes:
     """Violations drawn for the model with P(missed) ``miss [B]``; see :func:`rollouts_under`."""
     model = band_model(miss)
-    _, scored, log_weight = rollouts_under(problem, pem=model, features=features, seed=seed)
+    _, scored, log_weight = rollouts_under(
+        replace(problem, pem=model), features=features, seed=seed
+    )
     failures = failures_of(scored, features=features)
     if failures is None:
         nothing = np.empty((0, BANDS))

@@ -11,6 +11,7 @@ from scipy.special import expit
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.pem import Pem
+from pemviz.sampling.memory import first_logit
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
 GAP = "gap"
@@ -45,7 +46,7 @@ def gap_grid(simulator: Simulator, *, step_m: float = STEP_M) -> FloatArray:
 def pem_curve(*, simulator: Simulator, pem: Pem, gap_m: FloatArray) -> FloatArray:
     """P(detected) ``[G]`` of the perception error model at gaps ``[G]``, else as at the start."""
     states = initial_states(simulator, gap_m=gap_m)
-    return np.asarray(expit(pem.logit(simulator.salient(states.signals))), dtype=np.float64)
+    return np.asarray(expit(first_logit(pem, simulator.salient(states.signals))), dtype=np.float64)
 
 
 def detection_curves(
@@ -69,7 +70,7 @@ def detection_curves(
         rollout_weight: Weights ``[N]`` of the rollouts in that average; equal if ``None``.
     """
     states = initial_states(simulator, gap_m=gap_m)
-    pem_logits = np.asarray(pem.logit(simulator.salient(states.signals)), dtype=np.float64)
+    pem_logits = np.asarray(first_logit(pem, simulator.salient(states.signals)), dtype=np.float64)
     probability = _probability(proposal, states, pem_logits)
     if rollouts is not None and not _needs_gap_alone(simulator, proposal, rollouts):
         probability = mean_near_gaps(

@@ -13,6 +13,7 @@ from pemviz.analysis.causes import (
     miss_probability_by_step,
     misses_by_distance,
 )
+from pemviz.analysis.frail_likelihood import FrailOutcomes
 from pemviz.analysis.outcome_likelihood import (
     IndependentOutcomes,
     OutcomeLikelihood,
@@ -29,6 +30,7 @@ from pemviz.arrays import BoolArray
 from pemviz.config.ranges import Count, Share
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.folding import Folding
+from pemviz.sampling.frailty import FrailSimulator
 from pemviz.sampling.memory import single_outcome_features
 from pemviz.types import StageResult
 
@@ -73,6 +75,7 @@ def explain(
     dt_s: float,
     tau_s: float = 0.0,
     folding: Folding | None = None,
+    frail: FrailSimulator | None = None,
 ) -> Explanation | None:
     """Explain a final stage; ``None`` if nothing failed in it.
 
@@ -85,13 +88,14 @@ def explain(
         dt_s: Time between two frames [s].
         tau_s: Memory time of misses [s]; 0: they are independent given the state.
         folding: To the scenario's own steps, where it has slots.
+        frail: The scenario, where obstacles differ in how hard they are to see.
     """
     failures = failures_of(stage.scored, features=features)
     if failures is None or stage.log10_probability is None:
         return None
     edges = _edges(farthest_m)
     log_mu = stage.log10_probability * math.log(10.0)
-    remembered = _remembered(failures, tau_s=tau_s, dt_s=dt_s)
+    remembered = _remembered(failures, tau_s=tau_s, dt_s=dt_s, frail=frail)
     explanation = Explanation(
         repetition=stage.repetition,
         stage=stage.stage,
@@ -127,16 +131,20 @@ def _mattering(failures: Failures, features: StateFeatures) -> BoolArray:
 
 def _memory(
     failures: Failures,
-    likelihood: RememberedOutcomes | None,
+    likelihood: RememberedOutcomes | FrailOutcomes | None,
     log_probability: float,
     target: float | None,
 ) -> MemorySensitivity | None:
-    if likelihood is None:
+    if likelihood is None or likelihood.tau_s == 0.0:
         return None
     return memory_sensitivity(failures, likelihood, log_probability=log_probability, target=target)
 
 
-def _remembered(failures: Failures, *, tau_s: float, dt_s: float) -> RememberedOutcomes | None:
+def _remembered(
+    failures: Failures, *, tau_s: float, dt_s: float, frail: FrailSimulator | None
+) -> RememberedOutcomes | FrailOutcomes | None:
+    if frail is not None:
+        return FrailOutcomes.of(failures, simulator=frail)
     if tau_s == 0.0:
         return None
     return RememberedOutcomes.of(failures.rollouts, tau_s=tau_s, dt_s=dt_s)

@@ -20,9 +20,10 @@ from pemviz.arrays import Batch, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.errors import PemError
 from pemviz.pem import Pem, load_pem, shipped_pems
+from pemviz.pem.models.protocol import chain_log_likelihood
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
-from pemviz.types import ScoredRollouts, Simulator, outcome_log_likelihood
+from pemviz.types import ScoredRollouts, Simulator
 
 MOST_VIOLATIONS = 2_000
 """Of a stage: families differ by far more than 1 / sqrt of it."""
@@ -97,10 +98,7 @@ def family_ratios(
     failing = scored.rollouts.take(violations)
     salient = simulator.salient(failing.decision_states().signals)
     log_p = row_sums(failing.log_p)
-    columns = [
-        row_sums(outcome_log_likelihood(model.logit(salient), failing.detected)) - log_p
-        for model in families
-    ]
+    columns = [chain_log_likelihood(model, salient, failing.detected) - log_p for model in families]
     return FamilyRatios(
         rollout=violations,
         log_ratio=np.stack(columns, axis=1),

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.memory import (
-    remembering_as,
+    memory_of_pem,
+    problem_under,
     single_outcome_model,
     single_outcome_salient,
 )
@@ -35,6 +36,8 @@ from pemviz.sampling.rollouts.final_batch import WeighedRollouts, weighed
 from pemviz.types import ScoredRollouts, Simulator
 
 DATA_BOUND_ROLLOUTS = 10_000
+FRAIL_DATA_BOUND_ROLLOUTS = 2_000
+"""Where obstacles differ: a rollout then takes ten times as long."""
 ENOUGH_FAILURES = 2_000
 """Of which the models' own answers are formed; the models differ by far more than 1/sqrt of it."""
 SHOWN_ROLLOUTS = 5_000
@@ -159,19 +162,18 @@ def data_bound(
     outcomes[1] = True
     visited = simulator.salient(replay(simulator=simulator, detected=outcomes))
     visited = single_outcome_salient(problem.pem, visited)
+    is_frail = memory_of_pem(problem.pem).frailty > 0.0
     bound = data_bound_pem(visited, support=support, confidence=CONFIDENCE)
     batches = sample_batches(
-        replace(problem, pem=remembering_as(bound, problem.pem)),
+        problem_under(problem, bound),
         proposal=PemProposal(),
-        count=DATA_BOUND_ROLLOUTS,
+        count=FRAIL_DATA_BOUND_ROLLOUTS if is_frail else DATA_BOUND_ROLLOUTS,
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
     )
     drawn = WeighedRollouts.concatenate([weighed(batch) for batch in batches])
     allowed = monte_carlo_estimate(drawn, method="monte-carlo")
     if sharpened_by is not None and allowed.failures < FEW_FAILURES:
-        sharp, *_ = rollouts_under(
-            problem, pem=remembering_as(bound, problem.pem), features=sharpened_by, seed=seed
-        )
+        sharp, *_ = rollouts_under(problem_under(problem, bound), features=sharpened_by, seed=seed)
         if sharp.failures and sharp.ci_high is not None and not sharp.diagnostics:
             allowed = sharp
     return DataBound(

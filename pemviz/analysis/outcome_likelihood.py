@@ -13,26 +13,66 @@ from typing import Protocol
 import numpy as np
 from scipy.special import expit, log_expit
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.pem.models.memory import persistence
 from pemviz.simulators.remembering import LAST_OUTCOME
 from pemviz.types import RolloutBatch
 
 
 class OutcomeLikelihood(Protocol):
-    """Changes of log likelihoods, each for M rollouts and T-1 steps."""
+    """Changes of M rollouts' log likelihoods."""
 
-    def log_change(self, *, factor: float) -> FloatArray:
-        """What it adds ``[M, T-1]`` if misses are ``factor`` times as likely, in (0, 1]."""
+    def log_change_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
+        """What it adds ``[M]`` if misses ``inside [M, T-1]`` are ``factor`` times as likely.
+
+        With a factor in (0, 1].
+        """
         ...
 
     def slope(self) -> FloatArray:
-        """Derivative ``[M, T-1]`` in the log of P(missed)."""
+        """Derivative ``[M, T-1]`` in the log of P(missed) at each step."""
         ...
 
 
+class MemoryLikelihood(Protocol):
+    """Changes with the memory time too."""
+
+    @property
+    def tau_s(self) -> float:
+        """Memory time [s], above 0."""
+        ...
+
+    def log_change_of_tau_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
+        """What it adds ``[M]`` if the memory time is ``factor`` times as long, in (0, 1].
+
+        Args:
+            inside: The steps that decide, ``[M, T-1]``.
+            factor: The same at all of them.
+        """
+        ...
+
+    def slope_of_tau(self) -> FloatArray:
+        """Derivative ``[M, T-1]`` in the log of the memory time, by step."""
+        ...
+
+
+class StepByStep:
+    """A likelihood to which each step adds something of its own."""
+
+    def log_change(self, *, factor: float) -> FloatArray:
+        """What it adds ``[M, T-1]`` if misses are ``factor`` times as likely, in (0, 1]."""
+        raise NotImplementedError
+
+    def log_change_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
+        """What it adds ``[M]`` if misses ``inside [M, T-1]`` are ``factor`` times as likely.
+
+        With a factor in (0, 1].
+        """
+        return row_sums(np.where(inside, self.log_change(factor=factor), 0.0))
+
+
 @dataclass(frozen=True, eq=False)
-class IndependentOutcomes:
+class IndependentOutcomes(StepByStep):
     """Of outcomes that are independent given the state.
 
     Attributes:
@@ -61,7 +101,7 @@ class IndependentOutcomes:
 
 
 @dataclass(frozen=True, eq=False)
-class RememberedOutcomes:
+class RememberedOutcomes(StepByStep):
     """Of outcomes that depend on the one before; P(missed) is the model's own, in the state alone.
 
     Attributes:
@@ -129,6 +169,10 @@ class RememberedOutcomes:
         with np.errstate(divide="ignore", invalid="ignore"):  # what only the memory makes possible
             same = np.log(fresh + (1.0 - fresh) * shorter) - np.log(fresh + (1.0 - fresh) * kept)
         return np.where(self.again, same, other)
+
+    def log_change_of_tau_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
+        """The sum ``[M]`` of what steps ``inside [M, T-1]`` add."""
+        return row_sums(np.where(inside, self.log_change_of_tau(factor=factor), 0.0))
 
     def slope_of_tau(self) -> FloatArray:
         """Derivative ``[M, T-1]`` in the log of the memory time: d r / d log tau = r dt / tau."""

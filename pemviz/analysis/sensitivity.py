@@ -20,8 +20,8 @@ from scipy.optimize import brentq
 from pemviz.analysis.causes import Failures
 from pemviz.analysis.outcome_likelihood import (
     IndependentOutcomes,
+    MemoryLikelihood,
     OutcomeLikelihood,
-    RememberedOutcomes,
 )
 from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.config.ranges import AtLeastZero
@@ -117,7 +117,7 @@ def band_sensitivities(
 
 def memory_sensitivity(
     failures: Failures,
-    likelihood: RememberedOutcomes,
+    likelihood: MemoryLikelihood,
     *,
     log_probability: float,
     target: float | None = None,
@@ -136,8 +136,7 @@ def memory_sensitivity(
         return MemorySensitivity(tau_s, elasticity, None, None, std_error=error)
 
     def log_change(factor: float) -> FloatArray:
-        change = likelihood.log_change_of_tau(factor=factor)
-        return row_sums(np.where(failures.deciding, change, 0.0))
+        return likelihood.log_change_of_tau_within(failures.deciding, factor=factor)
 
     factor, ess, warning = _meeting(failures, log_change, log_probability, target)
     if factor is None:
@@ -160,8 +159,7 @@ def _sensitivity(
         return BandSensitivity(*band, elasticity, None, None, std_error=error)
 
     def log_change(factor: float) -> FloatArray:
-        change = likelihood.log_change(factor=factor)
-        return row_sums(np.where(inside, change, 0.0))
+        return likelihood.log_change_within(inside, factor=factor)
 
     factor, ess, warning = _meeting(failures, log_change, log_probability, target)
     if factor is None:

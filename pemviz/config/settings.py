@@ -89,6 +89,10 @@ class ExperimentConfig:
     """Memory time of misses [s]: after a miss, or a hit, the same is likelier again, the less so
     the longer ago, by exp(-time / memory_s); how often the error model misses in all is as
     without; 0 to 60. 0: misses are independent of each other given the state."""
+    frailty: Annotated[float, Range(low=0.0, high=5.0)] = 0.0
+    """How much obstacles differ in being missed beyond what the state tells: each has a visibility
+    of its own for as long as it is there, with this spread; how often the error model misses in
+    all is as without; 0 to 5. 0: all are alike."""
     memory_curve: bool = False
     """Also tell the failure probability over memory times from 0 to 1 s, from 2400 rollouts of
     its own (on the fast twin where there is one)."""

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.digits import end_text
 from pemviz.reports.memory_curve import assumption_line
 from pemviz.runs.memory import RunMemory
@@ -97,19 +98,30 @@ def model_range_text(interval: ModelInterval | None) -> str:
 
 def memory_text(memory: RunMemory | None) -> str:
     """How misses hang together in the answer, and in the video that the model was fitted to."""
-    if memory is None or memory.tau_s == 0.0:
+    if memory is None or memory.is_independent:
         assumed = "independent of each other given the state: an assumption"
         if memory is None or not memory.curve:
             assumed += ", and --memory-curve tells what it is worth"
     else:
-        assumed = f"in bursts, memory time {memory.tau_s:g} s {IN_IT}"
+        assumed = f"in bursts, {' and '.join(_hanging_together(memory))}"
     own = None if memory is None else memory.fitted
     if own is None:
         return assumed
     measured = f"{own.tau_s:.2g} s ({own.low_s:.2g} to {own.high_s:.2g})"
     if memory is None or memory.tau_s == 0.0:
         measured += f" {IN_IT}"
+    if own.frailty is not None:
+        measured += f", its frailty {own.frailty:.2g}"
+        if own.frailty_low is not None and own.frailty_high is not None:
+            measured += f" ({own.frailty_low:.2g} to {own.frailty_high:.2g})"
     return f"{assumed}; this model's own memory time, measured on video, is {measured}"
+
+
+def _hanging_together(memory: RunMemory) -> list[str]:
+    parts = [f"memory time {memory.tau_s:g} s {IN_IT}"] if memory.tau_s else []
+    if memory.frailty:
+        parts.append(f"frailty {memory.frailty:g} ({FRAILTY_MEANS})")
+    return parts
 
 
 def number_text(value: float | None, *, unit: str = "") -> str:
@@ -136,7 +148,7 @@ def summary_text(result: RunResult) -> str:
         f"  {called}: {interval_text(estimate, caveats=caveats)}",
         f"  violations: {violations_text(estimate)}",
     ]
-    if result.config.memory_s:
+    if result.config.memory_s or result.config.frailty:
         lines.append(f"  misses: {memory_text(result.memory)}")
     if (assumed := assumption_line(result.memory)) is not None:
         lines.append(f"  {assumed}")

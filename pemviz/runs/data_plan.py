@@ -13,6 +13,7 @@ from pemviz.analysis.refit_plan import RefitBand, refit_plan
 from pemviz.analysis.sequence_plan import SequencePlan, sequence_plan
 from pemviz.errors import PemError
 from pemviz.pem import Pem, load_pem, support_of
+from pemviz.pem.models.memory import Memory
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.memory import own_memory
 from pemviz.runs.result import RunResult
@@ -68,7 +69,7 @@ def planned_target(result: RunResult) -> float | None:
 
 
 def _no_labels_because(result: RunResult, experiment: Experiment) -> str | None:
-    if memory_of_pem(experiment.pem).tau_s > 0.0:
+    if memory_of_pem(experiment.pem) != Memory():
         return "labels are planned for misses that are independent given the state"
     if experiment.twin is None:
         return "the scenario has no fast twin"

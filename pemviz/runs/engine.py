@@ -247,9 +247,13 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     first, *others = OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS
     if experiment.folding is not None:
         first = slots_assumption(experiment.folding.simulator.slots)
-    tau_s = experiment.config.memory_s
-    bursts = f"given the state, misses hang together with a memory time of {tau_s:g} s and no more"
-    return (first, bursts if tau_s else INDEPENDENT, *others)
+    tau_s, frailty = experiment.config.memory_s, experiment.config.frailty
+    if not tau_s and not frailty:
+        return (first, INDEPENDENT, *others)
+    how = [f"with a memory time of {tau_s:g} s"] if tau_s else []
+    how += [f"by obstacles differing, frailty {frailty:g}, all rollout long"] if frailty else []
+    bursts = f"given the state, misses hang together {' and '.join(how)}, and no more"
+    return (first, bursts, *others)
 
 
 def slots_assumption(slots: Sequence[Slot]) -> str:

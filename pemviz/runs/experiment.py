@@ -39,7 +39,7 @@ from pemviz.sampling.slots import turns_of, with_slots
 from pemviz.sampling.value_twisted.method import require_unsafe
 from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
 from pemviz.simulators.registry import build_named_simulator
-from pemviz.simulators.slots import SlotSimulator
+from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
 
@@ -149,11 +149,12 @@ def build_experiment(
     config, named, back_end = _named_parts(config, own, pem, allow_python=allow_python)
     back_end = with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
     check_method_fits(config, back_end)
+    _check_frailty(config, back_end)
     ensemble = ensemble_of(config.pem) if pem is None else None
     model, ensemble = with_slots(back_end.simulator, named, ensemble)
     warnings = check_error_model(model, back_end.simulator)
     others = () if back_end.is_own else families_beside(model)
-    memory = Memory(tau_s=config.memory_s)
+    memory = Memory(tau_s=config.memory_s, frailty=config.frailty)
     back_end, model, ensemble = with_memory(back_end, model, ensemble, memory=memory)
     formula = build_formula(config, back_end.simulator)
     problem = _problem(config, formula, model, back_end)
@@ -173,6 +174,24 @@ def build_experiment(
         families=tuple(remembering_as(family, model) for family in others),
         warnings=warnings,
     )
+
+
+def _check_frailty(config: ExperimentConfig, back_end: BackEnd) -> None:
+    """Refuse what does not hold where obstacles differ.
+
+    Raises:
+        ConfigError: Names it.
+    """
+    asked = {
+        f"method {config.method}": "single states" in by_name(config.method).needs,
+        "reference": config.reference,
+        "memory_curve": config.memory_curve,
+        "a scenario with slots": isinstance(back_end.simulator, UnrolledSimulator),
+    }
+    wrong = [name for name, is_asked in asked.items() if is_asked]
+    if config.frailty > 0.0 and wrong:
+        message = f"frailty = {config.frailty:g}: {wrong[0]} works with frailty 0 alone"
+        raise ConfigError(message)
 
 
 def _named_parts(
@@ -251,6 +270,7 @@ def device_notes(experiment: Experiment) -> tuple[str, ...]:
     restarts = "restarts" in experiment.description.needs
     if restarts or not has_tensors(problem.simulator):
         by = config.method if restarts else f"simulator {problem.simulator.name}"
+        by += " with frailty" if config.frailty and not restarts else ""
         return (f"device {config.device}: {by} {stays}",)
     notes: list[str] = []
     if not has_tensors(experiment.pem):

@@ -25,6 +25,7 @@ from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import RunResult, StageSummary
 from pemviz.runs.trust import reference_diagnostics, run_interval_caveats
 from pemviz.sampling.bursts.curve import MEASURED_S, CurvePoint, memory_curve
+from pemviz.sampling.frailty import frail_part
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model, without_memory
 from pemviz.sampling.method import PoolsStages
 from pemviz.sampling.problem import nothing_finished
@@ -113,6 +114,7 @@ def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageRes
         dt_s=experiment.back_end.simulator.dt_s,
         tau_s=memory_of_pem(experiment.pem).tau_s,
         folding=experiment.folding,
+        frail=frail_part(experiment.problem.simulator),
     )
     if explanation is None:
         return interpreted

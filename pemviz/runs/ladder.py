@@ -119,14 +119,19 @@ def _families(result: RunResult) -> Rung:
 
 def _memory(result: RunResult) -> Rung:
     tau_s = 0.0 if result.memory is None else result.memory.tau_s
+    frailty = 0.0 if result.memory is None else result.memory.frailty
     own = None if result.memory is None else result.memory.fitted
     curve = () if result.memory is None else result.memory.curve
     lows = [point.low for point in curve if point.low is not None]
     highs = [point.high for point in curve if point.high is not None]
     assumed = f"{tau_s:g} s assumed" if tau_s > 0.0 else "none assumed"
+    if frailty > 0.0:
+        assumed = f"{tau_s:g} s and frailty {frailty:g} assumed"
     if curve:
         assumed = f"{curve[0].tau_s:g} to {curve[-1].tau_s:g} s"
     measured = "" if own is None else f"measured {own.tau_s:.2g} s"
+    if own is not None and own.frailty:
+        measured += f", frailty {own.frailty:.2g}"
     return Rung(
         kind="memory",
         name=f"memory of misses, {assumed}",

@@ -1,6 +1,6 @@
 """What a run assumes of how misses hang together, and what is known of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pemviz.config.ranges import AtLeastZero, Confidence
 from pemviz.pem import Pem
@@ -12,12 +12,19 @@ from pemviz.sampling.memory import memory_of_pem, single_outcome_model
 
 @dataclass(frozen=True)
 class MeasuredTau:
-    """A memory time measured on video [s], with its interval."""
+    """A memory time measured on video [s], with its interval, and the frailty fitted beside it.
+
+    In results of versions that did not tell it the frailty is ``None``, as are its interval's ends
+    where it was not fitted.
+    """
 
     tau_s: AtLeastZero
     low_s: AtLeastZero
     high_s: AtLeastZero
     confidence: Confidence
+    frailty: AtLeastZero | None = None
+    frailty_low: AtLeastZero | None = None
+    frailty_high: AtLeastZero | None = None
 
 
 @dataclass(frozen=True)
@@ -29,21 +36,38 @@ class RunMemory:
         fitted: The error model's own memory time; ``None`` where the model was fitted to single
             frames, which tell nothing of it.
         curve: The failure probability over memory times, ascending; empty if not asked for.
+        frailty: Spread of obstacles' own visibility that the answer is for; 0: all are alike.
     """
 
     tau_s: AtLeastZero
     fitted: MeasuredTau | None = None
     curve: tuple[CurvePoint, ...] = ()
+    frailty: AtLeastZero = 0.0
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether misses are independent given the state."""
+        return self.tau_s == 0.0 and self.frailty == 0.0
 
 
 def memory_of(pem: Pem) -> RunMemory:
     """The memory that a run with this error model assumes."""
-    tau_s, own = memory_of_pem(pem).tau_s, own_memory(single_outcome_model(pem))
+    assumed, own = memory_of_pem(pem), own_memory(single_outcome_model(pem))
+    run = RunMemory(tau_s=assumed.tau_s, frailty=assumed.frailty)
     if own is None:
-        return RunMemory(tau_s=tau_s)
+        return run
     low_s, high_s = own.tau_interval_s
-    fitted = MeasuredTau(own.memory.tau_s, low_s, high_s, own.confidence)
-    return RunMemory(tau_s=tau_s, fitted=fitted)
+    low, high = own.frailty_interval or (None, None)
+    fitted = MeasuredTau(
+        tau_s=own.memory.tau_s,
+        low_s=low_s,
+        high_s=high_s,
+        confidence=own.confidence,
+        frailty=own.memory.frailty,
+        frailty_low=low,
+        frailty_high=high,
+    )
+    return replace(run, fitted=fitted)
 
 
 def own_memory(pem: Pem) -> FittedMemory | None:

@@ -12,8 +12,17 @@ from pemviz.pem import Pem, PemEnsemble
 from pemviz.pem.models.memory import Memory, persistence, remembering_logit
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.back_end import BackEnd
+from pemviz.sampling.frailty import (
+    FrailFeatures,
+    FrailModel,
+    FrailPem,
+    FrailSimulator,
+    frail,
+    without_frailty,
+)
+from pemviz.sampling.problem import Problem
 from pemviz.simulators.remembering import LAST_OUTCOME, RememberingSimulator, remembering
-from pemviz.types import StateBatch
+from pemviz.types import Simulator, StateBatch
 
 SHORT_RHO = 0.1
 """Below, proposals leave outcomes that the scenario ignores to the model: what remains of them is
@@ -128,63 +137,104 @@ def with_memory(
     """Back end, error model and its ensemble with a memory; as they are without.
 
     Raises:
-        ConfigError: The scenario has a signal named like the last outcome.
+        ConfigError: The scenario has a signal named like the last outcome, or like what outcomes
+            tell of the obstacle.
     """
-    if memory.tau_s == 0.0:
+    if memory == Memory():
         return back_end, pem, ensemble
     dt_s = back_end.simulator.dt_s
-    remembering_pem = RememberingPem(pem, memory, dt_s)
-    wrapped = replace(
-        back_end,
-        simulator=remembering(back_end.simulator),
-        twin=None if back_end.twin is None else remembering(back_end.twin),
-        features=RememberingFeatures(back_end.features, remembering_pem.rho),
-    )
+    if memory.tau_s > 0.0:
+        features = RememberingFeatures(back_end.features, float(persistence(dt_s, memory.tau_s)))
+        back_end = replace(
+            back_end,
+            simulator=remembering(back_end.simulator),
+            twin=None if back_end.twin is None else remembering(back_end.twin),
+            features=features,
+        )
+    model = RememberingPem(pem, memory, dt_s)
+    if memory.frailty > 0.0:
+        model = FrailPem(pem, memory, dt_s)
+        back_end = replace(
+            back_end,
+            simulator=frail(back_end.simulator, model),
+            twin=None if back_end.twin is None else frail(back_end.twin, model),
+            features=FrailFeatures(back_end.features),
+        )
     members = None
     if ensemble is not None:
         members = RememberingEnsemble(
             name=ensemble.name,
-            members=[RememberingPem(member, memory, dt_s) for member in ensemble.members],
+            members=[remembering_as(member, model) for member in ensemble.members],
         )
-    return wrapped, remembering_pem, members
+    return back_end, model, members
 
 
 def proposal_features(features: StateFeatures) -> StateFeatures:
     """What a proposal looks at, and where it may leave the model, of what a scenario offers."""
+    if isinstance(features, FrailFeatures):
+        return replace(features, features=proposal_features(features.features), everywhere=True)
     return features.for_proposals() if isinstance(features, RememberingFeatures) else features
 
 
 def without_memory(back_end: BackEnd) -> BackEnd:
     """The back end as it is for single outcomes; the inverse of :func:`with_memory`."""
-    simulator, twin = back_end.simulator, back_end.twin
+    twin = back_end.twin
     return replace(
         back_end,
-        simulator=simulator.scenario if isinstance(simulator, RememberingSimulator) else simulator,
-        twin=twin.scenario if isinstance(twin, RememberingSimulator) else twin,
+        simulator=_single_outcomes(back_end.simulator),
+        twin=None if twin is None else _single_outcomes(twin),
         features=single_outcome_features(back_end.features),
     )
 
 
+def _single_outcomes(simulator: Simulator) -> Simulator:
+    simulator = without_frailty(simulator)
+    return simulator.scenario if isinstance(simulator, RememberingSimulator) else simulator
+
+
 def single_outcome_features(features: StateFeatures) -> StateFeatures:
     """What the scenario itself offers to look at, beneath a memory."""
+    if isinstance(features, FrailFeatures):
+        features = features.features
     return features.features if isinstance(features, RememberingFeatures) else features
 
 
 def memory_of_pem(pem: Pem) -> Memory:
     """How an error model's misses hang together."""
-    return pem.memory if isinstance(pem, RememberingPem) else Memory()
+    return pem.memory if isinstance(pem, RememberingPem | FrailModel) else Memory()
 
 
 def single_outcome_model(pem: Pem) -> Pem:
     """The model of single outcomes beneath a memory."""
-    return pem.pem if isinstance(pem, RememberingPem) else pem
+    return pem.pem if isinstance(pem, RememberingPem | FrailModel) else pem
 
 
 def single_outcome_salient(pem: Pem, salient: FloatArray) -> FloatArray:
     """What the model of single outcomes sees ``[..., D]``, of what ``pem`` sees."""
+    if isinstance(pem, FrailModel):
+        return pem.own_salient(salient)
     return salient[..., :-1] if isinstance(pem, RememberingPem) else salient
 
 
+def first_logit(pem: Pem, salient: FloatArray) -> FloatArray:
+    """Logit of P(detected) ``[...]`` where no outcome came before, of what ``pem`` sees."""
+    return single_outcome_model(pem).logit(single_outcome_salient(pem, salient))
+
+
 def remembering_as(pem: Pem, like: Pem) -> Pem:
-    """``pem``, a model of single outcomes, with the memory that ``like`` has."""
+    """``pem``, a model of single outcomes, with the memory that ``like`` has.
+
+    With frailty it is one of whole chains of outcomes; :func:`problem_under` asks it for more.
+    """
+    if isinstance(like, FrailModel):
+        return FrailModel(pem, like.memory, like.dt_s)
     return replace(like, pem=pem) if isinstance(like, RememberingPem) else pem
+
+
+def problem_under(problem: Problem, pem: Pem) -> Problem:
+    """The problem with another model of single outcomes, remembering as the problem's does."""
+    like, simulator = problem.pem, problem.simulator
+    if not isinstance(like, FrailModel):
+        return replace(problem, pem=remembering_as(pem, like))
+    model = FrailPem(pem, like.memory, like.dt_s)
+    return replace(problem, pem=model, simulator=FrailSimulator(without_frailty(simulator), model))

@@ -10,6 +10,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem.models.protocol import Pem
+from pemviz.sampling.frailty import FrailPem, frail_part
 from pemviz.sampling.rollouts.batches import (
     BatchRunner,
     BatchTask,
@@ -83,6 +84,18 @@ class Problem:
     unsafe: Callable[[StateBatch], BoolArray] | None = None
     monitor: Monitor | None = None
     turns: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse a scenario whose states know the frailty of another model's obstacle.
+
+        Raises:
+            ValueError: Scenario and error model do not belong together.
+        """
+        found = frail_part(self.simulator)
+        own = self.pem if isinstance(self.pem, FrailPem) else None
+        if own is not (None if found is None else found.model):
+            message = "a scenario with frailty and its error model are replaced together"
+            raise ValueError(message)
 
 
 def sample(

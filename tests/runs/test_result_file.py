@@ -29,6 +29,7 @@ from tests.runs.results import results
 
 MAY_BE_NULL = re.compile(
     r"message|config\.(target|alpha)|memory|memory\.fitted|memory\.curve\[\d+\]\.(low|high|ess)"
+    r"|memory\.fitted\.frailty(_low|_high)?"
     r"|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median|log10_answers\[\d+\])|data_bound"
     r"|sensitivity\[\d+\]\.(low|high|elasticity|target_factor|target_ess|warning|std_error)"
@@ -45,7 +46,8 @@ MAY_BE_NULL = re.compile(
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|pem_interval\.log10_answers|families|ladder|plan|plan\.labels\.warning|memory|memory\.(fitted|curve)|warnings|timings_s"
+    r"|pem_interval\.log10_answers|families|ladder|plan|plan\.labels\.warning|memory"
+    r"|memory\.(fitted|curve|frailty)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|slots|chains\[\d+\]\.(likeliest|slots))"
     r"|least_robust\[\d+\]\.share"
@@ -82,6 +84,7 @@ def sample():
         table["warnings"] = ["few", "few"]
     document["reference"] = {"probability": 1e-18, "std_error": 1e-21, "log10_probability": -18.0}
     fitted = {"tau_s": 0.24, "low_s": 0.2, "high_s": 0.3, "confidence": 0.95}
+    fitted |= {"frailty": 0.7, "frailty_low": 0.3, "frailty_high": 1.2}
     document["memory"]["fitted"] = fitted
     point = {"tau_s": 0.1, "probability": 1e-9, "low": 1e-10, "high": 1e-8, "ess": 20.0}
     document["memory"]["curve"] = [point, dict(point)]

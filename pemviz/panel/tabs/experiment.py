@@ -33,6 +33,7 @@ OWN_ALPHA_HINT = (
 )
 ALPHA_AT_FIRST = 0.1
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
+FRAILTY_STEP = 0.05
 MEMORY_STEP_S = 0.01
 TARGET_WORDS = " Empty: none."
 LIMIT_HINT = (
@@ -76,6 +77,7 @@ class ExperimentTab:
             pem=self.pem.value,
             simulator=self.simulator.value,
             memory_s=float(self.memory.value),
+            frailty=float(self.frailty.value),
             target=read_probability(self.target.value, name="target"),
             memory_curve=self.memory_curve.value,
             reference=self.reference.value,
@@ -141,6 +143,10 @@ class ExperimentTab:
         self.memory = gui.add_number(
             "Memory [s]", 0.0, min=low_s, max=high_s, step=MEMORY_STEP_S, hint=hint("memory_s")
         )
+        low, high = limits("frailty", step=FRAILTY_STEP)
+        self.frailty = gui.add_number(
+            "Frailty", 0.0, min=low, max=high, step=FRAILTY_STEP, hint=hint("frailty")
+        )
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
         self.memory_curve = gui.add_checkbox("Memory curve", False, hint=hint("memory_curve"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
@@ -185,6 +191,7 @@ class ExperimentTab:
         if config.simulator not in self.simulator.options:
             self.simulator.options = (*self.simulator.options, config.simulator)
         self.pem.value, self.simulator.value = config.pem, config.simulator
+        self.frailty.value = config.frailty
         self.memory.value, self.memory_curve.value = config.memory_s, config.memory_curve
         self.reference.value, self.spec.value = config.reference, config.spec
         self.target.value = "" if config.target is None else f"{config.target:g}"

@@ -106,7 +106,8 @@ def _misses(run: RunData) -> list[str]:
             "hardly ever finds a violation; choose another method in the Experiment tab."
         )
         return [title + quiet(words)]
-    given = ", given the outcome before" if run.config.memory_s else ""
+    hanging = run.config.memory_s or run.config.frailty
+    given = ", given the outcomes before" if hanging else ""
     note = (
         "Bars: share of steps missed in violations, weighted by how likely each is under the "
         f"error model. Black: what the error model itself says{given}."

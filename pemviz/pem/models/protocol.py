@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.errors import PemError
 
 SALIENT_COLUMNS = (
@@ -65,6 +65,34 @@ class Pem(Protocol):
         A row's answer is the same to the last bit in whatever batch it comes.
         """
         ...
+
+
+@runtime_checkable
+class ChainPem(Pem, Protocol):
+    """One whose P(detected) depends on the outcomes before as well."""
+
+    def log_likelihood(self, salient: FloatArray, detected: BoolArray) -> FloatArray:
+        """Log likelihood of all outcomes of rollouts, ``[N]`` [nats].
+
+        Args:
+            salient: What it sees, ``[N, T-1, D]``.
+            detected: The outcomes, ``[N, T-1]``.
+        """
+        ...
+
+
+def chain_log_likelihood(pem: Pem, salient: FloatArray, detected: BoolArray) -> FloatArray:
+    """Log likelihood of all outcomes of rollouts, ``[N]`` [nats], under any model.
+
+    Args:
+        pem: The model.
+        salient: What it sees, ``[N, T-1, D]``.
+        detected: The outcomes, ``[N, T-1]``.
+    """
+    if isinstance(pem, ChainPem):
+        return pem.log_likelihood(salient, detected)
+    logit = pem.logit(salient)
+    return -row_sums(np.logaddexp(0.0, np.where(detected, -logit, logit)))
 
 
 @runtime_checkable

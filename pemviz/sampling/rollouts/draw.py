@@ -8,6 +8,7 @@ from scipy import special
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, is_tensor, namespace
 from pemviz.pem.models.own_detector import DetectorModel
+from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
 
@@ -45,14 +46,14 @@ def roll_out(
     under_pem = xp.empty(draws.shape, dtype=draws.dtype, device=draws.device)
     under_proposal = xp.empty(draws.shape, dtype=draws.dtype, device=draws.device)
     signals = _Track(states.signals, steps + 1)
-    memory = _Track(states.memory, steps + 1)
+    memory = _Track(kept_with_rollouts(states.memory), steps + 1)
     for step in range(steps):
         under_pem[step] = pem.logit(simulator.salient(states.signals))
         under_proposal[step] = proposal.logit(states, under_pem[step])
         detected[step] = draws[step] >= _expit(-under_proposal[step])
         states = simulator.step(states, detected[step])
         signals.record(step + 1, states.signals)
-        memory.record(step + 1, states.memory)
+        memory.record(step + 1, kept_with_rollouts(states.memory))
     return RolloutBatch(
         signals=signals.by_rollout(),
         memory=memory.by_rollout(),

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import log_expit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.sampling.frailty import dynamics_of, kept_with_rollouts
 from pemviz.sampling.problem import Problem
 from pemviz.types import RolloutBatch, StateBatch
 
@@ -134,10 +135,11 @@ def _carried_on(
         others: How many of the next outcomes are not ``then``, ``[M]``.
         then: All later outcomes, ``[M]``.
     """
-    simulator = problem.simulator
+    simulator = dynamics_of(problem.simulator)
     signals = {n: np.array(v[row], order="F") for n, v in rollouts.signals.items()}
     now = {name: values[row, step] for name, values in rollouts.signals.items()}
-    memory = {name: values[row, step] for name, values in rollouts.memory.items()}
+    kept = kept_with_rollouts(rollouts.memory)
+    memory = {name: values[row, step] for name, values in kept.items()}
     for moment in range(int(step[0]), simulator.states - 1):
         active = slice(0, int(np.searchsorted(step, moment, side="right")))
         reached = simulator.step(

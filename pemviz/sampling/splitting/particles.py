@@ -6,6 +6,7 @@ three times that while a level's particles are replaced.
 """
 
 from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.special import expit
 
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError
+from pemviz.sampling.frailty import carried_on, dynamics_of, kept_with_rollouts
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import check_numbers
 from pemviz.sampling.splitting.importance import importance, importance_at_end
@@ -80,7 +82,10 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
     blank = Particles(
         rollouts=RolloutBatch(
             signals={name: _first_column(v, states) for name, v in start.signals.items()},
-            memory={name: _first_column(v, states) for name, v in start.memory.items()},
+            memory={
+                name: _first_column(v, states)
+                for name, v in kept_with_rollouts(start.memory).items()
+            },
             detected=unknown.astype(np.bool_),
             pem_logit=unknown,
             proposal_logit=unknown,
@@ -190,18 +195,22 @@ def _moved_on(problem: Problem, paths: Particles, cut: IntArray, uniforms: Float
     count, steps = rollouts.detected.shape
     to_look = np.zeros((count, steps + 1), dtype=np.bool_, order="F")
     pending = np.zeros(count, dtype=np.bool_)
+    carried: Mapping[str, AnyArray] = {}
     for step in range(int(cut[0]), steps):
         problem.pause()
         active = int(np.searchsorted(cut, step, side="right"))
         before = _states_at(rollouts, step, active)
+        carried = carried_on(simulator, rollouts, carried, step=step, active=active)
+        before = replace(before, memory={**before.memory, **carried})
         logit = problem.pem.logit(simulator.salient(before.signals))
         detected = uniforms[step, :active] >= expit(-logit)
         after = simulator.step(before, detected)
         rollouts.pem_logit[:active, step] = logit
         rollouts.detected[:active, step] = detected
+        carried = {name: v for name, v in after.memory.items() if name not in rollouts.memory}
         for kept, reached in ((rollouts.signals, after.signals), (rollouts.memory, after.memory)):
-            for name, values in reached.items():
-                kept[name][:active, step + 1] = values
+            for name in kept:
+                kept[name][:active, step + 1] = reached[name]
         unlikely = np.flatnonzero(detected != (logit >= 0.0))
         if unlikely.size:
             pending[unlikely] |= _mattered(simulator, before, after, detected, unlikely)
@@ -235,7 +244,7 @@ def _mattered(
     simulator: Simulator, before: StateBatch, after: StateBatch, detected: BoolArray, rows: IntArray
 ) -> BoolArray:
     """Whether the other outcome would have led elsewhere, for the chosen ``rows [M]``."""
-    other = simulator.step(before.take(rows), ~detected[rows])
+    other = dynamics_of(simulator).step(before.take(rows), ~detected[rows])
     differs = np.zeros(rows.size, dtype=np.bool_)
     for reached, instead in ((after.signals, other.signals), (after.memory, other.memory)):
         for name, values in instead.items():
