@@ -17,7 +17,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, Move
 from pemviz.errors import ConfigError
 from pemviz.pem import Pem
 from pemviz.pem.models.frailty import VisibilityNodes, log_sums, remembered_outcomes
-from pemviz.pem.models.memory import Memory, persistence
+from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.simulators.latched import WrappedSimulator
 from pemviz.simulators.remembering import LAST_OUTCOME
@@ -104,6 +104,14 @@ class FrailModel:
             last: :data:`LAST_OUTCOME`, ``[N]``.
         """
         return remembered_outcomes(self.nodes.log_outcomes(own), last=last, rho=self.rho)
+
+    def logit_given(self, own: FloatArray, last: FloatArray, *, u: float) -> FloatArray:
+        """Logit of 'detected' ``[N]`` of an obstacle of visibility ``u``; arguments as above."""
+        frail = frail_logit(own, visibility=np.asarray(u), frailty=self.memory.frailty)
+        if self.rho == 0.0:
+            return frail
+        remembered = remembering_logit(frail, missed_before=last < 0.0, rho=self.rho)
+        return np.where(last == 0.0, frail, remembered)
 
     def log_outcome(self, own: FloatArray, last: FloatArray, missed: BoolArray) -> FloatArray:
         """Log probability by node ``[N, J]`` of outcomes ``[N]`` alone."""
@@ -203,7 +211,6 @@ class FrailSimulator(WrappedSimulator):
             signals={**states.signals, VISIBILITY.name: mean, SEEN_LOGIT.name: logit},
             memory={**states.memory, NEXT: after},
         )
-
 
     def known_at(self, rollouts: RolloutBatch, *, step: int) -> AnyArray:
         """What :data:`NEXT` holds at the state ``step`` of rollouts that led there, ``[N]``."""

@@ -29,6 +29,7 @@ from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.splitting.method import SplittingSampling
+from pemviz.sampling.value_twisted.reference import exact_log_probability
 from pemviz.types import RolloutBatch, outcome_log_likelihood
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
@@ -84,8 +85,11 @@ def all_rollouts(problem):
 @pytest.mark.parametrize("memory", MEMORIES)
 def test_chains_have_the_probabilities_of_an_integral_over_the_obstacle(memory):
     probabilities, violates = by_enumeration(memory)
-    problem, _ = frail_problem(memory)
+    problem, back_end = frail_problem(memory)
     rollouts, salient = all_rollouts(problem)
+    recursion = exact_log_probability(problem, twin=back_end.twin)
+    assert recursion is not None
+    assert math.exp(recursion) == pytest.approx(probabilities[violates].sum(), rel=1e-11)
     found = np.exp(row_sums(outcome_log_likelihood(rollouts.pem_logit, CHAINS)))
     np.testing.assert_allclose(found, probabilities, rtol=1e-9, atol=1e-15)
     assert found[violates].sum() == pytest.approx(probabilities[violates].sum(), rel=1e-11)

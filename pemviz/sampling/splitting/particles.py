@@ -5,8 +5,7 @@ replayed. N particles of T states take about N T (8 (signals + memory) + 33) byt
 three times that while a level's particles are replaced.
 """
 
-from collections.abc import Sequence
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np

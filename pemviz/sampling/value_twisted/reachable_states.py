@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.pem.models.protocol import Pem
+from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.value_twisted.merging import LARGEST_LAYER, Merger, Pause, no_pause
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
 from pemviz.types import Simulator, StateBatch
@@ -64,7 +64,7 @@ class StateGraph:
 def explore(
     *,
     twin: Simulator,
-    pem: Pem,
+    pem: DetectorModel,
     unsafe: Unsafe,
     largest_layer: int = LARGEST_LAYER,
     most_states: int | None = None,
@@ -164,7 +164,7 @@ def _live_layers(
     start: StateBatch,
     moves: Sequence[AnyArray],
     live: Sequence[BoolArray],
-    pem: Pem,
+    pem: DetectorModel,
 ) -> tuple[Layer, ...]:
     """The layers of live states, walked through once more: states were not kept."""
     layers: list[Layer] = []

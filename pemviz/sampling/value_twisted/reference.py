@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 
 from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.sampling.estimates.diagnostics import reason, undermining
+from pemviz.sampling.frailty import FrailModel, without_frailty
 from pemviz.sampling.problem import Problem, nothing_finished
+from pemviz.sampling.value_twisted.frail import OwnOutcomes, frail_log_probability
 from pemviz.sampling.value_twisted.merging import TooManyStates
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
 from pemviz.sampling.value_twisted.reachable_states import explore
@@ -17,6 +19,8 @@ REFERENCE_SEED = 2**62 + 5
 REFERENCE_DEFENSIVE_STEPS = 0.2
 FEW_STATES = 200_000
 """So few states are looked at unasked: the recursion over them takes a tenth of a second."""
+FRAIL_COST = 20
+"""Where obstacles differ, how many times fewer are."""
 
 
 @dataclass(frozen=True)
@@ -105,11 +109,18 @@ def exact_log_probability(
         InputError: Single states do not decide the specification.
         TooManyStates: The twin has more than ``most_states``.
     """
+    frail, pem = problem.pem if isinstance(problem.pem, FrailModel) else None, problem.pem
+    if frail is not None and most_states is not None:
+        most_states //= FRAIL_COST
     graph = explore(
-        twin=twin,
-        pem=problem.pem,
+        twin=without_frailty(twin),
+        pem=pem if frail is None else OwnOutcomes(frail),
         unsafe=require_unsafe(problem),
         most_states=most_states,
         pause=problem.pause,
     )
-    return solve(graph, pause=problem.pause).log_probability if graph.exact else None
+    if not graph.exact:
+        return None
+    if frail is not None:
+        return frail_log_probability(graph, frail, pause=problem.pause)
+    return solve(graph, pause=problem.pause).log_probability

@@ -56,6 +56,17 @@ def solve(graph: StateGraph, *, pause: Pause = no_pause) -> Values:
     )
 
 
+def log_value_at_start(graph: StateGraph, *, pause: Pause = no_pause) -> float:
+    """Log of the failure probability alone; -inf where it is 0. ``pause`` as above."""
+    if not graph.layers:
+        return 0.0 if graph.start == UNSAFE_NODE else -np.inf
+    following = np.empty(0)
+    for layer in reversed(graph.layers):
+        pause()
+        following = np.logaddexp(*_outcome_values(layer, following))
+    return float(following[0])
+
+
 def log_sum_by(group: IntArray, log_values: FloatArray, count: int) -> FloatArray:
     """Log of the sums of exp of ``log_values [M]`` in each of ``count`` groups."""
     largest = np.full(count, -np.inf)
