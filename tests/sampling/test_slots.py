@@ -318,6 +318,7 @@ def test_what_is_wrong_with_slots_is_told_in_one_line(wrong):
         ({}, {"pem": {"car a": CAMERA}}, r"has models for \['car a'\]: must be the slots"),
         ({}, {"pem": {"car a": CAMERA, "car b": 3}}, "needs a method logit"),
         ({"memory_curve": True}, {}, "memory_curve = true: not with slots"),
+        ({"frailty": 0.5}, {}, "frailty = 0.5: a scenario with slots works with frailty 0 alone"),
         ({}, {"batch_rollouts": 0}, "batch_rollouts = 0: must be at least 1"),
         ({}, {"features": "gap"}, "features = str: has no method values and no reacts"),
     ],
