@@ -14,6 +14,7 @@ from pemviz.files.shipped import sample_run
 from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.views.recordings import recordings_table
+from pemviz.runs.resume import run_lock
 
 CRAFTED = (
     "..", ".", "", "/", "../outside", "run/../../outside", "/etc", "run/", "./run", "run\x00",
@@ -189,6 +190,44 @@ def test_proposals_that_overflow_are_not_drawn(folder):
     save_file({name: np.full_like(a, 1e200) for name, a in load_file(path).items()}, path)
     # the rollouts tell what was sampled from
     assert all(np.nanmax(curve.detection) <= 1.0 for curve in load_run(run).curves)
+
+
+def test_notes_are_kept_in_the_folder_and_shown_again(folder):
+    assert folder.notes("run") == ""
+    folder.note("run", "tyres: cold\nsecond line")
+    assert (folder.root / "run" / "notes.txt").read_text() == "tyres: cold\nsecond line"
+    assert folder.entries()[0].notes == folder.notes("run") == "tyres: cold\nsecond line"
+    assert "tyres: cold second line" in recordings_table(folder.entries(), folder="x")
+    folder.note("run", " ")
+    assert not (folder.root / "run" / "notes.txt").exists()
+    with pytest.raises(InputError, match="must be at most 20,000"):
+        folder.note("run", "x" * 20_001)
+    with pytest.raises(InputError, match="is not in the recordings folder"):
+        folder.note("../outside", "x")
+
+
+def test_notes_that_lead_elsewhere_are_not_read(folder, tmp_path):
+    (tmp_path / "secret").write_text("x")
+    (folder.root / "run" / "notes.txt").symlink_to(tmp_path / "secret")
+    assert folder.notes("run") == ""
+    folder.note("run", "mine")
+    assert (tmp_path / "secret").read_text() == "x"
+
+
+def test_a_deleted_run_is_gone_and_nothing_else(folder, tmp_path):
+    (folder.root / "run" / "outside").symlink_to(tmp_path / "outside")
+    folder.delete("run")
+    assert folder.names() == []
+    assert sorted(p.name for p in folder.root.iterdir()) == ["empty", "link", "note.txt"]
+    assert (tmp_path / "outside" / "result.json").exists()
+    with pytest.raises(InputError, match="is not in the recordings folder"):
+        folder.delete("run")
+
+
+def test_a_run_at_work_is_not_deleted(folder):
+    with run_lock(folder.root / "run"), pytest.raises(InputError, match="is at work in it"):
+        folder.delete("run")
+    assert folder.names() == ["run"]
 
 
 def test_the_list_says_what_is_damaged(folder, kept):

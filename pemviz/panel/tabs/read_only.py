@@ -7,7 +7,7 @@ from pemviz.panel.tabs.chart import Chart
 from pemviz.panel.tabs.trajectories import TrajectoriesTab
 from pemviz.panel.views.headline import headline, status
 from pemviz.panel.views.learning import learning, learning_words, proposal_curves
-from pemviz.panel.views.weights import weights_page
+from pemviz.panel.views.weights import heaviest_curves, weights_page
 from pemviz.panel.views.why import why
 from pemviz.reports.pictures.causes import SHOWN_CHAINS, shown_chains
 
@@ -65,12 +65,14 @@ class WeightsTab:
         self.number = gui.add_number("Show rollout", 0, min=0, max=10_000_000, step=1,
             hint=NUMBER_HINT)  # fmt: skip
         self._page = gui.add_html("")
+        self._curves = Chart(browser)
         self.number.on_update(browser.on(self._show_rollout))
         trajectories.on_show(self._mark)
 
     def refresh(self, run: RunData | None) -> None:
         """Show a run."""
         self._run = run
+        self._curves.show(heaviest_curves(run))
         self._draw()
 
     def _draw(self) -> None:

@@ -9,6 +9,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
 from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData
+from pemviz.panel.views.curves import RUN_COLORS, RUN_DASHES, Curves, Line
 from pemviz.panel.views.page import cell, page, wide
 from pemviz.reports.pictures.html import clickable_points, number, percent, quiet
 from pemviz.reports.pictures.svg import Axis, Plot, text
@@ -88,9 +89,8 @@ def _weights(run: RunData, *, target: str) -> tuple[str, str]:
     plot.vline(0.0, color=VERMILLION, label="0")
     shapes = "".join(_point(run, plot, points, place) for place in range(points.index.size))
     group = f"<g {clickable_points(target=target)} style='cursor:pointer'>{shapes}</g>"
-    plot.legend([("violates", MISSED, "")], x=plot.left, y=plot.height - 6)
-    plot.legend([("does not", BLUE, "")], x=plot.left + 90, y=plot.height - 6)
-    before, after = plot.text(extra=f"{group}@@").split("@@")
+    legend = _legend(plot)
+    before, after = plot.text(extra=f"{group}{legend}@@").split("@@")
     words = (
         "Each rollout's weight, by how much rarer or commoner it is under the error model than as "
         "drawn; the larger, the more it contributes to the answer. Click a point: that rollout "
@@ -102,6 +102,14 @@ def _weights(run: RunData, *, target: str) -> tuple[str, str]:
             "and of the others some."
         )
     return before, after + quiet(words)
+
+
+def _legend(plot: Plot) -> str:
+    """What the marks mean, beneath the plot."""
+    y = plot.height - 6.0
+    return text(
+        "\N{MULTIPLICATION X} violates; larger: more of the answer", plot.left, y, color=MISSED
+    ) + text("\N{BLACK CIRCLE} does not", plot.left + 210, y, color=BLUE)
 
 
 def _weight_axes(run: RunData, points: Points) -> Plot:
@@ -163,6 +171,39 @@ def _ring(run: RunData, selected: int | None) -> str:
     label = text("shown", x + 11, y + 3.5, color=BLACK)
     return (
         f"<g data-shown='{selected}' pointer-events='none'>{ring} stroke-width='1.8'/>{label}</g>"
+    )
+
+
+def heaviest_curves(run: RunData | None) -> Curves | None:
+    """Gap over time of the rollouts that contribute most to the answer."""
+    if run is None or not run.parts or run.running:
+        return None
+    return run.memo.get("heaviest", lambda: _heaviest_curves(run))
+
+
+def _heaviest_curves(run: RunData) -> Curves | None:
+    share = shares(run)
+    heaviest = np.argsort(-share, kind="stable")[: len(RUN_COLORS)]
+    heaviest = heaviest[share[heaviest] > 0.0]
+    if not heaviest.size:
+        return None
+    time_s = np.arange(run.config.scenario.states, dtype=np.float64) * run.config.scenario.dt_s
+    lines = [
+        Line(
+            f"rollout {int(run.rollouts['rollout'][index])}, {percent(float(share[index]))} [m]",
+            np.asarray(run.rollouts["gap_m"][index], dtype=np.float64),
+            RUN_COLORS[place],
+            dash=RUN_DASHES[place],
+        )
+        for place, index in enumerate(heaviest.tolist())
+    ]
+    touch = Line("bumpers touch [m]", np.full(time_s.size, CAMERA_TO_BUMPER_M), BLACK, width=1.0)
+    return Curves(
+        title="Gap of the rollouts that contribute most, with their shares of the answer",
+        x=time_s,
+        x_label="time [s]",
+        y_label="gap [m]",
+        lines=(*lines, touch),
     )
 
 

@@ -1,0 +1,160 @@
+"""The analysis over the scene: weights, least gaps, other models' answers, runs side by side."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.analysis.model_families import FamilyAnswer
+from pemviz.errors import InputError
+from pemviz.panel.contribution import shares
+from pemviz.panel.tabs.experiment import read_probability
+from pemviz.panel.views import compare, headline, learning, models, page, weights
+from pemviz.panel.views.curves import over_common
+from tests.panel.test_views import well_formed, with_result
+
+
+def test_the_least_gap_is_below_two_metres_with_the_probability_of_the_answer(naive_run):
+    """Where the specification is gap >= 2.0, a least gap below 2 m is a violation."""
+    gaps = weights.least_gaps(naive_run)
+    below = np.searchsorted(gaps.gap_m, 2.0)
+    estimate = naive_run.result.estimate
+    assert 10.0 ** gaps.log10_probability[below - 1] == pytest.approx(
+        estimate.probability, rel=1e-9
+    )
+    assert gaps.sampled[below - 1] == pytest.approx(estimate.failures / 60)
+    assert gaps.sampled[-1] == pytest.approx(1.0)
+
+
+def test_least_gaps_against_a_sum_over_rollouts(naive_run):
+    gaps = weights.least_gaps(naive_run)
+    least = naive_run.rollouts["gap_m"].min(axis=1)
+    for place in (0, 10, 59):
+        inside = least <= gaps.gap_m[place]
+        total = math.fsum(np.exp(naive_run.log_weight[inside])) / 60
+        assert gaps.log10_probability[place] == pytest.approx(math.log10(total), abs=1e-9)
+
+
+def test_only_final_stages_tell_of_the_least_gap(loaded_run):
+    gaps = weights.least_gaps(loaded_run)
+    assert gaps.gap_m.size == loaded_run.config.final_rollouts
+    assert loaded_run.kept > gaps.gap_m.size
+
+
+def test_the_points_drawn_hold_those_that_carry_the_answer(loaded_run):
+    share = shares(loaded_run)
+    few = weights.drawn_points(loaded_run, most=20)
+    assert few.index.size == 20
+    heaviest = np.argsort(-share, kind="stable")[:10]
+    assert set(heaviest.tolist()) <= set(few.index.tolist())
+    robustness = loaded_run.rollouts["robustness"]
+    assert robustness[few.index].max() == robustness.max()
+    every = weights.drawn_points(loaded_run)
+    np.testing.assert_array_equal(every.index, np.arange(loaded_run.kept))
+    np.testing.assert_allclose(every.log10_weight * math.log(10.0), loaded_run.log_weight)
+
+
+def test_every_point_bears_the_number_that_a_click_writes(loaded_run):
+    drawn = weights.weights_page(loaded_run, target="box", selected=7)
+    numbers = re.findall(r"data-number='(\d+)'", drawn)
+    assert sorted(map(int, numbers)) == list(range(loaded_run.kept))
+    assert drawn.count("data-target='box'") == 1
+    assert "data-shown='7'" in drawn
+    assert "data-shown" not in weights.weights_page(loaded_run, target="box", selected=10**6)
+
+
+def test_the_gaps_drawn_are_those_of_the_heaviest(loaded_run):
+    curves = weights.heaviest_curves(loaded_run)
+    heaviest = int(np.argmax(shares(loaded_run)))
+    np.testing.assert_array_equal(curves.lines[0].values, loaded_run.rollouts["gap_m"][heaviest])
+    assert weights.heaviest_curves(replace(loaded_run, running=True)) is None
+
+
+def test_every_refit_and_family_has_a_mark(naive_run):
+    interval = replace(naive_run.result.pem_interval, log10_answers=(-9.0, -8.5, None, -3.0))
+    family = FamilyAnswer("lr", 1e-6, -6.0, 0.1, effective_failures=2.0)
+    run = with_result(naive_run, pem_interval=interval, families=(family,))
+    text = models.models_part(run.result)
+    well_formed(text)
+    assert text.count("a refit: ") == 3
+    assert "its 3 refits" in text
+    assert "lr (rough)" in text
+    old = replace(run.result, pem_interval=replace(interval, log10_answers=()))
+    assert "were not kept" in models.models_part(old)
+    assert models.models_part(replace(old, families=(), reference=None)) == ""
+
+
+def test_a_run_keeps_the_answers_of_its_refits(naive_run):
+    interval = naive_run.result.pem_interval
+    answers = interval.log10_answers
+    assert len(answers) == interval.members
+    assert list(answers) == sorted(answers)
+    # the interval that is told interpolates between them
+    assert answers[0] <= math.log10(interval.low) <= answers[1]
+    assert answers[-2] <= math.log10(interval.high) <= answers[-1]
+
+
+def test_runs_side_by_side_show_every_setting_that_differs(live_run, naive_run):
+    third = replace(naive_run, result=replace(naive_run.result, config=live_run.config))
+    runs = [naive_run, live_run, third]
+    rows = list(well_formed(compare.differences_table(runs)).iter("tr"))
+    cells = {row[0].text: [cell.text for cell in row[1:]] for row in rows[1:]}
+    assert cells["method"] == ["naive", "adaptive", "adaptive"]
+    assert cells["final_rollouts"] == ["60", "40", "40"]
+    assert "seed" not in cells
+    table = well_formed(compare.estimates_table(runs))
+    assert len(list(table.iter("tr"))) == 4
+    names = [line.name for line in compare.run_curves(runs).lines]
+    assert names.count("error model ml-nn") == 1
+    assert compare.run_curves(runs[:1]) is None
+    assert "up to six" in compare.runs_page(runs[:1])
+
+
+def test_proposals_drawn_are_the_first_the_newest_and_some_between(loaded_run):
+    names = [line.name for line in learning.proposal_curves(loaded_run).lines]
+    assert names[0] == f"proposal after stage {loaded_run.final_curves[-1].stage}"
+    assert names[-1] == "error model (ml-nn)"
+    many = replace(
+        loaded_run, curves=tuple(replace(loaded_run.curves[0], stage=s) for s in range(40))
+    )
+    stages = [line.name.rsplit(" ", 1)[-1] for line in learning.proposal_curves(many).lines[:-1]]
+    assert len(stages) == 6
+    assert (stages[0], stages[-1]) == ("39", "0")
+
+
+def test_lines_end_where_they_are_known():
+    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    own, y = np.array([0.5, 1.5, 2.5, 3.5]), np.array([np.nan, 1.0, 3.0, np.nan])
+    line, nothing = over_common(x, [(own, y), (own, np.full(4, np.nan))])
+    np.testing.assert_array_equal(line, [np.nan, np.nan, 2.0, np.nan, np.nan])
+    assert np.isnan(nothing).all()
+
+
+@pytest.mark.parametrize("typed", ["x", "0", "-1", "1.5", "nan", "inf", "1e-400", "1,5", "0x1"])
+def test_what_is_no_probability_is_refused(typed):
+    with pytest.raises(InputError, match=r"^target = .*: must be above 0 and at most 1, or empty$"):
+        read_probability(typed, name="target")
+
+
+def test_probabilities_are_read_as_typed():
+    assert read_probability(" 1e-9 ", name="target") == 1e-9
+    assert read_probability("1", name="target") == 1.0
+    assert read_probability("  ", name="target") is None
+
+
+def test_the_answer_is_judged_by_a_limit(naive_run):
+    assert "Fail above" not in headline.headline(naive_run)
+    assert "passed" not in headline.headline(naive_run, limit=1e-300)
+    estimate = replace(naive_run.result.estimate, diagnostics=(), ci_high=1e-6)
+    run = with_result(naive_run, estimate=estimate, reference=None)
+    assert "Fail above 1.0 × 10⁻⁵: passed" in headline.headline(run, limit=1e-5)
+    assert "Fail above 1.0 × 10⁻⁷: tripped" in headline.headline(run, limit=1e-7)
+
+
+def test_the_sheet_names_every_class_that_pages_use():
+    for name in (page.ANALYSIS, page.ROLLOUT, page.PLOTS, page.SPEEDS, page.WIDE, page.CELL):
+        assert f".{name}" in page.SHEET
+    assert page.SHEET.count("{") == page.SHEET.count("}")
+    assert page.cell("") == page.wide("") == ""
