@@ -3,16 +3,18 @@
     python tools/panel_pictures.py --out FOLDER [--recordings recordings]
 
 Needs Chromium (``apt-get install chromium``), playwright and Pillow. The pictures show the newest
-run of ``mixture`` in the recordings folder, beside the newest one of the paper's method; a run
-that is not there is made first. One picture shows the curve over memory times of the newest run of
-``value-twisted``.
+run of ``mixture`` in the recordings folder, beside the newest ones of the paper's method and of
+``value-twisted``, whose curve over memory times another one shows; a run that is not there is made
+first.
 """
 
 import argparse
 import io
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import PIL.Image
 from panel_timings import (
@@ -27,8 +29,8 @@ from panel_timings import (
 )
 from playwright.sync_api import Page, sync_playwright
 
-VIEWPORT = {"width": 1200, "height": 960}
-PIXELS_A_POINT = 1.5
+VIEWPORT = {"width": 1400, "height": 920}
+PIXELS_A_POINT = 1.25
 COLORS = 160
 SHOWN_STEP = 50
 
@@ -53,9 +55,9 @@ def main() -> int:
         page.set_default_timeout(WAIT_MS)
         open_panel(page, address)
         close_notices(page)
-        take_pictures(page, arguments.out, shown=shown, other=other)
+        take_pictures(page, arguments.out, shown=shown, others=(other, curve))
         load(page, curve)
-        page.locator("b", has_text=curve).first.evaluate("e => e.scrollIntoView()")
+        show(page, "img", "P(violation) if misses come in bursts")
         keep(page, arguments.out / "panel-memory.png")
         browser.close()
     return 0
@@ -80,27 +82,28 @@ def close_notices(page: Page) -> None:
         page.wait_for_timeout(SETTLE_MS)
 
 
-def take_pictures(page: Page, folder: Path, *, shown: str, other: str) -> None:
+def take_pictures(page: Page, folder: Path, *, shown: str, others: Sequence[str]) -> None:
     """Show a run, and picture every tab."""
     load(page, shown)
     page.get_by_role("button", name="Back to the latest run").wait_for()
     keep(page, folder / "panel-recordings.png")
     tab(page, "Experiment")
     keep(page, folder / "panel-experiment.png")
-    tab(page, "Learning")
-    keep(page, folder / "panel-learning.png")
-    scroll_to_end_of(page, "Estimate of P(violation)")
-    keep(page, folder / "panel-estimate.png")
     tab(page, "Trajectories")
     play_to(page, SHOWN_STEP)
     keep(page, folder / "panel-trajectories.png")
+    tab(page, "Learning")
+    keep(page, folder / "panel-learning.png")
+    tab(page, "Weights")
+    keep(page, folder / "panel-weights.png")
     tab(page, "Compare")
-    choose(page, "Compare with", other)
-    page.get_by_text("Settings that differ").wait_for()
+    for other in others:
+        choose(page, "Compare with", other)
+        page.get_by_role("cell", name=other).wait_for()
     keep(page, folder / "panel-compare.png")
     tab(page, "Why")
     keep(page, folder / "panel-why.png")
-    page.get_by_text("Bursts before a violation").evaluate("e => e.scrollIntoView()")
+    show(page, "table", "Likeliest chains of misses")
     keep(page, folder / "panel-chains.png")
 
 
@@ -112,9 +115,9 @@ def load(page: Page, run: str) -> None:
     page.locator("b", has_text=run).first.wait_for()
 
 
-def scroll_to_end_of(page: Page, plot: str) -> None:
-    """Scroll the tab until a plot is the last that shows."""
-    page.get_by_role("img", name=plot).evaluate("e => e.scrollIntoView({block: 'end'})")
+def show(page: Page, role: Literal["img", "table"], name: str) -> None:
+    """Scroll the tab until a plot or a table is on the page."""
+    page.get_by_role(role, name=name).evaluate("e => e.scrollIntoView({block: 'center'})")
 
 
 def play_to(page: Page, step: int) -> None:

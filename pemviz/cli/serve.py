@@ -89,7 +89,8 @@ def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
     if not local:
         print(
             f"pemviz: warning: {arguments.host} can be reached by others on the network; whoever "
-            "reaches it can run experiments and read the recordings, without a password",
+            "reaches it can run experiments, read the recordings and delete them, without a "
+            "password",
             file=sys.stderr,
         )
     show_something(controller, recordings)

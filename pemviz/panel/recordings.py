@@ -75,13 +75,13 @@ class RecordingsFolder:
         return [self._entry(name) for name in self.names()]
 
     def names(self) -> list[str]:
-        """Names of run folders, newest first; links are left out, they lead elsewhere."""
+        """Names of run folders, newest first; not links, which lead elsewhere, nor hidden ones."""
         try:
             folders = list(self.root.iterdir())
         except OSError:
             return []
         return sorted(
-            (f.name for f in folders if not f.is_symlink() and has_result(f)),
+            (f.name for f in folders if f.name[0] != "." and not f.is_symlink() and has_result(f)),
             reverse=True,
         )
 

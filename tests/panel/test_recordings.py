@@ -224,6 +224,11 @@ def test_a_deleted_run_is_gone_and_nothing_else(folder, tmp_path):
         folder.delete("run")
 
 
+def test_what_a_kill_left_of_a_deleted_run_is_not_listed(folder):
+    (folder.root / "run").rename(folder.root / ".run.removed")
+    assert folder.names() == []
+
+
 def test_a_run_at_work_is_not_deleted(folder):
     with run_lock(folder.root / "run"), pytest.raises(InputError, match="is at work in it"):
         folder.delete("run")

@@ -103,7 +103,8 @@ class RecordingsTab:
             before = self.name.value
             self.name.options = names
             self.name.value = before if before in names else names[0]
-            self._chosen()
+            if self.name.value != before:  # what somebody types beside it stays
+                self._chosen()
             self._list_runs(tuple(entry.name for entry in entries))
         damaged = folder.damaged()
         table = recordings_table(entries, folder=str(folder.root), damaged=damaged)
