@@ -13,7 +13,7 @@ from pemviz.config.toml_files import config_table
 from pemviz.panel.ranking import elites, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.curves import RUN_COLORS, RUN_DASHES, Curves, Line, over_common
-from pemviz.panel.views.learning import DOUBTED, logs_of_answer
+from pemviz.panel.views.learning import DOUBTED, decades, logs_of_answer
 from pemviz.panel.views.page import cell, page, wide
 from pemviz.reports.estimate_text import no_interval_text
 from pemviz.reports.pictures.html import grid, heading, number, quiet
@@ -102,7 +102,7 @@ def runs_page(runs: Sequence[RunData]) -> str:
         words = "Add a run above to see it beside the run shown: up to six side by side."
         return page(wide(heading("Runs side by side") + quiet(words)))
     return page(
-        cell(heading("Answers") + estimates_plot(runs)),
+        cell(estimates_plot(runs)),
         cell(heading("Settings that differ") + differences_table(runs)),
         wide(estimates_table(runs)),
     )
@@ -135,27 +135,27 @@ def run_curves(runs: Sequence[RunData]) -> Curves | None:
 
 
 def estimates_plot(runs: Sequence[RunData]) -> str:
-    """The answers with their intervals on a log axis."""
+    """The answers with their intervals on a log axis; what is lower by far, at its lower edge."""
     doubted = [bool(run_interval_caveats(run.result)) for run in runs]
     kind = "intervals (dashed: not 95 %)" if any(doubted) else "95 % intervals"
     answers = [logs_of_answer(run.result.estimate) for run in runs]
-    every = [value for answer, interval in answers for value in (*answer, *interval)]
-    exponents = [v for v in every if v > -60.0] or [-20.0, 0.0]
+    low, high = decades([value for answer, interval in answers for value in (*answer, *interval)])
     plot = Plot(
         title=f"P(violation) with {kind}",
         x=Axis(-0.5, len(runs) - 0.5, "run", ticks=()),
-        y=Axis(float(np.floor(min(exponents))) - 1, min(0.0, float(np.ceil(max(exponents))) + 1),
-               "probability", log10=True),
+        y=Axis(low, high, "probability", log10=True),
         height=220,
         left=52,
-    )  # fmt: skip
+    )
     for place, (answer, interval) in enumerate(answers):
         color = RUN_COLORS[place]
-        if len(interval) == 2:
+        if len(interval) == 2 and interval[1] > low:
             dash = DOUBTED if doubted[place] else ""
             plot.whisker(place, interval[0], interval[1], color=color, dash=dash)
         for value in answer:
             plot.points([place], [value], color=color, radius=4.0)
+            if value < low:
+                plot.note(number(10.0**value, 2), plot.px(place), plot.bottom - 8, anchor="middle")
         if not answer:
             plot.note("none", plot.px(place), plot.bottom - 5, anchor="middle")
         plot.note(LETTERS[place], plot.px(place), plot.bottom + 13, anchor="middle")
@@ -164,31 +164,35 @@ def estimates_plot(runs: Sequence[RunData]) -> str:
 
 def estimates_table(runs: Sequence[RunData]) -> str:
     """The answers in figures, a run a line."""
-    columns = (
-        ("P(violation)", "probability"),
-        ("standard error", "std_error"),
-        ("interval from", "ci_low"),
-        ("to", "ci_high"),
-        ("violations", "failures"),
-        ("rollouts simulated", "rollouts_simulated"),
-        ("effective sample size", "ess"),
-        ("Pareto k-hat", "pareto_k"),
-        ("NLL [nats]", "nll_mean"),
-    )
     lines = [
         [
             f"<b style='color:{RUN_COLORS[place]}'>{LETTERS[place]}</b> {escape(run.name)}",
-            *(
-                number(None if run.result.estimate is None else getattr(run.result.estimate, f), 3)
-                for _, f in columns
-            ),
+            *_figures(run),
             _is_interval(run),
             _is_reliable(run),
         ]
         for place, run in enumerate(runs)
     ]
-    header = ["run", *(label for label, _ in columns), "does the interval hold?", "reliable?"]
+    header = (
+        "run", "P(violation)", "standard error", "interval", "violations", "rollouts simulated",
+        "effective sample size", "Pareto k-hat", "NLL [nats]", "does the interval hold?",
+        "reliable?",
+    )  # fmt: skip
     return heading("Estimates in figures") + grid(header, lines, name="Estimates of the runs")
+
+
+def _figures(run: RunData) -> list[str]:
+    estimate = run.result.estimate
+    if estimate is None:
+        return [number(None)] * 8
+    interval = number(None)
+    if estimate.ci_low is not None and estimate.ci_high is not None:
+        interval = f"{number(estimate.ci_low, 2)} to {number(estimate.ci_high, 2)}"
+    return [
+        number(estimate.probability), number(estimate.std_error, 2), interval,
+        f"{estimate.failures:,}", f"{estimate.rollouts_simulated:,}", number(estimate.ess),
+        number(estimate.pareto_k, 2), number(estimate.nll_mean),
+    ]  # fmt: skip
 
 
 def _is_interval(run: RunData) -> str:

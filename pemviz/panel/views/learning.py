@@ -167,7 +167,7 @@ def estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
     answer, interval = logs_of_answer(estimate)
     bound = [] if answer or estimate is None else logs(estimate.ci_high)
     exact = [] if reference is None else logs(reference.probability)
-    low, high = _decades([*(v for _, v in points), *exact, *answer, *interval])
+    low, high = decades([*(v for _, v in points), *exact, *answer, *interval])
     x = _stage_axis(stages, each) if several else Axis(-1.0, 1.0, "all rollouts", ticks=())
     plot = Plot(
         title="Estimate of P(violation)",
@@ -212,7 +212,7 @@ def _draw_answer(plot: Plot, estimate: Estimate, *, x: float, dash: str) -> None
         plot.points([x], [value], color=VERMILLION, radius=4.0, tips=[tip])
 
 
-def _decades(values: Sequence[float]) -> tuple[float, float]:
+def decades(values: Sequence[float]) -> tuple[float, float]:
     """Whole powers of ten around decimal logarithms; what is lower by far does not count."""
     in_range = [value for value in values if value > FAR_BELOW]
     if not in_range:

@@ -34,6 +34,7 @@ div:has(>.{ANALYSIS}),.{ANALYSIS}{{display:contents}}
 div:has(>div>.{ANALYSIS})>:not(:has(>.{ANALYSIS})):not(:has(.uplot)),.{WIDE}{{grid-column:1/-1}}
 .{CELL},div:has(>.uplot-container){{min-width:0}}
 .mantine-Notifications-root[data-position=top-left]{{top:{NOTICE_PX}px!important}}
+.uplot-container .uplot{{min-width:100%}}
 .uplot .u-legend{{margin:2px 0 0!important}}
 .{PLOTS}{{display:flex;gap:6px}}
 .{PLOTS} svg{{flex:1 1 0;min-width:0;max-height:190px}}
