@@ -1,7 +1,7 @@
 """The Experiment tab: what to run, Run and Stop."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import cast, get_args
 
@@ -36,6 +36,7 @@ ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
 FRAILTY_STEP = 0.05
 MEMORY_STEP_S = 0.01
 TARGET_WORDS = " Empty: none."
+WAITS = "Run waits until what is said below to be wrong is mended."
 LIMIT_HINT = (
     "Limit of a gate: beside the answer it is told whether the upper 95 % bound stays below it, as "
     "pemviz record --fail-above does; above 0, at most 1. Empty: none."
@@ -111,6 +112,7 @@ class ExperimentTab:
         self.stop = gui.add_button(
             "Stop", icon=viser.Icon.PLAYER_STOP, color="red", disabled=True, hint=STOP_HINT
         )
+        self._waits = gui.add_html("")
         self.run.on_click(browser.on(self._run))
         self.stop.on_click(browser.on(browser.hub.controller.stop))
 
@@ -155,7 +157,10 @@ class ExperimentTab:
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
         self._verdict = gui.add_html("")
         self._facts = gui.add_html("")
-        for typed in (self.spec, self.target):
+        for typed in (
+            self.spec, self.target, self.stages, self.rollouts, self.final_rollouts, self.seed,
+            self.memory, self.frailty,
+        ):  # fmt: skip
             typed.on_update(browser.on(self._check))
         self.fail_above.on_update(browser.on(self._judge))
 
@@ -242,20 +247,31 @@ class ExperimentTab:
 
     def _check(self) -> None:
         """Say what is wrong with what was typed, and have Run wait until it is right."""
-        spec, complaints = self.spec.value, list[str]()
+        complaints = list(self._complaints())
+        self._wrong = bool(complaints)
+        set_html(self._verdict, verdict(complaints))
+        set_html(self._waits, block(quiet(WAITS)) if complaints else "")
+        self._enable_run()
+
+    def _complaints(self) -> Iterator[str]:
+        """What is wrong, a line each."""
+        spec, wrong = self.spec.value, False
         try:
             config = replace(self._base, spec=spec)
             build_formula(config, build_simulator(replace(config, simulator="vectorized")))
         except InputError as error:
-            complaints.append(str(error).removeprefix(f"spec = {spec!r}: "))
+            yield str(error).removeprefix(f"spec = {spec!r}: ")
         for name, typed in (("target", self.target), ("fail above", self.fail_above)):
             try:
                 read_probability(typed.value, name=name)
             except InputError as error:
-                complaints.append(str(error))
-        self._wrong = bool(complaints)
-        set_html(self._verdict, verdict(complaints))
-        self._enable_run()
+                wrong = True
+                yield str(error)
+        if not wrong:
+            try:
+                self.config.validate()
+            except InputError as error:
+                yield str(error)
 
     def _run(self) -> None:
         browser = self._browser

@@ -72,6 +72,9 @@ class WeightsTab:
     def refresh(self, run: RunData | None) -> None:
         """Show a run."""
         self._run = run
+        last = max(0 if run is None else run.kept - 1, 0)
+        if self.number.max != last:
+            self.number.max = last
         self._curves.show(heaviest_curves(run))
         self._draw()
 

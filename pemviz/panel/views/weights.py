@@ -190,7 +190,7 @@ def _heaviest_curves(run: RunData) -> Curves | None:
     time_s = np.arange(run.config.scenario.states, dtype=np.float64) * run.config.scenario.dt_s
     lines = [
         Line(
-            f"rollout {int(run.rollouts['rollout'][index])}, {percent(float(share[index]))} [m]",
+            f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))}) [m]",
             np.asarray(run.rollouts["gap_m"][index], dtype=np.float64),
             RUN_COLORS[place],
             dash=RUN_DASHES[place],
@@ -199,7 +199,7 @@ def _heaviest_curves(run: RunData) -> Curves | None:
     ]
     touch = Line("bumpers touch [m]", np.full(time_s.size, CAMERA_TO_BUMPER_M), BLACK, width=1.0)
     return Curves(
-        title="Gap of the rollouts that contribute most, with their shares of the answer",
+        title="Gap of the rollouts that contribute most (share of the answer)",
         x=time_s,
         x_label="time [s]",
         y_label="gap [m]",

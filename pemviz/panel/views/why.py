@@ -11,7 +11,7 @@ from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.contribution import log_contributions
 from pemviz.panel.run_data import RunData, final_violations
 from pemviz.panel.views.models import models_part
-from pemviz.panel.views.page import cell, page, wide
+from pemviz.panel.views.page import PLOT_PX, cell, page, wide
 from pemviz.reports.pictures.causes import cause_sections
 from pemviz.reports.pictures.data_plan import plan_part
 from pemviz.reports.pictures.html import good, grid, heading, number, percent, quiet, warning
@@ -53,8 +53,8 @@ def _why(run: RunData, *, target: str) -> str:
         cell(_trust(run)),
         cell(models_part(result)),
         cell(memory_curve(result.memory)),
-        cell(_data(run)),
         cell(_assumptions(run)),
+        wide(_data(run)),
     )
 
 
@@ -251,7 +251,9 @@ def _data(run: RunData) -> str:
     words = data_warnings(run.result)
     if not words:
         return ""
-    return heading("The error model and its data") + "".join(warning(w) for w in words)
+    lines = "".join(f"<div style='break-inside:avoid'>{warning(w)}</div>" for w in words)
+    columns = f"<div style='columns:{PLOT_PX}px'>{lines}</div>"
+    return heading("The error model and its data") + columns
 
 
 def _reference(run: RunData) -> str:
