@@ -225,6 +225,8 @@ class ScoredRollouts(Batch):
         rollouts: The N rollouts.
         robustness: ``[N]`` under the chosen metric.
         violated: ``[N]`` whether the classical semantics is violated.
+        rule_robustness: ``[N]`` likewise of each rule, by name, where there are rules.
+        broken: ``[N]`` whether each rule is violated, by name; ``violated`` is any of them.
         timings_s: Wall time by part of the work [s]: of the batch that rows were taken from;
             of batches put together the sum.
     """
@@ -232,6 +234,8 @@ class ScoredRollouts(Batch):
     rollouts: RolloutBatch
     robustness: FloatArray
     violated: BoolArray
+    rule_robustness: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
     timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @classmethod

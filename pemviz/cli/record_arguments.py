@@ -1,7 +1,7 @@
 """Options of ``pemviz record``, and the configuration that they start from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,12 +9,12 @@ import tyro
 
 from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.config import ExperimentConfig
+from pemviz.config.gate_limits import GateLimits, read_limits
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.toml_files import load_config, load_preset
 from pemviz.errors import ConfigError
 from pemviz.sampling.registry import SHIPPED
 
-FailAbove = Annotated[float, Range(low=0.0, low_open=True, high=1.0)]
 Port = Annotated[int, Range(low=1, high=65535)]
 
 DESCRIPTION = (
@@ -50,8 +50,11 @@ class RecordArguments:
     )
     out: Path = Path("recordings")
     """Folder in which the run folder is made."""
-    fail_above: FailAbove | None = None
-    """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1."""
+    rule: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A rule as NAME=FORMULA, in place of --spec: each rule is answered, and any of them."""
+    fail_above: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1.
+    NAME=P for one of several rules."""
     summary: Path | None = None
     """Add the result as markdown to the end of this file, for instance $GITHUB_STEP_SUMMARY."""
     junit: Path | None = None
@@ -76,6 +79,15 @@ class RecordArguments:
     """Also serve the recording, while the run goes on, to live rerun viewers on this port of
     the loopback interface; 1 to 65535."""
 
+    @property
+    def limits(self) -> GateLimits:
+        """What ``fail_above`` asks for.
+
+        Raises:
+            ConfigError: Something is no probability, names no rule, or stands twice.
+        """
+        return read_limits(self.fail_above, rules=self.experiment.rules)
+
 
 def parse(words: Sequence[str]) -> RecordArguments:
     """The command's arguments: preset or file first, then what the words override.
@@ -89,12 +101,12 @@ def parse(words: Sequence[str]) -> RecordArguments:
         RecordArguments, words, command="record", default=start, description=DESCRIPTION
     )
     for name, value, annotation in (
-        ("fail-above", arguments.fail_above, FailAbove),
         ("live", arguments.live, Port),
         ("workers", arguments.workers, Processes),
     ):
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
+    arguments = _with_rules(arguments, start.experiment)
     if source.resume is not None and arguments.experiment != start.experiment:
         message = (
             f"resume = {source.resume}: the run goes on with its own configuration; leave out "
@@ -102,7 +114,35 @@ def parse(words: Sequence[str]) -> RecordArguments:
         )
         raise ConfigError(message)
     arguments.experiment.validate()  # before anything slow is imported
+    _ = arguments.limits
     return arguments
+
+
+def _with_rules(arguments: RecordArguments, start: ExperimentConfig) -> RecordArguments:
+    """With the rules that were given instead of the specification.
+
+    Raises:
+        ConfigError: One is not NAME=FORMULA, stands twice, or there is a specification too.
+    """
+    config = arguments.experiment
+    if not arguments.rule:
+        if config.rules and config.spec != start.spec:  # --spec in place of the file's rules
+            return replace(arguments, experiment=replace(config, rules=()))
+        return arguments
+    rules: dict[str, str] = {}
+    for word in arguments.rule:
+        name, equals, formula = word.partition("=")
+        if not equals or not name.strip() or not formula.strip():
+            message = f"rule = {word!r}: must be NAME=FORMULA"
+            raise ConfigError(message)
+        if name.strip() in rules:
+            message = f"rule = {word!r}: another rule has this name"
+            raise ConfigError(message)
+        rules[name.strip()] = formula.strip()
+    if config.spec != start.spec:
+        message = f"spec = {config.spec!r}: must be left out where there are rules"
+        raise ConfigError(message)
+    return replace(arguments, experiment=config.with_rules(rules))
 
 
 def _source(words: Sequence[str]) -> Source:

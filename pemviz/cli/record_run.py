@@ -11,8 +11,9 @@ from pemviz.cli.progress import progress_observer
 from pemviz.cli.record_arguments import RecordArguments
 from pemviz.cli.summary import print_summary
 from pemviz.cli.workers import check_workers, with_workers
+from pemviz.config.gate_limits import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED
-from pemviz.reports.gate import decide_run
+from pemviz.reports.gate import decide_limits
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Event, Observer, RunDone
 from pemviz.runs.experiment import Experiment, build_experiment, device_notes
@@ -31,7 +32,7 @@ def record(arguments: RecordArguments) -> int:
         RunError: The run failed.
     """
     reports = ReportWriter(
-        summary=arguments.summary, junit=arguments.junit, fail_above=arguments.fail_above
+        summary=arguments.summary, junit=arguments.junit, limits=arguments.limits
     )
     if arguments.source.resume is not None:
         done = _done_before(arguments.source.resume)
@@ -128,13 +129,13 @@ def _tell_done(arguments: RecordArguments, result: RunResult, *, reports: Report
 
 def _gate(arguments: RecordArguments, result: RunResult) -> int:
     """The exit code of a run that is done."""
-    if arguments.fail_above is None:
+    return gate_exit_code(result, limits=arguments.limits)
+
+
+def gate_exit_code(result: RunResult, *, limits: GateLimits) -> int:
+    """1 if an upper bound is above its limit, 4 if the run cannot tell, else 0."""
+    decision = decide_limits(result, limits=limits)
+    if decision is None:
         return EXIT_DONE
-    return gate_exit_code(result, fail_above=arguments.fail_above)
-
-
-def gate_exit_code(result: RunResult, *, fail_above: float) -> int:
-    """1 if the upper bound is above ``fail_above``, 4 if the run cannot tell, else 0."""
-    decision = decide_run(result, limit=fail_above)
     print(f"pemviz: gate {decision.sentence}", file=sys.stderr)
     return decision.exit_code

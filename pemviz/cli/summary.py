@@ -42,6 +42,7 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
+from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -67,6 +68,8 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
         else:
             for line in headline(result, result.estimate):
                 console.print(line, markup=False, soft_wrap=True)
+        if result.rules:
+            console.print(_rules(result))
         if result.memory is not None and result.memory.curve:
             console.print(assumption_line(result.memory), style="bold", markup=False)
             console.print(_memory(result.memory))
@@ -94,8 +97,9 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
     called = interval_name(estimate, caveats=caveats)
     alone = "" if caveats else ", sampling alone; what else leaves it open is below"
     yield f"  {called} {interval_text(estimate, caveats=caveats)}{alone}"
+    what = f"any of {len(config.rules)} rules" if config.rules else config.spec
     yield (
-        f"  {config.method}{repeated}: {violations_text(estimate)} violate {config.spec}; "
+        f"  {config.method}{repeated}: {violations_text(estimate)} violate {what}; "
         f"took {result.timings_s.get('total', math.nan):.1f} s"
     )
     if caveats:
@@ -103,6 +107,16 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
     if result.reference is not None:
         yield f"  reference {reference_text(result.reference, estimate)}"
     yield f"  misses {memory_text(result.memory)}"
+
+
+def _rules(result: RunResult) -> Table:
+    """How likely each rule is broken, a row each."""
+    table = Table(title=RULES_TITLE, title_justify="left", box=None, pad_edge=False)
+    for column in RULE_COLUMNS:
+        table.add_column(column)
+    for row in rule_rows(result):
+        table.add_row(*map(escape, row))
+    return table
 
 
 def _ladder(result: RunResult) -> Table:
@@ -138,8 +152,9 @@ def warning_lines(result: RunResult, *, verbose: bool) -> list[str]:
     about_refits = () if result.pem_interval is None else result.pem_interval.warnings
     about_data = [text for text in data_warnings(result) if text not in about_refits]
     if verbose:
-        return [f"warning: {text}" for text in (*about_answer, *about_refits, *about_data)]
-    grave = (*about_answer, *about_refits)
+        every = (*about_answer, *rule_warnings(result), *about_refits, *about_data)
+        return [f"warning: {text}" for text in every]
+    grave = (*about_answer, *rule_warnings(result), *about_refits)
     shown = grave[: MOST_WARNINGS - 1]
     lines = [f"warning: {text}" for text in shown]
     kinds = Counter(text.partition(":")[0] if ":" in text[:40] else "others" for text in about_data)

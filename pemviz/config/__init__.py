@@ -7,6 +7,7 @@ from pemviz.config.settings import (
     ExperimentConfig,
     MethodName,
     MetricName,
+    Rule,
     ScenarioConfig,
 )
 
@@ -17,5 +18,6 @@ __all__ = [
     "ExperimentConfig",
     "MethodName",
     "MetricName",
+    "Rule",
     "ScenarioConfig",
 ]

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 from pemviz.config.entry_points import NamedPart
 from pemviz.errors import ConfigError
@@ -138,8 +138,21 @@ def check_fields(instance: Any, *, prefix: str = "") -> None:
     for name, value, annotation in _annotated_fields(instance):
         if is_dataclass(value):
             check_fields(value, prefix=f"{prefix}{name}.")
+        elif get_origin(annotation) is tuple:
+            _check_records(value, name=f"{prefix}{name}", kind=get_args(annotation)[0])
         elif value is not None or not allows_none(annotation):
             check_value(name=f"{prefix}{name}", value=value, annotation=optional_value(annotation))
+
+
+def _check_records(values: Any, *, name: str, kind: Any) -> None:
+    if not isinstance(values, tuple):
+        message = f"{name} = {shown(values)}: must be a tuple"
+        raise ConfigError(message)
+    for index, value in enumerate(cast(tuple[object, ...], values)):
+        if not isinstance(value, kind):
+            message = f"{name}[{index}] = {shown(value)}: must be a {kind.__name__}"
+            raise ConfigError(message)
+        check_fields(value, prefix=f"{name}[{index}].")
 
 
 def optional_value(annotation: object) -> object:

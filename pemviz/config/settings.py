@@ -1,11 +1,12 @@
 """What is asked of a run: every number that shapes a result, with unit and range."""
 
 import re
-from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal, Self
 
 from pemviz.config.entry_points import NamedPart
-from pemviz.config.ranges import Range, check_fields
+from pemviz.config.ranges import Range, check_fields, shown
 from pemviz.errors import ConfigError
 
 METHODS = NamedPart(
@@ -21,6 +22,23 @@ SHIPPED_SIMULATORS = ("vectorized", "highway-env")
 DEVICES = re.compile(r"cpu|torch-cpu|cuda(:[0-9]{1,3})?")
 Positive = Range(low=0.0, low_open=True, high=1e6)
 NotNegative = Range(low=0.0, high=1e6)
+
+
+RULE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+MOST_RULES = 20
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One of several specifications that are answered by one run.
+
+    Attributes:
+        name: For tables and options: a letter, then up to 39 letters, digits, ``_`` or ``-``.
+        formula: As ``spec``.
+    """
+
+    name: str
+    formula: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +101,8 @@ class ExperimentConfig:
     spec: str = "always[0,99] (gap >= 2.0)"
     """Specification in Signal Temporal Logic over gap [m], ego_speed and lead_speed [m/s];
     intervals count steps."""
+    rules: tuple[Rule, ...] = ()
+    """Rules by name; each is answered, and any of them: ``spec`` then says that all are kept."""
     pem: str = "ml-nn"
     """Perception error model: a shipped name or a file."""
     memory_s: Annotated[float, Range(low=0.0, high=60.0)] = 0.0
@@ -146,6 +166,17 @@ class ExperimentConfig:
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
 
+    def with_rules(self, rules: Mapping[str, str]) -> Self:
+        """The same with named rules instead of one specification; with none, as it is.
+
+        Args:
+            rules: Name to formula.
+        """
+        if not rules:
+            return self
+        named = tuple(Rule(name, formula) for name, formula in rules.items())
+        return replace(self, rules=named, spec=conjunction(named))
+
     def validate(self) -> None:
         """Check every value and those that must fit together.
 
@@ -153,6 +184,7 @@ class ExperimentConfig:
             ConfigError: One line that names field, value and what is allowed.
         """
         check_fields(self)
+        self._validate_rules()
         if not self.pem.strip():
             message = "pem = '': must be the name of a shipped model or a file"
             raise ConfigError(message)
@@ -162,3 +194,22 @@ class ExperimentConfig:
         if not self.simulator.strip():
             message = f"simulator = '': must be {' or '.join(SHIPPED_SIMULATORS)} or registered"
             raise ConfigError(message)
+
+    def _validate_rules(self) -> None:
+        names = [rule.name for rule in self.rules]
+        for name in names:
+            if RULE_NAME.fullmatch(name) is None:
+                allowed = "a letter, then up to 39 letters, digits, _ or -"
+                message = f"rules: the name {shown(name)} must be {allowed}"
+                raise ConfigError(message)
+        if len(set(names)) < len(names) or len(names) > MOST_RULES:
+            message = f"rules = {', '.join(names)}: must be at most {MOST_RULES}, each name once"
+            raise ConfigError(message)
+        if self.rules and self.spec != conjunction(self.rules):
+            message = f"spec = {self.spec!r}: must be left out where there are rules"
+            raise ConfigError(message)
+
+
+def conjunction(rules: Sequence[Rule]) -> str:
+    """The specification that all of at least one rule are kept."""
+    return " and ".join(f"({rule.formula})" for rule in rules)

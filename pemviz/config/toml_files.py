@@ -1,14 +1,15 @@
 """Configurations as TOML: presets, the user's files, and the copy in every run folder."""
 
 import tomllib
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import tomli_w
 
 from pemviz.config import ExperimentConfig
-from pemviz.config.records import read_record
+from pemviz.config.records import read_record, read_value
 from pemviz.errors import ConfigError
 from pemviz.files.shipped import asset_path
 
@@ -80,18 +81,36 @@ def _read_table(path: Path) -> dict[str, Any]:
 _TOO_DEEP = "nested too deeply"
 
 
-def config_from_table(table: dict[str, Any]) -> ExperimentConfig:
+def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
     """The configuration that a table of plain values spells out.
+
+    ``rules`` is a table of names and formulas; ``spec`` may then be left out.
+
+    Args:
+        table: What :func:`config_table` gives, or a part of it.
+        name: What the table is called, for messages.
 
     Raises:
         ConfigError: A field is unknown or of the wrong type.
     """
-    return read_record(ExperimentConfig, table)
+    if not isinstance(table, Mapping) or "rules" not in table:
+        return read_record(ExperimentConfig, table, name=name)
+    others = {key: value for key, value in cast(dict[str, Any], table).items() if key != "rules"}
+    place = f"{name}.rules" if name else "rules"
+    rules: Mapping[str, str] = read_value(
+        Mapping[str, str], cast(dict[str, Any], table)["rules"], name=place
+    )
+    config = read_record(ExperimentConfig, others, name=name).with_rules(rules)
+    return replace(config, spec=others.get("spec", config.spec))
 
 
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
-    """Every field as plain values, for TOML and JSON."""
-    return asdict(config)
+    """Every field as plain values, for TOML and JSON; rules by name, if there are any."""
+    table = asdict(config)
+    del table["rules"]
+    if config.rules:
+        table["rules"] = {rule.name: rule.formula for rule in config.rules}
+    return table
 
 
 def config_text(config: ExperimentConfig) -> str:

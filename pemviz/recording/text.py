@@ -25,6 +25,7 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
+from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -47,6 +48,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         *_status(result, running=running),
     ]
     if estimate is not None:
+        parts += _rules(result)
         parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
         parts += [*_next(result), *_memory(result), _model_range(result.pem_interval)]
         parts += [*_causes(result), _diagnostics(estimate), *_plan(result)]
@@ -74,6 +76,16 @@ def _headline(estimate: Estimate | None, *, caveats: Sequence[str], running: boo
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
         probability = f"10^{estimate.log10_probability:.1f}"
     return f"# Probability of a violation: {probability}\n\n{interval}"
+
+
+def _rules(result: RunResult) -> list[str]:
+    """Each rule's answer, where there are several."""
+    if not result.rules:
+        return []
+    lines = [f"- {text}" for text in rule_warnings(result)]
+    rows = markdown_table(RULE_COLUMNS, rule_rows(result))
+    title = f"## {RULES_TITLE}\n\nThe probability above is of any of them being broken."
+    return [f"{title}\n\n{rows}", *(["\n".join(lines)] if lines else [])]
 
 
 def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:

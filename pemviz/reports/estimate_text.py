@@ -147,6 +147,7 @@ def summary_text(result: RunResult) -> str:
         f"{name}: {probability_text(estimate)}",
         f"  {called}: {interval_text(estimate, caveats=caveats)}",
         f"  violations: {violations_text(estimate)}",
+        *(f"  rule {rule.name}: {probability_text(rule.estimate)}" for rule in result.rules),
     ]
     if result.config.memory_s or result.config.frailty:
         lines.append(f"  misses: {memory_text(result.memory)}")
@@ -155,5 +156,6 @@ def summary_text(result: RunResult) -> str:
     if result.reference is not None:
         lines.append(f"  reference: {reference_text(result.reference, estimate)}")
     about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))
-    warnings = (*about_answer, *data_warnings(result))
+    about_rules = (f"rule {r.name}: {text}" for r in result.rules for text in r.estimate.warnings)
+    warnings = (*about_answer, *about_rules, *data_warnings(result))
     return "\n".join([*lines, *(f"  warning: {warning}" for warning in warnings)])

@@ -1,10 +1,11 @@
 """The decision of a pipeline's gate: never a silent pass."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal, get_args
 
+from pemviz.config.gate_limits import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_UNDECIDED
 from pemviz.reports.estimate_text import bound_text
 from pemviz.runs.result import RunResult
@@ -49,13 +50,14 @@ class GateDecision:
     Attributes:
         outcome: ``tripped`` if the upper bound is above the limit; ``undecided`` if the
             estimate cannot tell.
-        limit: The probability that must not be exceeded.
+        limit: The probability that a violation must not exceed; ``None`` where only rules have
+            limits.
         reason: In words.
         exit_code: What the command line ends with.
     """
 
     outcome: GateOutcome
-    limit: float
+    limit: float | None
     reason: str
     exit_code: int
 
@@ -64,6 +66,34 @@ class GateDecision:
         """Outcome and reason."""
         words = {"undecided": "cannot be decided"}.get(self.outcome, self.outcome)
         return f"{words}: {self.reason}"
+
+
+SEVERITY: tuple[GateOutcome, ...] = ("passed", "undecided", "tripped")
+"""Of several decisions the last of these holds: one rule that is broken too often is enough."""
+
+
+def decide_limits(result: RunResult, *, limits: GateLimits) -> GateDecision | None:
+    """The gate's decision on a run and its rules; ``None`` without a limit."""
+    decisions: list[GateDecision] = []
+    if limits.overall is not None:
+        decisions.append(decide_run(result, limit=limits.overall))
+    if result.status != "done" and limits.rules:
+        decisions = [decide_run(result, limit=1.0)]
+    else:
+        decisions += [_of_rule(result, name, limit) for name, limit in limits.rules.items()]
+    if not decisions:
+        return None
+    worst = max(decisions, key=lambda decision: SEVERITY.index(decision.outcome))
+    decisive = [one.reason for one in decisions if one.outcome == worst.outcome]
+    return replace(worst, limit=limits.overall, reason="; ".join(decisive))
+
+
+def _of_rule(result: RunResult, name: str, limit: float) -> GateDecision:
+    for rule in result.rules:
+        if rule.name == name:
+            decision = decide_gate(rule.estimate, limit=limit)
+            return replace(decision, reason=f"rule {name}: {decision.reason}")
+    return GateDecision("undecided", limit, f"rule {name}: no estimate", EXIT_GATE_UNDECIDED)
 
 
 def decide_run(result: RunResult, *, limit: float) -> GateDecision:

@@ -55,6 +55,8 @@ def _case_name(result: RunResult, gate: GateDecision | None) -> str:
     spec = printable_line(result.config.spec)
     if gate is None:
         return f"the failure probability of {spec} can be estimated"
+    if gate.limit is None:
+        return f"the failure probabilities of the rules in {spec} are at most their limits"
     return f"the failure probability of {spec} is at most {gate.limit:g}"
 
 

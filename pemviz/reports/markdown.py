@@ -31,6 +31,7 @@ from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
+from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.description import MethodDescription
@@ -55,7 +56,8 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     """
     parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
     if result.estimate is not None:
-        parts += [*_memory(result), _answer(result, result.estimate), *_plot(result, gate)]
+        parts += [*_memory(result), _answer(result, result.estimate), *_rules(result)]
+        parts += _plot(result, gate)
         parts += [*_ladder(result), *_plan(result), *_causes(result)]
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
     parts.append(_details("Complete configuration", _config(result.config)))
@@ -100,6 +102,19 @@ def _answer(result: RunResult, estimate: Estimate) -> str:
             ("largest weight's share", share_text(estimate.max_weight_share)),
         ]
     return markdown_table(("answer", ""), rows)
+
+
+def _rules(result: RunResult) -> list[str]:
+    """Each rule's answer, and what is wrong with it."""
+    if not result.rules:
+        return []
+    rows = [tuple(map(markdown_text, row)) for row in rule_rows(result)]
+    lines = [f"- ⚠️ {markdown_text(text)}" for text in rule_warnings(result)]
+    return [
+        f"**{RULES_TITLE}**; the answer above is that any of them is broken.",
+        markdown_table(RULE_COLUMNS, rows),
+        *(["\n".join(lines)] if lines else []),
+    ]
 
 
 def _memory(result: RunResult) -> list[str]:
@@ -224,6 +239,8 @@ def _worst(result: RunResult) -> list[str]:
             f"repetition {worst.repetition}, stage {worst.stage}, rollout {worst.rollout}",
         ),
     ]
+    if worst.broken:
+        rows.insert(2, ("rules that it breaks", ", ".join(worst.broken)))
     if worst.share is not None:
         rows.insert(1, ("share of its stage's estimate", share_text(worst.share)))
     which = "least robust of all" if worst.share is None else "least robust that carries the answer"

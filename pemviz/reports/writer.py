@@ -3,9 +3,10 @@
 import os
 from pathlib import Path
 
+from pemviz.config.gate_limits import GateLimits
 from pemviz.errors import ConfigError, RunError
 from pemviz.files.atomic import is_folder, write_text
-from pemviz.reports.gate import decide_run
+from pemviz.reports.gate import decide_limits
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
 from pemviz.runs.events import Event, RunDone, RunFailed
@@ -24,14 +25,14 @@ class ReportWriter:
         *,
         summary: Path | None = None,
         junit: Path | None = None,
-        fail_above: float | None = None,
+        limits: GateLimits | None = None,
     ) -> None:
         """Check the places; nothing is written yet.
 
         Args:
             summary: Markdown file.
             junit: XML file.
-            fail_above: The gate's limit, if there is a gate.
+            limits: The gate's, if there is a gate.
 
         Raises:
             ConfigError: A file cannot be written there.
@@ -41,7 +42,7 @@ class ReportWriter:
                 _check_place(name, path)
         self._summary = summary
         self._junit = junit
-        self._limit = fail_above
+        self._limits = GateLimits() if limits is None else limits
 
     def notify(self, event: Event) -> None:
         """Write at the end of a run.
@@ -65,7 +66,7 @@ class ReportWriter:
             raise RunError(message) from error
 
     def _write(self, result: RunResult) -> None:
-        gate = None if self._limit is None else decide_run(result, limit=self._limit)
+        gate = decide_limits(result, limits=self._limits)
         if self._summary is not None:
             with self._summary.open("a", encoding="utf-8") as stream:
                 stream.write(summary_markdown(result, gate=gate))

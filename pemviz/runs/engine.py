@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata
 from typing import Any
@@ -34,9 +34,10 @@ from pemviz.runs.interpretation import (
 )
 from pemviz.runs.memory import memory_of
 from pemviz.runs.result import PemInfo, RunResult, with_stage
+from pemviz.runs.rules import estimates_by_rule, rule_answers
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.simulators.slots import Slot
-from pemviz.types import StageResult
+from pemviz.types import Estimate, StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
 
@@ -123,6 +124,7 @@ class _Runner:
         self._should_stop = should_stop
         self._began = time.perf_counter()
         self._interpreted = Interpreted(_empty_result(experiment, run_id))
+        self._by_rule: list[Mapping[str, Estimate]] = []
         self.complete = False
 
     def carry_out(self) -> None:
@@ -177,10 +179,13 @@ class _Runner:
         )
         estimate = method.estimate(state)
         estimates = (*self._interpreted.result.repetitions, estimate)
+        rules = self._experiment.config.rules
+        self._by_rule.append(estimates_by_rule(method, state, rules))
         result = replace(
             self._interpreted.result,
             repetitions=estimates,
             estimate=summarise_repetitions(estimates),
+            rules=rule_answers(rules, self._by_rule),
         )
         notify_all(
             self._observers,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,8 @@ from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.folding import Folding, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.memory import remembering_as, with_memory
-from pemviz.sampling.method import Method
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.method import AnswersRules, Method
+from pemviz.sampling.problem import Problem, ScoredRule
 from pemviz.sampling.registry import build_named_method, by_name
 from pemviz.sampling.rollouts.devices import (
     NUMPY,
@@ -38,8 +39,10 @@ from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.slots import turns_of, with_slots
 from pemviz.sampling.value_twisted.method import require_unsafe
 from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
+from pemviz.simulators.latched import Monitor
 from pemviz.simulators.registry import build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
+from pemviz.stl.formulas import Or
 from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
 
@@ -163,13 +166,17 @@ def build_experiment(
         require_unsafe(problem, method=config.method)
     if config.reference:
         require_unsafe(problem)
+    method = build_method(config, back_end=back_end)
+    if config.rules and not isinstance(method, AnswersRules):
+        message = f"rules: method {config.method} answers one specification only"
+        raise ConfigError(message)
     return Experiment(
         config=config,
         ensemble=ensemble,
         formula=formula,
         problem=problem,
         back_end=back_end,
-        method=build_method(config, back_end=back_end),
+        method=method,
         planned_rollouts=config.repetitions * description.budget(config).rollouts,
         families=tuple(remembering_as(family, model) for family in others),
         warnings=warnings,
@@ -236,29 +243,57 @@ def _problem(
     metric = build_metric(config, back_end.simulator)
     folding = folding_of(back_end.simulator)
     turns = 1 if folding is None else folding.turns
-    monitor = FormulaMonitor(formula)
+    rules = {
+        rule.name: _parsed(rule.formula, back_end.simulator, name=f"rules.{rule.name}")
+        for rule in config.rules
+    }
 
-    def in_steps(signals: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
-        return signals if folding is None else folding.signals(signals)
+    def scored(rule: stl.Formula) -> ScoredRule:
+        return ScoredRule(
+            robustness=partial(_robustness, rule, metric, folding),
+            violated=partial(_violated, rule, folding),
+        )
 
-    def robustness(signals: Mapping[str, FloatArray]) -> FloatArray:
-        return stl.robustness(formula, in_steps(signals), metric)
+    def monitored(watched: stl.Formula) -> Monitor:
+        monitor = FormulaMonitor(watched)
+        return monitor if folding is None else StepMonitor(monitor, turns)
 
-    def violated(signals: Mapping[str, FloatArray]) -> BoolArray:
-        return stl.violated(formula, in_steps(signals))
-
+    whole = scored(formula)
     return Problem(
         simulator=back_end.simulator,
         pem=pem,
-        robustness=robustness,
-        violated=violated,
+        robustness=whole.robustness,
+        violated=whole.violated,
         batch_rollouts=back_end.batch_rollouts,
         run_batches=batch_runner(config.device),
         batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula, turns=turns),
-        monitor=monitor if folding is None else StepMonitor(monitor, turns),
+        monitor=monitored(formula),
         turns=turns,
+        rules={name: scored(rule) for name, rule in rules.items()},
+        settled=monitored(Or(tuple(rules.values()))) if len(rules) > 1 else None,
     )
+
+
+def _robustness(
+    formula: stl.Formula,
+    metric: stl.Metric,
+    folding: Folding | None,
+    signals: Mapping[str, FloatArray],
+) -> FloatArray:
+    return stl.robustness(formula, _in_steps(signals, folding), metric)
+
+
+def _violated(
+    formula: stl.Formula, folding: Folding | None, signals: Mapping[str, FloatArray]
+) -> BoolArray:
+    return stl.violated(formula, _in_steps(signals, folding))
+
+
+def _in_steps(
+    signals: Mapping[str, FloatArray], folding: Folding | None
+) -> Mapping[str, FloatArray]:
+    return signals if folding is None else folding.signals(signals)
 
 
 def device_notes(experiment: Experiment) -> tuple[str, ...]:
@@ -296,15 +331,21 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
         InputError: It does not parse, names an unknown signal, or looks further ahead than a
             rollout is long.
     """
+    for rule in config.rules:  # each by itself, so that what is wrong is told of it
+        _parsed(rule.formula, simulator, name=f"rules.{rule.name}")
+    return _parsed(config.spec, simulator, name="spec")
+
+
+def _parsed(text: str, simulator: Simulator, *, name: str) -> stl.Formula:
     try:
-        formula = stl.parse(config.spec, signals=[s.name for s in declared_signals(simulator)])
+        formula = stl.parse(text, signals=[s.name for s in declared_signals(simulator)])
     except stl.FormulaError as error:
-        message = f"spec = {config.spec!r}: {error}"
+        message = f"{name} = {text!r}: {error}"
         raise ConfigError(message) from error
     last = (simulator.states - 1) // turns_of(simulator)
     if formula.horizon_steps() > last:
         message = (
-            f"spec = {config.spec!r}: looks {formula.horizon_steps()} steps ahead, but a rollout "
+            f"{name} = {text!r}: looks {formula.horizon_steps()} steps ahead, but a rollout "
             f"of {simulator.name!r} has {last + 1} states, steps 0 to {last}"
         )
         raise ConfigError(message)

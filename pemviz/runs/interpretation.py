@@ -193,7 +193,7 @@ def _compared_with_data(
     )
     bound = None
     if experiment.twin is not None:
-        twin = replace(problem, simulator=experiment.twin)
+        twin = replace(problem.without_rules(), simulator=experiment.twin)
         sharpened_by = experiment.features if experiment.config.plan else None
         bound = data_bound(twin, seed=experiment.config.seed, sharpened_by=sharpened_by)
     if bound is not None:
@@ -226,7 +226,8 @@ def with_memory_curve(result: RunResult, *, experiment: Experiment) -> RunResult
     memory, config = result.memory, experiment.config
     if not config.memory_curve or memory is None:
         return result
-    back_end, problem = without_memory(experiment.back_end), experiment.problem
+    back_end = without_memory(experiment.back_end)
+    problem = experiment.problem.without_rules()
     problem = replace(problem, simulator=back_end.simulator, finished=nothing_finished)
     if back_end.twin is not None:
         problem = replace(problem, simulator=back_end.twin, run_batches=run_here)

@@ -21,6 +21,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Share
 from pemviz.display import ShownInNotebooks
 from pemviz.runs.memory import RunMemory
+from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate, StageKind, StageResult
 
@@ -82,6 +83,7 @@ class RankedRollout:
         share: What it contributes to its stage's estimate, if it is among the rollouts that carry
             that (:mod:`pemviz.analysis.contribution`); ``None`` if it is not, or if the estimate
             does not rest on its stage.
+        broken: The rules that it breaks, by name, where there are rules.
     """
 
     repetition: Count
@@ -93,6 +95,7 @@ class RankedRollout:
     log_weight: float
     misses: Count
     share: Share | None = None
+    broken: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +111,8 @@ class RunResult(ShownInNotebooks):
         assumptions: What the answer takes for granted, in words.
         estimate: The answer; of several repetitions, their mean.
         repetitions: The estimate of each repetition that is done.
+        rules: The answer to each rule, where there are rules; ``estimate`` then says how likely
+            any of them is broken.
         stages: Every stage that is done.
         least_robust: The least robust of the rollouts that carry the estimate, least robust
             first, then the least robust of the others; of all as long as nothing carries one.
@@ -132,6 +137,7 @@ class RunResult(ShownInNotebooks):
     assumptions: tuple[str, ...]
     estimate: Estimate | None = None
     repetitions: tuple[Estimate, ...] = ()
+    rules: tuple[RuleAnswer, ...] = ()
     stages: tuple[StageSummary, ...] = ()
     least_robust: tuple[RankedRollout, ...] = ()
     memory: RunMemory | None = None
@@ -221,6 +227,7 @@ def rank_rollouts(stage: StageResult, *, count: int = LEAST_ROBUST) -> Sequence[
             log_weight=float(chosen.log_weight[index]),
             misses=int(np.count_nonzero(~chosen.detected[index])),
             share=min(float(share[index]), 1.0) if carries[index] else None,
+            broken=tuple(name for name, broken in scored.broken.items() if broken[index]),
         )
         for place, index in enumerate(order)
     ]

@@ -14,6 +14,7 @@ What a result.json may hold (schema 1):
   document and are not kept when it is read.
 - The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
   ``sensitivity``, and its other fields under ``causes``.
+- ``rules``, and ``broken`` in ``least_robust``, only where there are rules.
 - ``ladder``, what leaves the answer open (:class:`pemviz.runs.ladder.Rung`): it follows from the
   other fields, which are what is read.
 - Null for the robustness of a rollout where it is infinite.
@@ -31,15 +32,15 @@ from typing import Any, cast
 
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
-from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, shown
 from pemviz.config.records import read_record, read_value
-from pemviz.config.toml_files import config_table
+from pemviz.config.toml_files import config_from_table, config_table
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_json
 from pemviz.files.json_text import parse_json
 from pemviz.runs.ladder import Rung, uncertainty_ladder
-from pemviz.runs.result import RunResult
+from pemviz.runs.result import RankedRollout, RunResult
+from pemviz.runs.rules import RuleAnswer
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import classified
 from pemviz.sampling.estimates.trust import interval_caveats
@@ -106,6 +107,7 @@ def result_document(result: RunResult) -> Table:
             if result.estimate is None
             else _estimate_table(result.estimate, caveats=run_interval_caveats(result))
         ),
+        **_rule_tables(result.rules),
         "memory": None if result.memory is None else asdict(result.memory),
         "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
@@ -119,7 +121,7 @@ def result_document(result: RunResult) -> Table:
             for estimate in result.repetitions
         ],
         "stages": [asdict(stage) for stage in result.stages],
-        "least_robust": [asdict(rollout) for rollout in result.least_robust],
+        "least_robust": [_ranked_table(rollout) for rollout in result.least_robust],
         "assumptions": list(result.assumptions),
         "warnings": list(result.warnings),
         "timings_s": dict(result.timings_s),
@@ -143,7 +145,7 @@ def result_from_document(document: object) -> RunResult:
             "pemviz wrote it"
         )
         raise InputError(message)
-    config = read_record(ExperimentConfig, table.get("config"), name="config")
+    config = config_from_table(table.get("config"), name="config")
     config.validate()
     if table.get("seed", config.seed) != config.seed:
         message = f"seed = {shown(table['seed'])}: must be that of config, {config.seed}"
@@ -158,6 +160,7 @@ def result_from_document(document: object) -> RunResult:
             table.get("repetitions", []),
             lambda entry, index: _estimate(entry, name=f"repetitions[{index}]"),
         ),
+        "rules": _each(table.get("rules", []), _rule),
         "least_robust": _each(
             table.get("least_robust", []), lambda entry, _: _with_robustness(entry)
         ),
@@ -213,6 +216,33 @@ def _estimate(entry: object, *, name: str) -> object:
         message = f"{name}.warnings = {shown(warnings)}: must be the texts of its diagnostics"
         raise InputError(message)
     return estimate
+
+
+def _rule_tables(rules: Sequence[RuleAnswer]) -> Table:
+    """Each rule's answer; nothing where there are none."""
+    tables = [
+        {
+            **asdict(rule),
+            "estimate": _estimate_table(rule.estimate, caveats=interval_caveats(rule.estimate)),
+        }
+        for rule in rules
+    ]
+    return {"rules": tables} if tables else {}
+
+
+def _ranked_table(rollout: RankedRollout) -> Table:
+    table = asdict(rollout)
+    if not rollout.broken:
+        del table["broken"]
+    return table
+
+
+def _rule(entry: object, index: int) -> object:
+    """A rule's answer; what is no table is left as it is."""
+    if not isinstance(entry, dict):
+        return entry
+    table = cast(Table, entry)
+    return {**table, "estimate": _estimate(table.get("estimate"), name=f"rules[{index}].estimate")}
 
 
 def _explanation_tables(explanation: Explanation | None) -> Table:

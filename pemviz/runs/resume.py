@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from pemviz.errors import InputError
@@ -16,6 +17,8 @@ from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import has_result, read_result
 from pemviz.runs.same_run import run_differs
 from pemviz.runs.store import RunStore
+from pemviz.sampling.problem import Problem, rule_scores
+from pemviz.types import FinishedStage
 
 LOG = logging.getLogger(__name__)
 LOCK = ".lock"
@@ -65,13 +68,28 @@ def carry_out(
         archive = Archive(folder, experiment.declared.signals)
         folding = experiment.folding
         finished = archive if folding is None else folding.finished(archive)
-        problem = replace(experiment.problem, finished=finished)
+        judged = partial(_judged, finished, experiment.problem)
+        problem = replace(experiment.problem, finished=judged)
         return run(
             replace(experiment, problem=problem),
             run_id=folder.name,
             observers=[_DoneLast(RunStore(folder, archive=archive), recorders), *observers],
             should_stop=should_stop,
         )
+
+
+def _judged(
+    read: Callable[[int, int], FinishedStage | None],
+    problem: Problem,
+    repetition: int,
+    stage: int,
+) -> FinishedStage | None:
+    """A finished stage with each rule's verdict, which follows from its rollouts."""
+    found = read(repetition, stage)
+    if found is None or not problem.rules:
+        return found
+    by_rule = rule_scores(problem.rules, found.scored.rollouts)
+    return replace(found, scored=replace(found.scored, **by_rule))
 
 
 @contextmanager

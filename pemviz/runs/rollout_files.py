@@ -23,6 +23,8 @@ from pemviz.types import (
 
 PART_FOLDER = "stages"
 MEMORY, KEPT = "memory.", "kept."
+BROKEN = "broken."
+"""Before a rule's name: whether a rollout breaks it."""
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are asked for."""
 
@@ -41,6 +43,7 @@ def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, Any
         "log_q": rollouts.log_q,
         "robustness": scored.robustness,
         "violated": scored.violated,
+        **{f"{BROKEN}{name}": broken for name, broken in scored.broken.items()},
     }
 
 

@@ -44,7 +44,8 @@ def setting_differences(
 ) -> dict[str, tuple[Any, Any]]:
     """The settings in which two configurations differ, by dotted name, with both values."""
     one, other = flat_settings(config_table(first)), flat_settings(config_table(second))
-    return {name: (one[name], other[name]) for name in one if one[name] != other[name]}
+    names = [*one, *(name for name in other if name not in one)]
+    return {n: (one.get(n), other.get(n)) for n in names if one.get(n) != other.get(n)}
 
 
 def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -60,6 +60,15 @@ class PoolsStages(Protocol[State_contra]):
         ...
 
 
+@runtime_checkable
+class AnswersRules(Protocol[State]):
+    """A method that also answers each of several rules from what it has drawn."""
+
+    def under_rule(self, state: State, rule: str) -> State:
+        """The state as it would be had the verdicts been those of one rule."""
+        ...
+
+
 def stage_seeds(*, seed: int, repetition: int, stage: int) -> np.random.SeedSequence:
     """The seed sequence of one stage; depends on nothing but these three numbers."""
     return np.random.SeedSequence(seed, spawn_key=(repetition, stage))

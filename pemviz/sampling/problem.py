@@ -3,8 +3,8 @@
 import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass, field, replace
+from typing import TypedDict, TypeVar
 
 import numpy as np
 
@@ -49,6 +49,19 @@ def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # no
 
 
 @dataclass(frozen=True)
+class ScoredRule:
+    """How one of several rules is scored.
+
+    Attributes:
+        robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
+        violated: Signals ``[N, T]`` to the classical verdict ``[N]``.
+    """
+
+    robustness: Callable[[Signals], FloatArray]
+    violated: Callable[[Signals], BoolArray]
+
+
+@dataclass(frozen=True)
 class Problem:
     """A failure probability to be estimated.
 
@@ -69,6 +82,9 @@ class Problem:
             specification, ``[N]``; ``None`` where the verdict takes more than single states.
         monitor: Tells violations from the states so far where ``unsafe`` does not.
         turns: Outcomes of a step of the scenario; each counts as a step here.
+        rules: Robustness and verdict of each rule by name, where the specification is that
+            several are kept; they are scored beside it.
+        settled: With rules, tells when all are broken; ``monitor`` does when one is.
     """
 
     simulator: Simulator
@@ -84,6 +100,12 @@ class Problem:
     unsafe: Callable[[StateBatch], BoolArray] | None = None
     monitor: Monitor | None = None
     turns: int = 1
+    rules: Mapping[str, ScoredRule] = field(default_factory=dict[str, ScoredRule])
+    settled: Monitor | None = None
+
+    def without_rules(self) -> "Problem":
+        """The specification alone: that all rules are kept."""
+        return replace(self, rules={}, settled=None)
 
     def __post_init__(self) -> None:
         """Refuse a scenario whose states know the frailty of another model's obstacle.
@@ -174,9 +196,25 @@ def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
-    """Robustness and verdict of rollouts."""
+    """Robustness and verdict of rollouts, and those of each rule."""
     return ScoredRollouts(
         rollouts=rollouts,
         robustness=problem.robustness(rollouts.signals),
         violated=problem.violated(rollouts.signals),
+        **rule_scores(problem.rules, rollouts),
     )
+
+
+class RuleScores(TypedDict):
+    """Of a batch's N rollouts, by rule: see :class:`pemviz.types.ScoredRollouts`."""
+
+    rule_robustness: Mapping[str, FloatArray]
+    broken: Mapping[str, BoolArray]
+
+
+def rule_scores(rules: Mapping[str, ScoredRule], rollouts: RolloutBatch) -> RuleScores:
+    """Robustness and verdict of rollouts under each rule."""
+    return {
+        "rule_robustness": {n: rule.robustness(rollouts.signals) for n, rule in rules.items()},
+        "broken": {name: rule.violated(rollouts.signals) for name, rule in rules.items()},
+    }

@@ -8,6 +8,7 @@ import pytest
 
 from pemviz.cli import record
 from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.config.gate_limits import GateLimits
 from pemviz.config.toml_files import config_text
 from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError, RunError
 from pemviz.reports.writer import ReportWriter
@@ -270,7 +271,7 @@ def test_a_run_that_is_done_already_is_still_reported(tmp_path):
     folder = folder_of(tmp_path, "whole")
     config = replace(SMALL, method="monte-carlo", repetitions=1)
     first = [tmp_path / name for name in ("first.md", "first.xml")]
-    reports = ReportWriter(summary=first[0], junit=first[1], fail_above=0.5)
+    reports = ReportWriter(summary=first[0], junit=first[1], limits=GateLimits(0.5))
     carry_out(build_experiment(config), folder, observers=[reports])
     before = contents(folder)
     again = [tmp_path / name for name in ("again.md", "again.xml")]

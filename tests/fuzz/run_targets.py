@@ -15,6 +15,7 @@ from safetensors.numpy import load
 from pemviz.cli.record_run import gate_exit_code
 from pemviz.cli.summary import print_summary
 from pemviz.config import ExperimentConfig
+from pemviz.config.gate_limits import GateLimits
 from pemviz.config.toml_files import load_config
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import rank, ranking_csv, row
@@ -150,7 +151,7 @@ def read_begun(case: Case) -> None:
     assert has_result(case.folder)
     result = read_result(case.folder)
     with redirect_stderr(io.StringIO()):  # the gate's sentence
-        gate_exit_code(result, fail_above=1e-9)
+        gate_exit_code(result, limits=GateLimits(1e-9))
     summary_markdown(result)
     junit_xml(result)
     with redirect_stdout(io.StringIO()):

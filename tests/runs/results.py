@@ -12,6 +12,7 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.config import ExperimentConfig
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range
+from pemviz.config.settings import RULE_NAME
 from pemviz.runs.result import RankedRollout, RunResult
 
 TEXTS = st.text(max_size=8)
@@ -62,7 +63,10 @@ def plainly(kind, **chosen):
 def configurations():
     named = st.text(min_size=1, max_size=8).filter(str.strip)
     devices = st.sampled_from(("cpu", "torch-cpu", "cuda", "cuda:12"))
-    return plainly(ExperimentConfig, pem=named, simulator=named, device=devices)
+    alone = plainly(ExperimentConfig, pem=named, simulator=named, device=devices, rules=st.just(()))
+    names = st.from_regex(RULE_NAME, fullmatch=True)
+    rules = st.dictionaries(names, TEXTS, max_size=2)
+    return st.builds(ExperimentConfig.with_rules, alone, rules)
 
 
 def explanations():

@@ -17,12 +17,15 @@ OTHER = {
 }  # fmt: skip
 
 
+CONFIG = ExperimentConfig()
+
+
 @pytest.mark.parametrize("kind", [ExperimentConfig, ScenarioConfig])
 def test_every_setting_tells_runs_apart(kind):
     config = ExperimentConfig(method="adaptive")
     part = config if kind is ExperimentConfig else config.scenario
     for field in fields(kind):
-        if field.name == "scenario":
+        if field.name in ("scenario", "rules"):
             continue
         value = getattr(part, field.name)
         other = OTHER.get(field.name, OTHER.get(type(value)))
@@ -33,6 +36,16 @@ def test_every_setting_tells_runs_apart(kind):
         assert setting_differences(config, changed) == {prefix + field.name: (value, other)}
         words = run_differs(replace(result(), config=config), config=changed)
         assert f"({prefix}{field.name} = {value!r}, not {other!r})" in words
+
+
+def test_rules_tell_runs_apart_by_name():
+    first, second = (CONFIG.with_rules(rules) for rules in ({"a": "gap > 0"}, {"b": "gap > 0"}))
+    assert setting_differences(CONFIG, first) == {
+        "spec": (CONFIG.spec, "(gap > 0)"), "rules.a": (None, "gap > 0"),
+    }  # fmt: skip
+    assert setting_differences(first, second) == {
+        "rules.a": ("gap > 0", None), "rules.b": (None, "gap > 0"),
+    }  # fmt: skip
 
 
 def test_the_same_settings_with_another_error_model_are_another_run():

@@ -18,6 +18,7 @@ from pemviz.reports.pictures.causes import band_table, chain_table
 from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curve
 from pemviz.reports.pictures.violations import gap_plot, misses_over_time
+from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.safety_case.case import CaseRun
 from pemviz.reports.safety_case.html import (
     bullets,
@@ -82,8 +83,17 @@ def _estimate(result: RunResult, *, below: float | None) -> str:
     return (
         table(("figure", "found", "wanted"), rows)
         + told
+        + _rules(result)
         + f"<div class='half wide'>{figure(picture, f'{caption}.')}</div>"
     )
+
+
+def _rules(result: RunResult) -> str:
+    """Each rule's answer, where there are several."""
+    if not result.rules:
+        return ""
+    words = paragraph(f"{RULES_TITLE}; the figures above are of any of them being broken.")
+    return words + table(RULE_COLUMNS, rule_rows(result)) + warnings(rule_warnings(result))
 
 
 NO_WARNING = "The diagnostics of the sampling give no warning."

@@ -131,6 +131,10 @@ class AdaptiveSampling:
         )
         return replace(advanced, network=network), result
 
+    def under_rule(self, state: AdaptiveState, rule: str) -> AdaptiveState:
+        """The same rollouts with the verdict of one rule."""
+        return replace(state, batch=state.batch.under_rule(rule))
+
     def is_done(self, state: AdaptiveState) -> bool:
         """Whether the final rollouts are drawn."""
         return state.batch.is_done

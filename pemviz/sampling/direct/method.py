@@ -69,6 +69,10 @@ class DirectSampling:
         )
         return replace(state, batch=state.batch.extended(scored)), result
 
+    def under_rule(self, state: DirectState, rule: str) -> DirectState:
+        """The same rollouts with the verdict of one rule."""
+        return replace(state, batch=state.batch.under_rule(rule))
+
     def is_done(self, state: DirectState) -> bool:
         """Whether all is drawn."""
         return state.batch.is_done

@@ -1,12 +1,12 @@
 """All rollouts of all stages, weighted as draws from the mixture of all proposals."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
-from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.offset_logistic import (
     PolynomialBasis,
@@ -49,6 +49,8 @@ class Pool:
         robustness: ``[N]``.
         violated: ``[N]``.
         log_p: Log likelihood under the error model, ``[N]``.
+        rule_robustness: ``[N]`` of each rule by name, where there are rules.
+        broken: ``[N]`` likewise.
     """
 
     decisions: Decisions
@@ -58,11 +60,21 @@ class Pool:
     robustness: FloatArray
     violated: BoolArray
     log_p: FloatArray
+    rule_robustness: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
 
     @property
     def count(self) -> int:
         """Number of rollouts N."""
         return int(self.violated.size)
+
+    def under_rule(self, rule: str) -> "Pool":
+        """The same rollouts with the robustness and the verdict of one rule."""
+        return replace(self, robustness=self.rule_robustness[rule], violated=self.broken[rule])
+
+    def each_rule(self) -> "Sequence[Pool]":
+        """The pool under every rule; itself where there is but the specification."""
+        return [self.under_rule(rule) for rule in self.broken] or [self]
 
     @property
     def log_weight(self) -> FloatArray:
@@ -166,6 +178,8 @@ def extended(
             robustness=scored.robustness,
             violated=scored.violated,
             log_p=log_p,
+            rule_robustness=scored.rule_robustness,
+            broken=scored.broken,
         )
     before = pool.log_ratio
     if new:
@@ -179,7 +193,13 @@ def extended(
         robustness=np.concatenate([pool.robustness, scored.robustness]),
         violated=np.concatenate([pool.violated, scored.violated]),
         log_p=np.concatenate([pool.log_p, log_p]),
+        rule_robustness=_appended(pool.rule_robustness, scored.rule_robustness),
+        broken=_appended(pool.broken, scored.broken),
     )
+
+
+def _appended(before: Mapping[str, AnyArray], after: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    return {name: np.concatenate([values, after[name]]) for name, values in before.items()}
 
 
 def _joined(before: Decisions, fresh: Decisions, *, first: int) -> Decisions:

@@ -16,7 +16,8 @@ fitted to the violations; in the first half of the stages, while the weights do 
 probability of a violation well, a quarter of them from one fitted to the lowest level of robustness
 whose probability they do tell (:mod:`pemviz.sampling.mixture.levels`). Another quarter comes from
 proposals for ways of failing that the newest would hardly draw, in the second half only where they
-carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.hidden`).
+carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.hidden`). With several
+rules each has proposals of its own, drawn from alike, that go on until all rules are broken.
 
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
@@ -58,7 +59,7 @@ from pemviz.sampling.mixture.hidden import fit_to_hidden_ways
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.sampling.value_twisted.method import with_latch
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.latched import VIOLATED, MonitoredSimulator
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
 DEFENSIVE_STEPS = 2.0
@@ -144,7 +145,7 @@ class MixtureSampling:
         scored = finished_or(
             problem,
             lambda: _drawn(
-                with_latch(problem),
+                _until_settled(problem),
                 state,
                 component,
                 seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
@@ -169,6 +170,11 @@ class MixtureSampling:
         if last:
             return advanced, result
         return self._learn(advanced, result, kind_of_first=state.stage == 0)
+
+    def under_rule(self, state: MixtureState, rule: str) -> MixtureState:
+        """The same rollouts with the verdict of one rule."""
+        pool = state.pool
+        return state if pool is None else replace(state, pool=pool.under_rule(rule))
 
     def is_done(self, state: MixtureState) -> bool:
         """Whether the final rollouts are drawn."""
@@ -230,7 +236,12 @@ class MixtureSampling:
         assert pool is not None and basis is not None  # noqa: S101, PT018  just drawn
         began = time.perf_counter()
         steps = result.scored.rollouts.detected.shape[1]
-        fits = fit_to_failures(pool, basis, self.settings)
+        pools = pool.each_rule()
+        fits = tuple(
+            replace(fit, share=fit.share / len(pools))
+            for one in pools
+            for fit in fit_to_failures(one, basis, self.settings)
+        )
         explores = self._explores(state.stage)
         hidden = fit_to_hidden_ways(
             pool,
@@ -240,7 +251,9 @@ class MixtureSampling:
             defensive=_defence(steps),
             least_share=0.0 if explores else RELEVANT_SHARE,
         )
-        level = fit_to_level(pool, basis, self.settings) if explores else ()
+        level = [
+            fit for one in pools if explores for fit in fit_to_level(one, basis, self.settings)
+        ]
         fits = with_exploring(fits, hidden, level)
         fitted = replace(state, fits=fits)
         return fitted, replace(
@@ -252,6 +265,13 @@ class MixtureSampling:
             loss=fits[0].loss,
             timings_s={**result.timings_s, "fit": time.perf_counter() - began},
         )
+
+
+def _until_settled(problem: Problem) -> Problem:
+    """The problem on a simulator that remembers that nothing is left to break."""
+    if problem.settled is None:
+        return with_latch(problem)
+    return replace(problem, simulator=MonitoredSimulator(problem.simulator, problem.settled))
 
 
 def _main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal | None:

@@ -1,6 +1,7 @@
 """The final batch: drawn in parts if it is large, of which only the weights are kept."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, row_sums
@@ -18,11 +19,13 @@ class WeighedRollouts(Batch):
         log_weight: ``[N]`` [nats].
         log_p: Log likelihood under the error model, ``[N]`` [nats].
         violated: ``[N]``.
+        broken: The same of each rule by name, where there are rules.
     """
 
     log_weight: FloatArray
     log_p: FloatArray
     violated: BoolArray
+    broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
 
     @property
     def count(self) -> int:
@@ -36,6 +39,7 @@ def weighed(scored: ScoredRollouts) -> WeighedRollouts:
         log_weight=scored.rollouts.log_weight,
         log_p=row_sums(scored.rollouts.log_p),
         violated=scored.violated,
+        broken=scored.broken,
     )
 
 
@@ -76,6 +80,11 @@ class FinalBatch:
     def extended(self, scored: ScoredRollouts) -> Self:
         """With one more part."""
         return replace(self, drawn=(*self.drawn, weighed(scored)))
+
+    def under_rule(self, rule: str) -> Self:
+        """The same with the verdict of one rule."""
+        drawn = [replace(part, violated=part.broken[rule]) for part in self.drawn]
+        return replace(self, drawn=tuple(drawn))
 
     def weighed(self) -> WeighedRollouts:
         """All of it.

@@ -26,6 +26,8 @@ from pemviz.sampling.splitting.estimate import estimate_of_runs
 from pemviz.sampling.splitting.run import SplittingRun, split
 from pemviz.types import Estimate, FinishedStage, StageResult
 
+RULE = "common_ancestry."
+
 
 @dataclass(frozen=True)
 class SplittingState:
@@ -81,6 +83,7 @@ class SplittingSampling:
                 "levels": np.array(run.levels),
                 "least_variance": np.array(run.least_variance),
                 "common_ancestry": np.array(run.common_ancestry),
+                **{f"{RULE}{n}": np.array(share) for n, share in run.rule_ancestry.items()},
             },
         )
         return replace(state, runs=(*state.runs, run), ahead=tuple(ahead)), result
@@ -94,6 +97,10 @@ class SplittingSampling:
         ]
         generators = [np.random.default_rng(one) for one in seeds]
         return split(problem, count=self.rollouts, generators=generators)
+
+    def under_rule(self, state: SplittingState, rule: str) -> SplittingState:
+        """The same particles with the verdict of one rule."""
+        return replace(state, runs=tuple(run.under_rule(rule) for run in state.runs))
 
     def is_done(self, state: SplittingState) -> bool:
         """Whether all runs are done."""
@@ -119,5 +126,10 @@ def _restored(finished: FinishedStage) -> SplittingRun:
         levels=int(finished.kept["levels"]),
         least_variance=float(finished.kept["least_variance"]),
         common_ancestry=float(finished.kept["common_ancestry"]),
+        rule_ancestry={
+            name.removeprefix(RULE): float(value)
+            for name, value in finished.kept.items()
+            if name.startswith(RULE)
+        },
         scored=finished.scored,
     )

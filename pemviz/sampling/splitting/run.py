@@ -1,8 +1,8 @@
 """One run of adaptive multilevel splitting."""
 
 import math
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -36,6 +36,7 @@ class SplittingRun:
         simulated: Rollouts begun or continued.
         levels: How often particles were cut.
         scored: The particles at the end.
+        rule_ancestry: As ``common_ancestry``, of those that break a rule, by name.
     """
 
     log_probability: float
@@ -44,6 +45,24 @@ class SplittingRun:
     simulated: int
     levels: int
     scored: ScoredRollouts
+    rule_ancestry: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    def under_rule(self, rule: str) -> "SplittingRun":
+        """The same particles, of which those that break one rule violate."""
+        broken = self.scored.broken[rule]
+        before, share = float(self.scored.violated.mean()), float(broken.mean())
+        if self.log_probability == -math.inf or share == 0.0:
+            log_probability, least = -math.inf, self.least_variance
+        else:
+            log_probability = self.log_probability + math.log(share / before)
+            least = self.least_variance + (1.0 / share - 1.0 / before) / broken.size
+        return replace(
+            self,
+            log_probability=log_probability,
+            least_variance=least,
+            common_ancestry=self.rule_ancestry[rule],
+            scored=replace(self.scored, violated=broken),
+        )
 
 
 Levels = Generator[Continuation, Particles, SplittingRun]
@@ -118,6 +137,10 @@ def _levels(
         simulated=simulated,
         levels=len(shares) - 1,
         scored=scored,
+        rule_ancestry={
+            name: _common_ancestry(particles.ancestor[broken])
+            for name, broken in scored.broken.items()
+        },
     )
 
 

@@ -103,6 +103,10 @@ class ValueTwistedSampling:
         )
         return replace(state, batch=state.batch.extended(scored)), result
 
+    def under_rule(self, state: ValueTwistedState, rule: str) -> ValueTwistedState:
+        """The same rollouts with the verdict of one rule."""
+        return replace(state, batch=state.batch.under_rule(rule))
+
     def is_done(self, state: ValueTwistedState) -> bool:
         """Whether all is drawn."""
         return state.batch.is_done

@@ -59,7 +59,7 @@ def reference(
         defensive_steps=REFERENCE_DEFENSIVE_STEPS,
     )
     # what an interrupted run left is its own method's, not the reference's
-    problem = replace(problem, finished=nothing_finished)
+    problem = replace(problem.without_rules(), finished=nothing_finished)
     state = method.init(problem, repetition=0)
     while not method.is_done(state):
         state, _ = method.step(problem, state)
