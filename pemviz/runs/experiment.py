@@ -161,8 +161,26 @@ def build_experiment(
     back_end, model, ensemble = with_memory(back_end, model, ensemble, memory=memory)
     formula = build_formula(config, back_end.simulator)
     problem = _problem(config, formula, model, back_end)
-    description = by_name(config.method)
-    if "single states" in description.needs:
+    return Experiment(
+        config=config,
+        ensemble=ensemble,
+        formula=formula,
+        problem=problem,
+        back_end=back_end,
+        method=_method(config, problem, back_end),
+        planned_rollouts=config.repetitions * by_name(config.method).budget(config).rollouts,
+        families=tuple(remembering_as(family, model) for family in others),
+        warnings=warnings,
+    )
+
+
+def _method(config: ExperimentConfig, problem: Problem, back_end: BackEnd) -> Method[Any]:
+    """The method, if it and the reference can be had for the specification.
+
+    Raises:
+        InputError: They cannot.
+    """
+    if "single states" in by_name(config.method).needs:
         require_unsafe(problem, method=config.method)
     if config.reference:
         require_unsafe(problem)
@@ -170,17 +188,7 @@ def build_experiment(
     if config.rules and not isinstance(method, AnswersRules):
         message = f"rules: method {config.method} answers one specification only"
         raise ConfigError(message)
-    return Experiment(
-        config=config,
-        ensemble=ensemble,
-        formula=formula,
-        problem=problem,
-        back_end=back_end,
-        method=method,
-        planned_rollouts=config.repetitions * description.budget(config).rollouts,
-        families=tuple(remembering_as(family, model) for family in others),
-        warnings=warnings,
-    )
+    return method
 
 
 def _check_frailty(config: ExperimentConfig, back_end: BackEnd) -> None:
