@@ -17,7 +17,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
 from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData, signals_of
-from pemviz.runs.experiment import build_formula, build_metric
+from pemviz.runs.specification import build_formula, build_metric
 from pemviz.sampling.elite_threshold import elite_threshold
 from pemviz.sampling.elite_threshold import elites as elites_of_stage
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

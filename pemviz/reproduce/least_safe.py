@@ -8,7 +8,8 @@ from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig, MetricName
 from pemviz.proposals.fixed import ConstantProposal
-from pemviz.runs.experiment import build_experiment, build_metric
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.specification import build_metric
 from pemviz.sampling.method import stage_seeds
 from pemviz.sampling.problem import sample
 

@@ -2,14 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
-
-import numpy as np
 
 from pemviz import stl
 from pemviz.analysis.model_families import families_beside
-from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
@@ -22,28 +18,23 @@ from pemviz.runs.back_ends import (
     with_choices,
 )
 from pemviz.runs.error_model_check import check_error_model
+from pemviz.runs.specification import build_formula, build_problem
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
-from pemviz.sampling.folding import Folding, StepMonitor, declared_signals, folding_of
+from pemviz.sampling.folding import Folding, folding_of
 from pemviz.sampling.memory import remembering_as, with_memory
 from pemviz.sampling.method import AnswersRules, Method
-from pemviz.sampling.problem import Problem, ScoredRule
+from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
 from pemviz.sampling.rollouts.devices import (
     NUMPY,
-    batch_runner,
     check_device,
     has_tensors,
 )
-from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.slots import turns_of, with_slots
+from pemviz.sampling.slots import with_slots
 from pemviz.sampling.value_twisted.method import require_unsafe
-from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
-from pemviz.simulators.latched import Monitor
 from pemviz.simulators.registry import build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
-from pemviz.stl.formulas import Or
-from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
 
 
@@ -160,7 +151,7 @@ def build_experiment(
     memory = Memory(tau_s=config.memory_s, frailty=config.frailty)
     back_end, model, ensemble = with_memory(back_end, model, ensemble, memory=memory)
     formula = build_formula(config, back_end.simulator)
-    problem = _problem(config, formula, model, back_end)
+    problem = build_problem(config, formula, model, back_end)
     return Experiment(
         config=config,
         ensemble=ensemble,
@@ -245,65 +236,6 @@ def _name_of(pem: Pem | Mapping[str, Pem]) -> str:
     return "+".join(dict.fromkeys(model.name for model in pem.values()))
 
 
-def _problem(
-    config: ExperimentConfig, formula: stl.Formula, pem: Pem, back_end: BackEnd
-) -> Problem:
-    metric = build_metric(config, back_end.simulator)
-    folding = folding_of(back_end.simulator)
-    turns = 1 if folding is None else folding.turns
-    rules = {
-        rule.name: _parsed(rule.formula, back_end.simulator, name=f"rules.{rule.name}")
-        for rule in config.rules
-    }
-
-    def scored(rule: stl.Formula) -> ScoredRule:
-        return ScoredRule(
-            robustness=partial(_robustness, rule, metric, folding),
-            violated=partial(_violated, rule, folding),
-        )
-
-    def monitored(watched: stl.Formula) -> Monitor:
-        monitor = FormulaMonitor(watched)
-        return monitor if folding is None else StepMonitor(monitor, turns)
-
-    whole = scored(formula)
-    return Problem(
-        simulator=back_end.simulator,
-        pem=pem,
-        robustness=whole.robustness,
-        violated=whole.violated,
-        batch_rollouts=back_end.batch_rollouts,
-        run_batches=batch_runner(config.device),
-        batch_time_limit_s=config.batch_time_limit_s,
-        unsafe=unsafe_states(formula, turns=turns),
-        monitor=monitored(formula),
-        turns=turns,
-        rules={name: scored(rule) for name, rule in rules.items()},
-        settled=monitored(Or(tuple(rules.values()))) if len(rules) > 1 else None,
-    )
-
-
-def _robustness(
-    formula: stl.Formula,
-    metric: stl.Metric,
-    folding: Folding | None,
-    signals: Mapping[str, FloatArray],
-) -> FloatArray:
-    return stl.robustness(formula, _in_steps(signals, folding), metric)
-
-
-def _violated(
-    formula: stl.Formula, folding: Folding | None, signals: Mapping[str, FloatArray]
-) -> BoolArray:
-    return stl.violated(formula, _in_steps(signals, folding))
-
-
-def _in_steps(
-    signals: Mapping[str, FloatArray], folding: Folding | None
-) -> Mapping[str, FloatArray]:
-    return signals if folding is None else folding.signals(signals)
-
-
 def device_notes(experiment: Experiment) -> tuple[str, ...]:
     """What an experiment that asks for a device computes on the CPU all the same, a line each."""
     config, problem = experiment.config, experiment.problem
@@ -330,70 +262,6 @@ def build_simulator(config: ExperimentConfig) -> Simulator:
         ConfigError: There is none of that name.
     """
     return build_named_simulator(config.simulator, config.scenario)
-
-
-def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula:
-    """The specification, checked against the scenario.
-
-    Raises:
-        InputError: It does not parse, names an unknown signal, or looks further ahead than a
-            rollout is long.
-    """
-    for rule in config.rules:  # each by itself, so that what is wrong is told of it
-        _parsed(rule.formula, simulator, name=f"rules.{rule.name}")
-    return _parsed(config.spec, simulator, name="spec")
-
-
-def _parsed(text: str, simulator: Simulator, *, name: str) -> stl.Formula:
-    try:
-        formula = stl.parse(text, signals=[s.name for s in declared_signals(simulator)])
-    except stl.FormulaError as error:
-        message = f"{name} = {text!r}: {error}"
-        raise ConfigError(message) from error
-    last = (simulator.states - 1) // turns_of(simulator)
-    if formula.horizon_steps() > last:
-        message = (
-            f"{name} = {text!r}: looks {formula.horizon_steps()} steps ahead, but a rollout "
-            f"of {simulator.name!r} has {last + 1} states, steps 0 to {last}"
-        )
-        raise ConfigError(message)
-    return formula
-
-
-def build_metric(config: ExperimentConfig, simulator: Simulator) -> stl.Metric:
-    """The metric that ranks rollouts.
-
-    Raises:
-        ConfigError: The agm metric's bounds do not hold all that the scenario can reach.
-    """
-    if config.metric == "agm":
-        check_bounds_hold(simulator)
-        return stl.Agm(bounds={s.name: (s.low, s.high) for s in declared_signals(simulator)})
-    if config.metric == "smooth-cumulative":
-        return stl.SmoothCumulative(beta=config.smooth_beta_per_m)
-    return stl.Classical()
-
-
-def check_bounds_hold(simulator: Simulator) -> None:
-    """Check the signals' bounds on the two extreme rollouts, all missed and all detected.
-
-    With slots: all outcomes errors, and all nominal.
-
-    Raises:
-        ConfigError: One of them leaves the bounds.
-    """
-    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
-    outcomes[1] = True
-    reached = replay(simulator=simulator, detected=outcomes)
-    for signal in simulator.signals:
-        low, high = float(reached[signal.name].min()), float(reached[signal.name].max())
-        if low < signal.low or high > signal.high:
-            message = (
-                f"metric = 'agm': {signal.name} reaches {low:.4g} to {high:.4g} {signal.unit}, "
-                f"beyond its bounds {signal.low:g} to {signal.high:g}; raise "
-                "scenario.gap_bound_m or scenario.speed_bound_mps (own systems: the signal's)"
-            )
-            raise ConfigError(message)
 
 
 def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -> Method[Any]:

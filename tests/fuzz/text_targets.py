@@ -16,7 +16,8 @@ from pemviz.pem.data.collect import CollectOptions, collect
 from pemviz.pem.data.detections import DetectionFormat
 from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE, SalientTable, load_table
-from pemviz.runs.experiment import build_formula, build_metric, build_simulator
+from pemviz.runs.experiment import build_simulator
+from pemviz.runs.specification import build_formula, build_metric
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.stl import parse
 from tests.fuzz.harness import Case, Target

@@ -15,7 +15,8 @@ from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import hint, limits
 from pemviz.pem import shipped_pems
 from pemviz.reports.pictures.html import block, good, quiet, warning
-from pemviz.runs.experiment import build_formula, build_simulator
+from pemviz.runs.experiment import build_simulator
+from pemviz.runs.specification import build_formula
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.registry import simulator_names
 
