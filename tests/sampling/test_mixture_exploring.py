@@ -279,3 +279,15 @@ def test_failures_that_pilots_alone_would_draw_are_named():
     assert not disagreements(
         pool_of(np.zeros((100, 2)), component, np.zeros(100, bool)), final=slice(50, None)
     )
+
+
+def test_hidden_rollouts_of_too_little_weight_are_left_out_of_their_ways(monkeypatch):
+    """Of those that count alike but for a few, the few belong to no way; nothing is learned wrong.
+
+    Within a factor of 2 where the other way carries 46 % of the probability.
+    """
+    monkeypatch.setattr("pemviz.sampling.mixture.fit.NEGLIGIBLE_SHARE", 0.4)
+    pem = ToyPem(at_zero=3.0)
+    _, truth = probabilities(EARLY, pem)
+    estimate, _ = run(problem_of(EARLY, pem))
+    assert 0.5 < estimate.probability / truth < 2.0

@@ -63,14 +63,15 @@ def fit_to_hidden_ways(
         return ()
     log_weight = pool.log_weight[hidden.chosen]
     even = smoothing_exponent(log_weight, least_ess=EVEN_SHARE * hidden.count)
-    learned = learned_from(pool.decisions, weights_of(pool, hidden, exponent=even))
+    weight = weights_of(pool, hidden, exponent=even)
+    learned, rollouts = learned_from(pool.decisions, weight), np.flatnonzero(weight > 0.0)
     few, ridge = learned.resampled(SAMPLE), ridge_by_degree(basis, settings.ridge)
     first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
     ways = ways_of(few, first.coefficients, ridge=ridge, least_scatter=LEAST_SCATTER, price=PRICE)
     fits: list[Fit] = []
     for share in ways.responsibilities(learned).T:
-        chosen = hidden.chosen.copy()
-        chosen[chosen] = share > 0.5
+        chosen = np.zeros_like(hidden.chosen)
+        chosen[rollouts[share > 0.5]] = True
         own = Elites(VIOLATION_THRESHOLD, chosen)
         if not own.count or _share(pool, chosen) < least_share:
             continue
