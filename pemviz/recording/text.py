@@ -256,7 +256,7 @@ def power_text(log10: float) -> str:
 
 def worst_table(tracks: Sequence[Track]) -> str:
     """The least robust rollouts."""
-    header = ("rank", "robustness", "share", "misses", "in a row", "NLL [nats]", "which")
+    header = ("rank", "robustness", "share", "all misses", "in a row", "NLL [nats]", "which")
     rows = [
         (
             f"{rank}",

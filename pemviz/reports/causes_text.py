@@ -16,7 +16,7 @@ FEW = 1e-3
 
 
 def causes_line(explanation: Explanation) -> str:
-    """Where the misses of a violation lie, in one line."""
+    """Where the misses of a violation lie, in one line; those at steps where outcomes matter."""
     bands = [
         f"{band.misses:.1f} at {band.low:g} to {band.high:g} m"
         for band in explanation.misses_by_distance
@@ -24,7 +24,7 @@ def causes_line(explanation: Explanation) -> str:
     ]
     total = sum(band.misses for band in explanation.misses_by_distance)
     where = f" ({', '.join(bands)})" if bands else ""
-    return f"Misses in a violation: {total:.1f}{where}"
+    return f"Misses that matter in a violation: {total:.1f}{where}"
 
 
 def burst_lines(explanation: Explanation) -> list[str]:
@@ -115,10 +115,10 @@ def _probability(value: float) -> str:
 
 
 def elasticity_text(found: BandSensitivity | MemorySensitivity) -> str:
-    """An elasticity with its standard error, a dash where there is none."""
+    """An elasticity with its standard error, or that this is not known; a dash without one."""
     if found.elasticity is None:
         return "-"
-    error = "" if found.std_error is None else f" +- {found.std_error:.2f}"
+    error = " (error not known)" if found.std_error is None else f" +- {found.std_error:.2f}"
     return f"{round(found.elasticity, 2) + 0.0:.2f}{error}"  # no minus before a zero
 
 

@@ -25,6 +25,7 @@ from pemviz.reports.estimate_text import (
     probability_text,
     reference_text,
     share_text,
+    short_probability,
     violations_text,
 )
 from pemviz.reports.gate import GateDecision
@@ -67,7 +68,7 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
 def _headline(result: RunResult) -> str:
     if result.estimate is None:
         return f"no estimate, the run {result.status}"
-    return f"failure probability {probability_text(result.estimate)}"
+    return f"failure probability {short_probability(result.estimate)}"
 
 
 def _status(result: RunResult, gate: GateDecision | None) -> list[str]:

@@ -14,7 +14,12 @@ from pemviz.reports.data_plan_text import (
     plan_sentences,
     short_rows,
 )
-from pemviz.reports.estimate_text import interval_name, interval_text, memory_text, probability_text
+from pemviz.reports.estimate_text import (
+    interval_name,
+    interval_text,
+    memory_text,
+    short_probability,
+)
 from pemviz.reports.ladder_text import ends_text
 from pemviz.reports.memory_curve import assumption_line
 from pemviz.reports.pictures.data_plan import requirement_plot
@@ -54,7 +59,7 @@ def headline(run: CaseRun, *, below: float | None) -> str:
     interval = interval_text(estimate, caveats=caveats)
     assumed, bursts = memory_text(result.memory), assumption_line(result.memory)
     left = (
-        f"<p class='answer'>P(violation) = {words(probability_text(estimate))}</p>"
+        f"<p class='answer'>P(violation) = {words(short_probability(estimate))}</p>"
         + paragraph(f"if error model {result.pem.name} is right, and misses are {assumed}.")
         + paragraph(f"Sampling alone: {interval_name(estimate, caveats=caveats)} {interval}.")
         + warnings([f"Do not quote it: {against}." for against in run_unreliable_because(result)])
