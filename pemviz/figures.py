@@ -30,6 +30,7 @@ from pemviz.reports.ladder_text import LADDER_TITLE, ends_text, rung_name
 from pemviz.runs.kept_stages import KeptStages
 from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.result import RunResult
+from pemviz.runs.slot_outcomes import slots_of
 from pemviz.types import StageResult
 
 WIDTH_IN = 7.0
@@ -128,8 +129,8 @@ def proposal_curves(*, kept: KeptStages, repetition: int = 0) -> RunFigure:
     if started is None or not stages:
         message = f"proposal_curves: nothing is kept of repetition {repetition}"
         raise InputError(message)
-    if GAP not in {signal.name for signal in started.signals}:
-        message = "proposal_curves: the scenario has no signal named gap"
+    if GAP not in {signal.name for signal in started.signals} or slots_of(started.simulator):
+        message = "proposal_curves: only of scenarios with one obstacle and a signal named gap"
         raise InputError(message)
     gap_m = gap_grid(started.simulator, step_m=CURVE_STEP_M)
     figure, axes = _figure(3.8)

@@ -29,6 +29,7 @@ from pemviz.reports.data_plan_text import (
 )
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
+    data_text,
     interval_name,
     interval_text,
     memory_text,
@@ -93,7 +94,7 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
     config, caveats = result.config, run_interval_caveats(result)
     repeated = f" in {len(result.repetitions)} repetitions" * (len(result.repetitions) > 1)
     likely = short_probability(estimate)
-    yield f"Failure probability {likely}, if error model {result.pem.name} is right"
+    yield f"Failure probability {likely} in one run, if error model {result.pem.name} is right"
     called = interval_name(estimate, caveats=caveats)
     alone = "" if caveats else ", sampling alone; what else leaves it open is below"
     yield f"  {called} {interval_text(estimate, caveats=caveats)}{alone}"
@@ -106,6 +107,7 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
         yield f"  try next: {remedy(estimate.method)}"
     if result.reference is not None:
         yield f"  reference {reference_text(result.reference, estimate)}"
+    yield f"  {result.pem.name} learnt from {data_text(result.pem)}"
     yield f"  misses {memory_text(result.memory)}"
 
 

@@ -27,7 +27,9 @@ from pemviz.runs.events import (
     StageDone,
 )
 from pemviz.runs.result import RunResult
+from pemviz.runs.slot_outcomes import slots_of
 from pemviz.simulators.braking.scenario import EGO_SPEED
+from pemviz.simulators.slots import Slot
 from pemviz.types import StageResult
 
 RECORDED_REPETITION = 0
@@ -46,6 +48,7 @@ class _Run:
         quota: How many rollouts are kept.
         gap_m: Grid of the curves against gap; ``None`` if the scenario has no gap.
         has_scene: Whether the scenario has what the 3D scene draws.
+        slots: The scenario's slots; none where perception answers one thing a step.
     """
 
     started: RunStarted
@@ -53,6 +56,7 @@ class _Run:
     quota: Quota
     gap_m: FloatArray | None
     has_scene: bool
+    slots: tuple[Slot, ...] = ()
 
 
 class Recorder:
@@ -135,7 +139,10 @@ class Recorder:
         )
         file.blueprint(blueprint(run.views))
         file.markdown(paths.CONFIG, text.config_document(event.result))
-        file.markdown(paths.CONTENTS, text.contents_text(run.quota, repetitions=config.repetitions))
+        file.markdown(
+            paths.CONTENTS,
+            text.contents_text(run.quota, repetitions=config.repetitions, slots=run.slots),
+        )
         self._write_texts(file, event.result, running=True)
         if run.gap_m is not None:
             curve = pem_curve(simulator=event.simulator, pem=event.pem, gap_m=run.gap_m)
@@ -147,7 +154,7 @@ class Recorder:
     def _add_stage(self, file: RecordingFile, run: _Run, event: StageDone) -> None:
         stage = event.stage
         before = self._tracks
-        self._tracks = worst.update_tracks(before, stage, event.result)
+        self._tracks = worst.update_tracks(before, stage, event.result, slots=run.slots)
         if stage.repetition != RECORDED_REPETITION:
             return
         if stage.stage == 0:
@@ -158,6 +165,7 @@ class Recorder:
             stage,
             kept=choose(stage.scored.robustness, run.quota),
             signals=run.started.signals,
+            slots=run.slots,
             dt_s=run.started.simulator.dt_s,
         )
         if run.has_scene and self._tracks[: scene.LANES] != before[: scene.LANES]:
@@ -262,6 +270,7 @@ class Recorder:
 def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
     config = event.config
     names = {signal.name for signal in event.signals}
+    slots = slots_of(event.simulator)
     return _Run(
         started=event,
         views=all_views(
@@ -279,8 +288,11 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
             stages=event.stages,
             limit=rollout_limit,
         ),
-        gap_m=gap_grid(event.simulator, step_m=CURVE_STEP_M) if GAP in names else None,
-        has_scene={GAP, EGO_SPEED} <= names,
+        gap_m=gap_grid(event.simulator, step_m=CURVE_STEP_M)
+        if GAP in names and not slots
+        else None,
+        has_scene={GAP, EGO_SPEED} <= names and not slots,
+        slots=slots,
     )
 
 

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
-from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.colors import HOLDS, PEM_ON_BLACK, VIOLATED, Rgba, rgba
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.runs.slot_outcomes import faultless, faultless_probability
+from pemviz.simulators.slots import Slot
 from pemviz.types import ScoredRollouts, Signal, StageResult
 
 EMPHASISED = 5
@@ -27,6 +28,7 @@ def log_rollouts(
     *,
     kept: IntArray,
     signals: Sequence[Signal],
+    slots: Sequence[Slot],
     dt_s: float,
 ) -> None:
     """Log the ``kept`` rollouts of a stage; each entity holds them in that order."""
@@ -46,12 +48,13 @@ def log_rollouts(
     for signal in signals:
         log(signal.key, rollouts.signals[signal.name][kept], shades)
     grey = [rgba(PEM_ON_BLACK, opacity=PEM_ALPHA)] * kept.size
-    log(paths.PEM_SERIES, expit(rollouts.pem_logit[kept]), grey)
-    log(paths.PROPOSAL_SERIES, expit(rollouts.proposal_logit[kept]), shades)
-    _log_detections(file, stage.stage, rollouts.detected[kept])
-    _log_missed_share(
-        file, scored, times=StepTimes(stage=stage.stage, count=steps, dt_s=dt_s), stage=stage.stage
-    )
+    log(paths.PEM_SERIES, faultless_probability(rollouts.pem_logit[kept], slots=slots), grey)
+    proposal = faultless_probability(rollouts.proposal_logit[kept], slots=slots)
+    log(paths.PROPOSAL_SERIES, proposal, shades)
+    detected = faultless(rollouts.detected, slots=slots)
+    _log_detections(file, stage.stage, detected[kept])
+    times = StepTimes(stage=stage.stage, count=steps, dt_s=dt_s)
+    _log_missed_share(file, scored, ~detected, times=times, stage=stage.stage)
     _log_table(file, stage, kept)
 
 
@@ -93,7 +96,12 @@ def _log_detections(file: RecordingFile, stage: int, detected: BoolArray) -> Non
 
 
 def _log_missed_share(
-    file: RecordingFile, scored: ScoredRollouts, *, times: StepTimes, stage: int
+    file: RecordingFile,
+    scored: ScoredRollouts,
+    missed: BoolArray,
+    *,
+    times: StepTimes,
+    stage: int,
 ) -> None:
     """The share of all rollouts that missed, for those that violate and those that do not."""
     path = paths.rollouts(stage, paths.MISSED_SHARE)
@@ -102,7 +110,6 @@ def _log_missed_share(
         "violated": (scored.violated, rgba(VIOLATED)),
     }
     present = {name: group for name, group in groups.items() if group[0].any()}
-    missed = ~scored.rollouts.detected
     file.style(
         path,
         names=[f"{name} ({int(rows.sum())})" for name, (rows, _) in present.items()],

@@ -17,6 +17,7 @@ from pemviz.reports.escape import markdown_table
 from pemviz.reports.estimate_text import (
     REFITS,
     RELIABLE_TAIL,
+    data_text,
     interval_name,
     memory_text,
     no_interval_text,
@@ -29,6 +30,7 @@ from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
+from pemviz.simulators.slots import Slot
 from pemviz.types import Estimate
 
 NOTHING = "none"
@@ -44,7 +46,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     """The answer, its interval and diagnostics, and how to go on reading."""
     estimate, caveats = result.estimate, run_interval_caveats(result)
     parts = [
-        _headline(estimate, caveats=caveats, running=running),
+        _headline(result, caveats=caveats, running=running),
         *_status(result, running=running),
     ]
     if estimate is not None:
@@ -66,7 +68,8 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     return "\n\n".join(parts)
 
 
-def _headline(estimate: Estimate | None, *, caveats: Sequence[str], running: bool) -> str:
+def _headline(result: RunResult, *, caveats: Sequence[str], running: bool) -> str:
+    estimate, pem = result.estimate, result.pem
     if estimate is None:
         return "# The run goes on" if running else "# No estimate"
     interval = f"{_interval(estimate, caveats=caveats)}{_caution(estimate, caveats=caveats)}"
@@ -75,7 +78,11 @@ def _headline(estimate: Estimate | None, *, caveats: Sequence[str], running: boo
     probability = short_probability(estimate)
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
         probability = f"10^{estimate.log10_probability:.1f}"
-    return f"# Probability of a violation: {probability}\n\n{interval}"
+    granted = (
+        f"In one run of the scenario, if error model **{pem.name}** is right, which learnt from "
+        f"{data_text(pem)}, and misses are {memory_text(result.memory)}."
+    )
+    return f"# Probability of a violation: {probability}\n\n{granted}\n\n{interval}"
 
 
 def _rules(result: RunResult) -> list[str]:
@@ -95,7 +102,7 @@ def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:
     called = interval_name(estimate, caveats=caveats)
     interval = f"{called[0].upper()}{called[1:]}: **{end_text(low)} to {end_text(high)}**"
     if not caveats:
-        return interval
+        return f"{interval}, sampling alone"
     return f"{interval}, **{no_interval_text(estimate)}**: {'; '.join(caveats)}"
 
 
@@ -171,7 +178,7 @@ def _memory(result: RunResult) -> list[str]:
     """What the assumption on bursts is worth, and the answer over memory times."""
     line = assumption_line(result.memory)
     if line is None or result.memory is None:
-        return [f"Misses are taken to be {memory_text(result.memory)}."]
+        return []
     rows = [
         (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
     ]
@@ -310,13 +317,19 @@ def provenance_text(result: RunResult) -> str:
     )
 
 
-def contents_text(quota: Quota, *, repetitions: int) -> str:
+def contents_text(quota: Quota, *, repetitions: int, slots: Sequence[Slot] = ()) -> str:
     """What this recording holds and leaves out."""
     lines = [quota.describe()]
     if repetitions > 1:
         lines.append(
             f"There are {repetitions} repetitions: rollouts, curves and stage figures are those "
             "of the first (number 0); estimates and the least robust rollouts are of all."
+        )
+    if slots:
+        named = ", ".join(slot.name for slot in slots)
+        lines.append(
+            f"Perception answers for several things at every step: {named}. 'Detected' means here "
+            "that it errs in none of them, 'missed' that it errs in one at least."
         )
     lines.append(
         "In each stage's plots, P(detected) of the proposal is the one that the stage's "
@@ -328,7 +341,7 @@ def contents_text(quota: Quota, *, repetitions: int) -> str:
         "at 0 m and the lead car's rear at the gap."
     )
     lines.append(
-        "Colours: blue holds or detected, orange-red violated or missed, yellow-orange the "
+        "Colours: blue holds or detected, orange violated or missed, yellow-orange the "
         "proposal, grey the perception error model."
     )
     return "# About this recording\n\n" + "\n\n".join(lines)

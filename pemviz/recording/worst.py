@@ -7,7 +7,6 @@ from io import BytesIO
 import numpy as np
 import PIL.Image
 import rerun as rr
-from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.colors import PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
@@ -17,6 +16,8 @@ from pemviz.recording.outcomes import log_outcomes
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.result import RankedRollout, RunResult
+from pemviz.runs.slot_outcomes import faultless, faultless_probability
+from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StageResult
 
 JPEG_QUALITY = 85
@@ -29,7 +30,7 @@ class Track:
     Attributes:
         ranked: Which it is, and its scores.
         signals: ``[T]`` by signal name.
-        detected: ``[T-1]`` outcomes.
+        detected: ``[T-1]`` outcomes; with several slots, whether none of them errs.
         pem_probability: ``[T-1]`` P(detected) under the perception error model.
         proposal_probability: ``[T-1]`` P(detected) under the proposal.
     """
@@ -54,7 +55,7 @@ class Track:
 
 
 def update_tracks(
-    tracks: Sequence[Track], stage: StageResult, result: RunResult
+    tracks: Sequence[Track], stage: StageResult, result: RunResult, *, slots: Sequence[Slot]
 ) -> tuple[Track, ...]:
     """The tracks of ``result``'s least robust rollouts, kept ones and those of a new stage."""
     logged = {_key(track.ranked): track for track in tracks}
@@ -64,7 +65,7 @@ def update_tracks(
         if key in logged:
             current.append(logged[key])
         elif (ranked.repetition, ranked.stage) == (stage.repetition, stage.stage):
-            current.append(_track(stage, ranked))
+            current.append(_track(stage, ranked, slots))
     return tuple(current)
 
 
@@ -72,14 +73,14 @@ def _key(ranked: RankedRollout) -> tuple[int, int, int]:
     return (ranked.repetition, ranked.stage, ranked.rollout)
 
 
-def _track(stage: StageResult, ranked: RankedRollout) -> Track:
+def _track(stage: StageResult, ranked: RankedRollout, slots: Sequence[Slot]) -> Track:
     rollouts, row = stage.scored.rollouts, ranked.rollout
     return Track(
         ranked=ranked,
         signals={name: values[row].copy() for name, values in rollouts.signals.items()},
-        detected=rollouts.detected[row].copy(),
-        pem_probability=np.asarray(expit(rollouts.pem_logit[row])),
-        proposal_probability=np.asarray(expit(rollouts.proposal_logit[row])),
+        detected=np.array(faultless(rollouts.detected[row], slots=slots)),
+        pem_probability=faultless_probability(rollouts.pem_logit[row], slots=slots),
+        proposal_probability=faultless_probability(rollouts.proposal_logit[row], slots=slots),
     )
 
 

@@ -51,7 +51,7 @@ def plan_heading(plan: DataPlan) -> str:
     if plan.labels is None:
         return PLAN_TITLE
     kind = re.sub(r" \([^)]*\)", "", plan.labels.obstacle)
-    return f"{PLAN_TITLE} (labels of {kind}; z to its centre)"
+    return f"{PLAN_TITLE} (labels of {kind}; distances to its centre)"
 
 
 def _collect(labels: LabelPlan) -> str:
@@ -71,7 +71,7 @@ def _labels_text(bands: Sequence[BandPlan | RefitBand]) -> str:
 
 def _then(plan: DataPlan, *, pem: str) -> str:
     assert plan.labels is not None  # noqa: S101  asked before
-    halfway = ", halfway to the answer" if plan.halves else ""
+    halfway = ", halfway to the answer in powers of ten" if plan.halves else ""
     if any(band.labels is None for band in plan.labels.bands):
         return f"labels can show {plan.labels.target:.2g}{halfway}"
     shown = f"the data alone show under {plan.labels.target:.2g}{halfway}"
@@ -85,7 +85,7 @@ def _sequences_row(plan: SequencePlan) -> tuple[str, str]:
     percent = f"+- {100.0 * (plan.factor - 1.0):.0f} %"
     if plan.is_own:
         return (f"{known} (now {plan.sequences})", f"memory time of misses known to {percent}")
-    return (known, f"memory time of misses known to {percent}, if like {plan.example}'s")
+    return (known, f"memory time of misses known to {percent}, if like model {plan.example}'s")
 
 
 def plan_sentences(result: RunResult) -> list[str]:

@@ -1,5 +1,6 @@
 """An estimate and its diagnostics in words, the same on the terminal and in reports."""
 
+import re
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
@@ -7,7 +8,7 @@ from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.digits import end_text
 from pemviz.reports.memory_curve import assumption_line
 from pemviz.runs.memory import RunMemory
-from pemviz.runs.result import RunResult
+from pemviz.runs.result import PemInfo, RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K
 from pemviz.sampling.value_twisted.reference import Reference
@@ -122,6 +123,11 @@ def _hanging_together(memory: RunMemory) -> list[str]:
     if memory.frailty:
         parts.append(f"frailty {memory.frailty:g} ({FRAILTY_MEANS})")
     return parts
+
+
+def data_text(pem: PemInfo) -> str:
+    """What an error model learnt from, as far as a line needs it: up to the first detail."""
+    return re.split(r" \(|; ", pem.data, maxsplit=1)[0] or "data that it does not name"
 
 
 def number_text(value: float | None, *, unit: str = "") -> str:

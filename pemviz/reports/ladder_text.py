@@ -5,6 +5,7 @@ from pemviz.runs.ladder import Rung, uncertainty_ladder
 from pemviz.runs.result import RunResult
 
 LADDER_TITLE = "How far the answer is open"
+UNKNOWN = "unknown"
 LADDER_COLUMNS = ("by", "from", "to", "narrowed by")
 
 
@@ -16,12 +17,12 @@ def ladder_rows(result: RunResult) -> list[tuple[str, str, str, str]]:
 
 
 def ends_text(rung: Rung) -> tuple[str, str]:
-    """Both ends with two digits, a dash where one is not known."""
+    """Both ends with two digits, in words where one is not known."""
     return _end(rung.low), _end(rung.high)
 
 
 def _end(value: float | None) -> str:
-    return "-" if value is None else end_text(value)
+    return UNKNOWN if value is None else end_text(value)
 
 
 def rung_name(rung: Rung) -> str:

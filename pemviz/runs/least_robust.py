@@ -12,6 +12,8 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.display import ShownInNotebooks
 from pemviz.runs.events import Event, RunStarted, StageDone
 from pemviz.runs.result import RankedRollout
+from pemviz.runs.slot_outcomes import faultless, slots_of
+from pemviz.simulators.slots import Slot
 from pemviz.types import StageResult
 
 
@@ -27,7 +29,7 @@ class Rollout(ShownInNotebooks):
         nll: Negative log-likelihood of its outcomes under the error model [nats].
         time_s: ``[T]`` times of its states [s].
         signals: ``[T]`` by name.
-        detected: ``[T-1]`` perception's outcomes.
+        detected: ``[T-1]`` perception's outcomes; with several slots, whether none of them errs.
     """
 
     repetition: int
@@ -64,6 +66,7 @@ class LeastRobust:
     def __init__(self) -> None:
         self.rollout: Rollout | None = None
         self._dt_s = 1.0
+        self._slots: tuple[Slot, ...] = ()
 
     def __str__(self) -> str:
         return "no rollout yet" if self.rollout is None else str(self.rollout)
@@ -72,7 +75,7 @@ class LeastRobust:
         """Look at the rollouts of every stage."""
         match event:
             case RunStarted():
-                self._dt_s = event.simulator.dt_s
+                self._dt_s, self._slots = event.simulator.dt_s, slots_of(event.simulator)
             case StageDone():
                 self._consider(event.stage, event.result.least_robust[0])
             case _:
@@ -92,7 +95,7 @@ class LeastRobust:
             nll=first.nll,
             time_s=np.arange(states) * self._dt_s,
             signals=signals,
-            detected=np.array(scored.rollouts.detected[index]),
+            detected=np.array(faultless(scored.rollouts.detected[index], slots=self._slots)),
         )
 
 

@@ -54,10 +54,12 @@ def with_blind_pem(config: ExperimentConfig) -> Experiment:
     return replace(experiment, problem=replace(experiment.problem, pem=pem))
 
 
-def record(experiment: Experiment, folder: Path, **options) -> Recorded:
+def record(experiment: Experiment, folder: Path, observers=(), **options) -> Recorded:
     listener = Listener()
     recorder = Recorder(folder / "run.rrd", **options)
-    result = run(experiment, run_id="a-run", observers=[RunStore(folder), listener, recorder])
+    result = run(
+        experiment, run_id="a-run", observers=[RunStore(folder), listener, recorder, *observers]
+    )
     return Recorded(folder, result, listener.events, listener.stages)
 
 

@@ -60,7 +60,9 @@ def headline(run: CaseRun, *, below: float | None) -> str:
     assumed, bursts = memory_text(result.memory), assumption_line(result.memory)
     left = (
         f"<p class='answer'>P(violation) = {words(short_probability(estimate))}</p>"
-        + paragraph(f"if error model {result.pem.name} is right, and misses are {assumed}.")
+        + paragraph(
+            f"in one run, if error model {result.pem.name} is right, and misses are {assumed}."
+        )
         + paragraph(f"Sampling alone: {interval_name(estimate, caveats=caveats)} {interval}.")
         + warnings([f"Do not quote it: {against}." for against in run_unreliable_because(result)])
         + paragraph(claim_sentence(result, below=below))
