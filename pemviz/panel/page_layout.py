@@ -7,7 +7,7 @@ rollout that is picked in the analysis shows at once.
 
 import viser
 
-from pemviz.panel.views.page import MARGIN_PX, NARROWEST_PX, ROLLOUT_PX
+from pemviz.panel.views.page import MARGIN_PX, NARROWEST_PX, ROLLOUT_PX, SHORT_PX
 
 
 class Window:
@@ -38,3 +38,8 @@ class Window:
             width=max(size_px[0] - 2 * MARGIN_PX, NARROWEST_PX),
             height=size_px[1] if self._at_top else ROLLOUT_PX,
         )
+
+    @property
+    def is_short(self) -> bool:
+        """Whether the page is too low for the analysis and the rollout's plots together."""
+        return int(self._client.camera.image_height) < SHORT_PX

@@ -71,11 +71,11 @@ class Session:
             with analysis.panel.add_tab("Learning"):
                 self.learning = LearningTab(browser)
             with analysis.panel.add_tab("Weights"):
-                self.weights = WeightsTab(browser, self.trajectories)
+                self.weights = WeightsTab(browser, self.trajectories, analysis)
             with analysis.panel.add_tab("Compare"):
                 self.compare = CompareTab(browser)
             with analysis.panel.add_tab("Why"):
-                self.why = WhyTab(browser, self.trajectories)
+                self.why = WhyTab(browser, self.trajectories, analysis)
             with recordings:
                 self.recordings = RecordingsTab(
                     browser,

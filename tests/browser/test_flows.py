@@ -87,7 +87,7 @@ def test_paper_runs_end_to_end(open_page, shots, preset, counts):
     page.get_by_text(re.compile(r"Stage \d+ of 11: .* rollouts")).wait_for()
     assert page.get_by_role("button", name="Run", exact=True).is_disabled()
     tab(page, "Learning")
-    charted(page, re.compile(r"proposal after stage \d")).wait_for()
+    charted(page, "newest proposal").wait_for()
     page.screenshot(path=shots / "paper-running.png")
     expect_done(page)
     page.get_by_text(re.compile(r"P\(violation\) = [\d.]+ × 10⁻¹⁵")).wait_for()

@@ -2,6 +2,7 @@
 
 from pemviz.panel.browser import Browser, element_id, set_html
 from pemviz.panel.controller import PanelState
+from pemviz.panel.page_layout import Window
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tabs.chart import Chart
 from pemviz.panel.tabs.trajectories import TrajectoriesTab
@@ -58,9 +59,10 @@ class LearningTab:
 class WeightsTab:
     """All rollouts at once; a click on one shows it."""
 
-    def __init__(self, browser: Browser, trajectories: TrajectoriesTab) -> None:
+    def __init__(self, browser: Browser, trajectories: TrajectoriesTab, window: Window) -> None:
         gui = browser.client.gui
         self._trajectories = trajectories
+        self._window = window
         self._run: RunData | None = None
         self.number = gui.add_number("Show rollout", 0, min=0, max=10_000_000, step=1,
             hint=NUMBER_HINT)  # fmt: skip
@@ -94,14 +96,17 @@ class WeightsTab:
     def _show_rollout(self) -> None:
         if self._run is not None:
             self._trajectories.pick_index(int(self.number.value))
+            if self._window.is_short:
+                self._window.panel.minimize()
 
 
 class WhyTab:
     """Which misses cause violations, and how far to trust the number; a chain opens in 3D."""
 
-    def __init__(self, browser: Browser, trajectories: TrajectoriesTab) -> None:
+    def __init__(self, browser: Browser, trajectories: TrajectoriesTab, window: Window) -> None:
         gui = browser.client.gui
         self._trajectories = trajectories
+        self._window = window
         self._run: RunData | None = None
         self.chain = gui.add_number(
             "Show chain", 0, min=0, max=SHOWN_CHAINS, step=1, hint=CHAIN_HINT
@@ -128,3 +133,4 @@ class WhyTab:
             self._trajectories.pick(
                 repetition=explanation.repetition, stage=explanation.stage, rollout=chain.likeliest
             )
+            self._window.panel.minimize()  # the scene is what was asked for

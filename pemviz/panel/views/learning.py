@@ -65,8 +65,13 @@ def proposal_curves(run: RunData | None) -> Curves | None:
     method = by_name(run.config.method)
     curves = () if method.follows_model else run.final_curves
     lines: list[Line] = []
-    for age, curve in enumerate(_spread(tuple(reversed(curves)))):
+    drawn = _spread(tuple(reversed(curves)))
+    if run.running:  # the same lines all along, so that the chart is not built anew each stage
+        drawn = drawn[:1]
+    for age, curve in enumerate(drawn):
         name = method.curve_name or f"proposal after stage {curve.stage}"
+        if run.running:
+            name = "newest proposal"
         color = PROPOSAL if age == 0 else OLDER[min(age, len(OLDER)) - 1]
         (values,) = over_common(run.gap_m, [(curve.gap_m, curve.detection)])
         lines.append(Line(name, values, color, width=2.6 if age == 0 else 1.4))

@@ -13,7 +13,7 @@ NARROWEST_PX = 420
 NOTICE_PX = 56
 """Where notices begin: below the names of the analysis' tabs."""
 PLOT_PX = 400
-SHORT_PX = 860
+SHORT_PX = 760
 NARROW_PX = 1240
 """Pages lower than SHORT_PX leave the rollout's plots out while the analysis is open; pages
 narrower than NARROW_PX leave out the plot of the speeds."""
@@ -32,7 +32,7 @@ div:has(>div>.{ANALYSIS}){{display:grid;gap:4px 14px;padding:6px 12px;align-item
 grid-template-columns:repeat(auto-fit,minmax(min(100%,{PLOT_PX}px),1fr))}}
 div:has(>.{ANALYSIS}),.{ANALYSIS}{{display:contents}}
 div:has(>div>.{ANALYSIS})>:not(:has(>.{ANALYSIS})):not(:has(.uplot)),.{WIDE}{{grid-column:1/-1}}
-.{CELL},div:has(>.uplot-container){{min-width:0}}
+.{CELL},.{WIDE},div:has(>.uplot-container){{min-width:0;overflow-x:auto}}
 .mantine-Notifications-root[data-position=top-left]{{top:{NOTICE_PX}px!important}}
 .uplot-container .uplot{{min-width:100%}}
 .uplot .u-legend{{margin:2px 0 0!important}}
