@@ -170,7 +170,7 @@ def test_pick_the_worst_rollout_and_play_it(open_page, shots, panel):
     rollout = f"stage {explanation.stage}, rollout {explanation.chains[0].likeliest}"
     page.locator(f"svg[aria-label*='{rollout}']").wait_for()
     tab(page, "Weights")
-    point = page.locator("g[data-target] g[data-number]").nth(7)
+    point = page.locator("g[data-target] g[data-number]").last  # over all others
     index = int(point.get_attribute("data-number"))
     point.locator("circle").last.click()
     page.locator(f"g[data-shown='{index}']").wait_for()
