@@ -189,8 +189,6 @@ def _check_frailty(config: ExperimentConfig, back_end: BackEnd) -> None:
         ConfigError: Names it.
     """
     asked = {
-        f"method {config.method}": "single states" in by_name(config.method).needs,
-        "reference": config.reference,
         "memory_curve": config.memory_curve,
         "a scenario with slots": isinstance(back_end.simulator, UnrolledSimulator),
     }

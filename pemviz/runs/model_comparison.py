@@ -76,6 +76,9 @@ def compare_models(
     if len(names) < 2:
         message = f"models = {', '.join(names) or 'none'}: name at least two"
         raise ConfigError(message)
+    if config.frailty > 0.0:
+        message = f"frailty = {config.frailty:g}: models are compared with frailty 0 alone"
+        raise ConfigError(message)
     base = replace(config, method="value-twisted", final_rollouts=rollouts, reference=False)
     experiments = [
         build_experiment(replace(base, pem=name), allow_python=allow_python) for name in names

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
-from pemviz.pem.models.protocol import Pem
+from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.value_twisted.merging import Pause, no_pause
 from pemviz.sampling.value_twisted.reachable_states import SAFE_NODE, StateGraph, Unsafe
 from pemviz.sampling.value_twisted.values import Values
@@ -32,7 +32,7 @@ def left_out_share(
     values: Values,
     *,
     twin: Simulator,
-    pem: Pem,
+    pem: DetectorModel,
     unsafe: Unsafe,
     rollouts: int = ROLLOUTS,
     pause: Pause = no_pause,
@@ -164,7 +164,9 @@ class _Trials:
             self.outcomes[rows],
         )
 
-    def stepped(self, twin: Simulator, pem: Pem, generator: np.random.Generator) -> "_Trials":
+    def stepped(
+        self, twin: Simulator, pem: DetectorModel, generator: np.random.Generator
+    ) -> "_Trials":
         """One step on, with outcomes drawn by the trials' own logits."""
         count = self.log_p.size
         if count == 0:

@@ -19,9 +19,11 @@ from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.twisted import TwistedProposal
 from pemviz.sampling.estimates.diagnostics import called_safe
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
+from pemviz.sampling.frailty import FrailModel
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.value_twisted.frail_tables import build_frail_twisted_proposal
 from pemviz.sampling.value_twisted.merging import LARGEST_LAYER, Pause
 from pemviz.sampling.value_twisted.reachable_states import Unsafe
 from pemviz.sampling.value_twisted.tables import (
@@ -177,13 +179,22 @@ class _LastBuilt:
         held = self._held
         if held is not None and held[0].is_same_as(wanted):
             return held[1]
-        built = build_twisted_proposal(
-            twin=wanted.twin,
-            pem=wanted.pem,
-            unsafe=wanted.unsafe,
-            largest_layer=wanted.largest_layer,
-            pause=pause,
-        )
+        if isinstance(wanted.pem, FrailModel):
+            built = build_frail_twisted_proposal(
+                twin=wanted.twin,
+                model=wanted.pem,
+                unsafe=wanted.unsafe,
+                largest_layer=wanted.largest_layer,
+                pause=pause,
+            )
+        else:
+            built = build_twisted_proposal(
+                twin=wanted.twin,
+                pem=wanted.pem,
+                unsafe=wanted.unsafe,
+                largest_layer=wanted.largest_layer,
+                pause=pause,
+            )
         self._held = (wanted, built)
         return built
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.twisted import TwistedProposal, TwistedTables
@@ -19,7 +19,7 @@ from pemviz.sampling.value_twisted.merging import (
     state_columns,
     state_names,
 )
-from pemviz.sampling.value_twisted.reachable_states import Layer, Unsafe, explore
+from pemviz.sampling.value_twisted.reachable_states import Layer, StateGraph, Unsafe, explore
 from pemviz.sampling.value_twisted.values import Values, log_sum_by, solve
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import Signal, Simulator, outcome_log_likelihood
@@ -52,6 +52,21 @@ def build_twisted_proposal(
     left_out = 0.0
     if not graph.exact:
         left_out = left_out_share(graph, values, twin=twin, pem=pem, unsafe=unsafe, pause=pause)
+    return tabulated(graph, values, twin=twin, left_out=left_out, pause=pause)
+
+
+def tabulated(
+    graph: StateGraph, values: Values, *, twin: Simulator, left_out: float, pause: Pause = no_pause
+) -> TwistedProposal:
+    """The proposal that follows from the values of a graph's states.
+
+    Args:
+        graph: Explored on the twin.
+        values: Of the graph.
+        twin: The scenario.
+        left_out: Share of the failure probability that leads by way of states called safe.
+        pause: Called every few tenths of a second; may raise to stop.
+    """
     cells = tuple(
         tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
         for share in COARSE_SHARES
@@ -85,6 +100,12 @@ def with_defence(
     return replace(proposal, defensive=share_for(drawn_steps=drawn, steps=steps))
 
 
+def counting(values: Values, index: int) -> BoolArray:
+    """Which states ``[n]`` of a layer more than a negligible share of the probability leads by."""
+    log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
+    return log_share > np.log(NEGLIGIBLE_SHARE)
+
+
 def _sorted_signals(twin: Simulator) -> Sequence[Signal]:
     return sorted(twin.signals, key=lambda signal: signal.name)
 
@@ -99,7 +120,7 @@ def _tables(
 ) -> TwistedTables:
     logit = values.proposal_logit[index]
     log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
-    counts = log_share > np.log(NEGLIGIBLE_SHARE)
+    counts = counting(values, index)
     columns = [column[counts] for column in state_columns(layer.states)]
     keys = cell_keys(columns, [MERGE_DISTANCE] * len(columns))
     signals = columns[: len(layer.states.signals)]

@@ -56,15 +56,22 @@ def solve(graph: StateGraph, *, pause: Pause = no_pause) -> Values:
     )
 
 
-def log_value_at_start(graph: StateGraph, *, pause: Pause = no_pause) -> float:
-    """Log of the failure probability alone; -inf where it is 0. ``pause`` as above."""
-    if not graph.layers:
-        return 0.0 if graph.start == UNSAFE_NODE else -np.inf
+def log_values(graph: StateGraph, *, pause: Pause = no_pause) -> tuple[FloatArray, ...]:
+    """By layer ``[n]`` the log probability of violation alone; ``pause`` as above."""
+    found: list[FloatArray] = []
     following = np.empty(0)
     for layer in reversed(graph.layers):
         pause()
         following = np.logaddexp(*_outcome_values(layer, following))
-    return float(following[0])
+        found.insert(0, following)
+    return tuple(found)
+
+
+def log_value_at_start(graph: StateGraph, *, pause: Pause = no_pause) -> float:
+    """Log of the failure probability alone; -inf where it is 0. ``pause`` as above."""
+    if not graph.layers:
+        return 0.0 if graph.start == UNSAFE_NODE else -np.inf
+    return float(log_values(graph, pause=pause)[0][0])
 
 
 def log_sum_by(group: IntArray, log_values: FloatArray, count: int) -> FloatArray:
