@@ -51,8 +51,9 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     ]
     if estimate is not None:
         parts += _rules(result)
+        parts += _next(result)
         parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
-        parts += [*_next(result), *_memory(result), _model_range(result.pem_interval)]
+        parts += [*_memory(result), _model_range(result.pem_interval)]
         parts += [*_causes(result), _diagnostics(estimate), *_plan(result)]
     parts.append(_question(result))
     parts.append(
@@ -136,7 +137,8 @@ def _next(result: RunResult) -> list[str]:
     if result.plan is None:
         return []
     lines = "\n".join(f"- {collect}: {then}" for collect, then in short_rows(result))
-    return [f"## {plan_heading(result.plan)}\n{lines}"]
+    kind = plan_heading(result.plan).removeprefix(PLAN_TITLE).strip(" ()")
+    return [f"## {PLAN_TITLE}", *([f"{kind[0].upper()}{kind[1:]}:"] if kind else []), lines]
 
 
 def _plan(result: RunResult) -> list[str]:
@@ -263,7 +265,7 @@ def power_text(log10: float) -> str:
 
 def worst_table(tracks: Sequence[Track]) -> str:
     """The least robust rollouts."""
-    header = ("rank", "robustness", "share", "all misses", "in a row", "NLL [nats]", "which")
+    header = ("rank", "robustness", "share", "misses", "in a row", "NLL [nats]", "which")
     rows = [
         (
             f"{rank}",
@@ -278,8 +280,9 @@ def worst_table(tracks: Sequence[Track]) -> str:
     ]
     return (
         "# Least robust rollouts\n\nFirst those that carry the estimate: with the largest "
-        f"weights, {100 * CARRIED:g} % of it, each with its share. NLL: how unlikely the rollout's "
-        "outcomes are under the perception error model.\n\n" + _table(header, rows)
+        f"weights, {100 * CARRIED:g} % of it, each with its share. Misses: all of a rollout, also "
+        "those that do not matter. NLL: how unlikely its outcomes are under the perception error "
+        "model.\n\n" + _table(header, rows)
     )
 
 

@@ -2,15 +2,20 @@
 
 import io
 import itertools
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 from rich.progress import Progress
 
 from pemviz.cli.progress import ProgressBar, ProgressLines, counted_in_words
+from pemviz.cli.summary import print_summary
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.panel.run_observer import Watcher
 from pemviz.runs.engine import run_experiment
+from tests.reports.runs import PLAN, estimate, result
+from tests.reports.test_causes_text import EXPLANATION
 
 EASY = ScenarioConfig(states=45, emergency_gap_m=12.0)
 
@@ -66,3 +71,14 @@ def test_elsewhere_than_on_a_terminal_four_lines_tell_of_the_stages(monkeypatch)
         lines = shown.getvalue().splitlines()
         assert [int(line.split()[1].rstrip(",")) for line in lines] == told
         assert lines[-1].startswith("stage 11, final")
+
+
+def test_an_answer_that_holds_is_told_in_25_lines_with_those_of_the_stages(capsys):
+    whole = result(
+        estimate(method="mixture"),
+        reference=None,
+        plan=replace(PLAN, reason=None),
+        explanation=replace(EXPLANATION, memory=None),
+    )
+    print_summary(whole, Path("run"))
+    assert len(capsys.readouterr().out.splitlines()) <= 25 - 4
