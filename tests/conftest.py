@@ -1,6 +1,9 @@
 import os
 from pathlib import Path
 
+# a worker a core: threads within one would but wait for those of the others; before numpy is loaded
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 from hypothesis import settings
