@@ -6,7 +6,7 @@ some member of the family, which is what the family is for (defensive importance
 Hesterberg 1995).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -25,6 +25,8 @@ WINDOWED = (0.6, 1.0)
 """Strengths within windows of a half, a quarter and an eighth of the rollout."""
 HALVINGS = 3
 WINDOWED_SHARE = 0.45
+SLOT_SHARE = 0.5
+"""Of a family where several slots take turns: of members that raise one slot's errors alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,29 +41,33 @@ class PilotFamily:
         first: First step of the window, ``[F]``.
         stop: The step after its last, ``[F]``.
         share: How often a rollout is drawn from each, ``[F]``; sums to 1.
+        slot: Whose turns it raises alone, ``[F]``, -1 for all; ``None`` where there is one slot.
+        turns: Slots that take turns, each in one of so many steps.
     """
 
     strength: FloatArray
     first: IntArray
     stop: IntArray
     share: FloatArray
+    slot: IntArray | None = None
+    turns: int = 1
 
     @staticmethod
-    def over(steps: int) -> "PilotFamily":
-        """The family for rollouts of ``steps`` outcomes."""
-        lengths = _windows(steps)
-        members = [(strength, 0, steps) for strength in EVERYWHERE]
-        share = [(1.0 - WINDOWED_SHARE if lengths else 1.0) / len(members)] * len(members)
-        for windows in lengths:
-            alike = [(s, first, stop) for first, stop in windows for s in WINDOWED]
-            members += alike
-            share += [WINDOWED_SHARE / len(lengths) / len(alike)] * len(alike)
-        strength, first, stop = zip(*members, strict=True)
+    def over(steps: int, *, turns: int = 1) -> "PilotFamily":
+        """The family for rollouts of ``steps`` outcomes, of slots that take ``turns``."""
+        family = _over_all(steps)
+        if turns == 1:
+            return family
+        alone = np.repeat(np.arange(turns), len(EVERYWHERE))
         return PilotFamily(
-            strength=np.array(strength),
-            first=np.array(first, dtype=np.int64),
-            stop=np.array(stop, dtype=np.int64),
-            share=np.array(share),
+            strength=np.concatenate([family.strength, np.tile(EVERYWHERE, turns)]),
+            first=np.pad(family.first, (0, alone.size)),
+            stop=np.pad(family.stop, (0, alone.size), constant_values=steps),
+            share=np.concatenate(
+                [(1.0 - SLOT_SHARE) * family.share, np.full(alone.size, SLOT_SHARE / alone.size)]
+            ),
+            slot=np.concatenate([np.full(family.strength.size, -1), alone]),
+            turns=turns,
         )
 
     def drawn(
@@ -93,6 +99,8 @@ class PilotFamily:
             stop=np.pad(self.stop[member], rest),
             features=features,
             violated=violated,
+            slot=None if self.slot is None else np.pad(self.slot[member], rest),
+            turns=self.turns,
         )
 
     def log_ratio(self, rollouts: RolloutBatch, acts: BoolArray) -> FloatArray:
@@ -110,11 +118,18 @@ class PilotFamily:
         step = np.zeros((count, steps))
         sums = np.zeros((steps + 1, count))
         for strength in np.unique(self.strength[self.strength != 0.0]):
-            chosen = np.flatnonzero(self.strength == strength)
             step[acts] = by_pem - np.logaddexp(0.0, sign * raised(under_pem, strength))
-            np.cumsum(step.T, axis=0, out=sums[1:])
-            by_member[chosen] = sums[self.stop[chosen]] - sums[self.first[chosen]]
+            for raising, chosen in self._alike(strength):
+                np.cumsum((step * raising).T if self.turns > 1 else step.T, axis=0, out=sums[1:])
+                by_member[chosen] = sums[self.stop[chosen]] - sums[self.first[chosen]]
         return np.asarray(logsumexp(by_member + np.log(self.share)[:, None], axis=0))
+
+    def _alike(self, strength: float) -> Iterator[tuple[BoolArray, IntArray]]:
+        """Members of a strength by whose turns they raise: which steps ``[T-1]``, which members."""
+        steps, same = int(self.stop.max()), self.strength == strength
+        for slot in (-1,) if self.slot is None else range(-1, self.turns):
+            chosen = np.flatnonzero(same if self.slot is None else same & (self.slot == slot))
+            yield (np.arange(steps) % self.turns == slot) | (slot < 0), chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +142,8 @@ class PilotProposal:
         stop: The step after its last, ``[N]``.
         features: Tell where the scenario reacts; elsewhere a pilot is the error model.
         violated: Name of the memory that says whether a rollout has violated already.
+        slot: As :class:`PilotFamily` has it, ``[N]``.
+        turns: Likewise.
     """
 
     strength: FloatArray
@@ -134,19 +151,27 @@ class PilotProposal:
     stop: IntArray
     features: StateFeatures
     violated: str
+    slot: IntArray | None = None
+    turns: int = 1
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[N]``, at states ``[N]`` of the same N rollouts."""
         acts = acting(self.features, states, pem_logit.shape, violated=self.violated)
         step = states.step * 1.0
         within = acts & (self.first <= step) & (self.stop > step)
+        if self.slot is not None:
+            within &= (self.slot < 0) | (self.slot == states.step % self.turns)
         raised_logit = -raised(-pem_logit, self.strength)
         return namespace(pem_logit).where(within, raised_logit, pem_logit)
 
     def rows(self, rows: slice) -> Self:
         """The members of some of the rollouts."""
         return replace(
-            self, strength=self.strength[rows], first=self.first[rows], stop=self.stop[rows]
+            self,
+            strength=self.strength[rows],
+            first=self.first[rows],
+            stop=self.stop[rows],
+            slot=None if self.slot is None else self.slot[rows],
         )
 
     def moved(self, move: Move) -> Self | None:
@@ -158,8 +183,9 @@ class PilotProposal:
         return replace(self, features=features, strength=strength, first=first, stop=stop)
 
     def arrays(self) -> Mapping[str, AnyArray]:
-        """Strengths and windows."""
-        return {"strength": self.strength, "first": self.first, "stop": self.stop}
+        """Strengths, windows and, where there are several, slots."""
+        own = {"strength": self.strength, "first": self.first, "stop": self.stop}
+        return own if self.slot is None else {**own, "slot": self.slot}
 
 
 def raised(miss_logit: FloatArray, strength: FloatArray | float) -> FloatArray:
@@ -167,6 +193,24 @@ def raised(miss_logit: FloatArray, strength: FloatArray | float) -> FloatArray:
     up = (CEILING_LOGIT - miss_logit).clip(0.0)
     down = (miss_logit + CEILING_LOGIT).clip(0.0)
     return miss_logit + strength * namespace(miss_logit).where(strength > 0.0, up, down)
+
+
+def _over_all(steps: int) -> PilotFamily:
+    """Members that raise all slots' errors alike."""
+    lengths = _windows(steps)
+    members = [(strength, 0, steps) for strength in EVERYWHERE]
+    share = [(1.0 - WINDOWED_SHARE if lengths else 1.0) / len(members)] * len(members)
+    for windows in lengths:
+        alike = [(s, first, stop) for first, stop in windows for s in WINDOWED]
+        members += alike
+        share += [WINDOWED_SHARE / len(lengths) / len(alike)] * len(alike)
+    strength, first, stop = zip(*members, strict=True)
+    return PilotFamily(
+        strength=np.array(strength),
+        first=np.array(first, dtype=np.int64),
+        stop=np.array(stop, dtype=np.int64),
+        share=np.array(share),
+    )
 
 
 def _windows(steps: int) -> list[list[tuple[int, int]]]:

@@ -83,6 +83,7 @@ class MixtureState:
             ways of failing, one fitted to a level above 0; empty before the first stage.
         frozen: How many rollouts each part of the final batch has, as far as it is drawn.
         latched: Whether rollouts know when they have violated.
+        turns: Outcomes of a step of the scenario.
     """
 
     repetition: int
@@ -93,6 +94,7 @@ class MixtureState:
     fits: tuple[Fit, ...] = ()
     frozen: tuple[int, ...] = ()
     latched: bool = True
+    turns: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +136,7 @@ class MixtureSampling:
             stage=0,
             features=features,
             latched=latched,
+            turns=problem.turns,
         )
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
@@ -296,7 +299,7 @@ def _drawn(
         component,
         {int(index): state.fits[index - fitted[0]].coefficients for index in fitted},
         _main_proposal(state, steps=steps),
-        family=PilotFamily.over(steps),
+        family=PilotFamily.over(steps, turns=state.turns),
         features=state.features,
         generator=np.random.default_rng(seeds.spawn(1)[0]),
     )
@@ -333,7 +336,7 @@ def _pooled(
         drawn_from=component,
         new=[fit.coefficients for fit in new],
         optimism=[fit.optimism for fit in new],
-        pilots=PilotFamily.over(steps),
+        pilots=PilotFamily.over(steps, turns=state.turns),
         defensive=_defence(steps),
         features=state.features,
         basis=basis,
