@@ -20,11 +20,12 @@ THIN = 0.006
 
 
 def log_outcomes(
-    file: RecordingFile, outcomes: Sequence[BoolArray], *, stage: int, dt_s: float
+    file: RecordingFile, rows: Sequence[tuple[str, BoolArray]], *, stage: int, dt_s: float
 ) -> None:
-    """Misses among the first outcomes ``[T-1]``, and where the time is; rank 1 is on top."""
-    shown = outcomes[:ROWS]
-    frame = outcome_frame(len(shown), steps=shown[0].size, dt_s=dt_s)
+    """Misses among the first outcomes ``[T-1]`` with their names, and where the time is."""
+    names = [name for name, _ in rows[:ROWS]]
+    shown = [outcomes for _, outcomes in rows[:ROWS]]
+    frame = outcome_frame(names, steps=shown[0].size, dt_s=dt_s)
     log = partial(file.at_stage, stage=stage)
     log_axes(log, paths.OUTCOMES, frame)
     for rank, detected in enumerate(shown, start=1):
@@ -41,12 +42,11 @@ def log_outcomes(
     file.along(path, rr.LineStrips2D.columns(strips=strips), times=times)
 
 
-def outcome_frame(rows: int, *, steps: int, dt_s: float) -> Frame:
-    """Time to the right, ranks downwards."""
-    ranks = tuple((float(rank), f"rank {rank}") for rank in range(1, rows + 1))
-    return Frame(
-        x=number_axis(0.0, steps * dt_s, unit="s"), y=Axis(low=rows + 0.5, high=0.5, ticks=ranks)
-    )
+def outcome_frame(names: Sequence[str], *, steps: int, dt_s: float) -> Frame:
+    """Time to the right, rows downwards, the first on top."""
+    ticks = tuple((float(place), name) for place, name in enumerate(names, start=1))
+    y = Axis(low=len(names) + 0.5, high=0.5, ticks=ticks)
+    return Frame(x=number_axis(0.0, steps * dt_s, unit="s"), y=y)
 
 
 def _misses(frame: Frame, detected: BoolArray, *, rank: int, dt_s: float) -> rr.LineStrips2D:

@@ -1,6 +1,6 @@
 """The least robust rollouts of a run: who they are, and their plots."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 
@@ -16,7 +16,7 @@ from pemviz.recording.outcomes import log_outcomes
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.result import RankedRollout, RunResult
-from pemviz.runs.slot_outcomes import faultless, faultless_probability
+from pemviz.runs.slot_outcomes import faultless, faultless_probability, right_by_slot
 from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StageResult
 
@@ -33,6 +33,7 @@ class Track:
         detected: ``[T-1]`` outcomes; with several slots, whether none of them errs.
         pem_probability: ``[T-1]`` P(detected) under the perception error model.
         proposal_probability: ``[T-1]`` P(detected) under the proposal.
+        right_by_slot: ``[T-1]`` whether each of several slots does not err, by its name.
     """
 
     ranked: RankedRollout
@@ -40,6 +41,7 @@ class Track:
     detected: BoolArray
     pem_probability: FloatArray
     proposal_probability: FloatArray
+    right_by_slot: Mapping[str, BoolArray]
 
     @property
     def name(self) -> str:
@@ -81,6 +83,7 @@ def _track(stage: StageResult, ranked: RankedRollout, slots: Sequence[Slot]) -> 
         detected=np.array(faultless(rollouts.detected[row], slots=slots)),
         pem_probability=faultless_probability(rollouts.pem_logit[row], slots=slots),
         proposal_probability=faultless_probability(rollouts.proposal_logit[row], slots=slots),
+        right_by_slot=right_by_slot(rollouts.detected[row], slots=slots),
     )
 
 
@@ -119,7 +122,18 @@ def log_worst_plots(
         np.array([worst.pem_probability, worst.proposal_probability]),
         times=acting,
     )
-    log_outcomes(file, [track.detected for track in tracks], stage=stage, dt_s=dt_s)
+    log_outcomes(file, _rows(tracks), stage=stage, dt_s=dt_s)
+
+
+def _rows(tracks: Sequence[Track]) -> Sequence[tuple[str, BoolArray]]:
+    """Outcomes by rank, with several slots a row for each of them."""
+    rows: list[tuple[str, BoolArray]] = []
+    for rank, track in enumerate(tracks, start=1):
+        by_slot = track.right_by_slot.items()
+        rows += [(f"rank {rank}, {name}", right) for name, right in by_slot]
+        if not by_slot:
+            rows.append((f"rank {rank}", track.detected))
+    return rows
 
 
 def log_frames(file: RecordingFile, track: Track, *, scenario: ScenarioConfig, stage: int) -> None:

@@ -3,6 +3,7 @@
 from pemviz.analysis.bursts import Bursts, Spread
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
+from pemviz.analysis.slot_errors import SlotErrors
 
 SHOWN_MISSES = 0.005
 SMALLEST_SHOWN = 0.005
@@ -16,7 +17,14 @@ FEW = 1e-3
 
 
 def causes_line(explanation: Explanation) -> str:
-    """Where the misses of a violation lie, in one line; those at steps where outcomes matter."""
+    """Where the misses of a violation lie, in one line; those at steps where outcomes matter.
+
+    With slots: whose errors they are.
+    """
+    if explanation.slots:
+        total = sum(slot.errors for slot in explanation.slots)
+        of_slots = "; ".join(map(_of_slot, explanation.slots))
+        return f"Errors that matter in a violation: {total:.1f} ({of_slots})"
     bands = [
         f"{band.misses:.1f} at {band.low:g} to {band.high:g} m"
         for band in explanation.misses_by_distance
@@ -25,6 +33,11 @@ def causes_line(explanation: Explanation) -> str:
     total = sum(band.misses for band in explanation.misses_by_distance)
     where = f" ({', '.join(bands)})" if bands else ""
     return f"Misses that matter in a violation: {total:.1f}{where}"
+
+
+def _of_slot(slot: SlotErrors) -> str:
+    word = "missed" if slot.nominal else "reported where nothing is"
+    return f"{slot.name} {word} {slot.errors:.1f} times, 1 % less often: {_fewer(slot)}"
 
 
 def burst_lines(explanation: Explanation) -> list[str]:
@@ -122,7 +135,7 @@ def elasticity_text(found: BandSensitivity | MemorySensitivity) -> str:
     return f"{round(found.elasticity, 2) + 0.0:.2f}{error}"  # no minus before a zero
 
 
-def _fewer(found: BandSensitivity | MemorySensitivity) -> str:
+def _fewer(found: BandSensitivity | MemorySensitivity | SlotErrors) -> str:
     """What one per cent less brings."""
     if found.elasticity is None:
         return "nobody knows what: a miss is certain somewhere"

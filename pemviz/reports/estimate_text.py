@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.pem.models.memory import FRAILTY_MEANS
+from pemviz.reports.causes_text import causes_line
 from pemviz.reports.digits import end_text
 from pemviz.reports.memory_curve import assumption_line
 from pemviz.runs.memory import RunMemory
@@ -157,6 +158,8 @@ def summary_text(result: RunResult) -> str:
     ]
     if result.config.memory_s or result.config.frailty:
         lines.append(f"  misses: {memory_text(result.memory)}")
+    if result.explanation is not None and result.explanation.slots:
+        lines.append(f"  {causes_line(result.explanation)}")
     if (assumed := assumption_line(result.memory)) is not None:
         lines.append(f"  {assumed}")
     if result.reference is not None:

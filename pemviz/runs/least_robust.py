@@ -4,7 +4,7 @@ Which one that is, the run's result says: see :attr:`pemviz.runs.result.RunResul
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.display import ShownInNotebooks
 from pemviz.runs.events import Event, RunStarted, StageDone
 from pemviz.runs.result import RankedRollout
-from pemviz.runs.slot_outcomes import faultless, slots_of
+from pemviz.runs.slot_outcomes import faultless, right_by_slot, slots_of
 from pemviz.simulators.slots import Slot
 from pemviz.types import StageResult
 
@@ -30,6 +30,7 @@ class Rollout(ShownInNotebooks):
         time_s: ``[T]`` times of its states [s].
         signals: ``[T]`` by name.
         detected: ``[T-1]`` perception's outcomes; with several slots, whether none of them errs.
+        right_by_slot: ``[T-1]`` whether each of several slots does not err, by its name.
     """
 
     repetition: int
@@ -40,6 +41,7 @@ class Rollout(ShownInNotebooks):
     time_s: FloatArray
     signals: Mapping[str, FloatArray]
     detected: BoolArray
+    right_by_slot: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
 
     @property
     def missed_steps(self) -> IntArray:
@@ -51,9 +53,16 @@ class Rollout(ShownInNotebooks):
         verdict = "violates" if self.violated else "holds"
         return (
             f"least robust rollout: {verdict}, robustness {self.robustness:.3g}, stage "
-            f"{self.stage}; misses {self.missed_steps.size} of {self.detected.size} steps "
-            f"({_runs_text(self.missed_steps)}); {', '.join(ranges)}; NLL {self.nll:.3g} nats"
+            f"{self.stage}; {self._errors_text()}; {', '.join(ranges)}; NLL {self.nll:.3g} nats"
         )
+
+    def _errors_text(self) -> str:
+        steps = self.detected.size
+        if not self.right_by_slot:
+            return f"misses {self.missed_steps.size} of {steps} steps ({_runs_text(self.missed_steps)})"
+        errors = {name: np.flatnonzero(~right) for name, right in self.right_by_slot.items()}
+        texts = [f"{name} at {at.size} ({_runs_text(at)})" for name, at in errors.items()]
+        return f"of {steps} steps perception errs about {', '.join(texts)}"
 
 
 class LeastRobust:
@@ -96,6 +105,7 @@ class LeastRobust:
             time_s=np.arange(states) * self._dt_s,
             signals=signals,
             detected=np.array(faultless(scored.rollouts.detected[index], slots=self._slots)),
+            right_by_slot=right_by_slot(scored.rollouts.detected[index], slots=self._slots),
         )
 
 

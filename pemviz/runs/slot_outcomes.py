@@ -1,6 +1,6 @@
 """Perception's outcomes a step, also of scenarios with several slots: whether none of them errs."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import expit
@@ -26,6 +26,19 @@ def faultless(detected: BoolArray, *, slots: Sequence[Slot]) -> BoolArray:
         return detected
     right = detected == _nominal(slots)
     return np.all(right, axis=-1) if len(slots) > 1 else right
+
+
+def right_by_slot(detected: BoolArray, *, slots: Sequence[Slot]) -> Mapping[str, BoolArray]:
+    """Whether each of several slots does not err, ``[T-1]`` by its name; empty without several.
+
+    Args:
+        detected: Of one rollout, ``[T-1, K]``.
+        slots: The scenario's.
+    """
+    if len(slots) < 2:
+        return {}
+    right = detected == _nominal(slots)
+    return {slot.name: np.array(right[:, place]) for place, slot in enumerate(slots)}
 
 
 def faultless_probability(logit: FloatArray, *, slots: Sequence[Slot]) -> FloatArray:

@@ -6,9 +6,10 @@ from scipy.special import expit
 import pemviz
 from pemviz import figures
 from pemviz.recording import paths
+from pemviz.recording.outcomes import outcome_frame
 from pemviz.runs.slot_outcomes import faultless, faultless_probability
 from pemviz.simulators.slots import Slot
-from tests.recording.conftest import record, texts
+from tests.recording.conftest import record, strips, texts, values_at
 from tests.recording.read_back import read_stages
 from tests.sampling.test_slots import experiment_of
 
@@ -29,6 +30,14 @@ def test_outcomes_and_probabilities_are_those_of_no_error_in_any_slot(tmp_path):
     index = recorded.result.least_robust[0].rollout
     right = (rollouts.detected[index] == ghost).all(axis=-1)
     np.testing.assert_array_equal(worst.rollout.missed_steps, np.flatnonzero(~right))
+    for row, (name, detected) in enumerate(zip(("car", "ghost"), (True, False), strict=True), 1):
+        _, *strokes = strips(recorded.path, paths.outcomes(row))
+        frame = outcome_frame(["row"] * 8, steps=15, dt_s=0.1)
+        at_s = [values_at(frame, stroke)[0][0] for stroke in strokes]
+        errors = rollouts.detected[index][:, row - 1] != detected
+        np.testing.assert_allclose(at_s, (np.flatnonzero(errors) + 0.5) * 0.1, atol=1e-4)
+        np.testing.assert_array_equal(worst.rollout.right_by_slot[name], ~errors)
+    assert "perception errs about car at" in str(worst)
     assert figures.robustness_distribution(stages=[stage]).axes
 
 

@@ -193,7 +193,7 @@ def test_least_robust_outcomes_are_recorded(learned):
     worst = learned.result.least_robust[0]
     detected = learned.stages[worst.stage].scored.rollouts.detected[worst.rollout]
     dt_s = LEARNING.scenario.dt_s
-    frame = outcome_frame(8, steps=detected.size, dt_s=dt_s)
+    frame = outcome_frame([f"rank {rank}" for rank in range(1, 9)], steps=detected.size, dt_s=dt_s)
     _, *strokes = strips(learned.path, paths.outcomes(1))
     at_s = [values_at(frame, stroke)[0][0] for stroke in strokes]
     np.testing.assert_allclose(at_s, (np.flatnonzero(~detected) + 0.5) * dt_s, atol=1e-4)

@@ -143,8 +143,8 @@ def _likeliest(rollouts: Mapping[str, AnyArray], result: RunResult) -> Violation
     pairs = zip(rollouts["repetition"].tolist(), rollouts["stage"].tolist(), strict=True)
     in_final = np.fromiter((pair in final for pair in pairs), dtype=np.bool_, count=violated.size)
     found = np.flatnonzero(violated & in_final if np.any(violated & in_final) else violated)
-    if found.size == 0 or GAP not in rollouts:
-        return None
+    if found.size == 0 or GAP not in rollouts or rollouts["detected"].ndim > 2:
+        return None  # the picture is of one obstacle's misses against its gap
     log_weight = np.sum(rollouts["log_p"][found] - rollouts["log_q"][found], axis=1)
     weight = np.exp(log_weight - np.max(log_weight))
     order = np.argsort(-weight, kind="stable")[:LIKELIEST]
