@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pemviz.runs.result_file import read_result
     from pemviz.runs.store import RunStore
     from pemviz.sampling.description import MethodDescription
-    from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator
+    from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator, GymnasiumSlotSimulator
     from pemviz.simulators.slots import Slot, SlotSimulator
     from pemviz.types import Estimate, Proposal, RolloutBatch, Signal, Simulator, StateBatch
 
@@ -37,6 +37,7 @@ _HOMES = {
     "ExperimentConfig": "config",
     "FloatArray": "arrays",
     "GymnasiumSimulator": "simulators.gymnasium_adapter",
+    "GymnasiumSlotSimulator": "simulators.gymnasium_adapter",
     "InputError": "errors",
     "KeptStages": "runs.kept_stages",
     "LeastRobust": "runs.least_robust",
@@ -71,6 +72,7 @@ __all__ = [
     "ExperimentConfig",
     "FloatArray",
     "GymnasiumSimulator",
+    "GymnasiumSlotSimulator",
     "InputError",
     "KeptStages",
     "LeastRobust",

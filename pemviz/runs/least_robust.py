@@ -57,9 +57,9 @@ class Rollout(ShownInNotebooks):
         )
 
     def _errors_text(self) -> str:
-        steps = self.detected.size
+        steps, missed = self.detected.size, self.missed_steps
         if not self.right_by_slot:
-            return f"misses {self.missed_steps.size} of {steps} steps ({_runs_text(self.missed_steps)})"
+            return f"misses {missed.size} of {steps} steps ({_runs_text(missed)})"
         errors = {name: np.flatnonzero(~right) for name, right in self.right_by_slot.items()}
         texts = [f"{name} at {at.size} ({_runs_text(at)})" for name, at in errors.items()]
         return f"of {steps} steps perception errs about {', '.join(texts)}"

@@ -37,7 +37,7 @@ class SlotPem:
     @property
     def name(self) -> str:
         """The models' names."""
-        return "+".join(model.name for model in self._distinct)
+        return "+".join(dict.fromkeys(model.name for model in self._distinct))
 
     @property
     def digest(self) -> str:
@@ -123,8 +123,8 @@ class SlotFeatures:
         return np.stack(columns, axis=-1)
 
     def reacts(self, states: StateBatch) -> BoolArray:
-        """True everywhere."""
-        return np.ones(states.shape, dtype=np.bool_)
+        """Where the scenario says that it reacts to the slot's outcome, ``[...]``."""
+        return self.simulator.reacts(states.signals)
 
     @property
     def _shared(self) -> Sequence[str]:

@@ -8,7 +8,7 @@ import numpy as np
 from pemviz.arrays import BoolArray
 from pemviz.errors import ConfigError
 from pemviz.simulators.remembering import LAST, LAST_OUTCOME
-from pemviz.simulators.slots import ERROR, SLOT, Slot, SlotSimulator
+from pemviz.simulators.slots import ERROR, SLOT, SaysWhereItReacts, Slot, SlotSimulator
 from pemviz.types import CERTAIN, StateBatch
 
 TAKEN = (SLOT, LAST_OUTCOME.name)
@@ -75,17 +75,21 @@ def check_asked(simulator: SlotSimulator, states: StateBatch, where: str) -> Non
     for signals, shape in ((flat, (count,)), (twice, (count, 2))):
         try:
             present, salient = simulator.present(signals), simulator.salient(signals)
+            reacts = present
+            if isinstance(simulator, SaysWhereItReacts):
+                reacts = simulator.reacts(signals)
         except Exception as error:  # the user's code may raise anything
             message = (
-                f"{where}: present or salient raises {type(error).__name__} for signals of shape "
-                f"{shape}: {error}"
+                f"{where}: present, salient or reacts raises {type(error).__name__} for signals "
+                f"of shape {shape}: {error}"
             )
             raise ConfigError(" ".join(message.split())) from error
-        if np.shape(present) != (*shape, slots) or np.asarray(present).dtype != np.bool_:
-            _refuse(
-                f"{where}: present gives {np.asarray(present).dtype} of shape {np.shape(present)} "
-                f"for signals of shape {shape}: must be bool of shape {(*shape, slots)}"
-            )
+        for what, found in (("present", present), ("reacts", reacts)):
+            if np.shape(found) != (*shape, slots) or np.asarray(found).dtype != np.bool_:
+                _refuse(
+                    f"{where}: {what} gives {np.asarray(found).dtype} of shape {np.shape(found)} "
+                    f"for signals of shape {shape}: must be bool of shape {(*shape, slots)}"
+                )
         if np.ndim(salient) != len(shape) + 2 or np.shape(salient)[:-1] != (*shape, slots):
             _refuse(
                 f"{where}: salient gives shape {np.shape(salient)} for signals of shape {shape}: "

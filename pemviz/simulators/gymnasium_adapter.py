@@ -1,10 +1,10 @@
-"""A gymnasium environment that is told, at each step, whether perception detected.
+"""A gymnasium environment that is told, at each step, what perception detected.
 
 gymnasium itself is not imported here: whatever has ``reset`` and ``step`` will do.
 """
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import ConfigError
+from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StateBatch
 
 ENDED = "ended"
@@ -34,6 +35,11 @@ class Environment(Protocol):
 def detection_action(detected: bool) -> int:
     """The action of an environment whose action space is ``Discrete(2)``: 1 if detected."""
     return int(detected)
+
+
+def detections_action(detected: Sequence[bool]) -> AnyArray:
+    """The action of an environment whose action space is ``MultiBinary(K)``: 1 where detected."""
+    return np.array(detected, dtype=np.int8)
 
 
 def signal_values(signals: Mapping[str, FloatArray]) -> FloatArray:
@@ -71,7 +77,7 @@ class GymnasiumSimulator:
     states: int
     dt_s: float
     salient_of: Callable[[Mapping[str, FloatArray]], FloatArray] = signal_values
-    action_of: Callable[[bool], Any] = detection_action
+    action_of: Callable[[Any], Any] = detection_action
     get_state: Callable[[Any], FloatArray] | None = None
     set_state: Callable[[Any, FloatArray], None] | None = None
     seed: int = 0
@@ -175,6 +181,52 @@ class GymnasiumSimulator:
         for row, snapshot in enumerate(kept):
             copies[row] = snapshot
         return {SNAPSHOT: copies}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GymnasiumSlotSimulator(GymnasiumSimulator):
+    """The same for K obstacles or ghosts a step: a :class:`pemviz.SlotSimulator`.
+
+    Attributes:
+        slots: The K slots.
+        present_of: Signals ``[...]`` to where perception has something to answer, ``[..., K]``;
+            ``None``: everywhere.
+        reacts_of: Signals ``[...]`` to where the environment reacts to what is detected,
+            ``[..., K]``; ``None``: it may everywhere.
+        salient_of: Signals ``[...]`` to each slot's salient variables, ``[..., K, D]``; if it is
+            left out, these are its own signals.
+        action_of: Perception's outcomes, K of them, to the environment's action.
+    """
+
+    slots: tuple[Slot, ...]
+    present_of: Callable[[Mapping[str, FloatArray]], BoolArray] | None = None
+    reacts_of: Callable[[Mapping[str, FloatArray]], BoolArray] | None = None
+    action_of: Callable[[Any], Any] = detections_action
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Each slot's salient variables, ``[..., K, D]``."""
+        if self.salient_of is not signal_values:
+            return self.salient_of(signals)
+        by_slot = [[signals[name] for name in slot.signals] for slot in self.slots]
+        return np.stack([np.stack(own, axis=-1) for own in by_slot], axis=-2)
+
+    def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where perception has something to answer, ``[..., K]``."""
+        return self._of_slots(self.present_of, signals)
+
+    def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where what is detected may matter, ``[..., K]``."""
+        return self._of_slots(self.reacts_of, signals)
+
+    def _of_slots(
+        self,
+        function: Callable[[Mapping[str, FloatArray]], BoolArray] | None,
+        signals: Mapping[str, FloatArray],
+    ) -> BoolArray:
+        if function is not None:
+            return function(signals)
+        shape = next(iter(signals.values())).shape
+        return np.ones((*shape, len(self.slots)), dtype=np.bool_)
 
 
 _Row = tuple[Mapping[str, float], Any, bool]

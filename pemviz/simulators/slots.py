@@ -47,7 +47,9 @@ class SlotSimulator(Protocol):
     """A scenario that moves when told, at each step, what perception reports in each of K slots.
 
     Like :class:`pemviz.types.Simulator`, whose members it shares; ``initial`` and ``step`` are
-    pure.
+    pure. It may have a method ``reacts``, from signals ``[...]`` to whether it matters to the
+    scenario what is reported in each slot, ``[..., K]``: proposals leave the other outcomes to the
+    error model, which saves weight.
     """
 
     @property
@@ -93,6 +95,15 @@ class SlotSimulator(Protocol):
         For an obstacle: it is in view; for a ghost: one could appear. ``[..., K]``; what is absent
         is not asked about, whatever its salient variables.
         """
+        ...
+
+
+@runtime_checkable
+class SaysWhereItReacts(Protocol):
+    """A scenario with slots that knows where what is reported in them matters."""
+
+    def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Signals ``[...]`` to whether the outcome in each slot may matter, ``[..., K]``."""
         ...
 
 
@@ -172,6 +183,14 @@ class UnrolledSimulator:
     def nominal(self) -> BoolArray:
         """Each slot's nominal outcome, ``[K]``."""
         return np.array([slot.nominal for slot in self.slots], dtype=np.bool_)
+
+    def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Whether the scenario reacts to the slot's outcome, ``[...]``; True if it does not say."""
+        slot = self.slot_of(signals)
+        if not isinstance(self.scenario, SaysWhereItReacts):
+            return np.ones(slot.shape, dtype=np.bool_)
+        own = {signal.name: signals[signal.name] for signal in self.scenario.signals}
+        return np.take_along_axis(self.scenario.reacts(own), slot[..., None], axis=-1)[..., 0]
 
     def slot_of(self, signals: Mapping[str, FloatArray]) -> IntArray:
         """Whose turn it is at unrolled states, ``[...]``."""

@@ -1,0 +1,69 @@
+"""highway-env's own highway-v0 with three cars: how likely does the ego come too near to one?"""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import pemviz
+
+CONFIG = {
+    "vehicles_count": 3, "lanes_count": 2, "simulation_frequency": 5, "policy_frequency": 5,
+    "observation": {"type": "AttributesObservation", "attributes": ["time"]}, "duration": 1e9,
+    "action": {"type": "DiscreteMetaAction", "lateral": False, "target_speeds": range(0, 31, 5)},
+}  # fmt: skip
+SLOTS = tuple(pemviz.Slot(f"car {n}", signals=(f"ahead_{n}", f"aside_{n}")) for n in (1, 2, 3))
+NAMES = ("ego_speed", "clearance", *(name for slot in SLOTS for name in slot.signals))
+KEPT = ("heading", "speed", "target_speed", "timer", "speed_index", "crashed")  # of each vehicle
+
+
+def in_the_way(signals: Any) -> Any:  # the cars for which the ego brakes, if it perceives them
+    ahead_m, aside_m = (np.stack([signals[s.signals[i]] for s in SLOTS], axis=-1) for i in (0, 1))
+    near = ahead_m < 10.0 + 1.2 * np.asarray(signals["ego_speed"])[..., None]
+    return (ahead_m > 0.0) & near & (np.abs(aside_m) < 2.0)
+
+
+class PerceivingEgo(gym.Wrapper):  # wants to go fast; its action: which of the cars it perceives
+    def reset(self, **options: Any) -> Any:
+        return self.look(self.env.reset(**options)), {}
+
+    def step(self, action: Any) -> Any:
+        self.env.step(0 if np.any(in_the_way(self.look()) & (action > 0)) else 2)  # SLOWER, FASTER
+        return self.look(), 0.0, vars(self.unwrapped)["road"].vehicles[0].crashed, False, {}
+
+    def look(self, _: Any = None) -> dict[str, float]:
+        ego, *cars = vars(self.unwrapped)["road"].vehicles
+        away = np.array([car.position - ego.position for car in cars])
+        clearance = np.max(np.abs(away) - (5.0, 2.0), axis=1).min()  # less a car's size
+        return dict(zip(NAMES, (ego.speed, clearance, *away.ravel()), strict=True))
+
+    def get_state(self) -> pemviz.FloatArray:
+        return np.array([(*v.position, *(v.impact if v.impact is not None else (0.0, 0.0)),
+                          v.target_lane_index[2], *(getattr(v, name, 0.0) for name in KEPT))
+                         for v in vars(self.unwrapped)["road"].vehicles]).ravel()  # fmt: skip
+
+    def set_state(self, numbers: pemviz.FloatArray) -> None:
+        vehicles = vars(self.unwrapped)["road"].vehicles
+        for v, row in zip(vehicles, numbers.reshape(4, -1), strict=True):
+            v.position, v.target_lane_index = row[:2].copy(), ("0", "1", int(row[4]))
+            v.impact = row[2:4].copy() if row[2:4].any() else None
+            vars(v).update(zip(KEPT, (*row[5:9], int(row[9]), bool(row[10])), strict=True))
+            v.on_state_update()
+
+
+class Camera:
+    def logit(self, salient: pemviz.FloatArray) -> pemviz.FloatArray:
+        return 1.0 - 0.02 * salient[..., 0]  # sees a car the better the nearer it is
+
+
+if __name__ == "__main__":
+    simulator = pemviz.GymnasiumSlotSimulator(
+        environment=PerceivingEgo(gym.make("highway_env:highway-v0", config=CONFIG).unwrapped),
+        signals=tuple(pemviz.Signal(name, name, "", -100.0, 100.0) for name in NAMES), slots=SLOTS,
+        observe=dict, reacts_of=in_the_way, states=31, dt_s=0.2, seed=31, name="highway-v0",
+        get_state=PerceivingEgo.get_state, set_state=PerceivingEgo.set_state,
+    )  # fmt: skip
+    config = pemviz.ExperimentConfig(spec="always[0,30] (clearance >= 1.0)", method="mixture")
+    experiment = pemviz.build_experiment(config, simulator=simulator, pem=Camera())
+    worst = pemviz.LeastRobust()
+    print(pemviz.summary_text(pemviz.run(experiment, observers=[worst])), worst, sep="\n")
