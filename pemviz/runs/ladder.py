@@ -138,7 +138,7 @@ def _memory(result: RunResult) -> Rung:
         low=min(lows, default=None),
         high=max(highs, default=None),
         note=measured,
-        narrowed_by="tracked video" if curve else "--memory-curve bounds it",
+        narrowed_by="tracked video" if curve or frailty else "--memory-curve bounds it",
     )
 
 
