@@ -29,6 +29,7 @@ from pemviz.reports.data_plan_text import (
 )
 from pemviz.reports.estimate_text import (
     RELIABLE_TAIL,
+    aimed_text,
     data_text,
     interval_name,
     interval_text,
@@ -100,8 +101,8 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
     yield f"  {called} {interval_text(estimate, caveats=caveats)}{alone}"
     what = f"any of {len(config.rules)} rules" if config.rules else config.spec
     yield (
-        f"  {config.method}{repeated}: {violations_text(estimate)} violate {what}; "
-        f"took {result.timings_s.get('total', math.nan):.1f} s"
+        f"  {config.method}{repeated}: {violations_text(estimate)}{aimed_text(estimate)} violate "
+        f"{what}; took {result.timings_s.get('total', math.nan):.1f} s"
     )
     if caveats:
         yield f"  try next: {remedy(estimate.method)}"

@@ -12,6 +12,7 @@ from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import PemInfo, RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K
+from pemviz.sampling.estimates.trust import rests_on_weights
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate
 
@@ -87,6 +88,11 @@ def violations_text(estimate: Estimate) -> str:
     if estimate.rollouts_simulated == estimate.rollouts_in_estimate:
         return counted
     return f"{counted} ({estimate.rollouts_simulated} simulated in all)"
+
+
+def aimed_text(estimate: Estimate) -> str:
+    """Why so many rollouts violate, where they were drawn from another distribution."""
+    return ", drawn to miss more often," if rests_on_weights(estimate.method) else ""
 
 
 def model_range_text(interval: ModelInterval | None) -> str:

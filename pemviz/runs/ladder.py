@@ -124,7 +124,7 @@ def _memory(result: RunResult) -> Rung:
     curve = () if result.memory is None else result.memory.curve
     lows = [point.low for point in curve if point.low is not None]
     highs = [point.high for point in curve if point.high is not None]
-    assumed = f"{tau_s:g} s assumed" if tau_s > 0.0 else "none assumed"
+    assumed = f"{tau_s:g} s assumed" if tau_s > 0.0 else "taken as none"
     if frailty > 0.0:
         assumed = f"{tau_s:g} s and frailty {frailty:g} assumed"
     if curve:

@@ -71,7 +71,8 @@ def test_loaded_run_shows_what_the_live_one_showed(live_run, loaded_run):
 def test_headline_gives_the_estimate(naive_run):
     text = headline.headline(naive_run)
     estimate = naive_run.result.estimate
-    assert number(estimate.probability) in text
+    assert f"P(violation) = {number(estimate.probability, 2)}<" in text
+    assert "in one run, if error model ml-nn is right" in text
     assert f"{estimate.failures} of 60" in text
 
 

@@ -68,7 +68,7 @@ def test_families_that_few_rollouts_carry_are_named():
 
 
 def test_memory_tells_what_is_assumed_and_what_was_measured():
-    assert "none assumed" in rungs(result())["memory"].name
+    assert "taken as none" in rungs(result())["memory"].name
     measured = MeasuredTau(tau_s=0.24, low_s=0.18, high_s=0.32, confidence=0.95)
     own = rungs(result(memory=RunMemory(tau_s=0.1, fitted=measured)))["memory"]
     assert "0.1 s assumed" in own.name

@@ -7,7 +7,12 @@ from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
 from pemviz.reports.data_plan_text import short_rows
-from pemviz.reports.estimate_text import interval_name, level_text, no_interval_text
+from pemviz.reports.estimate_text import (
+    aimed_text,
+    interval_name,
+    level_text,
+    no_interval_text,
+)
 from pemviz.reports.gate import decide_run
 from pemviz.reports.memory_curve import assumption_worth
 from pemviz.reports.pictures.html import block, good, number, quiet, warning
@@ -44,16 +49,15 @@ def _answer(run: RunData) -> str:
         bound = _upper_bound(estimate, run_interval_caveats(run.result))
         answer = f"P(violation): no violation was seen{bound}"
     else:
-        answer = (
-            f"P(violation) = {number(estimate.probability)}"
-            f" \N{PLUS-MINUS SIGN} {number(estimate.std_error, 2)}"
-        )
+        answer = f"P(violation) = {number(estimate.probability, 2)}"
     interval = _interval(estimate, run_interval_caveats(run.result))
     counts = (
         f"{number(estimate.failures, 6)} of {number(estimate.rollouts_in_estimate, 6)} rollouts"
-        f" violate, {number(estimate.rollouts_simulated, 6)} simulated"
+        f"{aimed_text(estimate)} violate {run.config.spec}, "
+        f"{number(estimate.rollouts_simulated, 6)} simulated"
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
+    lines += quiet(f"in one run, if error model {run.result.pem.name} is right")
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
     worth = assumption_worth(run.result.memory)
     lines += warning(f"{worth} (more in Why)") if worth else ""
@@ -83,7 +87,7 @@ def _next(result: RunResult) -> str:
 def _interval(estimate: Estimate, caveats: Sequence[str]) -> str:
     words = interval_name(estimate, caveats=caveats)
     interval = f"{words} {number(estimate.ci_low, 2)} to {number(estimate.ci_high, 2)}"
-    return f"{interval}, {_doubt(estimate, caveats)}" if caveats else interval
+    return f"{interval}, {_doubt(estimate, caveats) if caveats else 'sampling alone'}"
 
 
 def _upper_bound(estimate: Estimate, caveats: Sequence[str]) -> str:

@@ -44,6 +44,12 @@ def remedy(method: str) -> str:
     return "another method" if described is None else described.remedy
 
 
+def rests_on_weights(method: str) -> bool:
+    """Whether estimates of ``method`` average weights; not of one that is not installed here."""
+    described = _description(method)
+    return described is not None and described.rests_on_weights
+
+
 def caveats(diagnostics: Iterable[Diagnostic], *, method: str) -> tuple[str, ...]:
     """Why an interval of ``method`` with these diagnostics does not hold at its level.
 
