@@ -84,7 +84,7 @@ class RecordArguments:
         """What ``fail_above`` asks for.
 
         Raises:
-            ConfigError: Something is no probability, names no rule, or stands twice.
+            ConfigError: Something is no probability, or names no rule.
         """
         return read_limits(self.fail_above, rules=self.experiment.rules)
 

@@ -25,10 +25,10 @@ class GateLimits:
 
 
 def read_limits(words: Sequence[str], *, rules: Sequence[Rule]) -> GateLimits:
-    """What ``P`` and ``NAME=P`` ask for.
+    """What ``P`` and ``NAME=P`` ask for; of several for the same the last holds.
 
     Raises:
-        ConfigError: Something is no probability, names no rule, or stands twice.
+        ConfigError: Something is no probability, or names no rule.
     """
     names = [rule.name for rule in rules]
     found: dict[str, float] = {}
@@ -37,9 +37,6 @@ def read_limits(words: Sequence[str], *, rules: Sequence[Rule]) -> GateLimits:
         if equals and name not in names:
             known = ", ".join(names) or "there are none"
             message = f"fail-above = {word!r}: must name one of the rules ({known})"
-            raise ConfigError(message)
-        if name in found:
-            message = f"fail-above = {word!r}: must be given once"
             raise ConfigError(message)
         found[name] = _limit(value)
     overall = found.pop("", None)

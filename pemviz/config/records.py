@@ -18,6 +18,8 @@ from pemviz.errors import ConfigError
 
 Record = TypeVar("Record")
 _Reader = Callable[[object], Any]
+LONGEST_NAME = 200
+"""Characters of a field's name in a message."""
 
 
 class _UnfitError(Exception):
@@ -65,7 +67,12 @@ def read_value(
         return _reader(annotation, ignore_unknown)(value)
     except _UnfitError as error:
         complaint = error.inside(name) if name else error
-        raise ConfigError(f"{complaint.name}{complaint.words}") from None
+        raise ConfigError(f"{_short(complaint.name)}{complaint.words}") from None
+
+
+def _short(name: str) -> str:
+    """A name that a file gave, short enough to leave room for what is wrong with it."""
+    return name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..."
 
 
 @cache

@@ -100,6 +100,9 @@ def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
     rules: Mapping[str, str] = read_value(
         Mapping[str, str], cast(dict[str, Any], table)["rules"], name=place
     )
+    if not rules:
+        message = f"{place} = {{}}: must name one rule at least"
+        raise ConfigError(message)
     config = read_record(ExperimentConfig, others, name=name).with_rules(rules)
     return replace(config, spec=others.get("spec", config.spec))
 

@@ -190,7 +190,9 @@ def _check_frailty(config: ExperimentConfig, back_end: BackEnd) -> None:
     """
     asked = {
         "memory_curve": config.memory_curve,
-        "a scenario with slots": isinstance(back_end.simulator, UnrolledSimulator),
+        f"simulator {back_end.simulator.name!r}, which has slots,": isinstance(
+            back_end.simulator, UnrolledSimulator
+        ),
     }
     wrong = [name for name, is_asked in asked.items() if is_asked]
     if config.frailty > 0.0 and wrong:

@@ -41,11 +41,15 @@ class SlotPem:
 
     @property
     def digest(self) -> str:
-        """The model's digest, or one of all; empty if one of them has none."""
-        digests = [model.digest for model in self._distinct]
-        if len(digests) == 1 or not all(digests):
-            return digests[0] if len(digests) == 1 else ""
-        return hashlib.sha256("".join(digests).encode()).hexdigest()
+        """The one model's digest, or one of which answers for which slot, and which are ghosts.
+
+        Empty if a model has none.
+        """
+        digests = [model.digest for model in self.models]
+        if (len(set(digests)) == 1 and self.nominal.all()) or not all(digests):
+            return digests[0] if all(digests) else ""
+        answers = zip(digests, self.nominal.tolist(), strict=True)
+        return hashlib.sha256(repr(list(answers)).encode()).hexdigest()
 
     @property
     def data(self) -> str:
@@ -184,7 +188,9 @@ def slot_pem(pem: DetectorModel | Mapping[str, DetectorModel], slots: Sequence[S
         return SlotPem((as_pem(pem),) * len(slots), nominal)
     names = [slot.name for slot in slots]
     if set(pem) != set(names):
-        message = f"pem: has models for {sorted(pem)}: must be the slots, {sorted(names)}"
+        message = (
+            f"pem: has models for {sorted(map(repr, pem))}: must be the slots, {sorted(names)}"
+        )
         raise ConfigError(message)
     by_model = {id(model): as_pem(model) for model in pem.values()}
     return SlotPem(tuple(by_model[id(pem[name])] for name in names), nominal)

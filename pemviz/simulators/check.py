@@ -21,7 +21,10 @@ from pemviz.types import Signal, Simulator, StateBatch
 Value = TypeVar("Value")
 
 MEMBERS = ("name", "states", "dt_s", "signals", "initial", "step", "salient")
-TAKEN_KEYS = ("repetition", "stage", "detected", "log_p", "log_q", "robustness", "violated")
+TAKEN_KEYS = (
+    *("repetition", "stage", "detected", "log_p", "log_q", "robustness", "violated"),
+    *("pem_logit", "proposal_logit"),
+)
 ROUNDING = 1e-9
 """Of a signal's range: what a value may differ by when it is computed beside others."""
 ALL_MISSED, ALL_DETECTED, MIXED, MIXED_AGAIN = range(4)

@@ -1,7 +1,7 @@
 """What a simulator with slots must keep to beyond what every simulator must."""
 
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -26,6 +26,8 @@ def check_slots(simulator: SlotSimulator, where: str) -> None:
         _refuse(f"{where}: slots must be a tuple of pemviz.Slot")
     if not slots:
         _refuse(f"{where}: slots is empty: must be one at least")
+    for slot in slots:
+        _check_slot(slot, where)
     names = [slot.name for slot in slots]
     if len(set(names)) < len(names) or not all(name.strip() for name in names):
         _refuse(f"{where}: slots are named {names}: each must have a name of its own")
@@ -43,6 +45,17 @@ def check_slots(simulator: SlotSimulator, where: str) -> None:
     taken = [name for name in TAKEN if name in declared]
     if taken:
         _refuse(f"{where}: the signal {taken[0]!r} is pemviz's own where there are slots")
+
+
+def _check_slot(slot: Any, where: str) -> None:
+    """What a slot says of itself, which Python does not check."""
+    name, nominal, signals = slot.name, slot.nominal, slot.signals
+    if not isinstance(name, str) or not name.isprintable():
+        _refuse(f"{where}: a slot has the name {name!r}: must be one line of text")
+    if not isinstance(nominal, bool):
+        _refuse(f"{where}: slot {name!r} has nominal = {nominal!r}: must be True or False")
+    if not isinstance(signals, tuple):
+        _refuse(f"{where}: slot {name!r} has signals = {signals!r}: must be a tuple of names")
 
 
 def _is_slots(declared: object) -> bool:
@@ -111,11 +124,20 @@ def outcomes_by_slot(simulator: SlotSimulator, states: StateBatch, nominal: Bool
     """Outcomes ``[N, K]`` from whether they are nominal ``[N]``; of the absent they always are.
 
     At every third step only one slot errs where they are not, each in its turn.
+
+    Raises:
+        ConfigError: ``present`` gives another shape than at the start.
     """
     slots, step = simulator.slots, int(states.step)
+    present, shape = np.asarray(simulator.present(states.signals)), (nominal.size, len(slots))
+    if present.shape != shape:
+        _refuse(
+            f"simulator {simulator.name!r}: present gives shape {present.shape} at step {step}: "
+            f"must be {shape}"
+        )
     errs = np.full(len(slots), step % 3 > 0)
     errs[step // 3 % len(slots)] = True
-    error = ~nominal[:, None] & errs & np.asarray(simulator.present(states.signals))
+    error = ~nominal[:, None] & errs & present
     return error ^ np.array([slot.nominal for slot in slots], dtype=np.bool_)
 
 

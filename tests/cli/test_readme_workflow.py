@@ -65,7 +65,7 @@ def test_its_pemviz_commands_are_valid(workflow):
         arguments = parse(words[1:])
         build_experiment(arguments.experiment)
         assert arguments.json
-        assert arguments.fail_above is not None
+        assert arguments.limits.overall is not None
         assert str(arguments.summary) == "$GITHUB_STEP_SUMMARY"
 
 

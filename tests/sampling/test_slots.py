@@ -12,6 +12,7 @@ from pemviz.proposals.fixed import ConstantProposal
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.sampling.problem import sample
+from pemviz.sampling.slots import slot_pem
 from pemviz.sampling.value_twisted.method import with_latch
 from pemviz.sampling.value_twisted.reference import exact_log_probability
 from pemviz.simulators.slots import Slot
@@ -27,6 +28,7 @@ from tests.slot_toys import (
     exact_probability,
     joint_outcomes,
 )
+from tests.toy import ConstantPem
 
 BRAKES = TwoCars(starts=(5, 6), largest=8, in_view=5, brakes_for_any=True)
 GAPS = "always[0,{last}] (gap_a >= 0.5 and gap_b >= 0.5)"
@@ -266,6 +268,10 @@ class Sideways(TwoCars):
             "unknown": (Slot("a", signals=("gap_c",)), Slot("b", signals=("gap_b",))),
             "uneven": (Slot("a", signals=("gap_a",)), Slot("b")),
             "text": ("a", "b"),
+            "number": (Slot(1), Slot("b")),
+            "two lines": (Slot("a\nb"), Slot("b")),
+            "nominal": (Slot("a", nominal=None), Slot("b")),
+            "letters": (Slot("a", signals="gap_a"), Slot("b", signals="gap_b")),
         }
         return declared.get(self.wrong, super().slots)
 
@@ -275,6 +281,8 @@ class Sideways(TwoCars):
             return found * 1.0
         if self.wrong == "nothing":
             return np.zeros_like(found)
+        if self.wrong == "late" and (signals["gap_a"] < 8.0).any():
+            return found[..., :1]
         return found[..., :1] if self.wrong == "present" else found
 
     def salient(self, signals):
@@ -293,6 +301,11 @@ WRONG = {
     "unknown": r"slot 'a' has the signals \['gap_c'\]: must be among \['gap_a', 'gap_b'\]",
     "uneven": r"slots have \[1, 0\] signals of their own: must be as many for each",
     "text": "slots must be a tuple of pemviz.Slot",
+    "number": "a slot has the name 1: must be one line of text",
+    "two lines": "must be one line of text",
+    "nominal": "slot 'a' has nominal = None: must be True or False",
+    "letters": "slot 'a' has signals = 'gap_a': must be a tuple of names",
+    "late": r"present gives shape \(\d, 1\) at step \d+: must be \(\d, 2\)",
     "numbers": r"present gives float64 of shape \(4, 2\) .* must be bool of shape \(4, 2\)",
     "nothing": "no slot is ever present",
     "present": r"present gives bool of shape \(4, 1\) .* must be bool of shape \(4, 2\)",
@@ -315,10 +328,15 @@ def test_what_is_wrong_with_slots_is_told_in_one_line(wrong):
         ({"method": "adaptive"}, {}, "needs the gap"),
         ({"spec": "always[0,21] (gap_a >= 0)"}, {}, "21 states, steps 0 to 20"),
         ({"spec": "always[0,9] (slot >= 0)"}, {}, "slot"),
-        ({}, {"pem": {"car a": CAMERA}}, r"has models for \['car a'\]: must be the slots"),
+        ({}, {"pem": {"car a": CAMERA}}, "has models for .*'car a'.*: must be the slots"),
+        ({}, {"pem": {1: CAMERA, "x": CAMERA}}, "must be the slots"),
         ({}, {"pem": {"car a": CAMERA, "car b": 3}}, "needs a method logit"),
         ({"memory_curve": True}, {}, "memory_curve = true: not with slots"),
-        ({"frailty": 0.5}, {}, "frailty = 0.5: a scenario with slots works with frailty 0 alone"),
+        (
+            {"frailty": 0.5},
+            {},
+            "frailty = 0.5: simulator .* has slots, works with frailty 0",
+        ),
         ({}, {"batch_rollouts": 0}, "batch_rollouts = 0: must be at least 1"),
         ({}, {"features": "gap"}, "features = str: has no method values and no reacts"),
     ],
@@ -360,3 +378,14 @@ def test_features_and_batches_of_ones_own():
     ]
     assert found[0] == found[1]
     assert found[0].failures > 20
+
+
+def test_which_model_answers_for_which_slot_is_part_of_what_a_run_rests_on():
+    """Also which slots are ghosts: a run is resumed only with the same."""
+    first, second = ConstantPem(0.1, digest="11"), ConstantPem(0.2, digest="22")
+    slots = [Slot("a"), Slot("b"), Slot("c")]
+    models = [(first, first, first), (first, second, second), (first, first, second)]
+    digests = [slot_pem(dict(zip("abc", one, strict=True)), slots).digest for one in models]
+    ghost = slot_pem(first, [Slot("a"), Slot("b"), Slot("c", nominal=False)]).digest
+    assert len({*digests, ghost}) == 4
+    assert digests[0] == first.digest
