@@ -12,7 +12,7 @@ from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track
 from pemviz.reports.causes_text import BURST_COLUMNS, BURST_TITLE, burst_rows, causes_line
 from pemviz.reports.data_plan_text import PLAN_TITLE, plan_heading, plan_sentences, short_rows
-from pemviz.reports.digits import end_text
+from pemviz.reports.digits import digits_of, end_text
 from pemviz.reports.escape import markdown_table
 from pemviz.reports.estimate_text import (
     REFITS,
@@ -101,7 +101,9 @@ def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:
     if low is None or high is None:
         return "No interval is known."
     called = interval_name(estimate, caveats=caveats)
-    interval = f"{called[0].upper()}{called[1:]}: **{end_text(low)} to {end_text(high)}**"
+    digits = digits_of(low, high)
+    ends = f"{end_text(low, digits=digits)} to {end_text(high, digits=digits)}"
+    interval = f"{called[0].upper()}{called[1:]}: **{ends}**"
     if not caveats:
         return f"{interval}, sampling alone"
     return f"{interval}, **{no_interval_text(estimate)}**: {'; '.join(caveats)}"

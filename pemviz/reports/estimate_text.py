@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.causes_text import causes_line
-from pemviz.reports.digits import end_text
+from pemviz.reports.digits import digits_of, end_text
 from pemviz.reports.memory_curve import assumption_line
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import PemInfo, RunResult
@@ -34,7 +34,10 @@ def probability_text(estimate: Estimate) -> str:
 
 def short_probability(estimate: Estimate) -> str:
     """The probability with as many digits as the ends of its ranges have beside it."""
-    return "0: no failure was seen" if estimate.failures == 0 else end_text(estimate.probability)
+    if estimate.failures == 0:
+        return "0: no failure was seen"
+    digits = digits_of(estimate.ci_low, estimate.ci_high)
+    return end_text(estimate.probability, digits=digits)
 
 
 def level_text(estimate: Estimate) -> str:
@@ -56,7 +59,9 @@ def interval_text(estimate: Estimate, *, caveats: Sequence[str]) -> str:
     """The confidence interval in words, and with ``caveats`` that and why it is none."""
     if estimate.ci_low is None or estimate.ci_high is None:
         return "unknown"
-    ends = f"{end_text(estimate.ci_low)} to {end_text(estimate.ci_high)}"
+    digits = digits_of(estimate.ci_low, estimate.ci_high)
+    low, high = (end_text(end, digits=digits) for end in (estimate.ci_low, estimate.ci_high))
+    ends = f"{low} to {high}"
     return f"{ends}, {no_interval_text(estimate)}: {'; '.join(caveats)}" if caveats else ends
 
 

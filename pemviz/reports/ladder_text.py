@@ -1,6 +1,6 @@
 """The ladder of uncertainty in words: one row a rung, the same on the terminal and in reports."""
 
-from pemviz.reports.digits import end_text
+from pemviz.reports.digits import digits_of, end_text
 from pemviz.runs.ladder import Rung, uncertainty_ladder
 from pemviz.runs.result import RunResult
 
@@ -17,12 +17,13 @@ def ladder_rows(result: RunResult) -> list[tuple[str, str, str, str]]:
 
 
 def ends_text(rung: Rung) -> tuple[str, str]:
-    """Both ends with two digits, in words where one is not known."""
-    return _end(rung.low), _end(rung.high)
+    """Both ends with as many digits as tell them apart, in words where one is not known."""
+    digits = digits_of(rung.low, rung.high)
+    return _end(rung.low, digits), _end(rung.high, digits)
 
 
-def _end(value: float | None) -> str:
-    return UNKNOWN if value is None else end_text(value)
+def _end(value: float | None, digits: int) -> str:
+    return UNKNOWN if value is None else end_text(value, digits=digits)
 
 
 def rung_name(rung: Rung) -> str:

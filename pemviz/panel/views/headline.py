@@ -7,6 +7,7 @@ from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
 from pemviz.reports.data_plan_text import short_rows
+from pemviz.reports.digits import digits_of
 from pemviz.reports.estimate_text import (
     aimed_text,
     interval_name,
@@ -49,7 +50,8 @@ def _answer(run: RunData) -> str:
         bound = _upper_bound(estimate, run_interval_caveats(run.result))
         answer = f"P(violation): no violation was seen{bound}"
     else:
-        answer = f"P(violation) = {number(estimate.probability, 2)}"
+        digits = digits_of(estimate.ci_low, estimate.ci_high)
+        answer = f"P(violation) = {number(estimate.probability, digits)}"
     interval = _interval(estimate, run_interval_caveats(run.result))
     counts = (
         f"{number(estimate.failures, 6)} of {number(estimate.rollouts_in_estimate, 6)} rollouts"
@@ -86,7 +88,8 @@ def _next(result: RunResult) -> str:
 
 def _interval(estimate: Estimate, caveats: Sequence[str]) -> str:
     words = interval_name(estimate, caveats=caveats)
-    interval = f"{words} {number(estimate.ci_low, 2)} to {number(estimate.ci_high, 2)}"
+    digits = digits_of(estimate.ci_low, estimate.ci_high)
+    interval = f"{words} {number(estimate.ci_low, digits)} to {number(estimate.ci_high, digits)}"
     return f"{interval}, {_doubt(estimate, caveats) if caveats else 'sampling alone'}"
 
 
