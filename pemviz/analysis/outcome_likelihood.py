@@ -7,6 +7,7 @@ p (1 - r) + m r. The first outcome has r = 0, and so has every outcome without a
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -56,12 +57,12 @@ class MemoryLikelihood(Protocol):
         ...
 
 
-class StepByStep:
+class StepByStep(ABC):
     """A likelihood to which each step adds something of its own."""
 
+    @abstractmethod
     def log_change(self, *, factor: float) -> FloatArray:
         """What it adds ``[M, T-1]`` if misses are ``factor`` times as likely, in (0, 1]."""
-        raise NotImplementedError
 
     def log_change_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
         """What it adds ``[M]`` if misses ``inside [M, T-1]`` are ``factor`` times as likely.

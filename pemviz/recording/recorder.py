@@ -137,7 +137,6 @@ class Recorder:
             layout=f"{config.method}_{event.stages}",
             live_port=self._live_port,
         )
-        file.blueprint(blueprint(run.views))
         file.markdown(paths.CONFIG, text.config_document(event.result))
         file.markdown(
             paths.CONTENTS,
@@ -157,8 +156,9 @@ class Recorder:
         self._tracks = worst.update_tracks(before, stage, event.result, slots=run.slots)
         if stage.repetition != RECORDED_REPETITION:
             return
-        if stage.stage == 0:
-            run = self._run = _without_constants(file, run, stage)
+        if stage.stage == 0:  # only now is it known which signals nothing depends on
+            run = self._run = _without_constants(run, stage)
+            file.blueprint(blueprint(run.views))
         self._write_learning(file, run, stage)
         log_rollouts(
             file,
@@ -245,7 +245,7 @@ class Recorder:
             self._write_estimates(file, run, answer=drawn_answer(result.estimate))
             self._write_worst(file, run)
         with_data = views_with_data(run.views, file.logged)
-        if with_data != run.views:
+        if with_data != run.views or not self._figures:
             file.blueprint(blueprint(with_data))
         file.close()
         self._file = None
@@ -296,15 +296,11 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
     )
 
 
-def _without_constants(file: RecordingFile, run: _Run, stage: StageResult) -> _Run:
+def _without_constants(run: _Run, stage: StageResult) -> _Run:
     """The run, its views without those of signals that are the same in every rollout."""
     same = unvaried(stage.scored.rollouts)
     keys = {signal.key for signal in run.started.signals if signal.name in same}
-    views = without_signals(run.views, keys)
-    if views == run.views:
-        return run
-    file.blueprint(blueprint(views))
-    return replace(run, views=views)
+    return replace(run, views=without_signals(run.views, keys))
 
 
 def _import_filming() -> None:

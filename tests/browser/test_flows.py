@@ -79,12 +79,14 @@ def fits(page):
         (
             "paper",
             re.compile(
-                r"\d{3} of 1200 rollouts, drawn to miss more often, violate .*, 1200 simulated"
+                r"\d{3} of 1200 rollouts, drawn to miss more often, violate "
+                r"always\[0,99\] \(gap >= 2\.0\), 1200 simulated"
             ),
         ),
         (
             "paper-algorithm",
-            re.compile("86 of 100 rollouts, drawn to miss more often, .* 1200 simulated"),
+            "86 of 100 rollouts, drawn to miss more often, violate always[0,99] (gap >= 2.0), 1200 "
+            "simulated",
         ),
     ],
 )
