@@ -15,9 +15,9 @@ from scipy.special import log_ndtr
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, Move
 from pemviz.errors import ConfigError
-from pemviz.pem import Pem
 from pemviz.pem.models.frailty import VisibilityNodes, log_sums, remembered_outcomes
-from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
+from pemviz.pem.models.memory import frail_logit, remembering_logit
+from pemviz.pem.models.with_memory import PemWithMemory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.simulators.latched import WrappedSimulator
 from pemviz.simulators.remembering import LAST_OUTCOME
@@ -38,50 +38,13 @@ CHUNK_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
-class FrailModel:
-    """An error model of whole chains of outcomes: with frailty, and perhaps memory.
-
-    Name, digest and data are the model's of single outcomes.
-
-    Attributes:
-        pem: The error model, for single outcomes.
-        memory: How outcomes hang together; its frailty is above 0.
-        dt_s: Time between two outcomes [s].
-    """
-
-    pem: Pem
-    memory: Memory
-    dt_s: float
-
-    @property
-    def name(self) -> str:
-        """The model's name."""
-        return self.pem.name
-
-    @property
-    def digest(self) -> str:
-        """The model's digest."""
-        return self.pem.digest
-
-    @property
-    def data(self) -> str:
-        """What the model was trained on."""
-        return self.pem.data
-
-    @property
-    def licence(self) -> str:
-        """Terms of the model's use."""
-        return self.pem.licence
+class FrailModel(PemWithMemory):
+    """An error model of whole chains of outcomes: with frailty above 0, and perhaps memory."""
 
     @cached_property
     def nodes(self) -> VisibilityNodes:
         """Of the integral over u."""
         return VisibilityNodes(self.memory.frailty)
-
-    @property
-    def rho(self) -> float:
-        """Correlation of one outcome with the next, of one obstacle; 0 to below 1."""
-        return float(persistence(self.dt_s, self.memory.tau_s))
 
     def logit(self, salient: FloatArray) -> FloatArray:  # noqa: ARG002
         """It depends on all outcomes so far: see :meth:`logit_along`, :class:`FrailPem`.

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
 from pemviz.pem import Pem, PemEnsemble
 from pemviz.pem.models.memory import Memory, persistence, remembering_logit
+from pemviz.pem.models.with_memory import PemWithMemory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.frailty import (
@@ -31,43 +32,8 @@ method ``mixture`` falls from 11 to 4 %; with rho 0.37 it makes no difference.""
 
 
 @dataclass(frozen=True, eq=False)
-class RememberingPem:
-    """An error model whose misses hang together; name, digest and data are the model's own.
-
-    Attributes:
-        pem: The error model, for single outcomes.
-        memory: How they hang together.
-        dt_s: Time between two outcomes [s].
-    """
-
-    pem: Pem
-    memory: Memory
-    dt_s: float
-
-    @property
-    def name(self) -> str:
-        """The model's name."""
-        return self.pem.name
-
-    @property
-    def digest(self) -> str:
-        """The model's digest."""
-        return self.pem.digest
-
-    @property
-    def data(self) -> str:
-        """What the model was trained on."""
-        return self.pem.data
-
-    @property
-    def licence(self) -> str:
-        """Terms of the model's use."""
-        return self.pem.licence
-
-    @property
-    def rho(self) -> float:
-        """Correlation of one outcome with the next, 0 to below 1."""
-        return float(persistence(self.dt_s, self.memory.tau_s))
+class RememberingPem(PemWithMemory):
+    """An error model whose misses hang together."""
 
     def logit(self, salient: FloatArray) -> FloatArray:
         """Logit of P(detected) ``[...]``, of the model's variables and the last outcome."""
