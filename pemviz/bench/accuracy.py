@@ -57,6 +57,7 @@ class Outcome:
         wall_s: Wall time, without what runs share [s].
         warned: Whether the diagnostics call the estimate unreliable.
         diagnostics: Kinds of all its diagnostics, those that leave it reliable as well.
+        interval: Both ends over truth; ``None`` where no interval is given.
     """
 
     ratio: float
@@ -65,6 +66,20 @@ class Outcome:
     wall_s: float
     warned: bool = False
     diagnostics: Sequence[str] = ()
+    interval: Sequence[float] | None = None
+
+    @property
+    def width_needed(self) -> float | None:
+        """Distance of truth and estimate over that of the interval's end on that side, in logs.
+
+        An interval so many times as wide would just contain the truth. ``None`` without an
+        interval whose ends are above 0 and apart from the estimate.
+        """
+        if self.interval is None or min(*self.interval, self.ratio) <= 0.0:
+            return None
+        end = self.interval[0 if self.ratio > 1.0 else 1]
+        width = abs(math.log(end / self.ratio))
+        return abs(math.log(self.ratio)) / width if width > 0.0 else None
 
     @property
     def misleads(self) -> bool:
@@ -92,6 +107,8 @@ class Accuracy:
             without any.
         unwarned_coverage_low: Exact binomial interval of that share at 95 %, lower end.
         unwarned_coverage_high: Upper end.
+        unwarned_width: Intervals of unwarned runs so many times as wide, in logs, would contain
+            the truth in 95 %; ``None`` without any.
         misleading: Share of all runs that are off by more than a factor of 2 unwarned.
         median_wall_s: Median wall time of a run [s].
     """
@@ -110,6 +127,7 @@ class Accuracy:
     unwarned_coverage: float | None
     unwarned_coverage_low: float | None
     unwarned_coverage_high: float | None
+    unwarned_width: float | None
     misleading: float
     median_wall_s: float
 
@@ -190,9 +208,16 @@ def summarise(
         unwarned_coverage=of_unwarned[0],
         unwarned_coverage_low=of_unwarned[1],
         unwarned_coverage_high=of_unwarned[2],
+        unwarned_width=_width_needed(unwarned),
         misleading=sum(outcome.misleads for outcome in outcomes) / len(outcomes),
         median_wall_s=float(np.median([outcome.wall_s for outcome in outcomes])),
     )
+
+
+def _width_needed(outcomes: Sequence[Outcome]) -> float | None:
+    needed = [outcome.width_needed for outcome in outcomes]
+    found = [one for one in needed if one is not None]
+    return float(np.quantile(found, CONFIDENCE)) if found else None
 
 
 def _coverage(outcomes: Sequence[Outcome]) -> tuple[float, float, float]:
@@ -254,6 +279,7 @@ def run_once(
         wall_s=time.perf_counter() - began,
         warned=bool(unreliable_because(estimate, diagnostics)),
         diagnostics=[diagnostic.kind for diagnostic in diagnostics],
+        interval=None if low is None or high is None else [low / truth, high / truth],
     )
 
 

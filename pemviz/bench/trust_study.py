@@ -26,6 +26,7 @@ COVERAGE = (0.93, 0.98)
 """What a method must keep to over all cases: runs that mislead, and coverage unwarned."""
 
 Seeds = Annotated[int, Range(low=1, high=100_000)]
+FirstSeed = Annotated[int, Range(low=0, high=1_000_000)]
 Processes = Annotated[int, Range(low=1, high=256)]
 
 
@@ -39,6 +40,8 @@ class TrustStudy:
     """Methods; one that a case's specification is out of reach of is left out there."""
     seeds: Seeds = 50
     """Runs of each method on each case; 1 to 100000."""
+    first_seed: FirstSeed = 0
+    """Seed of the first of them; what a method is set by should be judged by others; 0 to 10^6."""
     rollouts: int = 1200
     """Budget of one run: rollouts, all stages; at least 24 for methods that learn."""
     particles: int = 2000
@@ -96,6 +99,7 @@ def run_trust(study: TrustStudy, *, among: Sequence[TrustCase] | None = None) ->
         OSError: The folder cannot be written.
     """
     check_value(name="seeds", value=study.seeds, annotation=Seeds)
+    check_value(name="first-seed", value=study.first_seed, annotation=FirstSeed)
     check_value(name="processes", value=study.processes, annotation=Processes)
     cases = chosen(study.cases, trust_cases() if among is None else among)
     configs, refused = _configs(study, cases)
@@ -111,7 +115,7 @@ def run_trust(study: TrustStudy, *, among: Sequence[TrustCase] | None = None) ->
     map_in_processes(_run_job, jobs, workers=study.processes)
     finished = _read(path)
     outcomes = {
-        (case, config.method): [finished[_key(case, config, s)] for s in range(study.seeds)]
+        (case, config.method): [finished[_key(case, config, s)] for s in _seeds(study)]
         for case, config in configs
     }
     report = TrustReport(_rows(outcomes), _verdicts(outcomes), refused)
@@ -173,9 +177,13 @@ def _jobs(
     """The seeds that are not finished, one job for each process: what they share is built once."""
     # automata are made of closures, which no other process can be sent
     sent = replace(case, automaton=None)
-    missing = [seed for seed in range(study.seeds) if _key(case, config, seed) not in finished]
+    missing = [seed for seed in _seeds(study) if _key(case, config, seed) not in finished]
     parts = [tuple(missing[first :: study.processes]) for first in range(study.processes)]
     return [_Job(sent, config, seeds, path) for seeds in parts if seeds]
+
+
+def _seeds(study: TrustStudy) -> range:
+    return range(study.first_seed, study.first_seed + study.seeds)
 
 
 def _run_job(job: _Job) -> None:
@@ -263,11 +271,16 @@ def _verdicts(outcomes: Outcomes) -> Sequence[Verdict]:
                 "no run is unwarned"
                 if share is None
                 else f"{share:.1%} (exact 95 %: {row.unwarned_coverage_low:.1%} to "
-                f"{row.unwarned_coverage_high:.1%}); {row.warned:.0%} of runs warn",
+                f"{row.unwarned_coverage_high:.1%}){_width(row)}; {row.warned:.0%} of runs warn",
                 share is not None and low <= share <= high,
             )
         )
     return verdicts
+
+
+def _width(row: Accuracy) -> str:
+    width = row.unwarned_width
+    return "" if width is None else f"; {width:.2f} times as wide they would in 95 %"
 
 
 def _write(report: TrustReport, path: Path) -> None:

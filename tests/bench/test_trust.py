@@ -131,8 +131,24 @@ def test_the_cases_are_what_the_study_asks_for():
     assert len(case_lines(cases)) == 2 + len(cases)
 
 
-def outcome(ratio, *, covers=True, warned=False):
-    return Outcome(ratio=ratio, covers=covers, rollouts=10, wall_s=1.0, warned=warned)
+def outcome(ratio, *, covers=True, warned=False, interval=None):
+    return Outcome(
+        ratio=ratio, covers=covers, rollouts=10, wall_s=1.0, warned=warned, interval=interval
+    )
+
+
+def test_how_wide_intervals_would_have_to_be():
+    """Of z / 1.96 with z normal, 95 % are below 1; half as wide a factor needs twice that."""
+    # 4.5 standard errors of a 95 % quantile of 4,000: false alarm 7e-6
+    z = np.random.default_rng(3).normal(size=4000)
+    ends = [(math.exp(0.1 * x - 0.196), math.exp(0.1 * x + 0.196)) for x in z]
+    outcomes = [outcome(math.exp(0.1 * x), interval=end) for x, end in zip(z, ends, strict=True)]
+    row = summarise(outcomes, scenario="x", method="mixture", truth=1e-3)
+    assert row.unwarned_width == pytest.approx(1.0, abs=0.07)
+    assert outcome(2.0, interval=(1.0, 4.0)).width_needed == pytest.approx(1.0)
+    assert outcome(0.5, interval=(0.1, 4.0)).width_needed == pytest.approx(1.0 / 3.0)
+    assert outcome(0.5, interval=(0.0, 4.0)).width_needed is None
+    assert summarise([outcome(1.0)], scenario="x", method="m", truth=0.1).unwarned_width is None
 
 
 def test_what_misleads_is_far_off_and_does_not_warn():
