@@ -11,6 +11,7 @@ from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.config import ExperimentConfig
 from pemviz.config.gate_limits import GateLimits, read_limits
 from pemviz.config.ranges import Range, check_value
+from pemviz.config.rule_words import read_rules
 from pemviz.config.toml_files import load_config, load_preset
 from pemviz.errors import ConfigError
 from pemviz.sampling.registry import SHIPPED
@@ -129,16 +130,7 @@ def _with_rules(arguments: RecordArguments, start: ExperimentConfig) -> RecordAr
         if config.rules and config.spec != start.spec:  # --spec in place of the file's rules
             return replace(arguments, experiment=replace(config, rules=()))
         return arguments
-    rules: dict[str, str] = {}
-    for word in arguments.rule:
-        name, equals, formula = word.partition("=")
-        if not equals or not name.strip() or not formula.strip():
-            message = f"rule = {word!r}: must be NAME=FORMULA"
-            raise ConfigError(message)
-        if name.strip() in rules:
-            message = f"rule = {word!r}: another rule has this name"
-            raise ConfigError(message)
-        rules[name.strip()] = formula.strip()
+    rules = read_rules(arguments.rule)
     if config.spec != start.spec:
         message = f"spec = {config.spec!r}: must be left out where there are rules"
         raise ConfigError(message)

@@ -10,12 +10,13 @@ from pemviz.panel.run_data import RunData, final_violations
 from pemviz.sampling.registry import by_name
 
 
-def shares(run: RunData) -> FloatArray:
+def shares(run: RunData, *, rule: str | None = None) -> FloatArray:
     """The share ``[N]`` of the answer that each rollout of the final stages contributes.
 
-    All are 0 as long as no rollout of a final stage violates.
+    Of the answer to one rule, if it is given. All are 0 as long as no rollout of a final stage
+    violates.
     """
-    return run.memo.get("shares", lambda: _shares(run))
+    return run.memo.get(("shares", rule), lambda: _shares(run, rule=rule))
 
 
 def log_contributions(run: RunData) -> FloatArray:
@@ -23,8 +24,8 @@ def log_contributions(run: RunData) -> FloatArray:
     return run.log_weight + _log_stage_weight(run)
 
 
-def _shares(run: RunData) -> FloatArray:
-    violated = final_violations(run.rollouts, stages=run.result.stages)
+def _shares(run: RunData, *, rule: str | None) -> FloatArray:
+    violated = final_violations(run.rollouts, stages=run.result.stages, rule=rule)
     return contributions(log_contributions(run), violated=violated)
 
 

@@ -16,7 +16,7 @@ from pemviz.analysis.contribution import carrying
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
 from pemviz.panel.contribution import shares
-from pemviz.panel.run_data import RunData, signals_of
+from pemviz.panel.run_data import RunData, signals_of, verdicts
 from pemviz.runs.specification import build_formula, build_metric
 from pemviz.sampling.elite_threshold import elite_threshold
 from pemviz.sampling.elite_threshold import elites as elites_of_stage
@@ -36,6 +36,7 @@ class Ranking:
         order: ``[M]`` indices into the tables of those that are ranked, first ranks first.
         among: Which are ranked: those that carry the answer or, as long as none does, all.
         by_share: Whether the largest share comes first, and not the least robust.
+        rule: The rule whose robustness and answer these are; ``None``: the specification.
     """
 
     metric: MetricName
@@ -44,21 +45,29 @@ class Ranking:
     order: IntArray
     among: Among
     by_share: bool = False
+    rule: str | None = None
 
 
 def rank(
-    run: RunData, metric: MetricName, *, among: Among = "all", by_share: bool = False
+    run: RunData,
+    metric: MetricName,
+    *,
+    among: Among = "all",
+    by_share: bool = False,
+    rule: str | None = None,
 ) -> Ranking:
-    """Rank a run's rollouts; scores are computed once for a run and metric."""
+    """Rank a run's rollouts; scores are computed once for a run, a metric and a rule."""
     return run.memo.get(
-        ("ranking", metric, among, by_share),
-        lambda: _rank(run, metric, among=among, by_share=by_share),
+        ("ranking", metric, among, by_share, rule),
+        lambda: _rank(run, metric, among=among, by_share=by_share, rule=rule),
     )
 
 
-def _rank(run: RunData, metric: MetricName, *, among: Among, by_share: bool) -> Ranking:
-    robustness = run.memo.get(("robustness", metric), lambda: _robustness(run, metric))
-    share = shares(run) if run.parts else np.empty(0)
+def _rank(
+    run: RunData, metric: MetricName, *, among: Among, by_share: bool, rule: str | None
+) -> Ranking:
+    robustness = run.memo.get(("robustness", metric, rule), lambda: _robustness(run, metric, rule))
+    share = shares(run, rule=rule) if run.parts else np.empty(0)
     carries = carrying(share)
     chosen = np.arange(share.size)
     if among == "carrying" and carries.any():
@@ -69,19 +78,21 @@ def _rank(run: RunData, metric: MetricName, *, among: Among, by_share: bool) -> 
     order = chosen[np.lexsort(keys if by_share else keys[:1])].astype(np.int64)
     return Ranking(
         metric=metric, robustness=robustness, share=share, order=order, among=among,
-        by_share=by_share,
+        by_share=by_share, rule=rule,
     )  # fmt: skip
 
 
-def _robustness(run: RunData, metric: MetricName) -> FloatArray:
-    """Robustness ``[N]`` under the metric."""
+def _robustness(run: RunData, metric: MetricName, rule: str | None) -> FloatArray:
+    """Robustness ``[N]`` under the metric, of the specification or of one rule."""
     if not run.parts:
         return np.empty(0)
-    if metric == run.config.metric:
+    if rule is None and metric == run.config.metric:
         return np.asarray(run.rollouts["robustness"], dtype=np.float64)
     simulator = VectorizedSimulator(run.config.scenario)
-    formula = build_formula(run.config, simulator)
-    scale = build_metric(replace(run.config, metric=metric), simulator)
+    formulas = {None: run.config.spec} | {one.name: one.formula for one in run.config.rules}
+    config = replace(run.config, metric=metric, spec=formulas[rule], rules=())
+    formula = build_formula(config, simulator)
+    scale = build_metric(config, simulator)
     return np.asarray(stl.robustness(formula, signals_of(run), scale), dtype=np.float64)
 
 
@@ -96,6 +107,7 @@ class RankedRow:
     rollout: int
     robustness: float
     violated: bool
+    broken: tuple[str, ...]
     log_weight: float
     share: float
     misses: int
@@ -112,7 +124,10 @@ def row(run: RunData, ranking: Ranking, place: int) -> RankedRow:
         stage=int(table["stage"][index]),
         rollout=int(table["rollout"][index]),
         robustness=float(ranking.robustness[index]),
-        violated=bool(table["violated"][index]),
+        violated=bool(verdicts(table, rule=ranking.rule)[index]),
+        broken=tuple(
+            rule.name for rule in run.config.rules if verdicts(table, rule=rule.name)[index]
+        ),
         log_weight=float(run.log_weight[index]),
         share=float(ranking.share[index]),
         misses=int(np.count_nonzero(~table["detected"][index])),
@@ -136,18 +151,23 @@ def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:
 
 
 def ranking_csv(run: RunData, ranking: Ranking) -> str:
-    """All rows as comma-separated values, with a header that names units."""
+    """All rows as comma-separated values, with a header that names units.
+
+    Where there are rules, ``breaks`` names those that a rollout breaks, separated by blanks.
+    """
     text = io.StringIO()
     writer = csv.writer(text)
+    rules = ["breaks"] if run.config.rules else []
     writer.writerow(
         ["rank", "repetition", "stage", "rollout", f"robustness_{ranking.metric}", "violated",
-         "share_of_answer", "log_weight_nats", "pem_nll_nats", "misses"]
+         "share_of_answer", "log_weight_nats", "pem_nll_nats", "misses", *rules]
     )  # fmt: skip
     for place in range(ranking.order.size):
         entry = row(run, ranking, place)
         writer.writerow(
             [entry.rank, entry.repetition, entry.stage, entry.rollout, repr(entry.robustness),
              entry.violated, repr(entry.share), repr(entry.log_weight),
-             repr(float(run.pem_nll[entry.index])), entry.misses]
+             repr(float(run.pem_nll[entry.index])), entry.misses,
+             *(" ".join(entry.broken) for _ in rules)]
         )  # fmt: skip
     return text.getvalue()

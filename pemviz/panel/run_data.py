@@ -13,6 +13,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.runs.result import RunResult, StageSummary
+from pemviz.runs.rollout_files import BROKEN
 from pemviz.simulators.braking.scenario import scenario_signals
 from pemviz.types import Simulator, StageKind
 
@@ -168,13 +169,20 @@ def thinned(
     return ({name: values[chosen] for name, values in joined.items()},)
 
 
-def final_violations(table: Mapping[str, AnyArray], *, stages: Sequence[StageSummary]) -> BoolArray:
-    """Which rollouts ``[N]`` of a table violate and belong to a final stage."""
+def final_violations(
+    table: Mapping[str, AnyArray], *, stages: Sequence[StageSummary], rule: str | None = None
+) -> BoolArray:
+    """Which rollouts ``[N]`` of a table violate, or break a rule, and belong to a final stage."""
     chosen = np.zeros(table["violated"].shape, dtype=np.bool_)
     for stage in stages:
         if stage.kind == "final":
             chosen |= (table["repetition"] == stage.repetition) & (table["stage"] == stage.stage)
-    return chosen & table["violated"]
+    return chosen & verdicts(table, rule=rule)
+
+
+def verdicts(table: Mapping[str, AnyArray], *, rule: str | None) -> BoolArray:
+    """Which rollouts ``[N]`` of a table violate the specification or, if given, break a rule."""
+    return np.asarray(table["violated" if rule is None else f"{BROKEN}{rule}"], dtype=np.bool_)
 
 
 def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
@@ -220,7 +228,8 @@ def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, wher
     widths = dict.fromkeys(keys, states)
     widths |= dict.fromkeys(("detected", "log_p", "log_q"), states - 1)
     count = table["violated"].size if "violated" in table else 0
-    for name in (*PER_ROLLOUT, *widths):
+    broken = [f"{BROKEN}{rule.name}" for rule in config.rules]
+    for name in (*PER_ROLLOUT, *broken, *widths):
         shape = (count, widths[name]) if name in widths else (count,)
         if name not in table or table[name].shape != shape:
             state = "is absent" if name not in table else f"has shape {table[name].shape}"
@@ -234,7 +243,7 @@ def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, wher
 
 def _fault(name: str, values: AnyArray) -> str | None:
     """What is wrong with an array's type or numbers, in words; ``None`` if nothing is."""
-    kind = _KINDS.get(name, "f")
+    kind = "b" if name.startswith(BROKEN) else _KINDS.get(name, "f")
     if values.dtype.kind != kind:
         return f"holds {values.dtype}, must hold {_KIND_WORDS[kind]}"
     if kind == "i" and not np.all((values >= 0) & (values < 2**31)):

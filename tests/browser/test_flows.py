@@ -30,7 +30,6 @@ from tests.browser.driving import (
     small,
     tab,
     until,
-    warned,
 )
 from tests.panel.conftest import wait_until
 
@@ -143,32 +142,6 @@ def test_stop_keeps_what_was_finished(open_page, shots, panel):
     folder = panel.controller.state.run.folder
     assert json.loads((folder / "result.json").read_text())["status"] == "stopped"
     assert (folder / "rollouts.npz").exists()
-
-
-def test_a_bad_formula_is_told_where_it_is_typed_and_is_not_run(open_page, shots, panel):
-    page = open_page()
-    box = page.locator("textarea:not([aria-hidden])")
-    box.fill("always[0,99] (gap >= ")
-    warned(page).first.wait_for()
-    first = warned(page).first.inner_text()
-    box.fill("always[0,99] (distance >= 2.0)")
-    warned(page).get_by_text("distance").wait_for()
-    assert warned(page).first.inner_text() != first
-    button = page.get_by_role("button", name="Run", exact=True)
-    assert button.is_disabled()
-    page.screenshot(path=shots / "bad-formula.png")
-    box.fill("always[0,99] (gap >= 1.0)")
-    page.get_by_text("The specification is understood.").wait_for()
-    beside(page, "Target").fill("-1")
-    warned(page).get_by_text("target = '-1': must be above 0").wait_for()
-    assert button.is_disabled()
-    beside(page, "Target").fill("1e-9")
-    beside(page, "Fail above").fill("1e-30")
-    page.get_by_text("Fail above 1.0 × 10⁻³⁰:").wait_for()
-    choose(page, "Method", "naive")
-    run(page)
-    until(page, lambda: panel.controller.state.finished_runs > 0)
-    assert panel.controller.state.run.config.target == 1e-9
 
 
 def test_pick_the_worst_rollout_and_play_it(open_page, shots, panel):

@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
+from pemviz.errors import InputError
+from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import elites, rank, ranking_csv, row
-from pemviz.panel.run_data import numbered, thinned
+from pemviz.panel.run_data import check_table, numbered, thinned
+from pemviz.panel.views.headline import headline
+from pemviz.panel.views.ranking_table import ranking_table
 from pemviz.panel.views.why import failures_of, longest_runs
 from tests.panel.conftest import NAIVE, wait_until
 
@@ -163,3 +167,35 @@ def test_splitting_weighs_failures_by_their_runs_estimates(naive_run):
 
 def test_default_config_has_every_metric():
     assert ExperimentConfig().metric in METRICS
+
+
+def test_ranking_by_rule(controller):
+    """Robustness of a rule is its own; what counts as violated and as a share is of that rule."""
+    rules = {"gap": "always[0,99] (gap >= 2.0)", "far": "always[0,99] (gap >= 3.0)"}
+    controller.start(NAIVE.with_rules(rules))
+    run = wait_until(controller).run
+    least = np.min(run.rollouts["gap_m"], axis=1)
+    for name, at_least in (("gap", 2.0), ("far", 3.0), (None, 3.0)):
+        ranking = rank(run, "classical", among="carrying", rule=name)
+        np.testing.assert_allclose(ranking.robustness, least - at_least, rtol=0, atol=1e-12)
+        assert {int(i) for i in ranking.order} <= set(np.flatnonzero(least < at_least))
+        assert float(ranking.share[least >= at_least].sum()) == 0.0
+        assert math.isclose(float(ranking.share.sum()), 1.0)
+        first = row(run, ranking, 0)
+        assert first.broken == (("gap", "far") if least[first.index] < 2.0 else ("far",))
+    lines = list(csv.DictReader(io.StringIO(ranking_csv(run, rank(run, "classical")))))
+    assert {line["breaks"] for line in lines} <= {"gap far", "far", ""}
+    again = load_run(run.folder)
+    assert row(again, rank(again, "classical", rule="far"), 0).broken == row(run, rank(
+        run, "classical", rule="far"), 0).broken  # fmt: skip
+    page = ranking_table(run, rank(run, "classical", rule="gap"), selected=0, target="x")
+    assert ">breaks</th>" in page
+    assert "gap, far" in page
+    assert all(f">{name}</td>" in headline(run) for name in rules)
+
+
+def test_a_stored_run_without_a_rules_column_is_refused(naive_run):
+    """Rules are in its configuration, and what broke them is not in its rollouts."""
+    config = naive_run.config.with_rules({"far": "always[0,99] (gap >= 3.0)"})
+    with pytest.raises(InputError, match=r"broken\.far is absent"):
+        check_table(naive_run.rollouts, config, where="here")

@@ -1,13 +1,14 @@
 """The Experiment tab: what to run, Run and Stop."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import cast, get_args
 
 import viser
 
 from pemviz.config import METHODS, ExperimentConfig, MetricName, ScenarioConfig
+from pemviz.config.rule_words import read_rules, rules_text
 from pemviz.config.toml_files import load_preset, preset_names
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
@@ -42,6 +43,10 @@ LIMIT_HINT = (
     "Limit of a gate: beside the answer it is told whether the upper 95 % bound stays below it, as "
     "pemviz record --fail-above does; above 0, at most 1. Empty: none."
 )
+RULES_HINT = (
+    "Rules by name, a line NAME = FORMULA each, in place of the specification: each is answered, "
+    "and any of them. Empty: the specification alone."
+)
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
 
 
@@ -66,7 +71,7 @@ class ExperimentTab:
         Raises:
             InputError: What was typed as a target is no probability.
         """
-        return replace(
+        settings = replace(
             self._base,
             method=self.method.value,
             metric=cast(MetricName, self.metric.value),
@@ -84,7 +89,17 @@ class ExperimentTab:
             memory_curve=self.memory_curve.value,
             reference=self.reference.value,
             spec=self.spec.value,
+            rules=(),
         )
+        return settings.with_rules(self._rules())
+
+    def _rules(self) -> Mapping[str, str]:
+        """The rules typed, name to formula.
+
+        Raises:
+            InputError: A line is no rule.
+        """
+        return read_rules([line for line in self.rules.value.splitlines() if line.strip()])
 
     def refresh(self, state: PanelState) -> None:
         """Run is possible while nothing runs and nothing is wrong, Stop while something runs."""
@@ -156,11 +171,12 @@ class ExperimentTab:
         self.target = gui.add_text("Target", "", hint=hint("target") + TARGET_WORDS)
         self.fail_above = gui.add_text("Fail above", "", hint=LIMIT_HINT)
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
+        self.rules = gui.add_text("Rules", "", multiline=True, hint=RULES_HINT)
         self._verdict = gui.add_html("")
         self._facts = gui.add_html("")
         for typed in (
-            self.spec, self.target, self.stages, self.rollouts, self.final_rollouts, self.seed,
-            self.memory, self.frailty,
+            self.spec, self.rules, self.target, self.stages, self.rollouts, self.final_rollouts,
+            self.seed, self.memory, self.frailty,
         ):  # fmt: skip
             typed.on_update(browser.on(self._check))
         self.fail_above.on_update(browser.on(self._judge))
@@ -199,7 +215,8 @@ class ExperimentTab:
         self.pem.value, self.simulator.value = config.pem, config.simulator
         self.frailty.value = config.frailty
         self.memory.value, self.memory_curve.value = config.memory_s, config.memory_curve
-        self.reference.value, self.spec.value = config.reference, config.spec
+        self.reference.value, self.rules.value = config.reference, rules_text(config.rules)
+        self.spec.value = config.spec
         self.target.value = "" if config.target is None else f"{config.target:g}"
         set_html(self._facts, scenario_text(config.scenario))
         self._enable()
@@ -248,20 +265,17 @@ class ExperimentTab:
 
     def _check(self) -> None:
         """Say what is wrong with what was typed, and have Run wait until it is right."""
+        self.spec.disabled = bool(self.rules.value.strip())
         complaints = list(self._complaints())
         self._wrong = bool(complaints)
-        set_html(self._verdict, verdict(complaints))
+        set_html(self._verdict, verdict(complaints, rules=self.spec.disabled))
         set_html(self._waits, block(quiet(WAITS)) if complaints else "")
         self._enable_run()
 
     def _complaints(self) -> Iterator[str]:
         """What is wrong, a line each."""
-        spec, wrong = self.spec.value, False
-        try:
-            config = replace(self._base, spec=spec)
-            build_formula(config, build_simulator(replace(config, simulator="vectorized")))
-        except InputError as error:
-            yield str(error).removeprefix(f"spec = {spec!r}: ")
+        wrong = False
+        yield from self._misunderstood()
         for name, typed in (("target", self.target), ("fail above", self.fail_above)):
             try:
                 read_probability(typed.value, name=name)
@@ -273,6 +287,21 @@ class ExperimentTab:
                 self.config.validate()
             except InputError as error:
                 yield str(error)
+
+    def _misunderstood(self) -> Iterator[str]:
+        """What is wrong with the rules or, without any, with the specification."""
+        try:
+            rules = self._rules()
+        except InputError:  # told with the rest
+            return
+        plain = replace(self._base, rules=(), simulator="vectorized")
+        simulator = build_simulator(plain)
+        for name, formula in rules.items() if rules else (("", self.spec.value),):
+            try:
+                build_formula(replace(plain, spec=formula), simulator)
+            except InputError as error:
+                said = str(error).removeprefix(f"spec = {formula!r}: ")
+                yield f"rule {name}: {said}" if name else said
 
     def _run(self) -> None:
         browser = self._browser
@@ -317,9 +346,9 @@ def read_probability(typed: str, *, name: str) -> float | None:
     return value
 
 
-def verdict(complaints: Sequence[str]) -> str:
+def verdict(complaints: Sequence[str], *, rules: bool = False) -> str:
     """What is wrong with what was typed; the specification itself is not repeated."""
     if not complaints:
-        return block(good("The specification is understood."))
+        return block(good(f"The {'rules are' if rules else 'specification is'} understood."))
     lines = "".join(warning(words) for words in complaints)
     return block(f"<div role='alert'>{lines}</div>")

@@ -25,6 +25,8 @@ AMONG_HINT = (
     "come together."
 )
 ORDER_HINT = "Whether rank 1 is the least robust rollout or contributes most to the probability."
+RULE_HINT = "Which rule's robustness and answer the ranking is about; all: the specification."
+EVERY_RULE: str = "all rules"
 RANK_HINT = "Which rollout to show. Keys: arrow down, arrow up."
 CARRIES, ALL = "what carries the answer", "all rollouts"
 AMONG: Mapping[str, Among] = {CARRIES: "carrying", ALL: "all"}
@@ -47,11 +49,12 @@ class TrajectoriesTab:
         )
         self.among = gui.add_dropdown("Among", tuple(AMONG), hint=AMONG_HINT)
         self.first = gui.add_dropdown("First", tuple(BY_SHARE), hint=ORDER_HINT)
+        self.rule = gui.add_dropdown("Rule", (EVERY_RULE,), visible=False, hint=RULE_HINT)
         self.place = gui.add_number("Rank", 1, min=1, max=1_000_000, step=1, hint=RANK_HINT)
         self._table = gui.add_html("")
         self.follow = gui.add_checkbox("Follow ego", True, hint=FOLLOW_HINT)
         self.follow.on_update(browser.on(lambda: player.follow(self.follow.value)))
-        for control in (self.metric, self.among, self.first):
+        for control in (self.metric, self.among, self.first, self.rule):
             control.on_update(browser.on(self._re_rank))
         self.place.on_update(browser.on(self._pick))
         self._add_keys()
@@ -78,6 +81,7 @@ class TrajectoriesTab:
         if self._run is None or run.name != self._run.name:
             self._picked = None
             self.metric.value = run.config.metric
+            self._offer_rules(run)
         self._run = run
         self._show(place=None)
 
@@ -88,6 +92,11 @@ class TrajectoriesTab:
         last = int(self._ranking.order.size)
         self.place.value = min(max(self.place.value + by, 1), last)
         self._pick()
+
+    def _offer_rules(self, run: RunData) -> None:
+        self.rule.options = (EVERY_RULE, *(rule.name for rule in run.config.rules))
+        self.rule.value = EVERY_RULE
+        self.rule.visible = bool(run.config.rules)
 
     def _add_keys(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
@@ -115,6 +124,7 @@ class TrajectoriesTab:
             self._metric(),
             among=self._chosen(self.among.value, AMONG, "among"),
             by_share=self._chosen(self.first.value, BY_SHARE, "first"),
+            rule=self._rule(run),
         )
         if not ranking.order.size:
             set_html(self._table, block(quiet("No rollouts yet.")))
@@ -170,6 +180,10 @@ class TrajectoriesTab:
             message = f"{name} = {word[:40]!r}: must be one of {', '.join(meanings)}"
             raise InputError(message)
         return meanings[word]
+
+    def _rule(self, run: RunData) -> str | None:
+        names: dict[str, str | None] = {rule.name: rule.name for rule in run.config.rules}
+        return self._chosen(self.rule.value, {EVERY_RULE: None} | names, "rule")
 
     def _metric(self) -> MetricName:
         metric = self.metric.value

@@ -16,8 +16,9 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.gate import decide_run
 from pemviz.reports.memory_curve import assumption_worth
-from pemviz.reports.pictures.html import block, good, number, quiet, warning
+from pemviz.reports.pictures.html import block, good, grid, number, quiet, warning
 from pemviz.reports.pictures.ladder import ladder_plot
+from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_diagnostics, run_interval_caveats
 from pemviz.types import Estimate
@@ -63,11 +64,20 @@ def _answer(run: RunData) -> str:
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
     worth = assumption_worth(run.result.memory)
     lines += warning(f"{worth} (more in Why)") if worth else ""
+    lines += _rules(run.result)
     diagnostics = run_diagnostics(run.result)
     for first in diagnostics[:1]:
         others = len(diagnostics) - 1
         lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
     return lines + ladder_plot(run.result) + _next(run.result)
+
+
+def _rules(result: RunResult) -> str:
+    """Each rule's answer; nothing without rules."""
+    if not result.rules:
+        return ""
+    rows = [tuple(map(escape, row[:-1])) for row in rule_rows(result)]
+    return grid(RULE_COLUMNS[:-1], rows, name=RULES_TITLE)
 
 
 def _gate(run: RunData, limit: float | None) -> str:

@@ -1,5 +1,7 @@
 """The ranking as a table whose rows can be clicked."""
 
+from html import escape
+
 from pemviz.analysis.contribution import CARRIED
 from pemviz.colors import MISSED
 from pemviz.panel.ranking import RankedRow, Ranking, row
@@ -27,18 +29,15 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
     start = first_place(selected, count)
     unit = "" if ranking.metric == "agm" else " [m]"
     header = (
-        "rank", f"robustness{unit}", "violated", "of the answer", "log weight [nats]", "misses",
-        "stage",
+        "rank", f"robustness{unit}", "breaks" if run.config.rules else "violated",
+        "of the answer", "log weight [nats]", "misses", "stage",
     )  # fmt: skip
     head = "".join(f"<th style='{_HEAD}'>{h}</th>" for h in header)
     lines: list[str] = []
     for place in range(start, min(start + PAGE_ROWS, count)):
         entry = row(run, ranking, place)
-        verdict = (
-            f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>" if entry.violated else "no"
-        )
         values = (
-            str(entry.rank), robustness_text(entry.robustness), verdict,
+            str(entry.rank), robustness_text(entry.robustness), _verdict(run, entry),
             percent(entry.share) if entry.share else "", weight_text(run, entry),
             str(entry.misses), str(entry.stage),
         )  # fmt: skip
@@ -69,14 +68,26 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
     )
 
 
+def _verdict(run: RunData, entry: RankedRow) -> str:
+    """Whether a rollout violates; where there are rules, which of them it breaks."""
+    if not run.config.rules:
+        return VIOLATED if entry.violated else "no"
+    names = escape(", ".join(entry.broken))
+    return f"<b style='color:{MISSED}'>\N{MULTIPLICATION X}</b> {names}" if names else "none"
+
+
 def ranked_text(ranking: Ranking) -> str:
     """Which rollouts are ranked, and how."""
     which = "rollouts"
     if ranking.among == "carrying":
         which = f"rollouts that make up {100 * CARRIED:g} % of the answer"
-    how = f"the least robust under {ranking.metric} first"
+    under = ranking.metric
+    if ranking.rule is not None:
+        which += f" to rule {escape(ranking.rule)}" if ranking.among == "carrying" else ""
+        under += f" in rule {escape(ranking.rule)}"
+    how = f"the least robust under {under} first"
     if ranking.by_share:
-        how = f"the largest contribution first, then the least robust under {ranking.metric}"
+        how = f"the largest contribution first, then the least robust under {under}"
     return f"{which}, {how}"
 
 
