@@ -26,9 +26,13 @@ if TYPE_CHECKING:
     from pemviz.sampling.description import MethodDescription
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator, GymnasiumSlotSimulator
     from pemviz.simulators.slots import Slot, SlotSimulator
+    from pemviz.simulators.tracking.filters import AlphaBeta, Kalman
+    from pemviz.simulators.tracking.tracked import tracked
+    from pemviz.simulators.tracking.tracker import Tracker, TrackerState
     from pemviz.types import Estimate, Proposal, RolloutBatch, Signal, Simulator, StateBatch
 
 _HOMES = {
+    "AlphaBeta": "simulators.tracking.filters",
     "BoolArray": "arrays",
     "ConfigError": "errors",
     "DetectorModel": "pem",
@@ -39,6 +43,7 @@ _HOMES = {
     "GymnasiumSimulator": "simulators.gymnasium_adapter",
     "GymnasiumSlotSimulator": "simulators.gymnasium_adapter",
     "InputError": "errors",
+    "Kalman": "simulators.tracking.filters",
     "KeptStages": "runs.kept_stages",
     "LeastRobust": "runs.least_robust",
     "MethodDescription": "sampling.description",
@@ -56,14 +61,18 @@ _HOMES = {
     "SlotSimulator": "simulators.slots",
     "StateBatch": "types",
     "StateFeatures": "proposals.offset_logistic",
+    "Tracker": "simulators.tracking.tracker",
+    "TrackerState": "simulators.tracking.tracker",
     "build_experiment": "runs.experiment",
     "read_result": "runs.result_file",
     "run": "runs.engine",
     "run_experiment": "runs.engine",
     "summary_text": "reports.estimate_text",
+    "tracked": "simulators.tracking.tracked",
 }
 
 __all__ = [
+    "AlphaBeta",
     "BoolArray",
     "ConfigError",
     "DetectorModel",
@@ -74,6 +83,7 @@ __all__ = [
     "GymnasiumSimulator",
     "GymnasiumSlotSimulator",
     "InputError",
+    "Kalman",
     "KeptStages",
     "LeastRobust",
     "MethodDescription",
@@ -91,12 +101,15 @@ __all__ = [
     "SlotSimulator",
     "StateBatch",
     "StateFeatures",
+    "Tracker",
+    "TrackerState",
     "__version__",
     "build_experiment",
     "read_result",
     "run",
     "run_experiment",
     "summary_text",
+    "tracked",
 ]
 
 

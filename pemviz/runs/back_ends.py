@@ -12,11 +12,13 @@ from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.devices import is_gpu
 from pemviz.sampling.rollouts.final_batch import largest_part
 from pemviz.sampling.slots import SlotFeatures, StepFeatures, turns_of
+from pemviz.sampling.tracks import TrackFeatures
 from pemviz.simulators.braking.features import BrakingFeatures
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.registry import SHIPPED, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
+from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Simulator
 
 SLOW_BATCH_ROLLOUTS = 50
@@ -70,13 +72,19 @@ def own_back_end(
     own = _single_outcome(simulator)
     return BackEnd(
         simulator=own,
-        features=SlotFeatures(own)
-        if isinstance(own, UnrolledSimulator)
-        else SignalFeatures(own.signals),
+        features=_features(own, simulator),
         twin=None if twin is None else _single_outcome(twin),
         batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=own.states)),
         is_own=True,
     )
+
+
+def _features(own: Simulator, simulator: Simulator | SlotSimulator) -> StateFeatures:
+    """What proposals look at in states of the user's simulator, unrolled to ``own``."""
+    unrolled = own if isinstance(own, UnrolledSimulator) else None
+    features = SignalFeatures(own.signals) if unrolled is None else SlotFeatures(unrolled)
+    tracker = tracker_of(simulator)
+    return features if tracker is None else TrackFeatures(features, tracker, unrolled)
 
 
 def with_choices(

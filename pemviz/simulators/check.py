@@ -16,6 +16,7 @@ from pemviz.simulators.check_slots import (
 )
 from pemviz.simulators.latched import VIOLATED
 from pemviz.simulators.slots import SlotSimulator
+from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Signal, Simulator, StateBatch
 
 Value = TypeVar("Value")
@@ -58,6 +59,7 @@ def check_simulator(simulator: Simulator | SlotSimulator) -> None:
     start = _call(where, "initial", lambda: simulator.initial(count=COUNT))
     _check_states(start, simulator, f"{where}: initial(count={COUNT})", step=0)
     _check_start(simulator, start, where)
+    _check_tracks(simulator, start, where)
     if isinstance(simulator, SlotSimulator):
         check_kept(start, where)
         check_asked(simulator, start, where)
@@ -93,6 +95,22 @@ def _check_start(simulator: Simulator | SlotSimulator, start: StateBatch, where:
     other = _difference(simulator, start, again)
     if other is not None:
         _refuse(f"{where}: initial gives another state when it is called again ({other})")
+
+
+def _check_tracks(simulator: Simulator | SlotSimulator, start: StateBatch, where: str) -> None:
+    """A tracker that a simulator says it holds is its own, and lies in its states."""
+    tracker, slots = tracker_of(simulator), getattr(simulator, "slots", None)
+    if tracker is None:
+        return
+    if abs(tracker.dt_s - simulator.dt_s) > ROUNDING * simulator.dt_s:
+        _refuse(f"{where}: dt_s = {simulator.dt_s:g}, and its tracker's is {tracker.dt_s:g}")
+    tracks = tracker.start(COUNT, slots=None if slots is None else len(slots))
+    absent = sorted(set(tracker.memory(tracks)) - set(start.memory))
+    if absent:
+        _refuse(
+            f"{where}: the memory of its states lacks {', '.join(absent)}, which its tracker's "
+            "memory gives"
+        )
 
 
 def _course(

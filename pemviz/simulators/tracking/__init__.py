@@ -1,0 +1,1 @@
+"""A tracker between perception and controller, and what proposals see of it."""

@@ -1,0 +1,93 @@
+"""Any scenario behind a tracker: it is told of confirmed tracks in place of single outcomes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.errors import ConfigError
+from pemviz.simulators.latched import WrappedSimulator
+from pemviz.simulators.slots import Slot, SlotSimulator
+from pemviz.simulators.tracking.tracker import Tracker
+from pemviz.types import Simulator, StateBatch
+
+
+@dataclass(frozen=True)
+class TrackedSimulator(WrappedSimulator):
+    """The same scenario; ``step`` hands it whether the obstacle is tracked.
+
+    Attributes:
+        tracker: One without positions; a scenario that takes those from its tracker holds one
+            itself.
+    """
+
+    tracker: Tracker
+
+    def initial(self, *, count: int) -> StateBatch:
+        """The scenario's initial states, without tracks."""
+        start = self.scenario.initial(count=count)
+        return self._with(start, self.tracker.memory(self.tracker.start(count)))
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The scenario's next states, given what is tracked after outcomes ``[N]``."""
+        tracks = self.tracker.update(self.tracker.state(states.memory), detected)
+        after = self.scenario.step(self._own(states), tracks.confirmed)
+        return self._with(after, self.tracker.memory(tracks))
+
+    def _with(self, states: StateBatch, tracks: Mapping[str, AnyArray]) -> StateBatch:
+        return replace(states, memory={**states.memory, **tracks})
+
+    def _own(self, states: StateBatch) -> StateBatch:
+        """What the scenario knows of its states."""
+        begins = f"{self.tracker.name}_"
+        own = {name: v for name, v in states.memory.items() if not name.startswith(begins)}
+        return replace(states, memory=own)
+
+
+@dataclass(frozen=True)
+class TrackedSlots(TrackedSimulator):
+    """The same with a track for each slot of a scenario; what is absent is no hit."""
+
+    scenario: SlotSimulator  # pyright: ignore[reportIncompatibleVariableOverride]  one of slots
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """The scenario's slots."""
+        return self.scenario.slots
+
+    def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where perception has something to report, ``[..., K]``."""
+        return self.scenario.present(signals)
+
+    def initial(self, *, count: int) -> StateBatch:
+        """The scenario's initial states, without tracks."""
+        tracks = self.tracker.start(count, slots=len(self.slots))
+        return self._with(self.scenario.initial(count=count), self.tracker.memory(tracks))
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The scenario's next states, given what is tracked after outcomes ``[N, K]``."""
+        before = self.tracker.state(states.memory, slots=len(self.slots))
+        tracks = self.tracker.update(before, detected & self.present(states.signals))
+        after = self.scenario.step(self._own(states), tracks.confirmed)
+        return self._with(after, self.tracker.memory(tracks))
+
+
+def tracked(simulator: Simulator | SlotSimulator, tracker: Tracker) -> TrackedSimulator:
+    """A scenario that is told of confirmed tracks: its ``step`` gets them as ``detected``.
+
+    Args:
+        simulator: The scenario; with slots each has a track of its own.
+        tracker: Without positions, and of the scenario's time step.
+
+    Raises:
+        ConfigError: The tracker is another's, or the scenario has memory of its names.
+    """
+    where = f"simulator {simulator.name!r}"
+    if tracker.axes:
+        message = f"{where}: tracked hands on no positions: must be a tracker with axes = 0"
+        raise ConfigError(message)
+    if any(n.startswith(f"{tracker.name}_") for n in simulator.initial(count=1).memory):
+        message = f"{where}: its memory has the names of tracker {tracker.name!r}: choose another"
+        raise ConfigError(message)
+    if isinstance(simulator, SlotSimulator):
+        return TrackedSlots(simulator, tracker)
+    return TrackedSimulator(simulator, tracker)
