@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pemviz.arrays import BoolArray, FloatArray
     from pemviz.config import ExperimentConfig, ScenarioConfig
     from pemviz.errors import ConfigError, InputError, PemvizError, RunError
+    from pemviz.latents import LatentCounts, Latents
     from pemviz.pem import DetectorModel
     from pemviz.proposals.offset_logistic import StateFeatures
     from pemviz.reports.estimate_text import summary_text
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from pemviz.runs.store import RunStore
     from pemviz.sampling.description import MethodDescription
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator, GymnasiumSlotSimulator
+    from pemviz.simulators.latents import LatentSimulator
     from pemviz.simulators.slots import Slot, SlotSimulator
     from pemviz.simulators.tracking.filters import AlphaBeta, Kalman
     from pemviz.simulators.tracking.tracked import tracked
@@ -45,6 +47,9 @@ _HOMES = {
     "InputError": "errors",
     "Kalman": "simulators.tracking.filters",
     "KeptStages": "runs.kept_stages",
+    "LatentCounts": "latents",
+    "LatentSimulator": "simulators.latents",
+    "Latents": "latents",
     "LeastRobust": "runs.least_robust",
     "MethodDescription": "sampling.description",
     "PemvizError": "errors",
@@ -85,6 +90,9 @@ __all__ = [
     "InputError",
     "Kalman",
     "KeptStages",
+    "LatentCounts",
+    "LatentSimulator",
+    "Latents",
     "LeastRobust",
     "MethodDescription",
     "PemvizError",

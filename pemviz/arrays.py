@@ -64,9 +64,9 @@ def to_numpy(array: Any) -> AnyArray:
 class Batch:
     """Base of frozen dataclasses that hold arrays with a row for each of N things.
 
-    Their fields are arrays ``[N, ...]``, mappings of such arrays, or batches themselves: a
-    field that is added takes part in all operations. Arrays in which the N things are
-    neighbours in memory, not each thing's own values, come out of them likewise.
+    Their fields are arrays ``[N, ...]``, mappings of such arrays, or batches themselves, which may
+    be absent (``None``): a field that is added takes part in all operations. Arrays in which the
+    N things are neighbours in memory, not each thing's own values, come out of them likewise.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -98,6 +98,8 @@ class Batch:
     @staticmethod
     def _merged_place(place: Sequence[Any], merge: Merge) -> Any:
         first = place[0]
+        if first is None:
+            return None
         if isinstance(first, Batch):
             return first._merged(place, merge)
         if isinstance(first, Mapping):

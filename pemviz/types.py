@@ -19,6 +19,7 @@ from pemviz.arrays import (
 )
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 from pemviz.display import ShownInNotebooks
+from pemviz.latents import Latents
 
 StageKind = Literal["pretrain", "learn", "final"]
 CERTAIN = "outcome_certain"
@@ -157,6 +158,19 @@ class Proposal(Protocol):
         ...
 
 
+@runtime_checkable
+class MovesLatents(Proposal, Protocol):
+    """A proposal that also moves the means of latents; others leave them at 0."""
+
+    def start_mean(self, count: int) -> FloatArray:
+        """Of the latents at the start of ``count`` rollouts, ``[N, S]``."""
+        ...
+
+    def noise_mean(self, states: StateBatch) -> FloatArray:
+        """Of the latents of the step that follows states ``[N]``, ``[N, M]``."""
+        ...
+
+
 @dataclass(frozen=True)
 class RolloutBatch(Batch):
     """N rollouts of T states and T - 1 outcomes.
@@ -172,6 +186,7 @@ class RolloutBatch(Batch):
             scenario with K slots, K above 1, these and their logits are ``[N, T-1, K]``.
         pem_logit: ``[N, T-1]`` logit of 'detected' under the perception error model.
         proposal_logit: ``[N, T-1]`` logit of 'detected' under the distribution sampled from.
+        latents: Of a scenario that takes some.
     """
 
     signals: Mapping[str, FloatArray]
@@ -179,6 +194,7 @@ class RolloutBatch(Batch):
     detected: BoolArray
     pem_logit: FloatArray
     proposal_logit: FloatArray
+    latents: Latents | None = None
 
     @property
     def count(self) -> int:
@@ -197,8 +213,11 @@ class RolloutBatch(Batch):
 
     @cached_property
     def log_weight(self) -> FloatArray:
-        """Log importance weight ``[N]``: sum over outcomes of log p - log q [nats]."""
-        return read_only(row_sums(np.subtract(self.log_p, self.log_q, order="C")))
+        """Log importance weight ``[N]``: sum over outcomes and latents of log p - log q [nats]."""
+        of_outcomes = row_sums(np.subtract(self.log_p, self.log_q, order="C"))
+        if self.latents is None:
+            return read_only(of_outcomes)
+        return read_only(of_outcomes + self.latents.log_weight)
 
     def decision_states(self) -> StateBatch:
         """The states at which perception acted, arrays ``[N, T-1]``."""

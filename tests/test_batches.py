@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pemviz.latents import Latents
 from pemviz.sampling.rollouts.final_batch import weighed
 from pemviz.sampling.splitting.particles import Particles
 from pemviz.simulators.latched import MonitoredStates
@@ -24,6 +25,10 @@ def rollouts(generator, count):
         detected=generator.random(shape).T < 0.5,
         pem_logit=generator.normal(size=shape).T,
         proposal_logit=generator.normal(size=shape).T,
+        latents=Latents(
+            *(generator.normal(size=(2, count)).T for _ in range(2)),
+            *(generator.normal(size=(2, STATES - 1, count)).T for _ in range(2)),
+        ),
     )
 
 

@@ -12,6 +12,7 @@ from scipy.special import expit
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.pem import Pem
 from pemviz.sampling.memory import first_logit
+from pemviz.simulators.latents import begun
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
 GAP = "gap"
@@ -38,7 +39,7 @@ class DetectionCurves:
 
 def gap_grid(simulator: Simulator, *, step_m: float = STEP_M) -> FloatArray:
     """Gaps ``[G]`` from 0 to a third beyond the initial gap, at least 20 m, every ``step_m``."""
-    initial_m = float(np.max(simulator.initial(count=1).signals[GAP]))
+    initial_m = float(np.max(begun(simulator, count=1).signals[GAP]))
     end_m = max(SMALLEST_END_M, float(np.ceil(MARGIN * initial_m)))
     return np.linspace(0.0, end_m, round(end_m / step_m) + 1)
 
@@ -102,7 +103,7 @@ def _needs_gap_alone(simulator: Simulator, proposal: Proposal, rollouts: Rollout
 
 def initial_states(simulator: Simulator, *, gap_m: FloatArray) -> StateBatch:
     """The initial state, but at gaps ``[G]``."""
-    states = simulator.initial(count=gap_m.size)
+    states = begun(simulator, count=gap_m.size)
     return replace(
         states,
         step=np.zeros(gap_m.size, dtype=np.int64),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.analysis.band_models import rollouts_under
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 from pemviz.pem import (
     Pem,
@@ -81,10 +81,13 @@ def member_estimates(
     count = _enough(scored.violated)
     rollouts, violated = scored.rollouts.take(slice(count)), scored.violated[:count]
     failing = rollouts.take(violated)
+    log_q = failing.log_q
+    if failing.latents is not None:  # all members agree on them: what is left is their weight
+        log_q = row_sums(log_q) - failing.latents.log_weight
     return reweight(
         detected=failing.detected,
         salient=simulator.salient(failing.decision_states().signals),
-        log_q=failing.log_q,
+        log_q=log_q,
         violated=violated[violated],
         members=ensemble.members,
         rollouts=rollouts.count,

@@ -110,6 +110,8 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
         yield f"  reference {reference_text(result.reference, estimate)}"
     yield f"  {result.pem.name} learnt from {data_text(result.pem)}"
     yield f"  misses {memory_text(result.memory)}"
+    if result.latents is not None:
+        yield f"  latents (standard normals): {result.latents}"
 
 
 def _rules(result: RunResult) -> Table:

@@ -167,6 +167,8 @@ def summary_text(result: RunResult) -> str:
         f"  violations: {violations_text(estimate)}",
         *(f"  rule {rule.name}: {probability_text(rule.estimate)}" for rule in result.rules),
     ]
+    if result.latents is not None:
+        lines.append(f"  latents: {result.latents}")
     if result.config.memory_s or result.config.frailty:
         lines.append(f"  misses: {memory_text(result.memory)}")
     if result.explanation is not None and result.explanation.slots:

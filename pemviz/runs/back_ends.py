@@ -16,6 +16,7 @@ from pemviz.sampling.tracks import TrackFeatures
 from pemviz.simulators.braking.features import BrakingFeatures
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
+from pemviz.simulators.latents import LatentSimulator, latent_counts
 from pemviz.simulators.registry import SHIPPED, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.simulators.tracking.tracker import tracker_of
@@ -52,7 +53,7 @@ def batch_rollouts(config: ExperimentConfig) -> int:
 
 
 def own_back_end(
-    simulator: Simulator | SlotSimulator,
+    simulator: Simulator | SlotSimulator | LatentSimulator,
     *,
     twin: Simulator | SlotSimulator | None = None,
 ) -> BackEnd:
@@ -61,9 +62,16 @@ def own_back_end(
     One with slots is unrolled.
 
     Raises:
-        ConfigError: One of them does not keep to the protocol, or they differ in their states.
+        ConfigError: One of them does not keep to the protocol, or they differ in their states, or
+            there are latents, which no twin can have.
     """
     check_simulator(simulator)
+    if twin is not None and latent_counts(simulator):
+        message = (
+            f"twin of simulator {simulator.name!r}: it has latents, and a twin's states must be "
+            f"those that outcomes alone lead to; without a twin, {FIT_ANYWHERE}"
+        )
+        raise ConfigError(message)
     if twin is not None:
         check_simulator(twin)
         if _of_states(twin) != _of_states(simulator):
@@ -114,7 +122,7 @@ def _of_states(simulator: Simulator | SlotSimulator) -> tuple[object, ...]:
     return simulator.states, simulator.signals, getattr(simulator, "slots", ())
 
 
-def _single_outcome(simulator: Simulator | SlotSimulator) -> Simulator:
+def _single_outcome(simulator: Simulator | SlotSimulator | LatentSimulator) -> Simulator:
     return UnrolledSimulator(simulator) if isinstance(simulator, SlotSimulator) else simulator
 
 
@@ -126,7 +134,9 @@ def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
     """
     name = back_end.simulator.name
     lacking: dict[Need, str] = {}
-    if back_end.twin is None:
+    if latent_counts(back_end.simulator):
+        lacking["twin"] = f"runs through all states, and simulator {name!r} has latents"
+    elif back_end.twin is None:
         lacking["twin"] = f"needs a fast twin, and simulator {name!r} has none"
     if back_end.farthest_m is None:
         lacking["gap"] = f"needs the gap, and simulator {name!r} has no signal {GAP!r}"

@@ -36,11 +36,13 @@ from pemviz.runs.memory import memory_of
 from pemviz.runs.result import PemInfo, RunResult, with_stage
 from pemviz.runs.rules import estimates_by_rule, rule_answers
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
+from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.slots import Slot
 from pemviz.types import Estimate, StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
 
+LATENTS = "beside perception, independent standard normals that the simulator maps are random"
 INDEPENDENT = "misses are independent of each other given the state"
 ASSUMPTIONS = (
     "perception never reports an obstacle that is not there",
@@ -243,6 +245,7 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
         versions=versions(),
         memory=memory_of(experiment.pem),
+        latents=latent_counts(experiment.problem.simulator) or None,
         assumptions=_assumptions(experiment),
         warnings=experiment.warnings,
     )
@@ -250,6 +253,8 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
 
 def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     first, *others = OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS
+    if latents := latent_counts(experiment.problem.simulator):
+        others = [f"{LATENTS}: {latents}", *others]
     if experiment.folding is not None:
         first = slots_assumption(experiment.folding.simulator.slots)
     tau_s, frailty = experiment.config.memory_s, experiment.config.frailty

@@ -33,6 +33,8 @@ from pemviz.sampling.rollouts.devices import (
 )
 from pemviz.sampling.slots import with_slots
 from pemviz.sampling.value_twisted.method import require_unsafe
+from pemviz.simulators.check_latents import latent_warnings
+from pemviz.simulators.latents import LatentSimulator, latent_counts
 from pemviz.simulators.registry import build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.types import Simulator
@@ -110,7 +112,7 @@ class Experiment:
 def build_experiment(
     config: ExperimentConfig,
     *,
-    simulator: Simulator | SlotSimulator | None = None,
+    simulator: Simulator | SlotSimulator | LatentSimulator | None = None,
     pem: DetectorModel | Mapping[str, DetectorModel] | None = None,
     twin: Simulator | SlotSimulator | None = None,
     features: StateFeatures | None = None,
@@ -146,7 +148,10 @@ def build_experiment(
     _check_frailty(config, back_end)
     ensemble = ensemble_of(config.pem) if pem is None else None
     model, ensemble = with_slots(back_end.simulator, named, ensemble)
-    warnings = check_error_model(model, back_end.simulator)
+    warnings = (
+        *latent_warnings(back_end.simulator),
+        *check_error_model(model, back_end.simulator),
+    )
     others = () if back_end.is_own else families_beside(model)
     memory = Memory(tau_s=config.memory_s, frailty=config.frailty)
     back_end, model, ensemble = with_memory(back_end, model, ensemble, memory=memory)
@@ -243,7 +248,7 @@ def device_notes(experiment: Experiment) -> tuple[str, ...]:
         return ()
     stays = "computes on the CPU all the same"
     restarts = "restarts" in experiment.description.needs
-    if restarts or not has_tensors(problem.simulator):
+    if restarts or latent_counts(problem.simulator) or not has_tensors(problem.simulator):
         by = config.method if restarts else f"simulator {problem.simulator.name}"
         by += " with frailty" if config.frailty and not restarts else ""
         return (f"device {config.device}: {by} {stays}",)

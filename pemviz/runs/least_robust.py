@@ -10,6 +10,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.display import ShownInNotebooks
+from pemviz.latents import Latents
 from pemviz.runs.events import Event, RunStarted, StageDone
 from pemviz.runs.result import RankedRollout
 from pemviz.runs.slot_outcomes import faultless, right_by_slot, slots_of
@@ -31,6 +32,8 @@ class Rollout(ShownInNotebooks):
         signals: ``[T]`` by name.
         detected: ``[T-1]`` perception's outcomes; with several slots, whether none of them errs.
         right_by_slot: ``[T-1]`` whether each of several slots does not err, by its name.
+        start: ``[S]`` latents at its start, where the simulator takes some.
+        noise: ``[T-1, M]`` latents of its steps, likewise.
     """
 
     repetition: int
@@ -42,6 +45,8 @@ class Rollout(ShownInNotebooks):
     signals: Mapping[str, FloatArray]
     detected: BoolArray
     right_by_slot: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
+    start: FloatArray = field(default_factory=lambda: np.zeros(0))
+    noise: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def missed_steps(self) -> IntArray:
@@ -53,8 +58,15 @@ class Rollout(ShownInNotebooks):
         verdict = "violates" if self.violated else "holds"
         return (
             f"least robust rollout: {verdict}, robustness {self.robustness:.3g}, stage "
-            f"{self.stage}; {self._errors_text()}; {', '.join(ranges)}; NLL {self.nll:.3g} nats"
+            f"{self.stage}; {self._errors_text()}; {self._latents_text()}{', '.join(ranges)}; "
+            f"NLL {self.nll:.3g} nats"
         )
+
+    def _latents_text(self) -> str:
+        texts = [f"latents at the start {', '.join(f'{z:.2f}' for z in self.start)}; "]
+        if self.noise.size:
+            texts.append(f"noise {np.min(self.noise):.2f} to {np.max(self.noise):.2f}; ")
+        return "".join(texts if self.start.size else texts[1:])
 
     def _errors_text(self) -> str:
         steps, missed = self.detected.size, self.missed_steps
@@ -106,7 +118,14 @@ class LeastRobust:
             signals=signals,
             detected=np.array(faultless(scored.rollouts.detected[index], slots=self._slots)),
             right_by_slot=right_by_slot(scored.rollouts.detected[index], slots=self._slots),
+            **_latents(scored.rollouts.latents, index),
         )
+
+
+def _latents(latents: Latents | None, index: int) -> dict[str, FloatArray]:
+    if latents is None:
+        return {}
+    return {"start": np.array(latents.start[index]), "noise": np.array(latents.noise[index])}
 
 
 def _runs_text(steps: IntArray) -> str:

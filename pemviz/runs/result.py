@@ -20,6 +20,7 @@ from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Share
 from pemviz.display import ShownInNotebooks
+from pemviz.latents import LatentCounts
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.value_twisted.reference import Reference
@@ -118,6 +119,7 @@ class RunResult(ShownInNotebooks):
             first, then the least robust of the others; of all as long as nothing carries one.
         memory: What was assumed of how misses hang together, and what the model's own data say
             of it; ``None`` in results of versions that knew no memory.
+        latents: How many standard normals the simulator took; ``None`` if none.
         reference: The answer by the value-twisted reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
         families: The answer under other families of models that learnt from the same data.
@@ -141,6 +143,7 @@ class RunResult(ShownInNotebooks):
     stages: tuple[StageSummary, ...] = ()
     least_robust: tuple[RankedRollout, ...] = ()
     memory: RunMemory | None = None
+    latents: LatentCounts | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
     families: tuple[FamilyAnswer, ...] = ()

@@ -109,6 +109,7 @@ def result_document(result: RunResult) -> Table:
         ),
         **_rule_tables(result.rules),
         "memory": None if result.memory is None else asdict(result.memory),
+        **({} if result.latents is None else {"latents": asdict(result.latents)}),
         "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
         "families": [asdict(answer) for answer in result.families],

@@ -2,6 +2,7 @@
 
 import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -12,6 +13,7 @@ from pemviz.arrays import LARGEST_NUMBER, AnyArray
 from pemviz.errors import InputError
 from pemviz.files.array_files import read_arrays
 from pemviz.files.atomic import write_atomically
+from pemviz.latents import Latents
 from pemviz.types import (
     FinishedStage,
     RolloutBatch,
@@ -25,6 +27,8 @@ PART_FOLDER = "stages"
 MEMORY, KEPT = "memory.", "kept."
 BROKEN = "broken."
 """Before a rule's name: whether a rollout breaks it."""
+LATENTS = "latents."
+"""Before ``start``, ``start_mean``, ``noise`` and ``noise_mean``, where the scenario has them."""
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are asked for."""
 
@@ -41,10 +45,41 @@ def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, Any
         "detected": rollouts.detected,
         "log_p": rollouts.log_p,
         "log_q": rollouts.log_q,
+        **_latent_arrays(rollouts.latents),
         "robustness": scored.robustness,
         "violated": scored.violated,
         **{f"{BROKEN}{name}": broken for name, broken in scored.broken.items()},
     }
+
+
+def _latent_arrays(latents: Latents | None) -> dict[str, AnyArray]:
+    if latents is None:
+        return {}
+    arrays = {field.name: getattr(latents, field.name) for field in fields(Latents)}
+    return {f"{LATENTS}{name}": array for name, array in arrays.items() if array.shape[-1]}
+
+
+def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
+    """The latents of rollouts ``arrays`` as they are kept in files; ``None`` if there are none.
+
+    Raises:
+        ValueError: They do not fit together, or are no finite numbers.
+    """
+    found = _without_prefix(arrays, LATENTS)
+    if not found:
+        return None
+    count, steps = arrays["detected"].shape[:2]
+    none = {"start": np.zeros((count, 0)), "noise": np.zeros((count, steps, 0))}
+    kept: dict[str, AnyArray] = {}
+    for field in fields(Latents):
+        drawn = field.name.removesuffix("_mean")
+        values = found.get(field.name, none[drawn])
+        shape = (*none[drawn].shape[:-1], found.get(drawn, none[drawn]).shape[-1])
+        if values.shape != shape or values.dtype != np.float64 or not _is_bounded(values):
+            message = f"{LATENTS}{field.name} must be finite numbers of shape {shape}"
+            raise ValueError(message)
+        kept[field.name] = values
+    return Latents(**kept)
 
 
 def part_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:
@@ -76,10 +111,14 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage:
             detected=arrays["detected"],
             pem_logit=arrays["pem_logit"],
             proposal_logit=arrays["proposal_logit"],
+            latents=latents_of(arrays),
         ).map(np.asfortranarray)
         scored = ScoredRollouts(rollouts, arrays["robustness"], arrays["violated"])
     except KeyError as error:
         message = f"stage {path}: {error} is missing"
+        raise InputError(message) from error
+    except ValueError as error:
+        message = f"stage {path}: {error}"
         raise InputError(message) from error
     _check_shapes(path, scored)
     return FinishedStage(scored=scored, kept=_without_prefix(arrays, KEPT))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.simulators.latents import begun
 from pemviz.types import Simulator
 
 GAP = "gap"
@@ -30,7 +31,7 @@ class BackEnd:
 
     @property
     def farthest_m(self) -> float | None:
-        """The initial gap [m]; ``None`` where the scenario has no gap."""
+        """The initial gap [m], of a random one the median; ``None`` where there is no gap."""
         if all(signal.name != GAP for signal in self.simulator.signals):
             return None
-        return float(np.max(self.simulator.initial(count=1).signals[GAP]))
+        return float(np.max(begun(self.simulator, count=1).signals[GAP]))

@@ -70,6 +70,7 @@ class Folding:
             detected=self._by_slot(rollouts.detected) ^ ~nominal,
             pem_logit=self._by_slot(rollouts.pem_logit) * sign,
             proposal_logit=self._by_slot(rollouts.proposal_logit) * sign,
+            latents=rollouts.latents,  # a step's, however many turns it has
         )
 
     def unrolled(self, rollouts: RolloutBatch) -> RolloutBatch:
@@ -96,6 +97,7 @@ class Folding:
             detected=right.reshape(count, -1),
             pem_logit=(rollouts.pem_logit * self._sign).reshape(count, -1),
             proposal_logit=(rollouts.proposal_logit * self._sign).reshape(count, -1),
+            latents=rollouts.latents,
         ).map(np.asfortranarray)
 
     def _last_outcomes(

@@ -20,6 +20,7 @@ from pemviz.pem.models.memory import frail_logit, remembering_logit
 from pemviz.pem.models.with_memory import PemWithMemory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.simulators.latched import WrappedSimulator
+from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.remembering import LAST_OUTCOME
 from pemviz.types import RolloutBatch, Signal, Simulator, StateBatch
 
@@ -144,18 +145,21 @@ class FrailSimulator(WrappedSimulator):
         """The back end's signals, the posterior mean of u and the logit that follows from it."""
         return (*self.scenario.signals, *OWN_SIGNALS)
 
-    def initial(self, *, count: int) -> StateBatch:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The back end's initial states, before any outcome."""
         log_weight = self.model.nodes.log_weight
         everywhere = np.broadcast_to(log_weight, (count, log_weight.size))
-        return self._seen(self.scenario.initial(count=count), everywhere, np.zeros(count))
+        states = begun(self.scenario, count=count, start=start)
+        return self._seen(states, everywhere, np.zeros(count))
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
         """The back end's next states after outcomes ``[N]``."""
         after = states.memory[NEXT]
         log_posterior = np.where(detected[:, None], after["detected"], after["missed"])
         mean = np.where(detected, after["mean_detected"], after["mean_missed"])
-        reached = self.scenario.step(scenario_states(states), detected)
+        reached = stepped(self.scenario, scenario_states(states), detected, noise)
         return self._seen(reached, log_posterior, mean)
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
@@ -215,13 +219,15 @@ class DynamicsAlone(WrappedSimulator):
         scenario: The back end beneath.
     """
 
-    def initial(self, *, count: int) -> StateBatch:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The back end's initial states."""
-        return self.scenario.initial(count=count)
+        return begun(self.scenario, count=count, start=start)
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
         """The back end's next states."""
-        return self.scenario.step(scenario_states(states), detected)
+        return stepped(self.scenario, scenario_states(states), detected, noise)
 
 
 @dataclass(frozen=True)

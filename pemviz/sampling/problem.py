@@ -19,8 +19,10 @@ from pemviz.sampling.rollouts.batches import (
     of_rows,
     run_here,
 )
+from pemviz.sampling.rollouts.latent_draws import NormalSource
 from pemviz.sampling.rollouts.time_limit import call_within
 from pemviz.simulators.latched import Monitor
+from pemviz.simulators.latents import latent_counts
 from pemviz.types import (
     FinishedStage,
     Proposal,
@@ -147,9 +149,16 @@ def sample_batches(
     ]
     generator = np.random.default_rng(seeds)
     steps = problem.simulator.states - 1
+    latents = NormalSource(
+        seeds, counts=latent_counts(problem.simulator), steps=steps // problem.turns
+    )
     starts = itertools.accumulate(sizes, initial=0)
     tasks = (
-        BatchTask(of_rows(proposal, slice(start, start + size)), generator.random((size, steps)))
+        BatchTask(
+            of_rows(proposal, slice(start, start + size)),
+            generator.random((size, steps)),
+            latents.draw(size),
+        )
         for start, size in zip(starts, sizes, strict=False)
     )
     simulated = problem.run_batches(problem.simulator, problem.pem, tasks)

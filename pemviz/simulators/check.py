@@ -7,6 +7,8 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
+from pemviz.latents import StandardNormals
+from pemviz.simulators.check_latents import check_counts, tried_normals
 from pemviz.simulators.check_slots import (
     check_asked,
     check_ever_present,
@@ -15,6 +17,7 @@ from pemviz.simulators.check_slots import (
     outcomes_by_slot,
 )
 from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Signal, Simulator, StateBatch
@@ -30,6 +33,7 @@ ROUNDING = 1e-9
 """Of a signal's range: what a value may differ by when it is computed beside others."""
 ALL_MISSED, ALL_DETECTED, MIXED, MIXED_AGAIN = range(4)
 COUNT = 4
+DECLARE = "what is random about it is declared: latents = pemviz.LatentCounts(start=1)"
 COMPLETE = "; all that decides how a rollout goes on must be in signals and memory"
 
 
@@ -40,6 +44,7 @@ def check_simulator(simulator: Simulator | SlotSimulator) -> None:
     them alone, from the start and from a state that was kept in the middle. All must agree,
     since methods continue from kept states, and results must not depend on batches.
     Where slots are declared, "missed" is an error in every slot, and now and then in one alone.
+    Where latents are, each rollout has its own, but for the two with the same outcomes.
 
     Raises:
         ConfigError: One line: what is missing, of the wrong shape, not pure, or random.
@@ -54,11 +59,11 @@ def check_simulator(simulator: Simulator | SlotSimulator) -> None:
         _refuse(f"simulator: {kind} is no pemviz.Simulator, it lacks {', '.join(absent)}")
     where = f"simulator {simulator.name!r}"
     _check_facts(simulator, where)
+    check_counts(simulator, where)
     if isinstance(simulator, SlotSimulator):
         check_slots(simulator, where)
-    start = _call(where, "initial", lambda: simulator.initial(count=COUNT))
-    _check_states(start, simulator, f"{where}: initial(count={COUNT})", step=0)
-    _check_start(simulator, start, where)
+    _check_start(simulator, where)
+    start = _begun(simulator, _latents(simulator), where)
     _check_tracks(simulator, start, where)
     if isinstance(simulator, SlotSimulator):
         check_kept(start, where)
@@ -83,15 +88,33 @@ def _outcomes(simulator: Simulator | SlotSimulator) -> BoolArray:
     return outcomes
 
 
-def _check_start(simulator: Simulator | SlotSimulator, start: StateBatch, where: str) -> None:
+def _latents(simulator: Simulator | SlotSimulator) -> StandardNormals:
+    """Of the rollouts that it is tried with; no columns where it takes none."""
+    return tried_normals(simulator, count=COUNT)
+
+
+def _begun(
+    simulator: Simulator | SlotSimulator, latents: StandardNormals, where: str
+) -> StateBatch:
+    count = len(latents.start)
+    return _call(
+        where, "initial", lambda: begun(simulator, count=count, start=latents.start.copy())
+    )
+
+
+def _check_start(simulator: Simulator | SlotSimulator, where: str) -> None:
+    """With the same latents, or none, every rollout starts in the same state, every time."""
+    latents = _latents(simulator).take(np.zeros(COUNT, dtype=np.int64))
+    start = _begun(simulator, latents, where)
+    _check_states(start, simulator, f"{where}: initial(count={COUNT})", step=0)
     for row in range(1, COUNT):
         other = _difference(simulator, _row(start, 0), _row(start, row))
         if other is not None:
             _refuse(
                 f"{where}: initial gives rollouts that start differently ({other}); every "
-                "rollout must start in the same state"
+                f"rollout must start in the same state; {DECLARE}"
             )
-    again = _call(where, "initial", lambda: simulator.initial(count=COUNT))
+    again = _begun(simulator, latents, where)
     other = _difference(simulator, start, again)
     if other is not None:
         _refuse(f"{where}: initial gives another state when it is called again ({other})")
@@ -117,11 +140,12 @@ def _course(
     simulator: Simulator | SlotSimulator, start: StateBatch, where: str
 ) -> list[StateBatch]:
     """The states ``[COUNT]`` at every step; ``step`` leaves those that it is given alone."""
-    outcomes = _outcomes(simulator)
+    outcomes, latents = _outcomes(simulator), _latents(simulator)
     course = [start]
     for step in range(simulator.states - 1):
         before = course[-1].map(np.array)
-        course.append(_stepped(simulator, course[-1], outcomes[:, step], where))
+        noise = latents.noise[:, step]
+        course.append(_stepped(simulator, course[-1], outcomes[:, step], noise, where))
         _check_states(course[-1], simulator, f"{where}: step", step=step + 1)
         if _difference(simulator, course[-2], before) is not None:
             _refuse(f"{where}: step writes to the states it is given; it must return new ones")
@@ -145,10 +169,11 @@ def _check_order(
     simulator: Simulator | SlotSimulator, course: Sequence[StateBatch], where: str
 ) -> None:
     """A second time and in reverse order, every rollout must be what it was."""
-    outcomes = _outcomes(simulator)[::-1]
-    states = _call(where, "initial", lambda: simulator.initial(count=COUNT))
+    outcomes, latents = _outcomes(simulator)[::-1], _latents(simulator).take(slice(None, None, -1))
+    states = _begun(simulator, latents, where)
     for step in range(simulator.states - 1):
-        states = _stepped(simulator, states, outcomes[:, step], where)
+        noise = latents.noise[:, step]
+        states = _stepped(simulator, states, outcomes[:, step], noise, where)
         for row in range(COUNT):
             other = _difference(
                 simulator, _row(course[step + 1], row), _row(states, COUNT - 1 - row)
@@ -166,9 +191,10 @@ def _check_continued(
 ) -> None:
     """One rollout alone, from the start and from a state kept in the middle."""
     outcomes = _outcomes(simulator)[MIXED]
+    latents = _latents(simulator).take(slice(MIXED, MIXED + 1))
     steps = simulator.states - 1
     middle = steps // 2
-    alone = _row(_call(where, "initial", lambda: simulator.initial(count=1)), 0)
+    alone = _row(_begun(simulator, latents, where), 0)
     legs = (
         ("alone", alone, range(middle)),
         (f"continued from its state at step {middle}", _row(course[middle], MIXED),
@@ -177,7 +203,8 @@ def _check_continued(
     for how, start, leg in legs:
         states = start
         for step in leg:
-            states = _stepped(simulator, states, outcomes[step : step + 1], where)
+            noise = latents.noise[:, step]
+            states = _stepped(simulator, states, outcomes[step : step + 1], noise, where)
             other = _difference(simulator, _row(course[step + 1], MIXED), states)
             if other is not None:
                 _refuse(
@@ -187,12 +214,17 @@ def _check_continued(
 
 
 def _stepped(
-    simulator: Simulator | SlotSimulator, states: StateBatch, detected: BoolArray, where: str
+    simulator: Simulator | SlotSimulator,
+    states: StateBatch,
+    detected: BoolArray,
+    noise: FloatArray,
+    where: str,
 ) -> StateBatch:
+    given = noise.copy()
     if isinstance(simulator, SlotSimulator):
         by_slot = _call(where, "present", lambda: outcomes_by_slot(simulator, states, detected))
-        return _call(where, "step", lambda: simulator.step(states, by_slot))
-    return _call(where, "step", lambda: simulator.step(states, detected.copy()))
+        return _call(where, "step", lambda: stepped(simulator, states, by_slot, given))
+    return _call(where, "step", lambda: stepped(simulator, states, detected.copy(), given))
 
 
 def _difference(

@@ -7,6 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, Move, moved, to_numpy
+from pemviz.latents import LatentCounts
+from pemviz.simulators.latents import begun, latent_counts, stepped
 from pemviz.types import Signal, Simulator, StateBatch
 
 VIOLATED = "violated"
@@ -58,6 +60,11 @@ class WrappedSimulator:
         """The back end's signals."""
         return self.scenario.signals
 
+    @property
+    def latents(self) -> LatentCounts:
+        """The back end's latents."""
+        return latent_counts(self.scenario)
+
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The back end's salient variables."""
         return self.scenario.salient(signals)
@@ -76,13 +83,17 @@ class LatchedSimulator(WrappedSimulator):
 
     unsafe: Callable[[StateBatch], BoolArray]
 
-    def initial(self, *, count: int) -> StateBatch:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The back end's initial states and whether they violate."""
-        return self._latched(self.scenario.initial(count=count), np.zeros(count, dtype=np.bool_))
+        states = begun(self.scenario, count=count, start=start)
+        return self._latched(states, np.zeros(count, dtype=np.bool_))
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
         """The back end's next states; a violation stays."""
-        return self._latched(self.scenario.step(states, detected), states.memory[VIOLATED])
+        after = stepped(self.scenario, states, detected, noise)
+        return self._latched(after, states.memory[VIOLATED])
 
     def moved(self, move: Move) -> "LatchedSimulator | None":
         """The same for tensors, if the scenario can; a rule that cannot is asked through numpy."""
@@ -119,12 +130,14 @@ class MonitoredSimulator(WrappedSimulator):
 
     monitor: Monitor
 
-    def initial(self, *, count: int) -> MonitoredStates:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> MonitoredStates:
         """The back end's initial states and whether they violate."""
-        states = self.scenario.initial(count=count)
+        states = begun(self.scenario, count=count, start=start)
         return self._monitored(states, self.monitor.start(count=count))
 
-    def step(self, states: StateBatch, detected: BoolArray) -> MonitoredStates:
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> MonitoredStates:
         """The back end's next states; a violation stays.
 
         Raises:
@@ -133,7 +146,7 @@ class MonitoredSimulator(WrappedSimulator):
         if not isinstance(states, MonitoredStates):
             message = "a monitored simulator goes on from its own states only"
             raise TypeError(message)
-        return self._monitored(self.scenario.step(states, detected), states.known)
+        return self._monitored(stepped(self.scenario, states, detected, noise), states.known)
 
     def _monitored(self, states: StateBatch, before: Any) -> MonitoredStates:
         verdict = self.monitor.advance(before, step=int(states.step), signals=states.signals)

@@ -9,6 +9,7 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
 from pemviz.errors import ConfigError
 from pemviz.simulators.latched import WrappedSimulator
+from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import UnrolledSimulator
 from pemviz.types import CERTAIN, Signal, Simulator, StateBatch
 
@@ -31,15 +32,17 @@ class RememberingSimulator(WrappedSimulator):
         """The back end's signals, and the last outcome."""
         return (*self.scenario.signals, LAST_OUTCOME)
 
-    def initial(self, *, count: int) -> StateBatch:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The back end's initial states, before any outcome."""
-        return _after(self.scenario.initial(count=count), np.zeros(count))
+        return _after(begun(self.scenario, count=count, start=start), np.zeros(count))
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
         """The back end's next states after outcomes ``[N]``."""
         own = {name: v for name, v in states.signals.items() if name != LAST_OUTCOME.name}
         last = namespace(detected).where(detected, _ones(states), -_ones(states))
-        return _after(self.scenario.step(replace(states, signals=own), detected), last)
+        return _after(stepped(self.scenario, replace(states, signals=own), detected, noise), last)
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The back end's salient variables and the last outcome, ``[..., D + 1]``."""
@@ -62,18 +65,20 @@ class RememberingSlots(RememberingSimulator):
 
     scenario: UnrolledSimulator
 
-    def initial(self, *, count: int) -> StateBatch:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The unrolled initial states, before any outcome."""
-        start = self.scenario.initial(count=count)
+        states = begun(self.scenario, count=count, start=start)
         none = {f"{LAST}{slot}": np.zeros(count) for slot in range(self.scenario.turns)}
-        return _after(replace(start, memory={**start.memory, **none}), np.zeros(count))
+        return _after(replace(states, memory={**states.memory, **none}), np.zeros(count))
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
         """The unrolled next states after outcomes ``[N]``."""
         turn = int(states.step) % self.scenario.turns
         kept = {n: v for n, v in states.memory.items() if n.startswith(LAST)}
         own = {n: v for n, v in states.memory.items() if n not in kept}
-        after = self.scenario.step(replace(states, memory=own), detected)
+        after = stepped(self.scenario, replace(states, memory=own), detected, noise)
         outcome = np.where(detected, 1.0, -1.0)
         kept[f"{LAST}{turn}"] = np.where(states.memory[CERTAIN], 0.0, outcome)
         following = kept[f"{LAST}{(turn + 1) % self.scenario.turns}"]

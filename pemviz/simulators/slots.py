@@ -16,6 +16,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.latents import LatentCounts
+from pemviz.simulators.latents import begun, latent_counts, stepped
 from pemviz.types import CERTAIN, Signal, StateBatch
 
 SLOT = "slot"
@@ -150,13 +152,20 @@ class UnrolledSimulator:
             return own
         return (*own, Signal(name=SLOT, key=SLOT, unit="", low=0.0, high=float(self.turns)))
 
-    def initial(self, *, count: int) -> StateBatch:
-        """The scenario's initial states, in the first slot's turn."""
-        start = self.scenario.initial(count=count)
-        none = np.zeros(count, dtype=np.bool_)
-        return self._in_turn(start, dict.fromkeys(self._errors, none), turn=0, step=start.step)
+    @property
+    def latents(self) -> LatentCounts:
+        """The scenario's; it takes a step's noise with the last slot's turn."""
+        return latent_counts(self.scenario)
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
+        """The scenario's initial states, in the first slot's turn."""
+        states = begun(self.scenario, count=count, start=start)
+        none = np.zeros(count, dtype=np.bool_)
+        return self._in_turn(states, dict.fromkeys(self._errors, none), turn=0, step=states.step)
+
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
         """The states after a turn whose outcome is nominal where ``detected [N]``."""
         turn = int(states.step) % self.turns
         error = ~(detected | states.memory[CERTAIN])
@@ -166,7 +175,7 @@ class UnrolledSimulator:
             errors[f"{ERROR}{turn}"] = error
             return self._in_turn(own, errors, turn=turn + 1, step=states.step + 1)
         by_slot = np.stack([*errors.values(), error], axis=-1)
-        after = self.scenario.step(own, by_slot ^ self.nominal)
+        after = stepped(self.scenario, own, by_slot ^ self.nominal, noise)
         none = np.zeros(detected.shape, dtype=np.bool_)
         return self._in_turn(after, dict.fromkeys(errors, none), turn=0, step=states.step + 1)
 

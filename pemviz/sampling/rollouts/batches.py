@@ -9,6 +9,7 @@ import numpy as np
 
 from pemviz.arrays import LARGEST_NUMBER, FloatArray
 from pemviz.errors import RunError
+from pemviz.latents import StandardNormals
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.draw import simulate
 from pemviz.types import Proposal, RolloutBatch, Simulator
@@ -25,18 +26,21 @@ class BatchTask:
     Attributes:
         proposal: What outcomes are drawn from.
         uniforms: ``[N, T-1]``; see :func:`pemviz.sampling.rollouts.draw.simulate`.
+        normals: Of N rollouts of a scenario with latents.
     """
 
     proposal: Proposal
     uniforms: FloatArray
+    normals: StandardNormals | None = None
 
     def split(self, pieces: int) -> "Sequence[BatchTask]":
         """The same rollouts as at most ``pieces`` tasks, in order."""
         edges = np.linspace(0, len(self.uniforms), min(pieces, len(self.uniforms)) + 1).astype(int)
-        return [
-            BatchTask(of_rows(self.proposal, slice(start, stop)), self.uniforms[start:stop])
-            for start, stop in itertools.pairwise(edges.tolist())
-        ]
+        return [self._rows(slice(*edge)) for edge in itertools.pairwise(edges.tolist())]
+
+    def _rows(self, rows: slice) -> "BatchTask":
+        normals = None if self.normals is None else self.normals.take(rows)
+        return BatchTask(of_rows(self.proposal, rows), self.uniforms[rows], normals)
 
 
 @runtime_checkable
@@ -71,6 +75,7 @@ def run_here(simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]) -> Iter
             pem=pem,
             proposal=task.proposal,
             uniforms=task.uniforms,
+            normals=task.normals,
         )
 
 
@@ -93,6 +98,11 @@ def check_numbers(
         ("error model: logit", rollouts.pem_logit),
         ("proposal: logit", rollouts.proposal_logit),
     ]
+    if rollouts.latents is not None:
+        means = rollouts.latents.start_mean, rollouts.latents.noise_mean
+        if not all(np.isfinite(mean).all() for mean in means):
+            message = "proposal: the mean of a latent is no finite number"
+            raise SimulationError(message)
     worst: tuple[int, int, str] | None = None
     for what, values in named:
         allowed = np.abs(values) <= LARGEST_NUMBER  # false for NaN

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pemviz.arrays import FloatArray, moved
 from pemviz.errors import ConfigError
+from pemviz.latents import StandardNormals
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.batches import BatchRunner, BatchTask, run_here
 from pemviz.sampling.rollouts.draw import simulate
@@ -32,6 +33,7 @@ class DeviceRunner:
                 proposal=task.proposal,
                 uniforms=task.uniforms,
                 device=self.device,
+                normals=task.normals,
             )
 
 
@@ -52,12 +54,13 @@ def simulate_on_device(
     proposal: Proposal,
     uniforms: FloatArray,
     device: str,
+    normals: StandardNormals | None = None,
 ) -> RolloutBatch:
     """What :func:`pemviz.sampling.rollouts.draw.simulate` gives, computed on ``device``.
 
     The outcomes come from the same uniforms, so that rollouts are the same; logits differ by
-    rounding. A simulator that is not :class:`pemviz.arrays.Movable` is stepped by numpy whatever
-    the device.
+    rounding. A simulator that is not :class:`pemviz.arrays.Movable`, or that takes latents, is
+    stepped by numpy whatever the device.
 
     Args:
         simulator: The scenario.
@@ -65,11 +68,12 @@ def simulate_on_device(
         proposal: What outcomes are drawn from.
         uniforms: ``[N, T-1]`` independent draws from [0, 1).
         device: ``cpu`` (numpy), ``torch-cpu``, ``cuda`` or ``cuda:N``.
+        normals: Of a scenario with latents.
 
     Returns:
         N rollouts.
     """
-    if device != NUMPY:
+    if device != NUMPY and normals is None:
         from pemviz.sampling.rollouts import tensor_draw  # noqa: PLC0415  torch is slow to import
 
         rollouts = tensor_draw.simulate(
@@ -81,7 +85,9 @@ def simulate_on_device(
         )
         if rollouts is not None:
             return rollouts
-    return simulate(simulator=simulator, pem=pem, proposal=proposal, uniforms=uniforms)
+    return simulate(
+        simulator=simulator, pem=pem, proposal=proposal, uniforms=uniforms, normals=normals
+    )
 
 
 def has_tensors(part: object) -> bool:

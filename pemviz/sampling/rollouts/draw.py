@@ -7,13 +7,21 @@ import numpy as np
 from scipy import special
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, is_tensor, namespace
+from pemviz.latents import StandardNormals
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.frailty import kept_with_rollouts
+from pemviz.sampling.rollouts.latent_draws import LatentTrack
+from pemviz.simulators.latents import begun, stepped
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
 
 def simulate(
-    *, simulator: Simulator, pem: DetectorModel, proposal: Proposal, uniforms: FloatArray
+    *,
+    simulator: Simulator,
+    pem: DetectorModel,
+    proposal: Proposal,
+    uniforms: FloatArray,
+    normals: StandardNormals | None = None,
 ) -> RolloutBatch:
     """Roll out the scenario once for each row of ``uniforms``.
 
@@ -23,12 +31,23 @@ def simulate(
         proposal: What outcomes are drawn from.
         uniforms: ``[N, T-1]`` independent draws from [0, 1); a step misses where its draw
             is below the probability of a miss.
+        normals: Of a scenario with latents.
 
     Returns:
         N rollouts.
     """
-    start = simulator.initial(count=uniforms.shape[0])
-    return roll_out(start, simulator=simulator, pem=pem, proposal=proposal, draws=uniforms.T)
+    count, steps = uniforms.shape
+    track = None
+    if normals is not None:
+        track = LatentTrack.begun(normals, proposal, outcomes=steps)
+    return roll_out(
+        begun(simulator, count=count, start=None if track is None else track.latents.start),
+        simulator=simulator,
+        pem=pem,
+        proposal=proposal,
+        draws=uniforms.T,
+        track=track,
+    )
 
 
 def roll_out(
@@ -38,8 +57,12 @@ def roll_out(
     pem: DetectorModel,
     proposal: Proposal,
     draws: FloatArray,
+    track: LatentTrack | None = None,
 ) -> RolloutBatch:
-    """Rollouts from initial ``states`` ``[N]`` for draws ``[T-1, N]``, here or on a device."""
+    """Rollouts from initial ``states`` ``[N]`` for draws ``[T-1, N]``, here or on a device.
+
+    With latents, whose ``track`` is continued, it is here alone.
+    """
     steps = draws.shape[0]
     xp = namespace(draws)
     detected = xp.empty(draws.shape, dtype=xp.bool, device=draws.device)
@@ -51,7 +74,8 @@ def roll_out(
         under_pem[step] = pem.logit(simulator.salient(states.signals))
         under_proposal[step] = proposal.logit(states, under_pem[step])
         detected[step] = draws[step] >= _expit(-under_proposal[step])
-        states = simulator.step(states, detected[step])
+        noise = None if track is None else track.noise(step, states, proposal)
+        states = stepped(simulator, states, detected[step], noise)
         signals.record(step + 1, states.signals)
         memory.record(step + 1, kept_with_rollouts(states.memory))
     return RolloutBatch(
@@ -60,16 +84,32 @@ def roll_out(
         detected=detected.T,
         pem_logit=under_pem.T,
         proposal_logit=under_proposal.T,
+        latents=None if track is None else track.latents,
     )
 
 
-def replay(*, simulator: Simulator, detected: BoolArray) -> Mapping[str, FloatArray]:
-    """Signals ``[N, T]`` of rollouts with given outcomes ``[N, T-1]``."""
-    states = simulator.initial(count=detected.shape[0])
+def replay(
+    *,
+    simulator: Simulator,
+    detected: BoolArray,
+    start: FloatArray | None = None,
+    noise: FloatArray | None = None,
+) -> Mapping[str, FloatArray]:
+    """Signals ``[N, T]`` of rollouts with given outcomes and latents.
+
+    Args:
+        simulator: The scenario; one with K slots as it was declared, or unrolled.
+        detected: ``[N, T-1]``, or ``[N, T-1, K]``.
+        start: ``[N, S]``; ``None``: all 0.
+        noise: ``[N, T-1, M]``, with slots not unrolled; ``None`` likewise.
+    """
+    states = begun(simulator, count=detected.shape[0], start=start)
     signals = _Track(states.signals, simulator.states)
-    by_step = np.ascontiguousarray(detected.T)
+    by_step = np.ascontiguousarray(np.moveaxis(detected, 0, 1))
+    turns = 1 if noise is None else detected.shape[1] // noise.shape[1]
     for step in range(simulator.states - 1):
-        states = simulator.step(states, by_step[step])
+        given = None if noise is None else noise[:, step // turns]
+        states = stepped(simulator, states, by_step[step], given)
         signals.record(step + 1, states.signals)
     return signals.by_rollout()
 

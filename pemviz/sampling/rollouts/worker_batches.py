@@ -70,6 +70,7 @@ def simulate_piece(simulator: Simulator, pem: Pem, task: BatchTask) -> RolloutBa
         pem=pem,
         proposal=task.proposal,
         uniforms=task.uniforms,
+        normals=task.normals,
     )
 
 

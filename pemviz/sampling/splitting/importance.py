@@ -14,6 +14,7 @@ from scipy.special import log_expit
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.sampling.frailty import dynamics_of, kept_with_rollouts
 from pemviz.sampling.problem import Problem
+from pemviz.simulators.latents import stepped
 from pemviz.types import RolloutBatch, StateBatch
 
 OUT_OF_REACH = 1e9
@@ -28,7 +29,8 @@ def importance(
     """About -log of the probability of a violation [nats] from states ``(row, step)``, ``[M]``.
 
     From such a state the scenario goes on to its end with everything detected and with
-    everything missed. With ``best`` the higher robustness of the two and ``worst`` the lower:
+    everything missed, noise at 0. With ``best`` the higher robustness of the two and ``worst`` the
+    lower:
 
     - where both violate, the function is ``best``, which is below 0;
     - where neither does, it is ``OUT_OF_REACH + worst``;
@@ -142,7 +144,8 @@ def _carried_on(
     memory = {name: values[row, step] for name, values in kept.items()}
     for moment in range(int(step[0]), simulator.states - 1):
         active = slice(0, int(np.searchsorted(step, moment, side="right")))
-        reached = simulator.step(
+        reached = stepped(
+            simulator,
             StateBatch(
                 step=np.array(moment, dtype=np.int64),
                 signals={name: values[active] for name, values in now.items()},

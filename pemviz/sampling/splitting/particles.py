@@ -13,10 +13,12 @@ from scipy.special import expit
 
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError
+from pemviz.latents import Latents
 from pemviz.sampling.frailty import carried_on, dynamics_of, kept_with_rollouts
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import check_numbers
 from pemviz.sampling.splitting.importance import importance, importance_at_end
+from pemviz.simulators.latents import begun, latent_counts, stepped
 from pemviz.types import CERTAIN, RolloutBatch, Simulator, StateBatch
 
 MOST_LOOKS = 64
@@ -59,13 +61,16 @@ class Continuation:
 
     Attributes:
         paths: M particles, overwritten after ``cut``.
-        cut: The last state that each keeps, ``[M]``, ascending; 0 draws them whole.
+        cut: The last state that each keeps, ``[M]``, ascending; 0 draws them whole but for the
+            latents at their start.
         uniforms: ``[T-1, M]`` draws from [0, 1) for the outcomes after it.
+        noise: Latents of all steps, ``[M, T-1, ...]``, of which those after it count.
     """
 
     paths: Particles
     cut: IntArray
     uniforms: FloatArray
+    noise: FloatArray
 
 
 def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -> Continuation:
@@ -74,9 +79,12 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
     Raises:
         ConfigError: The simulator's states hold more than can be kept.
     """
-    start = problem.simulator.initial(count=count)
+    states, counts = problem.simulator.states, latent_counts(problem.simulator)
+    uniforms = generator.random((states - 1, count))
+    normals = generator.standard_normal((count, counts.start))
+    start = begun(problem.simulator, count=count, start=normals)
     _check_can_be_kept(problem.simulator, start)
-    states = problem.simulator.states
+    noise = generator.standard_normal((count, (states - 1) // problem.turns, counts.noise))
     unknown = np.zeros((count, states - 1))
     blank = Particles(
         rollouts=RolloutBatch(
@@ -88,6 +96,7 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
             detected=unknown.astype(np.bool_),
             pem_logit=unknown,
             proposal_logit=unknown,
+            latents=Latents(normals, 0.0 * normals, noise, 0.0 * noise) if counts else None,
         ),
         score=np.full((count, states), np.inf),
         looks=np.zeros((count, states), dtype=np.int64),
@@ -96,7 +105,8 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
     return Continuation(
         paths=blank.map(np.asfortranarray),
         cut=np.zeros(count, dtype=np.int64),
-        uniforms=generator.random((states - 1, count)),
+        uniforms=uniforms,
+        noise=noise,
     )
 
 
@@ -114,11 +124,13 @@ def restart(
     Returns:
         M particles in the order of ``cut``; those with the same keep theirs.
     """
-    order = np.argsort(cut, kind="stable")
+    order, latents = np.argsort(cut, kind="stable"), particles.rollouts.latents
+    noise = (0, 0) if latents is None else latents.noise.shape[1:]
     return Continuation(
         paths=particles.take(parent[order]),
         cut=cut[order],
         uniforms=generator.random((particles.rollouts.detected.shape[1], cut.size)),
+        noise=generator.standard_normal((cut.size, *noise)),
     )
 
 
@@ -132,14 +144,17 @@ def continued(problem: Problem, runs: Sequence[Continuation]) -> Sequence[Partic
     """
     if len(runs) == 1:
         (run,) = runs
-        return [_continued(problem, run.paths, cut=run.cut, uniforms=run.uniforms)]
+        return [_continued(problem, run)]
     cut = np.concatenate([run.cut for run in runs])
     order = np.argsort(cut, kind="stable")
     together = _continued(
         problem,
-        Particles.concatenate([run.paths for run in runs]).take(order),
-        cut=cut[order],
-        uniforms=np.concatenate([run.uniforms for run in runs], axis=1)[:, order],
+        Continuation(
+            paths=Particles.concatenate([run.paths for run in runs]).take(order),
+            cut=cut[order],
+            uniforms=np.concatenate([run.uniforms for run in runs], axis=1)[:, order],
+            noise=np.concatenate([run.noise for run in runs])[order],
+        ),
     )
     place = np.empty_like(order)
     place[order] = np.arange(order.size)
@@ -165,11 +180,9 @@ def _first_column(values: AnyArray, states: int) -> AnyArray:
     return result
 
 
-def _continued(
-    problem: Problem, paths: Particles, *, cut: IntArray, uniforms: FloatArray
-) -> Particles:
-    """Overwrite ``paths [N]`` after the states ``cut [N]``; see :class:`Continuation`."""
-    to_look = _moved_on(problem, paths, cut, uniforms)
+def _continued(problem: Problem, run: Continuation) -> Particles:
+    """Overwrite a run's paths after the states ``cut``."""
+    to_look, paths, cut = _moved_on(problem, run), run.paths, run.cut
     rollouts = replace(paths.rollouts, proposal_logit=paths.rollouts.pem_logit)
     name = problem.simulator.name
     check_numbers(rollouts, first_rollout=0, simulator=name, turns=problem.turns)
@@ -183,13 +196,15 @@ def _continued(
     return replace(paths, rollouts=rollouts, score=score)
 
 
-def _moved_on(problem: Problem, paths: Particles, cut: IntArray, uniforms: FloatArray) -> BoolArray:
-    """Overwrite ``paths`` from ``cut`` on; at which states the importance function is computed.
+def _moved_on(problem: Problem, run: Continuation) -> BoolArray:
+    """Overwrite paths from ``cut`` on; at which states the importance function is computed.
 
     That is where an outcome that was not the likelier one has just led elsewhere than the
     other would have: outcomes that change nothing, and those that were to be expected, bring
-    a rollout no nearer. The last states are not among them, since nothing follows.
+    a rollout no nearer. So may a step's noise, always. The last states are not among them, since
+    nothing follows.
     """
+    paths, cut, uniforms = run.paths, run.cut, run.uniforms
     simulator, rollouts = problem.simulator, paths.rollouts
     count, steps = rollouts.detected.shape
     to_look = np.zeros((count, steps + 1), dtype=np.bool_, order="F")
@@ -203,7 +218,8 @@ def _moved_on(problem: Problem, paths: Particles, cut: IntArray, uniforms: Float
         before = replace(before, memory={**before.memory, **carried})
         logit = problem.pem.logit(simulator.salient(before.signals))
         detected = uniforms[step, :active] >= expit(-logit)
-        after = simulator.step(before, detected)
+        noise = _drawn_noise(run, step, active, turns=problem.turns)
+        after = stepped(simulator, before, detected, noise)
         rollouts.pem_logit[:active, step] = logit
         rollouts.detected[:active, step] = detected
         carried = {name: v for name, v in after.memory.items() if name not in rollouts.memory}
@@ -211,12 +227,26 @@ def _moved_on(problem: Problem, paths: Particles, cut: IntArray, uniforms: Float
             for name in kept:
                 kept[name][:active, step + 1] = reached[name]
         unlikely = np.flatnonzero(detected != (logit >= 0.0))
-        if unlikely.size:
+        if noise is not None:
+            pending[:active] = True
+        elif unlikely.size:
             pending[unlikely] |= _mattered(simulator, before, after, detected, unlikely)
         # where the outcome is certain, the state's logit says nothing about the way to a violation
         ready = pending[:active] & ~after.memory.get(CERTAIN, np.False_)
         pending[:active] &= ~_marked(to_look, paths.looks, ready, step + 1)
     return to_look
+
+
+def _drawn_noise(run: Continuation, step: int, active: int, *, turns: int) -> FloatArray | None:
+    """The noise ``[active, M]`` of the step that an outcome belongs to, written to the paths.
+
+    ``None`` where there is none, or before the step's last outcome.
+    """
+    latents = run.paths.rollouts.latents
+    if latents is None or not latents.noise.shape[2] or (step + 1) % turns:
+        return None
+    latents.noise[:active, step // turns] = run.noise[:active, step // turns]
+    return latents.noise[:active, step // turns]
 
 
 def _marked(to_look: BoolArray, looks: AnyArray, ready: BoolArray, step: int) -> BoolArray:

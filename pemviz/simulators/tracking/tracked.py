@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.simulators.latched import WrappedSimulator
+from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import Slot, SlotSimulator
 from pemviz.simulators.tracking.tracker import Tracker
 from pemviz.types import Simulator, StateBatch
@@ -22,15 +23,17 @@ class TrackedSimulator(WrappedSimulator):
 
     tracker: Tracker
 
-    def initial(self, *, count: int) -> StateBatch:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The scenario's initial states, without tracks."""
-        start = self.scenario.initial(count=count)
-        return self._with(start, self.tracker.memory(self.tracker.start(count)))
+        states = begun(self.scenario, count=count, start=start)
+        return self._with(states, self.tracker.memory(self.tracker.start(count)))
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
         """The scenario's next states, given what is tracked after outcomes ``[N]``."""
         tracks = self.tracker.update(self.tracker.state(states.memory), detected)
-        after = self.scenario.step(self._own(states), tracks.confirmed)
+        after = stepped(self.scenario, self._own(states), tracks.confirmed, noise)
         return self._with(after, self.tracker.memory(tracks))
 
     def _with(self, states: StateBatch, tracks: Mapping[str, AnyArray]) -> StateBatch:
@@ -58,16 +61,19 @@ class TrackedSlots(TrackedSimulator):
         """Where perception has something to report, ``[..., K]``."""
         return self.scenario.present(signals)
 
-    def initial(self, *, count: int) -> StateBatch:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The scenario's initial states, without tracks."""
+        states = begun(self.scenario, count=count, start=start)
         tracks = self.tracker.start(count, slots=len(self.slots))
-        return self._with(self.scenario.initial(count=count), self.tracker.memory(tracks))
+        return self._with(states, self.tracker.memory(tracks))
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
         """The scenario's next states, given what is tracked after outcomes ``[N, K]``."""
         before = self.tracker.state(states.memory, slots=len(self.slots))
         tracks = self.tracker.update(before, detected & self.present(states.signals))
-        after = self.scenario.step(self._own(states), tracks.confirmed)
+        after = stepped(self.scenario, self._own(states), tracks.confirmed, noise)
         return self._with(after, self.tracker.memory(tracks))
 
 
@@ -85,7 +91,7 @@ def tracked(simulator: Simulator | SlotSimulator, tracker: Tracker) -> TrackedSi
     if tracker.axes:
         message = f"{where}: tracked hands on no positions: must be a tracker with axes = 0"
         raise ConfigError(message)
-    if any(n.startswith(f"{tracker.name}_") for n in simulator.initial(count=1).memory):
+    if any(n.startswith(f"{tracker.name}_") for n in begun(simulator, count=1).memory):
         message = f"{where}: its memory has the names of tracker {tracker.name!r}: choose another"
         raise ConfigError(message)
     if isinstance(simulator, SlotSimulator):

@@ -1,0 +1,92 @@
+"""Latents of rollouts: standard normals from a source of their own, and the means they get."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import FloatArray
+from pemviz.latents import LatentCounts, Latents, StandardNormals
+from pemviz.types import MovesLatents, Proposal, StateBatch
+
+SPAWN_KEY = 2**32 - 1
+"""Of the child of a stage's seeds that latents come from; others count from 0."""
+
+
+class NormalSource:
+    """Standard normals for a stage's rollouts, one batch after the other.
+
+    They have a random generator of their own: outcomes are the same with latents and without.
+    A rollout's do not depend on how many are drawn at a time.
+    """
+
+    def __init__(self, seeds: np.random.SeedSequence, *, counts: LatentCounts, steps: int) -> None:
+        """Prepare.
+
+        Args:
+            seeds: Of the stage.
+            counts: Latents of a rollout.
+            steps: At so many, ``counts.noise`` each.
+        """
+        key = (*seeds.spawn_key, SPAWN_KEY)
+        child = np.random.SeedSequence(seeds.entropy, spawn_key=key, pool_size=seeds.pool_size)
+        self._generator = np.random.default_rng(child)
+        self._counts, self._steps = counts, steps
+
+    def draw(self, count: int) -> StandardNormals | None:
+        """For the next ``count`` rollouts; ``None`` if they take none."""
+        if not self._counts:
+            return None
+        at_start, each = self._counts.start, self._counts.noise
+        normals = self._generator.standard_normal((count, at_start + self._steps * each))
+        return StandardNormals(
+            start=normals[:, :at_start],
+            noise=normals[:, at_start:].reshape(count, self._steps, each),
+        )
+
+
+@dataclass(frozen=True)
+class LatentTrack:
+    """The latents of N rollouts while they are drawn, a step of all in one piece.
+
+    Attributes:
+        normals: Without their means.
+        latents: As far as they are drawn; written to.
+        turns: Outcomes of a step: noise comes with the last of them.
+    """
+
+    normals: StandardNormals
+    latents: Latents
+    turns: int
+
+    @staticmethod
+    def begun(normals: StandardNormals, proposal: Proposal, *, outcomes: int) -> "LatentTrack":
+        """With those at the start.
+
+        Args:
+            normals: Of N rollouts.
+            proposal: What the means come from.
+            outcomes: Of a rollout.
+        """
+        count, steps, _ = normals.noise.shape
+        mean = np.zeros(normals.start.shape)
+        if isinstance(proposal, MovesLatents):
+            mean = mean + proposal.start_mean(count)
+        none = np.zeros(normals.noise.shape, order="F")
+        latents = Latents(normals.start + mean, mean, none, none.copy(order="F"))
+        return LatentTrack(normals, latents.map(np.asfortranarray), outcomes // steps)
+
+    def noise(self, step: int, states: StateBatch, proposal: Proposal) -> FloatArray | None:
+        """Of the step that follows an outcome, ``[N, M]``; ``None`` before a step's last outcome.
+
+        Args:
+            step: The outcome's index.
+            states: At which it was, ``[N]``.
+            proposal: What the means come from.
+        """
+        if (step + 1) % self.turns:
+            return None
+        of_step, latents = step // self.turns, self.latents
+        if isinstance(proposal, MovesLatents):
+            latents.noise_mean[:, of_step] = proposal.noise_mean(states)
+        latents.noise[:, of_step] = self.normals.noise[:, of_step] + latents.noise_mean[:, of_step]
+        return latents.noise[:, of_step]

@@ -1,0 +1,106 @@
+"""Scenarios with latents, those without, and what wraps them: begun and stepped alike."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.latents import NO_LATENTS, LatentCounts
+from pemviz.types import Signal, Simulator, StateBatch
+
+
+@runtime_checkable
+class LatentSimulator(Protocol):
+    """A scenario that takes standard normals at the start, at every step, or both.
+
+    Like :class:`pemviz.types.Simulator`, or like one with slots, but for what its counts add:
+    with ``start`` S above 0 ``initial(count, start)`` is given standard normals ``[N, S]``, and
+    with ``noise`` M above 0 ``step(states, detected, noise)`` is given those of the step,
+    ``[N, M]``. Both stay pure: all that is random about a rollout is in them and in the outcomes.
+    """
+
+    @property
+    def latents(self) -> LatentCounts:
+        """How many."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """Back end's name for files and tables."""
+        ...
+
+    @property
+    def states(self) -> int:
+        """States in a rollout (T)."""
+        ...
+
+    @property
+    def dt_s(self) -> float:
+        """Time between two states [s]."""
+        ...
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The signals that a state carries."""
+        ...
+
+    def initial(self, *args: Any, **kwargs: Any) -> StateBatch:
+        """``initial(*, count)`` or ``initial(*, count, start)``."""
+        ...
+
+    def step(self, *args: Any, **kwargs: Any) -> StateBatch:
+        """``step(states, detected)`` or ``step(states, detected, noise)``."""
+        ...
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Signals ``[...]`` to what perception depends on: salient variables ``[..., D]``."""
+        ...
+
+
+def latent_counts(simulator: object) -> LatentCounts:
+    """How many latents a simulator takes; none where it does not say."""
+    return getattr(simulator, "latents", NO_LATENTS)
+
+
+def begun(
+    simulator: Simulator | LatentSimulator, *, count: int, start: FloatArray | None = None
+) -> StateBatch:
+    """The states in which ``count`` rollouts start.
+
+    Args:
+        simulator: The scenario, with or without latents.
+        count: Number of rollouts N.
+        start: Its latents, ``[N, S]``; ``None``: all 0, the median.
+    """
+    latents = latent_counts(simulator).start
+    if latents == 0:
+        return simulator.initial(count=count)
+    given = np.zeros((count, latents)) if start is None else start
+    return cast_latent(simulator).initial(count=count, start=given)
+
+
+def stepped(
+    simulator: Simulator | LatentSimulator,
+    states: StateBatch,
+    detected: BoolArray,
+    noise: FloatArray | None = None,
+) -> StateBatch:
+    """The next states after outcomes ``[N]``.
+
+    Args:
+        simulator: The scenario, with or without latents.
+        states: ``[N]``.
+        detected: ``[N]``, or as the scenario has its outcomes.
+        noise: Latents of the step, ``[N, M]``; ``None``: all 0.
+    """
+    latents = latent_counts(simulator).noise
+    if latents == 0:
+        return simulator.step(states, detected)
+    given = np.zeros((len(detected), latents)) if noise is None else noise
+    return cast_latent(simulator).step(states, detected, given)
+
+
+def cast_latent(simulator: Any) -> LatentSimulator:
+    """A simulator that is known to declare latents."""
+    return simulator

@@ -1,0 +1,245 @@
+"""Latents: drawn, recorded, replayed and answered for, against closed forms and recursions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import pemviz
+from pemviz.errors import ConfigError
+from pemviz.latents import LatentCounts
+from pemviz.proposals.fixed import PemProposal
+from pemviz.runs.resume import carry_out
+from pemviz.runs.rollout_files import latents_of, load_rollouts
+from pemviz.sampling.problem import sample
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.worker_batches import PooledRunner
+from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.latent_toys import (
+    Drift,
+    Flat,
+    LargestError,
+    RandomWalkStart,
+    TwoDrifts,
+    miss_of_either,
+)
+from tests.lattice_walk import ToyPem, ToySimulator
+from tests.sampling.test_pooled_batches import at_once
+
+ERRS = Flat(0.1)
+WALK = "always[0,14] (gap >= 0.5)"
+
+
+def experiment_of(simulator, spec, *, pem=ERRS, method="monte-carlo", **settings):
+    config = pemviz.ExperimentConfig(method=method, spec=spec, plan=False, **settings)
+    return pemviz.build_experiment(config, simulator=simulator, pem=pem)
+
+
+def drawn(problem, *, count=37, proposal=None):
+    seeds = np.random.SeedSequence(4)
+    return sample(problem, proposal=proposal or PemProposal(), count=count, seeds=seeds).rollouts
+
+
+class Moved(PemProposal):
+    """The error model, with latents moved by the state."""
+
+    def start_mean(self, count):
+        return np.full((count, 1), 0.7)
+
+    def noise_mean(self, states):
+        return 0.3 * states.signals["distance"][:, None]
+
+
+FAR = Drift(miss_m=0.4)
+SLOTS = TwoDrifts(miss_m=0.4)
+
+
+@pytest.mark.parametrize("simulator", [FAR, SLOTS], ids=["one outcome", "slots"])
+def test_rollouts_are_the_same_however_they_are_drawn(simulator):
+    problem = experiment_of(simulator, simulator.spec(2.0)).problem
+    whole = drawn(problem, proposal=Moved())
+    assert whole.latents.start.shape == (37, 1)
+    assert whole.latents.noise.shape == (37, 16, 1)
+    for changed in (
+        replace(problem, batch_rollouts=10),
+        replace(problem, run_batches=PooledRunner(at_once, 3)),
+    ):
+        again = drawn(changed, proposal=Moved())
+        for one, other in (
+            (whole.latents.start, again.latents.start),
+            (whole.latents.noise, again.latents.noise),
+            (whole.latents.noise_mean, again.latents.noise_mean),
+            (whole.detected, again.detected),
+            (whole.log_weight, again.log_weight),
+        ):
+            np.testing.assert_array_equal(one, other)
+    means = 0.3 * whole.signals["distance"][:, : -1 : problem.turns, None]
+    if problem.turns == 1:
+        np.testing.assert_array_equal(whole.latents.noise_mean, means)
+    log_p = stats.norm.logpdf(whole.latents.noise).sum(axis=(1, 2))
+    log_q = stats.norm.logpdf(whole.latents.noise, whole.latents.noise_mean).sum(axis=(1, 2))
+    of_start = stats.norm.logpdf(whole.latents.start) - stats.norm.logpdf(whole.latents.start, 0.7)
+    np.testing.assert_allclose(whole.log_weight, of_start[:, 0] + log_p - log_q, rtol=1e-12)
+
+
+def test_outcomes_are_the_same_with_latents_and_without():
+    """Latents come from a random generator of their own."""
+    with_latents = drawn(experiment_of(FAR, FAR.spec(2.0)).problem)
+    plain = replace(FAR, start_sd_m=0.0, noise_sd_m=0.0)
+    without = drawn(experiment_of(plain, plain.spec(2.0)).problem)
+    np.testing.assert_array_equal(with_latents.detected, without.detected)
+    assert without.latents is None
+    assert (
+        abs(np.corrcoef(with_latents.latents.noise[:, 0, 0], with_latents.detected[:, 0])[0, 1])
+        < 0.6
+    )
+
+
+@pytest.mark.parametrize("method", ["monte-carlo", "splitting"])
+@pytest.mark.parametrize("simulator", [FAR, SLOTS], ids=["one outcome", "slots"])
+def test_a_rollout_replays_from_its_file(simulator, method, tmp_path):
+    """And a run that was interrupted ends with the same files, to the last bit."""
+    settings = {"rollouts": 30, "stages": 2, "final_rollouts": 30}
+    experiment = experiment_of(simulator, simulator.spec(1.0), method=method, **settings)
+    whole, cut = folder_of(tmp_path, "whole"), folder_of(tmp_path, "cut")
+    result = carry_out(experiment, whole)
+    assert (result.latents, result.status) == (LatentCounts(start=1, noise=1), "done")
+    assert pemviz.read_result(whole) == result
+    assert "latents: 1 at the start and 1 at every step" in pemviz.summary_text(result)
+    rollouts = load_rollouts(whole)
+    latents = latents_of(rollouts)
+    signals = replay(
+        simulator=simulator,
+        detected=rollouts["detected"],
+        start=latents.start,
+        noise=latents.noise,
+    )
+    np.testing.assert_array_equal(signals["distance"], rollouts["distance_m"])
+    observer = StopAfter(1)
+    carry_out(experiment, cut, observers=[observer], should_stop=observer)
+    carry_out(experiment, cut)
+    assert contents(cut) == contents(whole)
+
+
+def flat_slots(miss, ghost):
+    return {"car": Flat(miss), "ghost": Flat(1.0 - ghost)}
+
+
+@pytest.mark.parametrize(
+    ("method", "spent"),
+    [
+        ("monte-carlo", {"final_rollouts": 20_000}),
+        ("naive", {"final_rollouts": 20_000, "naive_detection_probability": 0.8}),
+        ("splitting", {"rollouts": 300, "stages": 8}),
+        ("mixture", {"rollouts": 400, "stages": 4, "final_rollouts": 400}),
+    ],
+)
+@pytest.mark.parametrize("case", ["drift", "slots", "largest", "walk"])
+def test_methods_agree_with_closed_forms(case, method, spent):
+    """At 1 to 3 %, within four standard errors: a false alarm with probability 6e-5 each."""
+    simulator, pem, spec, exact = {
+        "drift": (FAR, ERRS, FAR.spec(3.0), FAR.probability(3.0, miss=0.1)),
+        "slots": (
+            SLOTS,
+            flat_slots(0.05, 0.05),
+            SLOTS.spec(3.0),
+            SLOTS.probability(3.0, miss=miss_of_either(0.05, 0.05)),
+        ),
+        "largest": (
+            LargestError(needs_miss=True),
+            Flat(0.3),
+            LargestError().spec(2.3),
+            LargestError(needs_miss=True).probability(2.3, miss=0.3),
+        ),
+        "walk": (
+            RandomWalkStart(median=3.0),
+            ToyPem(at_zero=1.5),
+            WALK,
+            RandomWalkStart(median=3.0).probability(ToyPem(at_zero=1.5)),
+        ),
+    }[case]
+    assert 0.005 < exact < 0.2
+    found = pemviz.run(experiment_of(simulator, spec, pem=pem, method=method, seed=3, **spent))
+    estimate = found.estimate
+    error = estimate.std_error
+    assert abs(estimate.probability - exact) < 4.0 * error, (estimate, exact)
+    assert error < 0.35 * exact
+
+
+def test_summaries_without_latents_say_nothing_of_them():
+    result = pemviz.run(experiment_of(ToySimulator(), WALK, pem=ToyPem(), final_rollouts=50))
+    assert result.latents is None
+    assert "latents" not in pemviz.summary_text(result)
+
+
+def test_what_runs_through_states_refuses_latents():
+    with pytest.raises(ConfigError, match=r"runs through all states, .* has latents; use mixture"):
+        experiment_of(FAR, FAR.spec(2.0), method="value-twisted")
+    config = pemviz.ExperimentConfig(method="mixture", spec=FAR.spec(2.0))
+    with pytest.raises(ConfigError, match=r"twin of simulator 'drift': it has latents"):
+        pemviz.build_experiment(config, simulator=FAR, pem=ERRS, twin=FAR)
+    with pytest.raises(ConfigError, match=r"reference = true: .* has latents"):
+        experiment_of(FAR, FAR.spec(2.0), method="mixture", reference=True)
+
+
+class Wrong(Drift):
+    """One thing wrong with its latents, by name."""
+
+    def __init__(self, wrong):
+        super().__init__()
+        object.__setattr__(self, "wrong", wrong)
+
+    @property
+    def latents(self):
+        declared = {
+            "pair": (1, 1),
+            "negative": LatentCounts(start=-1),
+            "half": LatentCounts(0, 0.5),
+        }
+        return declared.get(self.wrong, super().latents)
+
+    def initial(self, *, count, start):
+        if self.wrong == "random":
+            return super().initial(
+                count=count, start=start + np.random.default_rng().normal(size=1)
+            )
+        if self.wrong == "by row":
+            start = start + np.arange(count)[:, None]
+        if self.wrong == "shape":
+            found = super().initial(count=count, start=start)
+            return replace(found, signals={"distance": start})
+        return super().initial(count=count, start=0.0 * start if self.wrong == "start" else start)
+
+    def step(self, states, detected, noise):
+        if self.wrong == "writes":
+            noise *= 0.5
+        if self.wrong == "beside":
+            noise = noise - noise.mean()
+        return super().step(states, detected, 0.0 * noise if self.wrong == "noise" else noise)
+
+
+WRONG = {
+    "pair": "latents is a tuple: must be pemviz.LatentCounts",
+    "negative": "latents: start = -1: must be a whole number from 0",
+    "half": "latents: noise = 0.5: must be a whole number from 0",
+    "random": "initial gives another state when it is called again",
+    "by row": r"every rollout must start in the same state; .* latents = pemviz.LatentCounts",
+    "shape": r"distance has shape \(4, 1\)",
+    "beside": "whatever is beside it",
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_is_wrong_with_latents_is_told_in_one_line(wrong):
+    with pytest.raises(ConfigError, match=f"simulator 'drift': .*{WRONG[wrong]}") as told:
+        experiment_of(Wrong(wrong), FAR.spec(2.0))
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("ignored", ["start", "noise"])
+def test_latents_that_change_nothing_are_warned_of(ignored):
+    (warning,) = experiment_of(Wrong(ignored), FAR.spec(2.0)).warnings
+    words = {"start": "initial ignores start latent 0", "noise": "step ignores noise 0"}
+    assert warning == f"simulator drift: {words[ignored]}"
+    assert experiment_of(FAR, FAR.spec(2.0)).warnings == ()
