@@ -19,11 +19,12 @@ from pemviz.types import Diagnostic, Estimate
 
 CONFIDENCE = 0.95
 ROUNDING = 1e-9
-ADAPTATION = math.sqrt(2.0)
+ADAPTATION = 1.15
 """Factor on the standard error of rollouts whose proposals were fitted to one another.
 
-The strata's own spread leaves out that the proposals are random too; the two are taken to
-contribute alike. ``pemviz bench accuracy`` measures whether the intervals hold.
+The strata's own spread leaves out that the proposals are random too. Over 491 unwarned runs of
+``pemviz bench trust --first-seed 100 --seeds 25`` intervals held the truth in 93.1 % without a
+factor, 95.9 % with 1.1, 96.5 % with 1.15, 98.2 % with sqrt(2); other seeds judge the choice.
 """
 
 

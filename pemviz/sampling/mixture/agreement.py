@@ -5,6 +5,7 @@ shows it, if anything does, is that parts of the rollouts disagree: those before
 and the final batch; one half and the other; what fitted proposals draw and what pilots draw.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,13 +13,15 @@ from scipy.special import logsumexp
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.sampling.estimates.diagnostics import parts_disagreement, pilots_alone
-from pemviz.sampling.estimates.estimate import ADAPTATION, log_stratified_error
+from pemviz.sampling.estimates.estimate import log_stratified_error
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
 from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights, log_shares
 from pemviz.sampling.mixture.draws import PILOTS
 from pemviz.types import Diagnostic
 
 MORE_THAN_HALF = 0.5
+PARTS_ADAPTATION = math.sqrt(2.0)
+"""Factor on the standard error of a part, which strata of few rollouts tell too small."""
 
 LogEstimate = tuple[float, float]
 """Log of an estimate and of its standard error."""
@@ -56,7 +59,7 @@ def _errors_apart(first: LogEstimate, second: LogEstimate) -> float:
     if not np.isfinite(largest):
         return 0.0
     (one, error), (other, other_error) = np.exp(np.array([first, second]) - largest)
-    joint = ADAPTATION * float(np.hypot(error, other_error))
+    joint = PARTS_ADAPTATION * float(np.hypot(error, other_error))
     return abs(float(one - other)) / joint if joint > 0.0 else 0.0
 
 
