@@ -8,6 +8,11 @@ from pemviz.pem.data.support import SupportSummary, support_from_json, support_o
 from pemviz.pem.data.table import SalientTable, load_table, save_table
 from pemviz.pem.files.load import ensemble_of, load_ensemble, load_pem, shipped_pems
 from pemviz.pem.files.model_files import save_pem
+from pemviz.pem.files.position_error_files import (
+    load_position_errors,
+    save_position_errors,
+    shipped_position_errors,
+)
 from pemviz.pem.fitting.fit import KITTI_YOLOV3, Provenance, fit_ensemble, fit_pem
 from pemviz.pem.judging.reweight import compare_pems, pem_interval, reweight
 from pemviz.pem.judging.support_check import SupportReport, data_bound_pem, support_check
@@ -16,6 +21,7 @@ from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.memory_card import memory_of
 from pemviz.pem.models.own_detector import DetectorModel, as_pem
+from pemviz.pem.models.position_errors import NoiseMemory, PositionErrorModel, constant_errors
 from pemviz.pem.models.protocol import (
     CLASS_NAMES,
     OCCLUSION_NAMES,
@@ -32,29 +38,35 @@ __all__ = [
     "DetectorModel",
     "EnsemblePem",
     "Memory",
+    "NoiseMemory",
     "Pem",
     "PemCard",
     "PemEnsemble",
     "PemError",
+    "PositionErrorModel",
     "Provenance",
     "SalientTable",
     "SupportReport",
     "SupportSummary",
     "as_pem",
     "compare_pems",
+    "constant_errors",
     "data_bound_pem",
     "ensemble_of",
     "fit_ensemble",
     "fit_pem",
     "load_ensemble",
     "load_pem",
+    "load_position_errors",
     "load_table",
     "memory_of",
     "pem_interval",
     "reweight",
     "save_pem",
+    "save_position_errors",
     "save_table",
     "shipped_pems",
+    "shipped_position_errors",
     "support_check",
     "support_from_json",
     "support_of",

@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import AnyArray
+from pemviz.cli.pem.position_errors import write_position_errors
 from pemviz.cli.pem.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
 from pemviz.files.text_files import writing
+from pemviz.pem.data.nuscenes_errors import load_error_table
 from pemviz.pem.data.table import SalientTable, load_table
 from pemviz.pem.data.tracks import load_tracks
 from pemviz.pem.files.load import ENSEMBLE_ENDING, SUFFIX
 from pemviz.pem.files.model_files import StoredPem, save_pem
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_ensemble, fit_pem
+from pemviz.pem.fitting.position_errors import TailChoice
 from pemviz.pem.judging.memory_report import memory_line
 from pemviz.pem.models.card import UNKNOWN_LICENCE, card_markdown
 
@@ -42,7 +45,14 @@ class FitArguments:
     """Also fit the memory of misses (memory time and frailty) to tracks: the table needs the
     columns sequence, frame and track; folds are then of sequences."""
     rate_hz: float | None = None
-    """With memory: frames a second, where the table has no column rate_hz (above 0)."""
+    """With memory or position errors: frames a second, where the table has no column rate_hz
+    (above 0)."""
+    position_errors: bool = False
+    """Fit errors of reported positions instead of misses, by distance and bearing: the table has
+    x_m, z_m, range_error_m and cross_range_error_m (or x_error_m and z_error_m), and perhaps
+    alpha_rad, speed_error_mps, sequence, frame, track; or is a folder of nuScenes cars."""
+    tails: TailChoice = "auto"
+    """With position errors: family of the errors; auto takes the likelier on held-out errors."""
     folds: int = 5
     """Folds of the cross-validation whose scores go into the card (0: none, or at least 2)."""
     name: str | None = None
@@ -60,6 +70,8 @@ def run(arguments: FitArguments) -> int:
         PemError: bad arguments or table; one line says what, where and what is allowed.
     """
     _validate(arguments)
+    if arguments.position_errors:
+        return _fit_position_errors(arguments)
     if arguments.memory:
         return _fit_with_memory(arguments)
     table = load_table(arguments.table)
@@ -122,6 +134,24 @@ def _fit_with_memory(arguments: FitArguments) -> int:
     return 0
 
 
+def _fit_position_errors(arguments: FitArguments) -> int:
+    table = load_error_table(arguments.table, rate_hz=arguments.rate_hz)
+    # scipy's optimisers take a second to import
+    from pemviz.pem.judging.position_error_report import FitSettings, fit_position_errors  # noqa: PLC0415
+
+    settings = FitSettings(
+        name=arguments.name or arguments.out.stem,
+        data=arguments.data or table.source,
+        licence=arguments.licence,
+        tails=arguments.tails,
+        seed=arguments.seed,
+    )
+    with progress_bar("position errors") as tell:
+        model = fit_position_errors(table, settings, on_progress=tell)
+    write_position_errors(model, arguments.out)
+    return 0
+
+
 def _validate(arguments: FitArguments) -> None:
     if arguments.out.suffix != SUFFIX:
         raise PemError(f"out is {str(arguments.out)!r}, must end in {SUFFIX}")
@@ -135,6 +165,10 @@ def _validate(arguments: FitArguments) -> None:
         raise PemError("members: model 'b-nn' is an ensemble of posterior draws by itself")
     if arguments.memory and arguments.members:
         raise PemError("members: not with memory; fit an ensemble in a run of its own")
+    if arguments.position_errors and (arguments.memory or arguments.members):
+        raise PemError("position_errors: not with memory or members; fit these in another run")
+    if arguments.tails != "auto" and not arguments.position_errors:
+        raise PemError("tails: only with position errors")
     if arguments.memory and arguments.folds < 2:
         raise PemError(f"folds is {arguments.folds}, allowed with memory: 2 or more")
     if arguments.rate_hz is not None and not 0.0 < arguments.rate_hz < float("inf"):

@@ -9,11 +9,17 @@ import tyro
 from rich.console import Console
 from rich.markdown import Markdown
 
+from pemviz.cli.pem.position_errors import show_position_errors
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
 from pemviz.files.text_files import writing
 from pemviz.pem.data.support import support_of
-from pemviz.pem.files.load import ensemble_of, load_ensemble, load_pem
+from pemviz.pem.files.load import ensemble_of, load_ensemble, load_pem, shipped_pems
+from pemviz.pem.files.position_error_files import (
+    is_position_errors,
+    load_position_errors,
+    shipped_position_errors,
+)
 from pemviz.pem.judging.distance_curve import ObstacleView, distance_curve
 from pemviz.pem.judging.distance_curve_picture import terminal_table, write_picture
 from pemviz.pem.judging.memory_picture import write_memory_picture
@@ -28,15 +34,16 @@ OcclusionName = Literal["none", "partly", "largely"]
 
 @dataclass(frozen=True)
 class ShowArguments:
-    """Show P(missed) against distance, beside the training data, and the memory of misses."""
+    """Show P(missed) against distance, beside the training data; memory, and position errors."""
 
     pem: tyro.conf.Positional[str] = "ml-nn"
-    """Name of a shipped model, or a file (.safetensors, .csv)."""
+    """Name of a shipped model, or a file (.safetensors, .csv), of misses or of position errors."""
     ensemble: str | None = None
     """Ensemble for the band, by name or file; the one that belongs to the model if not given."""
     out: Path | None = None
     """Picture to write (.png); none if not given. A model with a memory gets a second one beside
-    it, NAME-memory.png."""
+    it, NAME-memory.png; a detector whose position errors are shipped too, NAME-position-errors.png.
+    """
     class_name: ClassName = "Car"
     """Class of the obstacle."""
     occlusion: OcclusionName = "none"
@@ -60,6 +67,10 @@ def run(arguments: ShowArguments) -> int:
         PemError: bad arguments or files; one line says what, where and what is allowed.
     """
     _validate(arguments)
+    if is_position_errors(arguments.pem) and arguments.pem not in shipped_pems():
+        model = load_position_errors(arguments.pem)
+        show_position_errors(model, Console(), out=arguments.out)
+        return 0
     pem = load_pem(arguments.pem, allow_python=arguments.allow_python)
     named = arguments.ensemble
     ensemble = ensemble_of(arguments.pem) if named is None else load_ensemble(named)
@@ -85,6 +96,10 @@ def run(arguments: ShowArguments) -> int:
             write_picture(curve, arguments.out, title=title)
         console.print(f"written: {arguments.out}", soft_wrap=True)
     _show_memory(pem, console, out=arguments.out)
+    if arguments.pem in shipped_position_errors():
+        out = arguments.out
+        beside = None if out is None else out.with_name(f"{out.stem}-position-errors.png")
+        show_position_errors(load_position_errors(arguments.pem), console, out=beside)
     return 0
 
 

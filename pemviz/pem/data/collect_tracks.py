@@ -9,7 +9,8 @@ from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.pem.data.collect import CLASS_ID, CollectOptions, is_unknown
 from pemviz.pem.data.detections import Detection
-from pemviz.pem.data.matching import match_boxes
+from pemviz.pem.data.matching import assign_boxes
+from pemviz.pem.data.position_errors import PLANE_COLUMNS
 from pemviz.pem.data.table import OUTCOME_COLUMN
 from pemviz.pem.data.tracking import (
     SequenceFormat,
@@ -63,8 +64,10 @@ def collect_tracks(
 ) -> TrackCounts:
     """Match every labelled obstacle of every frame, and write a row for it.
 
-    Rows come by sequence, track and frame. Obstacles of class Misc or of unknown occlusion
-    are left out if the options say so; what is left of their track then has a gap.
+    Rows come by sequence, track and frame. Where detections have a place (``ab3dmot``), two more
+    columns hold how far it is off, to the right and forward; empty if missed. Obstacles of class
+    Misc or of unknown occlusion are left out if the options say so; what is left of their track
+    then has a gap.
 
     Args:
         labels: folder of KITTI tracking labels, a file a sequence.
@@ -92,14 +95,17 @@ def collect_tracks(
         counts.bad_lines += 1
         counts.first_bad = counts.first_bad or str(error)
 
-    lines = [",".join(TABLE_COLUMNS)]
+    placed = sequence_format == "ab3dmot"
+    lines = [",".join((*TABLE_COLUMNS, *PLANE_COLUMNS) if placed else TABLE_COLUMNS)]
     for done, file in enumerate(files, start=1):
         tracked = read_tracking_labels(file, on_bad_line=on_bad_line)
         found = _detections_of(
             detections / file.name, sequence_format=sequence_format, on_bad_line=on_bad_line
         )
         rows = _outcomes(tracked, found, types=types, options=options, counts=counts)
-        lines += [_line(file.stem, rate_hz, row) for row in sorted(rows, key=_by_track)]
+        lines += [
+            _line(file.stem, rate_hz, row, placed=placed) for row in sorted(rows, key=_by_track)
+        ]
         _count(rows, counts)
         if on_progress is not None:
             on_progress(done, len(files))
@@ -112,6 +118,7 @@ class _Row:
     tracked: TrackedObstacle
     detected: bool
     overlap: float
+    found: Detection | None
 
 
 def _by_track(row: _Row) -> tuple[int, int]:
@@ -145,14 +152,16 @@ def _outcomes(
         seen = found.get(frame, [])
         kept = [each for each in seen if each.score >= options.score_from]
         counts.ignored_detections += len(seen) - len(kept)
-        overlaps = match_boxes(
+        overlaps, partners = assign_boxes(
             [each.obstacle.box_px for each in present], [each.box_px for each in kept]
         )
-        for each, overlap in zip(present, overlaps.tolist(), strict=True):
+        matches = zip(present, overlaps.tolist(), partners.tolist(), strict=True)
+        for each, overlap, partner in matches:
             if options.drop_unknown and is_unknown(each.obstacle):
                 counts.dropped += 1
                 continue
-            rows.append(_Row(each, overlap > options.iou_above, overlap))
+            detected = overlap > options.iou_above
+            rows.append(_Row(each, detected, overlap, kept[partner] if detected else None))
     return rows
 
 
@@ -167,7 +176,7 @@ def _count(rows: list[_Row], counts: TrackCounts) -> None:
     )
 
 
-def _line(sequence: str, rate_hz: float, row: _Row) -> str:
+def _line(sequence: str, rate_hz: float, row: _Row, *, placed: bool) -> str:
     obstacle = row.tracked.obstacle
     values = (
         CLASS_ID[obstacle.type],
@@ -180,7 +189,16 @@ def _line(sequence: str, rate_hz: float, row: _Row) -> str:
     )
     who = (sequence, str(row.tracked.frame), str(row.tracked.track), f"{rate_hz:g}")
     cells = (*who, obstacle.type, *(f"{value:.10g}" for value in values))
-    return ",".join((*cells, str(int(row.detected)), f"{row.overlap:.4f}"))
+    errors = _errors(row) if placed else ()
+    return ",".join((*cells, str(int(row.detected)), f"{row.overlap:.4f}", *errors))
+
+
+def _errors(row: _Row) -> tuple[str, str]:
+    """Reported minus true place, to the right and forward [m]; empty if missed."""
+    if row.found is None or row.found.location_m is None:
+        return "", ""
+    reported, true = row.found.location_m, row.tracked.obstacle.location_m
+    return f"{reported[0] - true[0]:.6g}", f"{reported[2] - true[2]:.6g}"
 
 
 def _write(out: Path, lines: list[str]) -> None:

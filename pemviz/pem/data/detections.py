@@ -38,6 +38,8 @@ class Detection:
     """Box in the image."""
     score: float
     """The detector's confidence, 0 to 1; 1 where the file gives none."""
+    location_m: tuple[float, float, float] | None = None
+    """Place of a 3D box as KITTI labels one, x right, y down, z forward [m]; None without one."""
 
 
 FrameDetections = Callable[[str], list[Detection]]

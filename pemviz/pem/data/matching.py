@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, IntArray
 from pemviz.pem.data.kitti_labels import Box
 
 PAPER_IOU = 0.01
@@ -31,15 +31,33 @@ def match_boxes(
             class may be partners.
         detection_types: classes of the detections.
     """
+    return assign_boxes(
+        obstacles, detections, obstacle_types=obstacle_types, detection_types=detection_types
+    )[0]
+
+
+def assign_boxes(
+    obstacles: Sequence[Box],
+    detections: Sequence[Box],
+    *,
+    obstacle_types: Sequence[str] | None = None,
+    detection_types: Sequence[str] | None = None,
+) -> tuple[FloatArray, IntArray]:
+    """Overlaps as of :func:`match_boxes`, and which detection it is; -1 without one.
+
+    Both have the shape [obstacles]; the arguments are the same.
+    """
     result = np.zeros(len(obstacles))
+    partner = np.full(len(obstacles), -1, dtype=np.int64)
     if not obstacles or not detections:
-        return result
+        return result, partner
     overlap = iou(np.asarray(obstacles, dtype=np.float64), np.asarray(detections, dtype=np.float64))
     if obstacle_types is not None and detection_types is not None:
         overlap *= np.asarray(obstacle_types)[:, None] == np.asarray(detection_types)[None, :]
     rows, columns = linear_sum_assignment(overlap, maximize=True)
     result[rows] = overlap[rows, columns]
-    return result
+    partner[rows] = columns
+    return result, partner
 
 
 def iou(first: FloatArray, second: FloatArray) -> FloatArray:

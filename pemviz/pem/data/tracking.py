@@ -134,7 +134,11 @@ def _detection(
     frame = _whole(cells[0], column=1, name="frame", where=where)
     values = numbers(cells, columns, first=first_side, where=where)
     sides = box(values[0], values[1], values[2], values[3], column=first_side + 1, where=where)
-    return frame, Detection("".join(kind), sides, values[4])
+    place = None
+    if columns is AB3DMOT_COLUMNS:
+        x, y, z = (values[columns.index(name) - first_side] for name in ("x", "y", "z"))
+        place = (x, y, z)
+    return frame, Detection("".join(kind), sides, values[4], place)
 
 
 def _whole(cell: str, *, column: int, name: str, where: str) -> int:
