@@ -43,7 +43,14 @@ from pemviz.reports.estimate_text import (
     violations_text,
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
-from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
+from pemviz.reports.memory_curve import (
+    BY_MEMORY_TIME,
+    CURVE_AXES,
+    CurveAxis,
+    assumption_lines,
+    curve_columns,
+    curve_rows,
+)
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
@@ -72,9 +79,7 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
                 console.print(line, markup=False, soft_wrap=True)
         if result.rules:
             console.print(_rules(result))
-        if result.memory is not None and result.memory.curve:
-            console.print(assumption_line(result.memory), style="bold", markup=False)
-            console.print(_memory(result.memory))
+        _print_memory(console, result.memory, verbose=verbose)
         console.print(LADDER_TITLE, style="italic", markup=False)
         console.print(_ladder(result))
         if result.plan is not None:
@@ -207,17 +212,27 @@ def _table(result: RunResult, estimate: Estimate) -> Table:
     return table
 
 
-def _memory(memory: RunMemory) -> Table:
-    """The failure probability over memory times."""
+def _print_memory(console: Console, memory: RunMemory | None, *, verbose: bool) -> None:
+    """What the assumptions on misses are worth, if it was asked."""
+    if memory is None:
+        return
+    for line in assumption_lines(memory):
+        console.print(line, style="bold", markup=False)
+    for axis in CURVE_AXES if verbose else (BY_MEMORY_TIME,):
+        if axis.points(memory):
+            console.print(_curve(memory, axis))
+
+
+def _curve(memory: RunMemory, axis: CurveAxis) -> Table:
+    """The failure probability along an axis."""
     table = Table(
-        title="If misses come in bursts, by memory time", title_justify="left",
-        caption=CURVE_NOTE, caption_justify="left",
+        title=axis.title, title_justify="left", caption=axis.note, caption_justify="left",
     )  # fmt: skip
     sides = ("right", "right", "left", "left")
-    for column, justify in zip(curve_columns(memory), sides, strict=True):
+    for column, justify in zip(curve_columns(memory, axis), sides, strict=True):
         table.add_column(column, justify=justify)
-    for row in curve_rows(memory):
-        table.add_row(row.tau, row.probability, row.interval, row.measured)
+    for row in curve_rows(memory, axis):
+        table.add_row(row.place, row.probability, row.interval, row.measured)
     return table
 
 

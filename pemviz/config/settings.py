@@ -114,8 +114,8 @@ class ExperimentConfig:
     of its own for as long as it is there, with this spread; how often the error model misses in
     all is as without; 0 to 5. 0: all are alike."""
     memory_curve: bool = False
-    """Also tell the failure probability over memory times from 0 to 1 s, from 2400 rollouts of
-    its own (on the fast twin where there is one)."""
+    """Also tell the failure probability over memory times from 0 to 1 s and over frailties from 0
+    to 1.2, from 2400 rollouts each of their own (on the fast twin where there is one)."""
     simulator: str = "vectorized"
     """Back end that steps the scenario: vectorized, highway-env, or a name that an installed
     package registers as an entry point of the group pemviz.simulators."""

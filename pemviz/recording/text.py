@@ -25,7 +25,7 @@ from pemviz.reports.estimate_text import (
     short_probability,
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
-from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
+from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
@@ -179,14 +179,19 @@ def _question(result: RunResult) -> str:
 
 
 def _memory(result: RunResult) -> list[str]:
-    """What the assumption on bursts is worth, and the answer over memory times."""
-    line = assumption_line(result.memory)
-    if line is None or result.memory is None:
+    """What the assumptions on misses are worth, and the answer over memory times and frailties."""
+    memory = result.memory
+    if memory is None:
         return []
-    rows = [
-        (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
-    ]
-    return [f"**{line}**", _table(curve_columns(result.memory), rows), CURVE_NOTE]
+    parts = [f"**{line}**" for line in assumption_lines(memory)]
+    for axis in CURVE_AXES:
+        rows = [
+            (row.place, row.probability, row.interval, row.measured)
+            for row in curve_rows(memory, axis)
+        ]
+        if rows:
+            parts += [_table(curve_columns(memory, axis), rows), axis.note]
+    return parts
 
 
 def _causes(result: RunResult) -> list[str]:

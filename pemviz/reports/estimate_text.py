@@ -7,7 +7,7 @@ from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.causes_text import causes_line
 from pemviz.reports.digits import digits_of, end_text
-from pemviz.reports.memory_curve import assumption_line
+from pemviz.reports.memory_curve import assumption_lines
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import PemInfo, RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -173,8 +173,7 @@ def summary_text(result: RunResult) -> str:
         lines.append(f"  misses: {memory_text(result.memory)}")
     if result.explanation is not None and result.explanation.slots:
         lines.append(f"  {causes_line(result.explanation)}")
-    if (assumed := assumption_line(result.memory)) is not None:
-        lines.append(f"  {assumed}")
+    lines += [f"  {assumed}" for assumed in assumption_lines(result.memory)]
     if result.reference is not None:
         lines.append(f"  reference: {reference_text(result.reference, estimate)}")
     about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))

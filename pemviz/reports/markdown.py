@@ -31,7 +31,7 @@ from pemviz.reports.estimate_text import (
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
-from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, curve_columns, curve_rows
+from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -119,15 +119,19 @@ def _rules(result: RunResult) -> list[str]:
 
 
 def _memory(result: RunResult) -> list[str]:
-    """What the assumption on bursts is worth, first of all, and the curve."""
-    line = assumption_line(result.memory)
-    if line is None or result.memory is None:
+    """What the assumptions on misses are worth, first of all, and the curves."""
+    memory = result.memory
+    if memory is None:
         return []
-    rows = [
-        (row.tau, row.probability, row.interval, row.measured) for row in curve_rows(result.memory)
-    ]
-    table = markdown_table(curve_columns(result.memory), rows)
-    return [f"**{markdown_text(line)}**", table, CURVE_NOTE]
+    parts = [f"**{markdown_text(line)}**" for line in assumption_lines(memory)]
+    for axis in CURVE_AXES:
+        rows = [
+            (row.place, row.probability, row.interval, row.measured)
+            for row in curve_rows(memory, axis)
+        ]
+        if rows:
+            parts += [markdown_table(curve_columns(memory, axis), rows), axis.note]
+    return parts
 
 
 def _beside(result: RunResult, estimate: Estimate) -> list[Row]:

@@ -1,94 +1,175 @@
-"""The failure probability over memory times, in words and rows, the same in every view."""
+"""The failure probability over memory times and frailties, in words and rows, the same everywhere.
+
+A curve leads along one of two axes: :data:`BY_MEMORY_TIME`, :data:`BY_FRAILTY`.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pemviz.reports.digits import end_text
 from pemviz.runs.memory import RunMemory
-from pemviz.sampling.bursts.curve import MEASURED_S, CurvePoint
-
-SHOWN_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Of the curve's memory times, those that a small table shows beside the measured ones [s]."""
-
+from pemviz.sampling.bursts.curve import MEASURED_FRAILTY, MEASURED_S, CurvePoint
 
 CURVE_NOTE = (
     "Memory time: in it the correlation of one outcome with a later one falls to 37 %. The longer, "
     "the longer bursts of misses; how often it misses is about as before."
 )
-"""What stands beneath the curve and its table."""
+"""What stands beneath the curve over memory times and its table."""
+FRAILTY_NOTE = (
+    "Frailty: how much obstacles differ in being missed beyond what the state tells, each all "
+    "along; how often it misses is as before. On video it was fitted beside a memory time."
+)
+"""What stands beneath the curve over frailties and its table."""
+
+
+@dataclass(frozen=True)
+class CurveAxis:
+    """What a curve leads along.
+
+    Attributes:
+        head: Its name.
+        none: What 0 means.
+        unit: After a number.
+        title: What the curve tells.
+        note: What stands beneath the curve and its table.
+        shown: Of its places those that a small table shows beside the measured ones.
+        measured: Places measured on video of two detectors, by name.
+        place: Of a point.
+        points: Of a run's curve; empty if not asked for.
+        own: The answer's own place.
+        fitted: The error model's own place, measured on video; ``None`` if it has none.
+    """
+
+    head: str
+    none: str
+    unit: str
+    title: str
+    note: str
+    shown: tuple[float, ...]
+    measured: Mapping[str, float]
+    place: Callable[[CurvePoint], float]
+    points: Callable[[RunMemory], tuple[CurvePoint, ...]]
+    own: Callable[[RunMemory], float]
+    fitted: Callable[[RunMemory], float | None]
+
+
+BY_MEMORY_TIME = CurveAxis(
+    head="memory time",
+    none="independent",
+    unit=" s",
+    title="If misses come in bursts, by memory time",
+    note=CURVE_NOTE,
+    shown=(0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
+    measured=MEASURED_S,
+    place=lambda point: point.tau_s,
+    points=lambda memory: memory.curve,
+    own=lambda memory: memory.tau_s,
+    fitted=lambda memory: None if memory.fitted is None else memory.fitted.tau_s,
+)
+BY_FRAILTY = CurveAxis(
+    head="frailty",
+    none="all alike",
+    unit="",
+    title="If some obstacles are harder to see all along, by frailty",
+    note=FRAILTY_NOTE,
+    shown=(0.0, 0.1, 0.2, 0.3, 0.5, 1.0),
+    measured=MEASURED_FRAILTY,
+    place=lambda point: point.frailty,
+    points=lambda memory: memory.frailty_curve,
+    own=lambda memory: memory.frailty,
+    fitted=lambda memory: None if memory.fitted is None else memory.fitted.frailty,
+)
+CURVE_AXES = (BY_MEMORY_TIME, BY_FRAILTY)
 
 
 @dataclass(frozen=True)
 class CurveRow:
-    """One memory time in words.
+    """One place of a curve in words.
 
     Attributes:
-        tau: The memory time.
+        place: The memory time, or the frailty.
         probability: The failure probability.
         interval: Its interval, and why that is no 95 % interval where it is none.
-        measured: Whose memory time it is; empty where nobody's.
+        measured: Whose it is; empty where nobody's.
     """
 
-    tau: str
+    place: str
     probability: str
     interval: str
     measured: str
 
 
-def curve_columns(memory: RunMemory) -> tuple[str, str, str, str]:
+def curve_columns(memory: RunMemory, axis: CurveAxis = BY_MEMORY_TIME) -> tuple[str, str, str, str]:
     """Heads of the small table: the interval's claims no level that not all of them have."""
-    level = "" if any(point.caveats for point in _shown(memory)) else "95 % "
-    return ("memory time", "probability", f"{level}interval", "measured on video for")
+    level = "" if any(point.caveats for point in _shown(memory, axis)) else "95 % "
+    return (axis.head, "probability", f"{level}interval", "measured on video for")
 
 
-def curve_rows(memory: RunMemory) -> list[CurveRow]:
-    """A small table of the curve; empty without one."""
-    names = measured_names(memory)
+def curve_rows(memory: RunMemory, axis: CurveAxis = BY_MEMORY_TIME) -> list[CurveRow]:
+    """A small table of a curve; empty without one."""
+    names = measured_names(memory, axis)
     return [
         CurveRow(
-            tau="independent" if point.tau_s == 0.0 else f"{point.tau_s:.3g} s",
+            place=axis.none if place == 0.0 else f"{place:.3g}{axis.unit}",
             probability=end_text(point.probability),
             interval=_interval(point),
-            measured=names.get(point.tau_s, ""),
+            measured=names.get(place, ""),
         )
-        for point in _shown(memory)
+        for point in _shown(memory, axis)
+        for place in (axis.place(point),)
     ]
 
 
-def _shown(memory: RunMemory) -> Sequence[CurvePoint]:
-    shown = {*SHOWN_S, *measured_names(memory), memory.tau_s}
-    return [point for point in memory.curve if point.tau_s in shown]
+def _shown(memory: RunMemory, axis: CurveAxis) -> Sequence[CurvePoint]:
+    shown = {*axis.shown, *measured_names(memory, axis), axis.own(memory)}
+    return [point for point in axis.points(memory) if axis.place(point) in shown]
 
 
-def measured_names(memory: RunMemory) -> dict[float, str]:
-    """Memory times measured on video [s], and whose they are."""
-    names = {tau_s: name for name, tau_s in MEASURED_S.items()}
-    if memory.fitted is not None:
-        names[memory.fitted.tau_s] = "this error model"
+def measured_names(memory: RunMemory, axis: CurveAxis = BY_MEMORY_TIME) -> dict[float, str]:
+    """Places of an axis that were measured on video, and whose they are."""
+    names = {place: name for name, place in axis.measured.items()}
+    own = axis.fitted(memory)
+    if own is not None:
+        names[own] = "this error model"
     return names
+
+
+def assumption_lines(memory: RunMemory | None) -> list[str]:
+    """What the answer's assumptions on how misses hang together are worth; empty without curves."""
+    lines = (assumption_line(memory), frailty_line(memory))
+    return [line for line in lines if line is not None]
 
 
 def assumption_line(memory: RunMemory | None) -> str | None:
     """What the answer's assumption on bursts is worth; ``None`` without a curve."""
     if memory is None or not memory.curve:
         return None
-    points = {point.tau_s: point for point in memory.curve}
-    here = points[memory.tau_s]
-    others = [
-        f"{points[tau_s].probability:.1g} with that of {name} ({tau_s:.2g} s)"
-        for tau_s, name in sorted(measured_names(memory).items())
-        if tau_s in points and tau_s != memory.tau_s
-    ]
+    points = _by_place(memory, BY_MEMORY_TIME)
+    here, others = points[memory.tau_s], _elsewhere(memory, BY_MEMORY_TIME)
     if memory.tau_s == 0.0:
-        assumed = "That misses are independent given the state is an assumption"
+        given = "the state" if memory.frailty == 0.0 else "the state and the obstacle"
+        assumed = f"That misses are independent given {given} is an assumption"
         if memory.fitted is None:
             assumed += ": this error model was fitted to single frames, which cannot tell"
         others.insert(0, f"{here.probability:.1g} without memory")
     else:
         assumed = f"A memory time of {memory.tau_s:g} s is an assumption"
         others.insert(0, f"{points[0.0].probability:.1g} if misses were independent")
-    return f"{assumed}. The failure probability is {', '.join(others)}.{_worth(points, memory)}"
+    worth = _worth(memory, BY_MEMORY_TIME)
+    return f"{assumed}. The failure probability is {', '.join(others)}.{worth}"
+
+
+def frailty_line(memory: RunMemory | None) -> str | None:
+    """What the answer's assumption on how obstacles differ is worth; ``None`` without a curve."""
+    if memory is None or not memory.frailty_curve:
+        return None
+    alike = _by_place(memory, BY_FRAILTY)[0.0].probability
+    assumed = f"a frailty of {memory.frailty:g}: {alike:.1g} if obstacles are alike (0)"
+    if memory.frailty == 0.0:
+        assumed = f"that obstacles in the same state are alike (frailty 0): {alike:.1g} if they are"
+    told = ", ".join([assumed, *_elsewhere(memory, BY_FRAILTY)])
+    return f"So is {told}.{_worth(memory, BY_FRAILTY)}"
 
 
 def assumption_worth(memory: RunMemory | None) -> str:
@@ -98,16 +179,33 @@ def assumption_worth(memory: RunMemory | None) -> str:
     words = "Misses are taken as independent given the state."
     if memory.tau_s > 0.0:
         words = f"A memory time of {memory.tau_s:g} s is an assumption."
-    return words + _worth({point.tau_s: point for point in memory.curve}, memory)
+    elif memory.frailty > 0.0:
+        words = "Misses are taken as independent given the state and the obstacle."
+    return words + _worth(memory, BY_MEMORY_TIME)
 
 
-def _worth(points: dict[float, CurvePoint], memory: RunMemory) -> str:
-    """How many orders of magnitude lie between independence and a detector's memory."""
-    independent = points[0.0].probability
-    reached = [points[t].probability for t in measured_names(memory) if t in points]
-    if independent <= 0.0 or not reached or max(reached) <= independent:
+def _by_place(memory: RunMemory, axis: CurveAxis) -> dict[float, CurvePoint]:
+    return {axis.place(point): point for point in axis.points(memory)}
+
+
+def _elsewhere(memory: RunMemory, axis: CurveAxis) -> list[str]:
+    """The answer with what was measured of others."""
+    points, own = _by_place(memory, axis), axis.own(memory)
+    return [
+        f"{points[place].probability:.1g} with that of {name} ({place:.2g}{axis.unit})"
+        for place, name in sorted(measured_names(memory, axis).items())
+        if place in points and place != own
+    ]
+
+
+def _worth(memory: RunMemory, axis: CurveAxis) -> str:
+    """How many orders of magnitude lie between 0 and what was measured."""
+    points = _by_place(memory, axis)
+    none = points[0.0].probability
+    reached = [points[p].probability for p in measured_names(memory, axis) if p in points]
+    if none <= 0.0 or not reached or max(reached) <= none:
         return ""
-    orders = math.log10(max(reached) / independent)
+    orders = math.log10(max(reached) / none)
     return f" The assumption is worth {orders:.0f} orders of magnitude." if orders >= 1.0 else ""
 
 

@@ -30,7 +30,7 @@ from pemviz.runs.interpretation import (
     beside_reference,
     interpret,
     interpret_repetition,
-    with_memory_curve,
+    with_curves,
 )
 from pemviz.runs.memory import memory_of
 from pemviz.runs.result import PemInfo, RunResult, with_stage
@@ -145,7 +145,7 @@ class _Runner:
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
-        self._keep(with_memory_curve(self._interpreted.result, experiment=experiment))
+        self._keep(with_curves(self._interpreted.result, experiment=experiment))
         self._keep(with_data_plan(self._interpreted.result, experiment=experiment))
         self._keep(beside_reference(self._interpreted.result, experiment=experiment))
         self.complete = True

@@ -188,20 +188,16 @@ def _method(config: ExperimentConfig, problem: Problem, back_end: BackEnd) -> Me
 
 
 def _check_frailty(config: ExperimentConfig, back_end: BackEnd) -> None:
-    """Refuse what does not hold where obstacles differ.
+    """Refuse slots where obstacles differ.
 
     Raises:
-        ConfigError: Names it.
+        ConfigError: The simulator has them.
     """
-    asked = {
-        "memory_curve": config.memory_curve,
-        f"simulator {back_end.simulator.name!r}, which has slots,": isinstance(
-            back_end.simulator, UnrolledSimulator
-        ),
-    }
-    wrong = [name for name, is_asked in asked.items() if is_asked]
-    if config.frailty > 0.0 and wrong:
-        message = f"frailty = {config.frailty:g}: {wrong[0]} works with frailty 0 alone"
+    if config.frailty > 0.0 and isinstance(back_end.simulator, UnrolledSimulator):
+        message = (
+            f"frailty = {config.frailty:g}: simulator {back_end.simulator.name!r}, which has "
+            "slots, works with frailty 0 alone"
+        )
         raise ConfigError(message)
 
 

@@ -22,9 +22,16 @@ from pemviz.analysis.model_uncertainty import (
 from pemviz.arrays import FloatArray
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
+from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult, StageSummary
 from pemviz.runs.trust import reference_diagnostics, run_interval_caveats
-from pemviz.sampling.bursts.curve import MEASURED_S, CurvePoint, memory_curve
+from pemviz.sampling.bursts.curve import (
+    MEASURED_FRAILTY,
+    MEASURED_S,
+    CurvePoint,
+    frailty_curve,
+    memory_curve,
+)
 from pemviz.sampling.frailty import frail_part
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model, without_memory
 from pemviz.sampling.method import PoolsStages
@@ -216,8 +223,8 @@ def _parts_before(result: RunResult, stage: StageResult) -> list[StageSummary]:
     ]
 
 
-def with_memory_curve(result: RunResult, *, experiment: Experiment) -> RunResult:
-    """A finished result with the failure probability over memory times, if it is asked for.
+def with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A finished result with the answer over memory times and over frailties, if it is asked for.
 
     Args:
         result: With the estimate of all repetitions.
@@ -226,37 +233,63 @@ def with_memory_curve(result: RunResult, *, experiment: Experiment) -> RunResult
     memory, config = result.memory, experiment.config
     if not config.memory_curve or memory is None:
         return result
-    back_end = without_memory(experiment.back_end)
+    pem, back_end = single_outcome_model(experiment.pem), without_memory(experiment.back_end)
     problem = experiment.problem.without_rules()
     problem = replace(problem, simulator=back_end.simulator, finished=nothing_finished)
     if back_end.twin is not None:
         problem = replace(problem, simulator=back_end.twin, run_batches=run_here)
-    measured = () if memory.fitted is None else (memory.fitted.tau_s,)
-    curve = memory_curve(
+    fitted = memory.fitted
+    measured = () if fitted is None else (fitted.tau_s,)
+    over_tau = memory_curve(
         problem,
-        pem=single_outcome_model(experiment.pem),
+        pem=pem,
         features=back_end.features,
         seed=config.seed,
         also_s=(memory.tau_s, *measured, *MEASURED_S.values()),
+        frailty=memory.frailty,
     )
-    own = _own_point(result, tau_s=memory.tau_s)
-    points = tuple(own if own and point.tau_s == own.tau_s else point for point in curve)
-    return replace(result, memory=replace(memory, curve=points))
+    measured = () if fitted is None or fitted.frailty is None else (fitted.frailty,)
+    over_frailty = frailty_curve(
+        problem,
+        pem=pem,
+        features=back_end.features,
+        seed=config.seed,
+        also=(memory.frailty, *measured, *MEASURED_FRAILTY.values()),
+        tau_s=memory.tau_s,
+    )
+    own = _own_point(result, memory)
+    return replace(
+        result,
+        memory=replace(
+            memory,
+            curve=_through(own, over_tau),
+            frailty_curve=_through(own, over_frailty),
+        ),
+    )
 
 
-def _own_point(result: RunResult, *, tau_s: float) -> CurvePoint | None:
-    """The answer as a point of the curve: it is the better one, where its interval holds."""
+def _own_point(result: RunResult, memory: RunMemory) -> CurvePoint | None:
+    """The answer as a point of a curve: it is the better one, where its interval holds."""
     answer = result.estimate
     if answer is None or answer.ci_low is None or run_interval_caveats(result):
         return None
     return CurvePoint(
-        tau_s=tau_s,
+        tau_s=memory.tau_s,
         probability=answer.probability,
         low=answer.ci_low,
         high=answer.ci_high,
         ess=answer.ess,
         diagnostics=answer.diagnostics,
+        frailty=memory.frailty,
     )
+
+
+def _through(own: CurvePoint | None, curve: tuple[CurvePoint, ...]) -> tuple[CurvePoint, ...]:
+    """A curve with the answer as its point there."""
+    if own is None:
+        return curve
+    here = (own.tau_s, own.frailty)
+    return tuple(own if (point.tau_s, point.frailty) == here else point for point in curve)
 
 
 def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:

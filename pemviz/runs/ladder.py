@@ -122,23 +122,28 @@ def _memory(result: RunResult) -> Rung:
     frailty = 0.0 if result.memory is None else result.memory.frailty
     own = None if result.memory is None else result.memory.fitted
     curve = () if result.memory is None else result.memory.curve
-    lows = [point.low for point in curve if point.low is not None]
-    highs = [point.high for point in curve if point.high is not None]
+    over_frailty = () if result.memory is None else result.memory.frailty_curve
+    lows = [point.low for point in (*curve, *over_frailty) if point.low is not None]
+    highs = [point.high for point in (*curve, *over_frailty) if point.high is not None]
     assumed = f"{tau_s:g} s assumed" if tau_s > 0.0 else "taken as none"
     if frailty > 0.0:
         assumed = f"{tau_s:g} s and frailty {frailty:g} assumed"
+    name = f"memory of misses, {assumed}"
     if curve:
-        assumed = f"{curve[0].tau_s:g} to {curve[-1].tau_s:g} s"
+        between = f"{curve[0].tau_s:g} to {curve[-1].tau_s:g} s"
+        name = f"memory of misses, {between}"
+        if over_frailty:
+            name = f"memory {between}, frailty to {over_frailty[-1].frailty:g}"
     measured = "" if own is None else f"measured {own.tau_s:.2g} s"
     if own is not None and own.frailty:
         measured += f", frailty {own.frailty:.2g}"
     return Rung(
         kind="memory",
-        name=f"memory of misses, {assumed}",
+        name=name,
         low=min(lows, default=None),
         high=max(highs, default=None),
         note=measured,
-        narrowed_by="tracked video" if curve or frailty else "--memory-curve bounds it",
+        narrowed_by="tracked video" if curve else "--memory-curve bounds it",
     )
 
 

@@ -37,12 +37,14 @@ class RunMemory:
             frames, which tell nothing of it.
         curve: The failure probability over memory times, ascending; empty if not asked for.
         frailty: Spread of obstacles' own visibility that the answer is for; 0: all are alike.
+        frailty_curve: The failure probability over frailties, likewise.
     """
 
     tau_s: AtLeastZero
     fitted: MeasuredTau | None = None
     curve: tuple[CurvePoint, ...] = ()
     frailty: AtLeastZero = 0.0
+    frailty_curve: tuple[CurvePoint, ...] = ()
 
     @property
     def is_independent(self) -> bool:

@@ -28,7 +28,7 @@ from tests.reports.runs import result as made_up_result
 from tests.runs.results import results
 
 MAY_BE_NULL = re.compile(
-    r"message|config\.(target|alpha)|memory|memory\.fitted|memory\.curve\[\d+\]\.(low|high|ess)"
+    r"message|config\.(target|alpha)|memory|memory\.fitted|memory\.(frailty_)?curve\[\d+\]\.(low|high|ess)"
     r"|memory\.fitted\.frailty(_low|_high)?"
     r"|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median|log10_answers\[\d+\])|data_bound"
@@ -47,7 +47,7 @@ MAY_BE_NULL = re.compile(
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
     r"|pem_interval\.log10_answers|families|ladder|plan|plan\.labels\.warning|memory"
-    r"|memory\.(fitted|curve|frailty)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
+    r"|memory\.(fitted|curve|frailty|frailty_curve)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|slots|chains\[\d+\]\.(likeliest|slots))"
     r"|least_robust\[\d+\]\.share"

@@ -268,13 +268,12 @@ def test_a_run_says_what_it_assumes_and_asks_refits_and_families():
     assert "frailty 0.5" in summary_text(result)
     (rung,) = (rung for rung in uncertainty_ladder(result) if rung.kind == "memory")
     assert "0.2 s and frailty 0.5 assumed" in rung.name
-    assert rung.narrowed_by == "tracked video"  # the curve would be refused
+    assert rung.narrowed_by == "--memory-curve bounds it"
 
 
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ({"memory_curve": True}, "memory_curve works with frailty 0 alone"),
         ({"frailty": 5.1}, "frailty = 5.1"),
         ({"frailty": -0.1}, "frailty = -0.1"),
         ({"frailty": math.nan}, "frailty = nan"),

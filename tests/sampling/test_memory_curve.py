@@ -15,7 +15,13 @@ from pemviz.reports.pictures.memory import memory_curve as memory_curve_view
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document, result_from_document
-from pemviz.sampling.bursts.curve import MEASURED_S, SHOWN_S, CurvePoint, memory_curve
+from pemviz.sampling.bursts.curve import (
+    MEASURED_S,
+    SHOWN_S,
+    CurvePoint,
+    frailty_curve,
+    memory_curve,
+)
 from pemviz.sampling.problem import Problem
 from pemviz.types import Diagnostic
 from tests.lattice_walk import toy_robustness, toy_unsafe, toy_violated
@@ -71,6 +77,8 @@ def _few_rollouts():
     with pytest.MonkeyPatch.context() as patch:
         few = partial(memory_curve, rollouts=240)
         patch.setattr("pemviz.runs.interpretation.memory_curve", few)
+        few = partial(frailty_curve, rollouts=240)
+        patch.setattr("pemviz.runs.interpretation.frailty_curve", few)
         yield
 
 
@@ -114,7 +122,7 @@ def test_the_result_says_what_the_assumption_is_worth(result):
     assert "RRC" in line
     assert "PointRCNN" in line
     assert assumption_line(replace(result.memory, curve=())) is None
-    rows = {row.tau: row for row in curve_rows(result.memory)}
+    rows = {row.place: row for row in curve_rows(result.memory)}
     assert rows["0.3 s"].measured.startswith("RRC")
     assert rows["independent"].measured == ""
 
@@ -144,7 +152,7 @@ def test_panel_and_recording_show_the_curve_beside_the_answer(result):
     drawn = memory_curve_view(result.memory)
     ET.fromstring(f"<all>{drawn}</all>")  # noqa: S314  our own
     assert "0.3 s: RRC, a camera detector, on video" in drawn
-    assert memory_curve_view(replace(result.memory, curve=())) == ""
+    assert memory_curve_view(replace(result.memory, curve=(), frailty_curve=())) == ""
     text = answer_text(result, running=False)
     assert "| 0.3 s |" in text
     assert assumption_line(result.memory) in text

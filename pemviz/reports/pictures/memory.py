@@ -1,50 +1,88 @@
-"""The failure probability over memory times: what independence of misses is worth."""
+"""The failure probability over memory times and frailties: what independence is worth."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from pemviz.colors import PEM, PROPOSAL
-from pemviz.reports.memory_curve import CURVE_NOTE, assumption_line, measured_names
+from pemviz.reports.memory_curve import (
+    BY_FRAILTY,
+    BY_MEMORY_TIME,
+    CurveAxis,
+    assumption_line,
+    frailty_line,
+    measured_names,
+)
 from pemviz.reports.pictures.html import quiet, warning
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.memory import RunMemory
 
-TICKS_S = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 WIDTH, HEIGHT = 400, 170
 
 
+@dataclass(frozen=True)
+class _Look:
+    """What a curve's plot says and how its axis is marked."""
+
+    title: str
+    x_label: str
+    ticks: tuple[float, ...]
+    note_at_right: bool
+
+
+TAU = _Look(
+    "P(violation) if misses come in bursts", "memory time [s]", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), True
+)
+FRAILTY = _Look(
+    "P(violation) if some obstacles are harder to see",
+    "frailty",
+    (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2),
+    False,
+)
+
+
 def memory_curve(memory: RunMemory | None) -> str:
-    """What the assumption is worth, in words and as a plot; empty without a curve."""
-    line = assumption_line(memory)
-    if memory is None or line is None:
+    """What the assumptions are worth, in words and as plots; empty without a curve."""
+    over_tau, over_frailty = assumption_line(memory), frailty_line(memory)
+    if memory is None:
         return ""
-    return warning(line) + _plot(memory) + quiet(CURVE_NOTE)
+    parts: list[str] = []
+    if over_tau is not None:
+        parts += [warning(over_tau), _plot(memory, BY_MEMORY_TIME, TAU), quiet(BY_MEMORY_TIME.note)]
+    if over_frailty is not None:
+        parts += [warning(over_frailty), _plot(memory, BY_FRAILTY, FRAILTY), quiet(BY_FRAILTY.note)]
+    return "".join(parts)
 
 
-def _plot(memory: RunMemory) -> str:
-    points = [point for point in memory.curve if point.low and point.high and point.probability]
+def _plot(memory: RunMemory, axis: CurveAxis, look: _Look) -> str:
+    points = [p for p in axis.points(memory) if p.low and p.high and p.probability]
     if not points:
         return ""
     level = "" if any(point.caveats for point in points) else "95 % "
-    x_label = f"memory time [s]; whiskers: {level}intervals"
+    places = np.array([axis.place(point) for point in points])
     low = min(math.log10(point.low or 1.0) for point in points)
     plot = Plot(
-        x=Axis(0.0, 1.02 * max(p.tau_s for p in points), x_label, ticks=TICKS_S),
+        x=Axis(
+            0.0, 1.02 * max(places), f"{look.x_label}; whiskers: {level}intervals", ticks=look.ticks
+        ),
         y=Axis(low - 0.5, 0.2, "", log10=True),
         width=WIDTH,
         height=HEIGHT,
-        title="P(violation) if misses come in bursts",
+        title=look.title,
     )
-    tau_s = np.array([point.tau_s for point in points])
     log10 = np.log10([point.probability for point in points])
-    plot.line(tau_s, log10, color=PROPOSAL, width=2.0, tip="failure probability")
-    for point in points:
+    plot.line(places, log10, color=PROPOSAL, width=2.0, tip="failure probability")
+    for place, point in zip(places, points, strict=True):
         ends = math.log10(point.low or 1.0), math.log10(point.high or 1.0)
-        plot.whisker(point.tau_s, *ends, color=PROPOSAL)
-    names = measured_names(memory)
-    for place, (measured_s, name) in enumerate(sorted(names.items())):
-        plot.ticks_at(np.array([measured_s]), y_px=(plot.top, plot.bottom), color=PEM)
-        words = f"{measured_s:.2g} s: {name}, on video"
-        plot.note(words, plot.px(max(names)) + 4.0, plot.bottom - 8.0 - 12.0 * place)
+        plot.whisker(place, *ends, color=PROPOSAL)
+    names = measured_names(memory, axis)
+    for number, (place, name) in enumerate(sorted(names.items())):
+        plot.ticks_at(np.array([place]), y_px=(plot.top, plot.bottom), color=PEM)
+        words = f"{place:.2g}{axis.unit}: {name}, on video"
+        if look.note_at_right:
+            plot.note(words, plot.px(max(names)) + 4.0, plot.bottom - 8.0 - 12.0 * number)
+        else:
+            at = plot.px(min(names)) - 4.0, plot.top + 10.0 + 12.0 * number
+            plot.note(words, *at, anchor="end")
     return plot.text()

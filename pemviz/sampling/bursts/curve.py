@@ -1,23 +1,28 @@
-"""The failure probability as a function of the memory time, from one set of rollouts.
+"""The failure probability over memory times, or over frailties, each from one set of rollouts.
 
 The simulator's answer to a chain of outcomes does not depend on the error model, and the chain's
-probability p_tau is known for every memory time tau: rollouts drawn for one serve all. Families of
-pilots come first (:mod:`pemviz.proposals.pilots`), around independent misses and around bursts.
-Then a proposal is fitted for one tau after another, first for independent misses, then for ever
-shorter bursts, since long bursts and scattered misses are different ways of failing and neither is
-a start for the other; in the end for whatever tau is known least. Each fit learns from everything
-drawn before, reweighted to its own tau, and adds its rollouts to it. With n_k of all N rollouts
-drawn from proposal q_k::
+probability p_m is known for every memory m of misses, a memory time tau and a frailty f: rollouts
+drawn for one serve all. Families of pilots come first (:mod:`pemviz.proposals.pilots`), around
+independent misses, around bursts and around obstacles that are hard to see. Then a proposal is
+fitted for one m after another, first for independent misses, then for what is farther from them,
+since long bursts, obstacles hard to see and scattered misses are different ways of failing and none
+is a start for another; in between or in the end for what is known least. Each fit learns from
+everything drawn before, reweighted to its own m, and adds its rollouts to it. It is around the
+model of obstacles of one visibility u_k, the average of those that it learns from. With n_k of all
+N rollouts drawn from proposal q_k::
 
-    proposal  logit h_k(miss | s) = logit p_tau_k(miss | s) + clip(beta_k . b(s), -12, 12)
-              q_k(o | s) = (1 - d) h_k(o | s) + d p_tau_k(o | s)
-    weight    w_i(tau) = p_tau(o_i) / sum_k (n_k / N) q_k(o_i)
-    estimate  mu(tau)  = 1 / N sum_i 1[i violates] w_i(tau)
+    proposal  logit h_k(miss | s) = logit p_k(miss | s, u_k) + clip(beta_k . b(s), -12, 12)
+              q_k(o | s) = (1 - d) h_k(o | s) + d p_k(o | s, u_k)
+    weight    w_i(m) = p_m(o_i) / sum_k (n_k / N) q_k(o_i)
+    estimate  mu(m)  = 1 / N sum_i 1[i violates] w_i(m)
 
-The weights are those of the balance heuristic (Veach, Guibas 1995), over the outcomes before a
-violation: what comes after does not decide whether there is one. As in method ``mixture`` all
-rollouts count (adaptive multiple importance sampling: Cornuet, Marin, Mira, Robert 2012), and q_k
-of the rollouts that it was fitted to is lowered by how much the fit flatters them.
+with u integrated out of p_m (:mod:`pemviz.sampling.bursts.likelihood`). The weights are those of
+the balance heuristic (Veach, Guibas 1995), over the outcomes before a violation: what comes after
+does not decide whether there is one. Where no m has a memory time they are over the outcomes that
+the scenario reacts to (:class:`pemviz.sampling.bursts.scenario.Scenario`): on one scenario that
+divides errors by three. As in method ``mixture`` all rollouts count (adaptive multiple importance
+sampling: Cornuet, Marin, Mira, Robert 2012), and q_k of the rollouts that it was fitted to is
+lowered by how much the fit flatters them.
 """
 
 import itertools
@@ -30,17 +35,18 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.config.ranges import AtLeastZero
 from pemviz.pem import Pem
+from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.bursts.pool import (
     Drawn,
     described,
     first_basis,
+    is_indifferent,
     joined,
-    log_weights,
     seen_at,
     with_drawing,
 )
-from pemviz.sampling.bursts.scenario import Drawing, Scenario, drawn_by_fit, drawn_by_pilots
+from pemviz.sampling.bursts.scenario import Drawing, Given, Scenario, drawn_by_fit, drawn_by_pilots
 from pemviz.sampling.estimates.diagnostics import unlatched, weight_diagnostics
 from pemviz.sampling.estimates.estimate import log_normal_interval, log_stratified_error
 from pemviz.sampling.estimates.importance_weights import (
@@ -62,10 +68,27 @@ MEASURED_S = {"RRC, a camera detector": 0.3, "PointRCNN, a lidar detector": 0.17
 cars are taken to be alike; both were trained on these drives."""
 SHOWN_S = (0.0, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)
 """Memory times at which the curve is told [s]."""
-FITTED_S = (0.0, 0.0, 0.0, 0.01, 0.02, 0.02, 1.0, 0.3, 0.1, 0.05, 0.03)
+PILOTED_U = 2.0
+"""The visibility that pilots are around, where obstacles differ: one hard to see."""
+LEAST_KNOWN = None
+"""For what is known least by then."""
+FITTED_S = (0.0, 0.0, 0.0, 0.01, 0.02, 0.02, 1.0, 0.3, 0.1, 0.05, 0.03, *[LEAST_KNOWN] * 8)
 """Memory times that proposals are fitted for, one after another [s]."""
-LEAST_KNOWN = 8
-"""Further proposals, each for the memory time known least by then."""
+PILOTED_S = (0.0, 0.1, 1.0)
+"""Memory times whose models a family of pilots is around, each [s]."""
+MEASURED_FRAILTY = {"RRC, a camera detector": 0.68, "PointRCNN, a lidar detector": 0.83}
+"""Frailties of the same detectors there, beside memory times of 0.25 and 0.11 s, by ``pemviz pem
+fit --memory``."""
+SHOWN_FRAILTY = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2)
+"""Frailties at which the curve is told."""
+FITTED_FRAILTY = (
+    *(0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0),
+    *(LEAST_KNOWN, 0.0, LEAST_KNOWN, 0.15, LEAST_KNOWN, 0.4, LEAST_KNOWN, 1.0),
+    *(LEAST_KNOWN, LEAST_KNOWN),
+)
+"""Frailties that proposals are fitted for, one after another."""
+PILOTED_FRAILTY = ((0.0, 0.0), (0.5, 2.0), (1.0, 2.0))
+"""Frailties and visibilities whose models a family of pilots is around, each."""
 PILOTS_SHARE = 1 / 18
 """Of all rollouts, from each family of pilots."""
 ROLLOUTS = 2400
@@ -77,11 +100,12 @@ intervals with this factor held the exact value in 96 to 98 %."""
 METHOD = "mixture"
 """Whose intervals the curve's are like, where diagnostics are judged."""
 SEED_KEY = 2**32 - 3
+FRAILTY_SEED_KEY = 2**32 - 4
 
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """The failure probability at one memory time.
+    """The failure probability at one memory time and frailty.
 
     Attributes:
         tau_s: Memory time [s].
@@ -90,6 +114,7 @@ class CurvePoint:
         high: Upper end; ``None`` likewise.
         ess: Effective sample size of the failing weights; ``None`` likewise.
         diagnostics: What is wrong with the estimate.
+        frailty: Spread of obstacles' own visibility; 0: all are alike.
     """
 
     tau_s: AtLeastZero
@@ -98,11 +123,38 @@ class CurvePoint:
     high: AtLeastZero | None
     ess: AtLeastZero | None
     diagnostics: tuple[Diagnostic, ...] = ()
+    frailty: AtLeastZero = 0.0
 
     @property
     def caveats(self) -> tuple[str, ...]:
         """Why ``low`` and ``high`` are no 95 % interval; empty if they are one."""
         return caveats(self.diagnostics, method=METHOD)
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """A way through memory times and frailties.
+
+    Attributes:
+        told: Where the answer is told.
+        sought: Those of them that proposals may be fitted for to know them better.
+        fitted: What proposals are fitted for, one after another.
+        late: So many of them draw what is compared with everything drawn before.
+        piloted: What pilots are around.
+        seed_key: Of its randomness.
+    """
+
+    told: tuple[Memory, ...]
+    sought: tuple[Memory, ...]
+    fitted: tuple[Memory | None, ...]
+    late: int
+    piloted: tuple[Given, ...]
+    seed_key: int
+
+    @property
+    def is_forgetful(self) -> bool:
+        """Whether it has no memory time anywhere."""
+        return all(memory.tau_s == 0.0 for memory in self.told)
 
 
 def memory_curve(
@@ -112,6 +164,7 @@ def memory_curve(
     features: StateFeatures,
     seed: int,
     also_s: Sequence[float] = (),
+    frailty: float = 0.0,
     rollouts: int = ROLLOUTS,
 ) -> tuple[CurvePoint, ...]:
     """The failure probability at the memory times SHOWN_S and ``also_s``, ascending.
@@ -122,33 +175,92 @@ def memory_curve(
         features: What the scenario offers to look at.
         seed: Root of all randomness.
         also_s: Further memory times [s].
+        frailty: At all of them.
         rollouts: How many are simulated in all, 100 at least.
 
     Raises:
         ConfigError: The scenario has a signal named like the last outcome.
         SimulationError: A batch has something that is no finite number, or takes too long.
     """
+    u = PILOTED_U if frailty > 0.0 else 0.0
+    axis = _Axis(
+        told=tuple(Memory(tau_s, frailty) for tau_s in sorted({*SHOWN_S, *also_s})),
+        sought=tuple(Memory(tau_s, frailty) for tau_s in SHOWN_S),
+        fitted=tuple(None if at is None else Memory(at, frailty) for at in FITTED_S),
+        late=8,
+        piloted=tuple(Given(Memory(tau_s, frailty), u) for tau_s in PILOTED_S),
+        seed_key=SEED_KEY,
+    )
+    return _told(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
+
+
+def frailty_curve(
+    problem: Problem,
+    *,
+    pem: Pem,
+    features: StateFeatures,
+    seed: int,
+    also: Sequence[float] = (),
+    tau_s: float = 0.0,
+    rollouts: int = ROLLOUTS,
+) -> tuple[CurvePoint, ...]:
+    """The failure probability at the frailties SHOWN_FRAILTY and ``also``, ascending.
+
+    Args:
+        problem: On a simulator without memory; its error model is not looked at.
+        pem: The model of single outcomes.
+        features: What the scenario offers to look at.
+        seed: Root of all randomness.
+        also: Further frailties.
+        tau_s: Memory time at all of them [s].
+        rollouts: How many are simulated in all, 100 at least.
+
+    Raises:
+        ConfigError: The scenario has a signal named like the last outcome.
+        SimulationError: A batch has something that is no finite number, or takes too long.
+    """
+    axis = _Axis(
+        told=tuple(Memory(tau_s, frailty) for frailty in sorted({*SHOWN_FRAILTY, *also})),
+        sought=tuple(Memory(tau_s, frailty) for frailty in SHOWN_FRAILTY),
+        fitted=tuple(None if at is None else Memory(tau_s, at) for at in FITTED_FRAILTY),
+        late=10,
+        piloted=tuple(Given(Memory(tau_s, frailty), u) for frailty, u in PILOTED_FRAILTY),
+        seed_key=FRAILTY_SEED_KEY,
+    )
+    return _told(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
+
+
+def _told(
+    axis: _Axis, problem: Problem, *, pem: Pem, features: StateFeatures, seed: int, rollouts: int
+) -> tuple[CurvePoint, ...]:
     latched = problem.unsafe is not None or problem.monitor is not None
     scenario = Scenario(
         problem=with_latch(replace(problem, simulator=remembering(problem.simulator))),
         pem=pem,
         own_features=features,
+        asked=axis.told,
+        piloted=axis.piloted,
+        forgetful=axis.is_forgetful,
     )
-    seeds = (np.random.SeedSequence(seed, spawn_key=(SEED_KEY, part)) for part in itertools.count())
+    seeds = (
+        np.random.SeedSequence(seed, spawn_key=(axis.seed_key, part)) for part in itertools.count()
+    )
     scored = drawn_by_pilots(scenario, each=int(rollouts * PILOTS_SHARE), seeds=next(seeds))
+    if scenario.forgetful and not is_indifferent(scenario, scored.rollouts):
+        scenario = replace(scenario, forgetful=False)
     scenario = replace(scenario, basis=first_basis(scenario, scored))
     drawn = described(scenario, scored, (), component=0)
-    counts = _divided(rollouts - drawn.count, len(FITTED_S) + LEAST_KNOWN)
+    counts = _divided(rollouts - drawn.count, len(axis.fitted))
     drawings: list[Drawing] = []
-    for place, count in enumerate(counts):
-        tau_s = FITTED_S[place] if place < len(FITTED_S) else _least_known(scenario, drawn)
-        drawing, optimism = _fitted(scenario, drawn, tau_s)
+    for count, chosen in zip(counts, axis.fitted, strict=True):
+        memory = _least_known(axis, drawn) if chosen is LEAST_KNOWN else chosen
+        drawing, optimism = _fitted(scenario, drawn, axis.told.index(memory))
         drawings.append(drawing)
         scored = drawn_by_fit(scenario, drawing, count=count, seeds=next(seeds))
         fresh = described(scenario, scored, drawings, component=len(drawings))
         drawn = joined(with_drawing(scenario, drawn, drawing, optimism=optimism), fresh)
-    late = slice(rollouts - sum(counts[len(FITTED_S) :]), rollouts)
-    told = [_point(scenario, drawn, tau_s, late=late) for tau_s in sorted({*SHOWN_S, *also_s})]
+    late = slice(rollouts - sum(counts[-axis.late :]), rollouts)
+    told = [_point(scenario, drawn, place, late=late) for place in range(len(axis.told))]
     wrong = () if latched else (unlatched(),)
     return tuple(replace(one, diagnostics=(*one.diagnostics, *wrong)) for one in told)
 
@@ -158,36 +270,42 @@ def _divided(count: int, parts: int) -> list[int]:
     return [each + (index < rest) for index in range(parts)]
 
 
-def _least_known(scenario: Scenario, drawn: Drawn) -> float:
-    """The memory time whose violating rollouts are worth the fewest."""
+def _least_known(axis: _Axis, drawn: Drawn) -> Memory:
+    """The memory whose violating rollouts are worth the fewest."""
     if not drawn.violated.any():
-        return SHOWN_S[0]
+        return axis.sought[0]
 
-    def worth(tau_s: float) -> float:
-        return effective_sample_size(log_weights(scenario, drawn, tau_s)[drawn.violated])
+    def worth(memory: Memory) -> float:
+        log_weight = drawn.log_weight(axis.told.index(memory))
+        return effective_sample_size(log_weight[drawn.violated])
 
-    return min(SHOWN_S, key=worth)
+    return min(axis.sought, key=worth)
 
 
-def _fitted(scenario: Scenario, drawn: Drawn, tau_s: float) -> tuple[Drawing, FloatArray]:
-    """The proposal nearest to the elites' distribution under a memory time's model.
+def _fitted(scenario: Scenario, drawn: Drawn, place: int) -> tuple[Drawing, FloatArray]:
+    """The proposal nearest to the elites' distribution under the model with a memory.
+
+    It is around the visibility that the elites' obstacles have on average.
 
     Returns:
         The proposal, and by how much it flatters each of the rollouts ``[N]``.
     """
-    basis, pool = scenario.basis, seen_at(scenario, drawn, tau_s)
+    basis, pool = scenario.basis, seen_at(scenario, drawn, place)
     assert basis is not None  # noqa: S101  chosen from the pilots' rollouts
     elites = failing_elites(pool.robustness, pool.violated, least=SETTINGS.elites)
     aim = min(max(SETTINGS.elites, SETTINGS.ess_share * elites.count), elites.count / 2)
     exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))
     weight = weights_of(pool, elites, exponent=exponent)
+    u = float(np.average(drawn.visibility[:, place], weights=weight))
+    if u:
+        pool = seen_at(scenario, drawn, place, u=u)
     fit = fitted(pool, basis, elites, weight, SETTINGS)
-    return Drawing(tau_s, fit.coefficients), fit.optimism
+    return Drawing(Given(scenario.asked[place], u), fit.coefficients), fit.optimism
 
 
-def _point(scenario: Scenario, drawn: Drawn, tau_s: float, *, late: slice) -> CurvePoint:
-    """The estimate at one memory time; ``late`` are the rollouts that were drawn last."""
-    pool = seen_at(scenario, drawn, tau_s)
+def _point(scenario: Scenario, drawn: Drawn, place: int, *, late: slice) -> CurvePoint:
+    """The estimate for one memory; ``late`` are the rollouts that were drawn last."""
+    memory, pool = scenario.asked[place], seen_at(scenario, drawn, place)
     log_weight, violated = pool.log_weight, pool.violated
     failures = int(violated.sum())
     figures = weight_figures(log_weight[violated])
@@ -198,10 +316,17 @@ def _point(scenario: Scenario, drawn: Drawn, tau_s: float, *, late: slice) -> Cu
         rollouts=drawn.count,
         log10_probability=log_mean / math.log(10.0) if failures else None,
     )
+    nothing = CurvePoint(memory.tau_s, 0.0, None, None, None, wrong, memory.frailty)
     if not failures:
-        return CurvePoint(tau_s, 0.0, None, None, None, wrong)
+        return nothing
     log_error = log_stratified_error(log_weight, violated, pool.component)
     relative_error = ADAPTATION * math.exp(log_error - log_mean)
     low, high = log_normal_interval(log_mean, relative_error=relative_error)
-    wrong = (*wrong, *disagreements(pool, final=late))
-    return CurvePoint(tau_s, math.exp(log_mean), low, high, figures.ess, wrong)
+    return replace(
+        nothing,
+        probability=math.exp(log_mean),
+        low=low,
+        high=high,
+        ess=figures.ess,
+        diagnostics=(*wrong, *disagreements(pool, final=late)),
+    )

@@ -1,4 +1,4 @@
-"""Rollouts that serve every memory time: what was drawn, from which proposals, how likely."""
+"""Rollouts that serve many memories: what was drawn, from which proposals, how likely."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,37 +6,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.pem.models.memory import Memory
 from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.offset_logistic import PolynomialBasis, shift
 from pemviz.proposals.pilots import PilotFamily
-from pemviz.sampling.bursts.scenario import PILOTED_S, Drawing, Scenario
+from pemviz.sampling.bursts.likelihood import (
+    Outcomes,
+    by_node,
+    under_logits,
+)
+from pemviz.sampling.bursts.scenario import Drawing, Given, Scenario
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool, balance_weights
+from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.latched import VIOLATED
-from pemviz.types import RolloutBatch, ScoredRollouts, outcome_log_likelihood
+from pemviz.simulators.remembering import LAST_OUTCOME
+from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
 
 DEGREE = 3
-
-
-@dataclass(frozen=True)
-class Outcomes(Batch):
-    """Outcomes before a violation, in the order of rollouts.
-
-    Attributes:
-        rollout: Which rollout, ``[M]``.
-        basis: ``[M, B]``.
-        missed: ``[M]``.
-        last: The outcome before: missed (-1), detected (1), none (0), ``[M]``.
-        logit: Of 'detected' under the model of single outcomes, ``[M]``.
-        matters: Whether the scenario itself reacts, ``[M]``.
-    """
-
-    rollout: IntArray
-    basis: FloatArray
-    missed: BoolArray
-    last: FloatArray
-    logit: FloatArray
-    matters: BoolArray
 
 
 @dataclass(frozen=True)
@@ -48,6 +35,8 @@ class Drawn:
         component: What each was drawn from, ``[N]``: 0 is the pilots' families, k the k-th
             proposal.
         log_q: Log likelihood under the pilots and under each proposal, ``[N, 1 + K]`` [nats].
+        log_p: The same under the error model with each memory that was asked for, ``[N, A]``.
+        visibility: Posterior mean of the obstacle's visibility u, ``[N, A]``.
         robustness: ``[N]``.
         violated: ``[N]``.
     """
@@ -55,6 +44,8 @@ class Drawn:
     outcomes: Outcomes
     component: IntArray
     log_q: FloatArray
+    log_p: FloatArray
+    visibility: FloatArray
     robustness: FloatArray
     violated: BoolArray
 
@@ -63,11 +54,14 @@ class Drawn:
         """Number of rollouts N."""
         return int(self.violated.size)
 
+    def log_weight(self, place: int) -> FloatArray:
+        """Of every rollout for one of the memories, by the balance heuristic, ``[N]``."""
+        return balance_weights(self.log_q - self.log_p[:, place, None], self.component)
+
 
 def first_basis(scenario: Scenario, scored: ScoredRollouts) -> PolynomialBasis:
     """Monomials of the features, standardised by the first rollouts; constants keep spread 1."""
-    states = scored.rollouts.decision_states()
-    values = scenario.features(0.0).values(states)[_before_violation(scored.rollouts)]
+    values = _values(scenario, *_counting(scenario, scored.rollouts))
     spread = np.std(values, axis=0)
     return PolynomialBasis(
         mean=np.mean(values, axis=0), spread=np.where(spread > 0.0, spread, 1.0), degree=DEGREE
@@ -80,32 +74,35 @@ def described(
     """Rollouts drawn from one component, with their likelihood under all."""
     assert scenario.basis is not None  # noqa: S101  chosen from the pilots' rollouts
     rollouts = scored.rollouts
-    states, counting = rollouts.decision_states(), _before_violation(rollouts)
+    states, counting = _counting(scenario, rollouts)
     salient = scenario.problem.simulator.salient(states.signals)
     own_logit, last = scenario.pem.logit(salient[..., :-1]), salient[..., -1]
     matters = np.broadcast_to(scenario.own_features.reacts(states), counting.shape)
     outcomes = Outcomes(
         rollout=np.nonzero(counting)[0].astype(np.int64),
-        basis=scenario.basis.evaluate(scenario.features(0.0).values(states)[counting]),
+        basis=scenario.basis.evaluate(_values(scenario, states, counting)),
         missed=~rollouts.detected[counting],
         last=last[counting],
         logit=own_logit[counting],
         matters=matters[counting],
     )
     by_family = [
-        _summed(outcomes, model_logit(scenario, outcomes, tau_s), rollouts.count)
+        under_logits(outcomes, model_logit(scenario, outcomes, given), count=rollouts.count)
         + PilotFamily.over(scenario.steps).log_ratio(
-            replace(rollouts, pem_logit=scenario.model(tau_s).after(own_logit, last)),
-            counting & matters if scenario.features(tau_s).ignores else counting,
+            replace(rollouts, pem_logit=scenario.model(given).after(own_logit, last)),
+            counting & matters if scenario.ignores(given) else counting,
         )
-        for tau_s in PILOTED_S
+        for given in scenario.piloted
     ]
     by_pilots = np.asarray(logsumexp(by_family, axis=0)) - np.log(len(by_family))
     by_fits = [_log_q(scenario, outcomes, drawing, rollouts.count) for drawing in drawings]
+    likely = [_likely(scenario, outcomes, memory, rollouts.count) for memory in scenario.asked]
     return Drawn(
         outcomes=outcomes,
         component=np.full(rollouts.count, component, dtype=np.int64),
         log_q=np.stack([by_pilots, *by_fits], axis=1),
+        log_p=np.stack([log_p for log_p, _ in likely], axis=1),
+        visibility=np.stack([mean for _, mean in likely], axis=1),
         robustness=scored.robustness,
         violated=scored.violated,
     )
@@ -133,26 +130,38 @@ def joined(before: Drawn, fresh: Drawn) -> Drawn:
         outcomes=Outcomes.concatenate([before.outcomes, shifted]),
         component=np.concatenate([before.component, fresh.component]),
         log_q=np.concatenate([before.log_q, fresh.log_q]),
+        log_p=np.concatenate([before.log_p, fresh.log_p]),
+        visibility=np.concatenate([before.visibility, fresh.visibility]),
         robustness=np.concatenate([before.robustness, fresh.robustness]),
         violated=np.concatenate([before.violated, fresh.violated]),
     )
 
 
-def model_logit(scenario: Scenario, outcomes: Outcomes, tau_s: float) -> FloatArray:
-    """Logit of 'detected' under the model with a memory time, ``[M]``."""
-    return scenario.model(tau_s).after(outcomes.logit, outcomes.last)
+def model_logit(scenario: Scenario, outcomes: Outcomes, given: Given) -> FloatArray:
+    """Logit of 'detected' under a model given the obstacle's visibility, ``[M]``."""
+    return scenario.model(given).after(outcomes.logit, outcomes.last)
 
 
-def seen_at(scenario: Scenario, drawn: Drawn, tau_s: float) -> Pool:
-    """The rollouts as draws for one memory time, with the decisions that its proposals make."""
+def seen_at(scenario: Scenario, drawn: Drawn, place: int, *, u: float = 0.0) -> Pool:
+    """The rollouts as draws for one memory, with the decisions that its proposals make.
+
+    Args:
+        scenario: What they were drawn on.
+        drawn: N rollouts.
+        place: Of the memory among those asked for.
+        u: The visibility that the proposals are around.
+    """
+    given = Given(scenario.asked[place], u)
     outcomes = drawn.outcomes
-    logit = model_logit(scenario, outcomes, tau_s)
-    log_p = _summed(outcomes, logit, drawn.count)
     decisions = Decisions(
-        rollout=outcomes.rollout, basis=outcomes.basis, missed=outcomes.missed, offset=-logit
+        rollout=outcomes.rollout,
+        basis=outcomes.basis,
+        missed=outcomes.missed,
+        offset=-model_logit(scenario, outcomes, given),
     )
-    if scenario.features(tau_s).ignores:
+    if scenario.ignores(given):
         decisions = decisions.take(outcomes.matters)
+    log_p = drawn.log_p[:, place]
     return Pool(
         decisions=decisions,
         component=drawn.component,
@@ -164,29 +173,51 @@ def seen_at(scenario: Scenario, drawn: Drawn, tau_s: float) -> Pool:
     )
 
 
-def log_weights(scenario: Scenario, drawn: Drawn, tau_s: float) -> FloatArray:
-    """Of every rollout for a memory time, by the balance heuristic, ``[N]``."""
-    log_p = _summed(drawn.outcomes, model_logit(scenario, drawn.outcomes, tau_s), drawn.count)
-    return balance_weights(drawn.log_q - log_p[:, None], drawn.component)
+def is_indifferent(scenario: Scenario, rollouts: RolloutBatch) -> bool:
+    """Whether rollouts go on as they did with all outcomes turned that the scenario ignores."""
+    reacts = np.broadcast_to(
+        scenario.own_features.reacts(rollouts.decision_states()), rollouts.detected.shape
+    )
+    again = replay(simulator=scenario.problem.simulator, detected=rollouts.detected ^ ~reacts)
+    own = (name for name in rollouts.signals if name != LAST_OUTCOME.name)
+    return all(np.array_equal(rollouts.signals[name], again[name], equal_nan=True) for name in own)
 
 
-def _before_violation(rollouts: RolloutBatch) -> BoolArray:
-    """Which outcomes ``[N, T-1]`` a rollout has before it violates, if it knows of that."""
-    shape = rollouts.detected.shape
+def _counting(scenario: Scenario, rollouts: RolloutBatch) -> tuple[StateBatch, BoolArray]:
+    """States at which outcomes are decided, and which outcomes ``[N, T-1]`` count.
+
+    Those before a violation, if a rollout knows of it; of a forgetful scenario those that matter.
+    """
+    states, shape = rollouts.decision_states(), rollouts.detected.shape
     latch = rollouts.memory.get(VIOLATED)
-    return np.ones(shape, dtype=np.bool_) if latch is None else ~latch[:, : shape[1]]
+    counting = np.ones(shape, dtype=np.bool_) if latch is None else ~latch[:, : shape[1]]
+    return states, counting & scenario.own_features.reacts(
+        states
+    ) if scenario.forgetful else counting
+
+
+def _values(scenario: Scenario, states: StateBatch, counting: BoolArray) -> FloatArray:
+    """What proposals look at where outcomes count, ``[M, D]``."""
+    values = scenario.features(Given(scenario.asked[0])).values(states)
+    return np.broadcast_to(values, (*counting.shape, values.shape[-1]))[counting]
+
+
+def _likely(
+    scenario: Scenario, outcomes: Outcomes, memory: Memory, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Log likelihood with a memory, and posterior mean of the obstacle's visibility, ``[N]``."""
+    if memory.frailty == 0.0:
+        logit = model_logit(scenario, outcomes, Given(memory))
+        return under_logits(outcomes, logit, count=count), np.zeros(count)
+    found = by_node(outcomes, memory, dt_s=scenario.problem.simulator.dt_s, count=count)
+    return found.log_likelihood, found.mean
 
 
 def _log_q(scenario: Scenario, outcomes: Outcomes, drawing: Drawing, count: int) -> FloatArray:
     """Log likelihood of N rollouts' outcomes under a fitted proposal, ``[N]``."""
-    under_pem = model_logit(scenario, outcomes, drawing.tau_s)
+    under_pem = model_logit(scenario, outcomes, drawing.around)
     raised = shift(outcomes.basis, drawing.coefficients)
     logit = defended(under_pem - raised, under_pem, share=scenario.defensive)
-    if scenario.features(drawing.tau_s).ignores:
+    if scenario.ignores(drawing.around):
         logit = np.where(outcomes.matters, logit, under_pem)
-    return _summed(outcomes, logit, count)
-
-
-def _summed(outcomes: Outcomes, logit: FloatArray, count: int) -> FloatArray:
-    log_p = outcome_log_likelihood(logit, ~outcomes.missed)
-    return np.bincount(outcomes.rollout, weights=log_p, minlength=count).astype(np.float64)
+    return under_logits(outcomes, logit, count=count)

@@ -1,4 +1,4 @@
-"""What rollouts for all memory times are drawn on, and what they are drawn from."""
+"""What rollouts for many memories are drawn on, and what they are drawn from."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.pem import Pem
-from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.memory import Memory, frail_logit
 from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,
@@ -21,25 +21,61 @@ from pemviz.simulators.latched import VIOLATED
 from pemviz.types import Proposal, ScoredRollouts
 
 DEFENSIVE_STEPS = 2.0
-PILOTED_S = (0.0, 0.1, 1.0)
-"""Memory times whose models a family of pilots is around, each [s]."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """How misses hang together, and the visibility of the obstacle at hand."""
+
+    memory: Memory
+    u: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPem(RememberingPem):
+    """The error model of obstacles of a visibility ``u``."""
+
+    u: float = 0.0
+
+    def after(self, own: FloatArray, last: FloatArray) -> FloatArray:
+        """The model's own logits ``[...]``, for the visibility and the outcome before."""
+        frailty = self.memory.frailty
+        if frailty > 0.0:
+            own = frail_logit(own, visibility=np.asarray(self.u), frailty=frailty)
+        return super().after(own, last)
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A fitted proposal: coefficients ``[B]``, around the model with a memory time."""
+    """A fitted proposal: coefficients ``[B]``, around a model."""
 
-    tau_s: float
+    around: Given
     coefficients: FloatArray
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What rollouts are drawn on: the problem with memory and latch, and what is looked at."""
+    """What rollouts are drawn on, and what is looked at.
+
+    Attributes:
+        problem: With the last outcome as a signal, and a latch.
+        pem: The model of single outcomes.
+        own_features: What the scenario itself offers to look at.
+        asked: How misses may hang together, each.
+        piloted: The models that a family of pilots is around, each.
+        forgetful: Whether no memory that is asked about has a memory time. Outcomes to which the
+            scenario does not react then change nothing that comes after, neither states nor what
+            proposals do: summed over them a likelihood is that of the other outcomes. They are
+            left out of all, unless the pilots' rollouts show that the scenario does react.
+        basis: Of the proposals; chosen from the pilots' rollouts.
+    """
 
     problem: Problem
     pem: Pem
     own_features: StateFeatures
+    asked: tuple[Memory, ...]
+    piloted: tuple[Given, ...]
+    forgetful: bool = False
     basis: PolynomialBasis | None = None
 
     @property
@@ -52,19 +88,27 @@ class Scenario:
         """Share of the model in every outcome's probability."""
         return share_for(drawn_steps=DEFENSIVE_STEPS, steps=self.steps)
 
-    def model(self, tau_s: float) -> RememberingPem:
-        """The error model with a memory time."""
-        return RememberingPem(self.pem, Memory(tau_s=tau_s), self.problem.simulator.dt_s)
+    def model(self, given: Given) -> GivenPem:
+        """The error model given an obstacle's visibility."""
+        return GivenPem(self.pem, given.memory, self.problem.simulator.dt_s, given.u)
 
-    def features(self, tau_s: float) -> RememberingFeatures:
-        """What proposals around the model with a memory time look at, and where they act."""
-        return RememberingFeatures(self.own_features, self.model(tau_s).rho).for_proposals()
+    def ignores(self, given: Given) -> bool:
+        """Whether proposals around a model leave it only where the scenario itself reacts."""
+        return self.forgetful or self._remembering(given).ignores
+
+    def features(self, given: Given) -> StateFeatures:
+        """What proposals around a model look at, and where they act."""
+        return self.own_features if self.forgetful else self._remembering(given)
+
+    def _remembering(self, given: Given) -> RememberingFeatures:
+        rho = self.model(given).rho
+        return RememberingFeatures(self.own_features, rho).for_proposals()
 
     def proposal(self, drawing: Drawing) -> OffsetLogisticProposal:
         """What rollouts are drawn from."""
         assert self.basis is not None  # noqa: S101  chosen from the pilots' rollouts
         return OffsetLogisticProposal(
-            features=self.features(drawing.tau_s),
+            features=self.features(drawing.around),
             basis=self.basis,
             coefficients=drawing.coefficients,
             violated=VIOLATED,
@@ -82,25 +126,26 @@ def drawn_by_pilots(
 def _by_family(
     scenario: Scenario, each: int, seeds: np.random.SeedSequence
 ) -> Iterator[ScoredRollouts]:
-    for tau_s, child in zip(PILOTED_S, seeds.spawn(len(PILOTED_S)), strict=True):
+    families = len(scenario.piloted)
+    for given, child in zip(scenario.piloted, seeds.spawn(families), strict=True):
         pilots = PilotFamily.over(scenario.steps).drawn(
             each,
             np.random.default_rng(child.spawn(1)[0]),
-            features=scenario.features(tau_s),
+            features=scenario.features(given),
             violated=VIOLATED,
         )
-        yield _sampled(scenario, pilots, tau_s, each, child)
+        yield _sampled(scenario, pilots, given, each, child)
 
 
 def drawn_by_fit(
     scenario: Scenario, drawing: Drawing, *, count: int, seeds: np.random.SeedSequence
 ) -> ScoredRollouts:
     """``count`` rollouts from a fitted proposal."""
-    return _sampled(scenario, scenario.proposal(drawing), drawing.tau_s, count, seeds)
+    return _sampled(scenario, scenario.proposal(drawing), drawing.around, count, seeds)
 
 
 def _sampled(
-    scenario: Scenario, proposal: Proposal, tau_s: float, count: int, seeds: np.random.SeedSequence
+    scenario: Scenario, proposal: Proposal, given: Given, count: int, seeds: np.random.SeedSequence
 ) -> ScoredRollouts:
-    problem = replace(scenario.problem, pem=scenario.model(tau_s))
+    problem = replace(scenario.problem, pem=scenario.model(given))
     return sample(problem, proposal=proposal, count=count, seeds=seeds)
