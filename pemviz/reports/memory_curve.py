@@ -23,6 +23,10 @@ FRAILTY_NOTE = (
 """What stands beneath the curve over frailties and its table."""
 
 
+SAME = 0.01
+"""What differs by less from the error model's own measured place is that of the same detector."""
+
+
 @dataclass(frozen=True)
 class CurveAxis:
     """What a curve leads along.
@@ -128,10 +132,11 @@ def _shown(memory: RunMemory, axis: CurveAxis) -> Sequence[CurvePoint]:
 
 def measured_names(memory: RunMemory, axis: CurveAxis = BY_MEMORY_TIME) -> dict[float, str]:
     """Places of an axis that were measured on video, and whose they are."""
-    names = {place: name for name, place in axis.measured.items()}
     own = axis.fitted(memory)
-    if own is not None:
-        names[own] = "this error model"
+    names = {} if own is None else {own: "this error model"}
+    for name, place in axis.measured.items():
+        if own is None or abs(place - own) > SAME * own:
+            names[place] = name
     return names
 
 

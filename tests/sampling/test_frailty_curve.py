@@ -165,4 +165,4 @@ def test_words_and_picture_say_whose_frailty_it_is_and_what_it_is_worth():
     assert line.endswith("worth 12 orders of magnitude.")
     assert frailty_line(replace(memory, frailty=0.68)).startswith("So is a frailty of 0.68: 1e-15")
     assert [row.place for row in curve_rows(memory, BY_FRAILTY)] == ["all alike", "0.68"]
-    assert "0.68: RRC, a camera detector, on video" in drawn_curves(memory)
+    assert "0.68: RRC, on video" in drawn_curves(memory)

@@ -19,6 +19,8 @@ from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.memory import RunMemory
 
 WIDTH, HEIGHT = 400, 170
+NOTE_PX = 230.0
+"""Room that a measured place's full name takes."""
 
 
 @dataclass(frozen=True)
@@ -28,17 +30,15 @@ class _Look:
     title: str
     x_label: str
     ticks: tuple[float, ...]
-    note_at_right: bool
 
 
 TAU = _Look(
-    "P(violation) if misses come in bursts", "memory time [s]", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), True
+    "P(violation) if misses come in bursts", "memory time [s]", (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 )
 FRAILTY = _Look(
     "P(violation) if some obstacles are harder to see",
     "frailty",
     (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2),
-    False,
 )
 
 
@@ -76,13 +76,19 @@ def _plot(memory: RunMemory, axis: CurveAxis, look: _Look) -> str:
     for place, point in zip(places, points, strict=True):
         ends = math.log10(point.low or 1.0), math.log10(point.high or 1.0)
         plot.whisker(place, *ends, color=PROPOSAL)
-    names = measured_names(memory, axis)
+    _mark_measured(plot, measured_names(memory, axis), unit=axis.unit)
+    return plot.text()
+
+
+def _mark_measured(plot: Plot, names: dict[float, str], *, unit: str) -> None:
+    """Whose places on the axis were measured: in full where there is room right of them."""
+    last = plot.px(max(names))
+    roomy = plot.right - last > NOTE_PX
     for number, (place, name) in enumerate(sorted(names.items())):
         plot.ticks_at(np.array([place]), y_px=(plot.top, plot.bottom), color=PEM)
-        words = f"{place:.2g}{axis.unit}: {name}, on video"
-        if look.note_at_right:
-            plot.note(words, plot.px(max(names)) + 4.0, plot.bottom - 8.0 - 12.0 * number)
+        words = f"{place:.2g}{unit}: {name if roomy else name.split(',')[0]}, on video"
+        y = plot.bottom - 8.0 - 12.0 * number
+        if roomy:
+            plot.note(words, last + 4.0, y)
         else:
-            at = plot.px(min(names)) - 4.0, plot.top + 10.0 + 12.0 * number
-            plot.note(words, *at, anchor="end")
-    return plot.text()
+            plot.note(words, plot.px(min(names)) - 4.0, y, anchor="end")
