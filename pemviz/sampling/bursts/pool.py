@@ -178,7 +178,13 @@ def is_indifferent(scenario: Scenario, rollouts: RolloutBatch) -> bool:
     reacts = np.broadcast_to(
         scenario.own_features.reacts(rollouts.decision_states()), rollouts.detected.shape
     )
-    again = replay(simulator=scenario.problem.simulator, detected=rollouts.detected ^ ~reacts)
+    latents = rollouts.latents
+    again = replay(
+        simulator=scenario.problem.simulator,
+        detected=rollouts.detected ^ ~reacts,
+        start=None if latents is None else latents.start,
+        noise=None if latents is None else latents.noise,
+    )
     own = (name for name in rollouts.signals if name != LAST_OUTCOME.name)
     return all(np.array_equal(rollouts.signals[name], again[name], equal_nan=True) for name in own)
 
