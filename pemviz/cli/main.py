@@ -30,6 +30,7 @@ COMMANDS = {
     "serve": Command("pemviz.cli.serve", "show the panel in the browser"),
     "open": Command("pemviz.cli.open", "show a run's recording in rerun's viewer"),
     "report": Command("pemviz.cli.report", "one page for a safety case from runs and sweeps"),
+    "export": Command("pemviz.cli.export", "a rollout of a run as a file for other tools"),
     "reproduce": Command(
         "pemviz.cli.reproduce", "the paper's tables and figures beside its numbers"
     ),

@@ -182,7 +182,7 @@ def with_stage(result: RunResult, stage: StageResult) -> RunResult:
     for part, seconds in stage.timings_s.items():
         timings_s[part] = timings_s.get(part, 0.0) + seconds
     stages = (*result.stages, summarise_stage(stage))
-    weighty = _weighty(stages)
+    weighty = weighty_stages(stages)
     ranked = sorted(
         (*result.least_robust, *rank_rollouts(stage)),
         key=lambda r: (
@@ -198,7 +198,7 @@ def with_stage(result: RunResult, stage: StageResult) -> RunResult:
     )
 
 
-def _weighty(stages: Sequence[StageSummary]) -> set[tuple[int, int]]:
+def weighty_stages(stages: Sequence[StageSummary]) -> set[tuple[int, int]]:
     """The final stages, by repetition and stage, without which the estimate would be another."""
     final = [
         (stage, stage.log10_probability)

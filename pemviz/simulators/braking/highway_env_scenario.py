@@ -32,11 +32,9 @@ from pemviz.colors import EGO, LEAD, rgb
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.emergency_braking import brakes
-from pemviz.simulators.braking.scenario import CAR_WIDTH_M
+from pemviz.simulators.braking.scenario import CAR_WIDTH_M, EGO_LENGTH_M
 
 ENVIRONMENT_ID = "pemviz-braking-v0"
-
-EGO_LENGTH_M = 5.0
 
 SDL_DRIVER_VARIABLE = "SDL_VIDEODRIVER"
 

@@ -20,6 +20,7 @@ NOT_OCCLUDED = 0.0
 HEADING_AWAY_RAD = -np.pi / 2
 CAR_HEIGHT_M = 1.53
 CAR_WIDTH_M = 1.63
+EGO_LENGTH_M = 5.0
 
 
 @dataclass(frozen=True)

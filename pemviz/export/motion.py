@@ -1,0 +1,151 @@
+"""Both cars of the braking scenario on a straight road, as other tools want them.
+
+x points ahead and is 0 at the ego's rear bumper when the rollout begins; y points to the left and
+is 0 in the middle of the lane. A rollout keeps the gap, from the ego's windscreen camera to the
+lead car's rear bumper, and speeds. Positions follow as the simulators step (explicit Euler): the
+ego's by its speeds, the lead car's by the gap. So the bumpers touch, in whatever reference point a
+format counts, at the state at which :func:`pemviz.simulators.braking.contact.first_contact` says
+so. Trajectories hold the whole rollout; what it tells after contact happens in no encounter.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.errors import InputError
+from pemviz.export.rollout import RankedRollout
+from pemviz.simulators.braking.contact import (
+    CAMERA_TO_BUMPER_M,
+    Contact,
+    contact_text,
+    first_contact,
+)
+from pemviz.simulators.braking.scenario import EGO_LENGTH_M, EGO_SPEED, GAP, LEAD_SPEED
+from pemviz.simulators.braking.scenario import scenario_signals as signals_of
+
+FARTHEST = 1e9
+"""Beyond any position [m] or speed [m/s]."""
+
+
+@dataclass(frozen=True)
+class CarMotion:
+    """A car along a rollout.
+
+    Attributes:
+        name: ``ego`` or ``lead``.
+        length_m: Of the car.
+        rear_m: ``[T]`` where its rear bumper is along the road [m].
+        speed_mps: ``[T]`` its speed [m/s].
+    """
+
+    name: str
+    length_m: float
+    rear_m: FloatArray
+    speed_mps: FloatArray
+
+    @property
+    def centre_m(self) -> FloatArray:
+        """``[T]`` where its middle is [m]."""
+        return self.rear_m + self.length_m / 2
+
+
+@dataclass(frozen=True)
+class BrakingMotion:
+    """Both cars, and what perception and contact make of them.
+
+    Attributes:
+        ego: The car that perceives.
+        lead: The car before it.
+        dt_s: Time between two states [s].
+        missed: Steps at which perception missed the lead car, ascending.
+        contact: Where the bumpers first touch; ``None`` if they never do.
+    """
+
+    ego: CarMotion
+    lead: CarMotion
+    dt_s: float
+    missed: IntArray
+    contact: Contact | None
+
+    @property
+    def states(self) -> int:
+        """States T."""
+        return self.ego.rear_m.size
+
+    @property
+    def time_s(self) -> FloatArray:
+        """``[T]`` times of the states [s]."""
+        return np.arange(self.states, dtype=np.float64) * self.dt_s
+
+    @property
+    def end_m(self) -> float:
+        """How far along the road a car comes [m]."""
+        return float(max(np.max(car.rear_m) + car.length_m for car in (self.ego, self.lead)))
+
+
+def braking_motion(rollout: RankedRollout, *, form: str) -> BrakingMotion:
+    """The cars of a rollout of the shipped scenario.
+
+    Args:
+        rollout: Which.
+        form: The format that asks, for messages.
+
+    Raises:
+        InputError: It is of another simulator, or its signals are not that scenario's.
+    """
+    scenario = rollout.scenario
+    if scenario is None:
+        message = (
+            f"format = {form}: knows the shipped braking scenario alone, this run is of simulator "
+            f"{rollout.result.config.simulator!r}; take csv or parquet"
+        )
+        raise InputError(message)
+    keys = {signal.name: signal.key for signal in signals_of(scenario)}
+    if set(rollout.signals) != set(keys.values()) or set(rollout.detected) != {""}:
+        message = f"format = {form}: the rollouts must hold {', '.join(keys.values())}, one slot"
+        raise InputError(message)
+    gap_m, ego_mps, lead_mps = (
+        rollout.signals[keys[name]] for name in (GAP, EGO_SPEED, LEAD_SPEED)
+    )
+    if not all(np.all(np.abs(values) <= FARTHEST) for values in rollout.signals.values()):
+        message = f"format = {form}: the rollout holds what is no gap or speed"
+        raise InputError(message)
+    ego_rear_m = np.concatenate([[0.0], np.cumsum(ego_mps[:-1] * scenario.dt_s)])
+    camera_m = ego_rear_m + (EGO_LENGTH_M - CAMERA_TO_BUMPER_M)
+    return BrakingMotion(
+        ego=CarMotion("ego", EGO_LENGTH_M, ego_rear_m, ego_mps),
+        lead=CarMotion("lead", scenario.lead_length_m, camera_m + gap_m, lead_mps),
+        dt_s=scenario.dt_s,
+        missed=np.flatnonzero(~rollout.detected[""]),
+        contact=first_contact(gap_m, dt_s=scenario.dt_s),
+    )
+
+
+def description(rollout: RankedRollout, motion: BrakingMotion) -> str:
+    """The rollout in one line: which it is, its verdict, contact, misses."""
+    verdict = "violates" if rollout.violated else "holds"
+    contact = "no contact" if motion.contact is None else contact_text(motion.contact)
+    return (
+        f"pemviz run {rollout.result.run_id}, rank {rollout.rank} (repetition "
+        f"{rollout.repetition}, stage {rollout.stage}, rollout {rollout.rollout}): {verdict} "
+        f"{rollout.result.config.spec}, robustness {rollout.robustness:.6g}; {contact}; "
+        f"perception misses at {motion.missed.size} of {motion.states - 1} steps"
+    )
+
+
+def facts(rollout: RankedRollout, motion: BrakingMotion) -> dict[str, str]:
+    """What a format has no words for, by name; steps and times separated by blanks."""
+    contact = motion.contact
+    at_s = motion.time_s[motion.missed]
+    return {
+        "run_id": rollout.result.run_id,
+        "rank": str(rollout.rank),
+        "robustness": repr(rollout.robustness),
+        "violated": "true" if rollout.violated else "false",
+        "contact_time_s": "" if contact is None else f"{contact.time_s:.9g}",
+        "impact_speed_mps": "" if contact is None else f"{contact.impact_speed_mps:.9g}",
+        "camera_to_front_bumper_m": f"{CAMERA_TO_BUMPER_M:g}",
+        "missed_steps": " ".join(str(step) for step in motion.missed),
+        "missed_times_s": " ".join(f"{time:.9g}" for time in at_s),
+    }

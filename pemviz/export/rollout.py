@@ -1,0 +1,174 @@
+"""One rollout of a kept run, by its rank."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.config import SHIPPED_SIMULATORS, ScenarioConfig
+from pemviz.errors import InputError
+from pemviz.runs.ranking import ranked_rows
+from pemviz.runs.result import RunResult
+from pemviz.runs.rollout_files import BROKEN, load_rollouts
+from pemviz.runs.same_run import read_whole_run
+
+PER_ROLLOUT = ("repetition", "stage", "robustness", "violated")
+PER_OUTCOME = ("detected", "log_p", "log_q")
+RUN_TIME = "%Y%m%d-%H%M%S"
+RUN_TIME_LENGTH = len("20260101-120000")
+UNDATED = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class RankedRollout:
+    """A rollout of a run with what is needed to tell about it.
+
+    Attributes:
+        result: Of the run.
+        rank: From 1, as :func:`pemviz.runs.ranking.ranked_rows` ranks.
+        repetition: Zero-based.
+        stage: Its stage.
+        rollout: Its index in the stage.
+        robustness: Under the run's metric.
+        violated: The classical verdict.
+        broken: Whether it breaks each rule, by name, where there are rules.
+        signals: ``[T]`` by key, with units in it (``gap_m``).
+        detected: ``[T-1]`` outcomes by slot; where perception answers one thing a step under the
+            one name ``""``.
+        log_p: ``[T-1]`` log likelihood of the outcomes under the error model [nats], likewise.
+        log_q: ``[T-1]`` the same under the distribution that they were drawn from [nats].
+    """
+
+    result: RunResult
+    rank: int
+    repetition: int
+    stage: int
+    rollout: int
+    robustness: float
+    violated: bool
+    broken: Mapping[str, bool]
+    signals: Mapping[str, FloatArray]
+    detected: Mapping[str, BoolArray]
+    log_p: Mapping[str, FloatArray]
+    log_q: Mapping[str, FloatArray]
+
+    @property
+    def states(self) -> int:
+        """States T."""
+        return next(iter(self.detected.values())).size + 1
+
+    @property
+    def scenario(self) -> ScenarioConfig | None:
+        """The shipped scenario's parameters; ``None``: it was another simulator."""
+        config = self.result.config
+        return config.scenario if config.simulator in SHIPPED_SIMULATORS else None
+
+    @property
+    def date(self) -> datetime:
+        """When its run began, as its id says; 1 January 1970 if the id says nothing."""
+        try:
+            began = datetime.strptime(self.result.run_id[:RUN_TIME_LENGTH], RUN_TIME)
+        except ValueError:
+            return UNDATED
+        return began.replace(tzinfo=UTC)
+
+
+def read_ranked_rollout(folder: Path, *, rank: int) -> RankedRollout:
+    """The rollout of a run folder that has a rank.
+
+    Args:
+        folder: The run folder, of a run that is done or not.
+        rank: From 1.
+
+    Raises:
+        InputError: There is no such rollout, or something in the folder is damaged.
+    """
+    if not folder.is_dir():
+        message = f"run {folder}: there is no such folder"
+        raise InputError(message)
+    result = read_whole_run(folder)
+    table = load_rollouts(folder)
+    _check(table, where=folder)
+    order = ranked_rows(table, result.stages)
+    if not 1 <= rank <= order.size:
+        message = f"rank = {rank}: must be from 1 to {order.size}, the rollouts of {folder}"
+        raise InputError(message)
+    return _chosen(table, int(order[rank - 1]), result=result, rank=rank)
+
+
+def _chosen(
+    table: Mapping[str, AnyArray], row: int, *, result: RunResult, rank: int
+) -> RankedRollout:
+    one = {name: values[row] for name, values in table.items()}
+    of_stage = (table["repetition"] == one["repetition"]) & (table["stage"] == one["stage"])
+    slots = _slot_names(result, one["detected"])
+    outcomes = {name: _by_slot(one[name], slots) for name in PER_OUTCOME}
+    return RankedRollout(
+        result=result,
+        rank=rank,
+        repetition=int(one["repetition"]),
+        stage=int(one["stage"]),
+        rollout=int(np.count_nonzero(of_stage[:row])),
+        robustness=float(one["robustness"]),
+        violated=bool(one["violated"]),
+        broken={n.removeprefix(BROKEN): bool(v) for n, v in one.items() if n.startswith(BROKEN)},
+        signals={name: one[name].astype(np.float64) for name in _signal_keys(table)},
+        detected=outcomes["detected"],
+        log_p=outcomes["log_p"],
+        log_q=outcomes["log_q"],
+    )
+
+
+def _signal_keys(table: Mapping[str, AnyArray]) -> list[str]:
+    known = (*PER_ROLLOUT, *PER_OUTCOME)
+    return [name for name in table if name not in known and not name.startswith(BROKEN)]
+
+
+def _slot_names(result: RunResult, detected: AnyArray) -> tuple[str, ...]:
+    """The slots' names as the run's explanation tells them; their numbers, if it does not."""
+    if detected.ndim == 1:
+        return ("",)
+    count = detected.shape[1]
+    told = () if result.explanation is None else result.explanation.slots
+    names = tuple(slot.name for slot in told)
+    return names if len(set(names)) == count else tuple(str(slot) for slot in range(count))
+
+
+def _by_slot(values: AnyArray, slots: tuple[str, ...]) -> dict[str, AnyArray]:
+    if values.ndim == 1:
+        return {slots[0]: values}
+    return {name: values[:, place] for place, name in enumerate(slots)}
+
+
+def _check(table: Mapping[str, AnyArray], *, where: Path) -> None:
+    """Check that the arrays are those of N rollouts of T states.
+
+    Raises:
+        InputError: They are not.
+    """
+    absent = [name for name in (*PER_ROLLOUT, *PER_OUTCOME) if name not in table]
+    if absent:
+        message = f"rollouts {where}: {absent[0]} is absent"
+        raise InputError(message)
+    outcomes = table["detected"].shape
+    if len(outcomes) not in (2, 3) or 0 in outcomes[1:]:
+        message = (
+            f"rollouts {where}: detected has shape {outcomes}, must be [N, T-1] or [N, T-1, K]"
+        )
+        raise InputError(message)
+    count, steps = outcomes[:2]
+    for name, values in table.items():
+        shape = (count, steps + 1)
+        if name in PER_OUTCOME:
+            shape = outcomes
+        elif name in PER_ROLLOUT or name.startswith(BROKEN):
+            shape = (count,)
+        if values.shape != shape:
+            message = f"rollouts {where}: {name} has shape {values.shape}, must have {shape}"
+            raise InputError(message)
+    if np.isnan(table["robustness"]).any():
+        message = f"rollouts {where}: robustness must hold numbers, not NaN"
+        raise InputError(message)

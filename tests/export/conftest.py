@@ -1,0 +1,27 @@
+from pathlib import Path
+
+import pytest
+
+import pemviz
+from pemviz.runs.resume import carry_out
+from tests.sampling.test_slots import BY_SLOT, GhostBrake
+
+RULES = {"moves": "always[0,15] (speed >= 0.5)", "hits-not": "always[0,15] (gap >= 0.5)"}
+SAMPLE = Path(__file__).resolve().parents[2] / "recordings" / "sample"
+
+
+@pytest.fixture
+def sample_run():
+    """The run that is shipped: 174 rollouts of 70 states, of which some violate."""
+    return SAMPLE
+
+
+@pytest.fixture(scope="session")
+def slots_run(tmp_path_factory):
+    """A simulator of one's own with a car, a ghost, a memory of misses, and two rules."""
+    config = pemviz.ExperimentConfig(
+        method="naive", final_rollouts=60, seed=4, memory_s=0.2, plan=False
+    ).with_rules(RULES)
+    folder = tmp_path_factory.mktemp("slots")
+    carry_out(pemviz.build_experiment(config, simulator=GhostBrake(), pem=BY_SLOT), folder)
+    return folder
