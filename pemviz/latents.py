@@ -5,6 +5,8 @@ gap at the start or an error of a measured position (:mod:`pemviz.quantiles`). A
 their means; with z a latent drawn with mean m, its part of a rollout's weight is
 
     log p(z) - log q(z) = -z^2 / 2 + (z - m)^2 / 2
+
+or, where it moves some steps' noise alone, what :class:`Latents` says.
 """
 
 from dataclasses import dataclass
@@ -48,33 +50,47 @@ class StandardNormals(Batch):
     Attributes:
         start: ``[N, S]``.
         noise: ``[N, T-1, M]``.
+        choice: ``[N, T-1]``: they decide at which steps noise is moved, see :class:`Latents`.
     """
 
     start: FloatArray
     noise: FloatArray
+    choice: FloatArray
 
 
 @dataclass(frozen=True)
 class Latents(Batch):
     """The latents of N rollouts, and the means that they were drawn with.
 
-    What is not declared has no columns: S or M is 0 there.
+    What is not declared has no columns: S or M is 0 there. Noise of a step is moved with a
+    probability c, its share, else not; of M together then, with z and m vectors,
+
+        q(z) = (1 - c) N(z; 0, 1) + c N(z; m, 1)
 
     Attributes:
         start: ``[N, S]``, standard normal under the model.
         start_mean: ``[N, S]``; 0 where nothing is moved.
         noise: ``[N, T-1, M]``, likewise; steps are those of the scenario.
         noise_mean: ``[N, T-1, M]``.
+        noise_share: ``[N, T-1]``, 1 unless a proposal says less.
     """
 
     start: FloatArray
     start_mean: FloatArray
     noise: FloatArray
     noise_mean: FloatArray
+    noise_share: FloatArray
 
     @cached_property
     def log_weight(self) -> FloatArray:
         """Sum over all latents of log p - log q, ``[N]`` [nats]."""
         of_start = row_sums(self.start_mean * (0.5 * self.start_mean - self.start))
-        of_noise = row_sums(self.noise_mean * (0.5 * self.noise_mean - self.noise))
-        return read_only(np.asarray(of_start + of_noise))
+        moved = np.sum(self.noise_mean * (self.noise - 0.5 * self.noise_mean), axis=-1)
+        of_noise = row_sums(log_share_moved(moved, self.noise_share))
+        return read_only(np.asarray(of_start - of_noise))
+
+
+def log_share_moved(log_ratio: FloatArray, share: FloatArray | float) -> FloatArray:
+    """log(1 - c + c exp(l)) for a share c and a log ratio l of moved to unmoved, ``[...]``."""
+    with np.errstate(divide="ignore"):  # a share of 1: nothing stays
+        return np.logaddexp(np.log1p(-np.asarray(share)), np.log(share) + log_ratio)

@@ -166,8 +166,12 @@ class MovesLatents(Proposal, Protocol):
         """Of the latents at the start of ``count`` rollouts, ``[N, S]``."""
         ...
 
-    def noise_mean(self, states: StateBatch) -> FloatArray:
-        """Of the latents of the step that follows states ``[N]``, ``[N, M]``."""
+    def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Of the latents of the step that follows states ``[N]`` and outcomes ``[N]`` there.
+
+        Returns:
+            Means ``[N, M]`` and shares ``[N]``, see :class:`pemviz.latents.Latents`.
+        """
         ...
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, Move, moved, namespace
 from pemviz.proposals.defensive_share import defended
+from pemviz.proposals.latent_means import LatentMeans
 from pemviz.types import CERTAIN, Signal, StateBatch
 
 STANDARD_RANGE = 3.0
@@ -102,6 +103,7 @@ class OffsetLogisticProposal:
         coefficients: ``[B]``; or ``[N, B]``, for N rollouts a row each.
         violated: Name of the memory that says whether a rollout has violated already.
         defensive: Share of the error model in every outcome's probability.
+        means: How it moves latents, where there are any.
     """
 
     features: StateFeatures
@@ -109,6 +111,7 @@ class OffsetLogisticProposal:
     coefficients: FloatArray
     violated: str
     defensive: float
+    means: LatentMeans | None = None
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]``."""
@@ -134,13 +137,14 @@ class OffsetLogisticProposal:
         return replace(self, features=features, basis=basis, coefficients=coefficients)
 
     def arrays(self) -> Mapping[str, AnyArray]:
-        """Coefficients and standardisation."""
+        """Coefficients and standardisation, and means of latents."""
         return {
             "coefficients": self.coefficients,
             "mean": self.basis.mean,
             "spread": self.basis.spread,
             "degree": np.array(self.basis.degree),
             "defensive": np.array(self.defensive),
+            **({} if self.means is None else self.means.arrays()),
         }
 
 

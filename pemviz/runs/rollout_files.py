@@ -28,7 +28,7 @@ MEMORY, KEPT = "memory.", "kept."
 BROKEN = "broken."
 """Before a rule's name: whether a rollout breaks it."""
 LATENTS = "latents."
-"""Before ``start``, ``start_mean``, ``noise`` and ``noise_mean``, where the scenario has them."""
+"""Before the names of :class:`pemviz.latents.Latents`' arrays, of those that have columns."""
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are asked for."""
 
@@ -55,8 +55,9 @@ def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, Any
 def _latent_arrays(latents: Latents | None) -> dict[str, AnyArray]:
     if latents is None:
         return {}
-    arrays = {field.name: getattr(latents, field.name) for field in fields(Latents)}
-    return {f"{LATENTS}{name}": array for name, array in arrays.items() if array.shape[-1]}
+    kept = {"start": bool(latents.start.shape[1]), "noise": bool(latents.noise.shape[2])}
+    names = [field.name for field in fields(Latents) if kept[field.name.partition("_")[0]]]
+    return {f"{LATENTS}{name}": getattr(latents, name) for name in names}
 
 
 def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
@@ -69,16 +70,18 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
     if not found:
         return None
     count, steps = arrays["detected"].shape[:2]
-    none = {"start": np.zeros((count, 0)), "noise": np.zeros((count, steps, 0))}
+    columns = {n: np.atleast_1d(found[n]).shape[-1] for n in ("start", "noise") if n in found}
+    start, noise = (count, columns.get("start", 0)), (count, steps, columns.get("noise", 0))
+    shapes = {"start": start, "start_mean": start, "noise": noise, "noise_mean": noise}
+    shapes["noise_share"] = noise[:2]
     kept: dict[str, AnyArray] = {}
-    for field in fields(Latents):
-        drawn = field.name.removesuffix("_mean")
-        values = found.get(field.name, none[drawn])
-        shape = (*none[drawn].shape[:-1], found.get(drawn, none[drawn]).shape[-1])
+    for name, shape in shapes.items():
+        declared = columns.get(name.partition("_")[0], 0) > 0
+        values = found.get(name, np.empty(0)) if declared else np.ones(shape)
         if values.shape != shape or values.dtype != np.float64 or not _is_bounded(values):
-            message = f"{LATENTS}{field.name} must be finite numbers of shape {shape}"
+            message = f"{LATENTS}{name} must be finite numbers of shape {shape}"
             raise ValueError(message)
-        kept[field.name] = values
+        kept[name] = values
     return Latents(**kept)
 
 

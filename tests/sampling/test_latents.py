@@ -10,6 +10,8 @@ import pemviz
 from pemviz.errors import ConfigError
 from pemviz.latents import LatentCounts
 from pemviz.proposals.fixed import PemProposal
+from pemviz.proposals.latent_means import LatentDecisions, LatentMeans, fit_means, scores
+from pemviz.proposals.latent_pilots import LatentFamily
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import latents_of, load_rollouts
 from pemviz.sampling.problem import sample
@@ -47,8 +49,8 @@ class Moved(PemProposal):
     def start_mean(self, count):
         return np.full((count, 1), 0.7)
 
-    def noise_mean(self, states):
-        return 0.3 * states.signals["distance"][:, None]
+    def noise_mean(self, states, detected):
+        return 0.3 * states.signals["distance"][:, None], np.ones(len(states.signals["distance"]))
 
 
 FAR = Drift(miss_m=0.4)
@@ -126,17 +128,24 @@ def flat_slots(miss, ghost):
     return {"car": Flat(miss), "ghost": Flat(1.0 - ghost)}
 
 
+SPENT = {
+    "monte-carlo": {"final_rollouts": 20_000},
+    "naive": {"final_rollouts": 20_000, "naive_detection_probability": 0.8},
+    "splitting": {"rollouts": 300, "stages": 8},
+    "mixture": {"rollouts": 200, "stages": 2, "final_rollouts": 300},
+}
+
+
 @pytest.mark.parametrize(
-    ("method", "spent"),
+    ("case", "method"),
     [
-        ("monte-carlo", {"final_rollouts": 20_000}),
-        ("naive", {"final_rollouts": 20_000, "naive_detection_probability": 0.8}),
-        ("splitting", {"rollouts": 300, "stages": 8}),
-        ("mixture", {"rollouts": 400, "stages": 4, "final_rollouts": 400}),
+        *(("drift", method) for method in SPENT),
+        *(("walk", method) for method in ("monte-carlo", "splitting", "mixture")),
+        *(("slots", method) for method in ("naive", "splitting", "mixture")),
+        *(("largest", method) for method in ("naive", "splitting")),
     ],
 )
-@pytest.mark.parametrize("case", ["drift", "slots", "largest", "walk"])
-def test_methods_agree_with_closed_forms(case, method, spent):
+def test_methods_agree_with_closed_forms(case, method):
     """At 1 to 3 %, within four standard errors: a false alarm with probability 6e-5 each."""
     simulator, pem, spec, exact = {
         "drift": (FAR, ERRS, FAR.spec(3.0), FAR.probability(3.0, miss=0.1)),
@@ -160,8 +169,8 @@ def test_methods_agree_with_closed_forms(case, method, spent):
         ),
     }[case]
     assert 0.005 < exact < 0.2
-    found = pemviz.run(experiment_of(simulator, spec, pem=pem, method=method, seed=3, **spent))
-    estimate = found.estimate
+    experiment = experiment_of(simulator, spec, pem=pem, method=method, seed=3, **SPENT[method])
+    estimate = pemviz.run(experiment).estimate
     error = estimate.std_error
     assert abs(estimate.probability - exact) < 4.0 * error, (estimate, exact)
     assert error < 0.35 * exact
@@ -243,3 +252,85 @@ def test_latents_that_change_nothing_are_warned_of(ignored):
     words = {"start": "initial ignores start latent 0", "noise": "step ignores noise 0"}
     assert warning == f"simulator drift: {words[ignored]}"
     assert experiment_of(FAR, FAR.spec(2.0)).warnings == ()
+
+
+RARE = {
+    "noise and a start": (FAR, ERRS, 7.0),
+    "one error of a step": (LargestError(), ERRS, 5.5),
+}
+
+
+@pytest.mark.parametrize("case", RARE)
+def test_mixture_moves_latents_to_the_tail(case):
+    """1e-9 to 1e-7, within four standard errors: a false alarm with probability 6e-5 each."""
+    simulator, pem, limit = RARE[case]
+    exact = simulator.probability(limit, miss=0.1)
+    assert 1e-9 < exact < 1e-6
+    settings = {"method": "mixture", "rollouts": 150, "stages": 5, "final_rollouts": 500, "seed": 5}
+    found = pemviz.run(
+        experiment_of(simulator, simulator.spec(limit), pem=pem, **settings)
+    ).estimate
+    assert abs(found.probability - exact) < 4.0 * found.std_error, (found, exact)
+    assert found.std_error < 0.25 * exact
+
+
+def latents_of_walkers(generator, *, count=400, steps=6):
+    """Noise of steps whose only feature is where they are, uniform, and one latent at the start."""
+    place = generator.uniform(-1.0, 1.0, size=count * steps)
+    return LatentDecisions(
+        start=generator.standard_normal((count, 1)) + 1.5,
+        rollout=np.repeat(np.arange(count), steps),
+        basis=np.stack([np.ones(place.size), place], axis=1),
+        noise=generator.standard_normal((place.size, 1)),
+    )
+
+
+def test_means_are_found_again():
+    """Drawn with known means: at a fifth of the steps moved by 3 + 2 x. Within five errors."""
+    generator = np.random.default_rng(2)
+    latents = latents_of_walkers(generator)
+    moves = generator.random(latents.rollout.size) < 0.2
+    mean = 3.0 + 2.0 * latents.basis[:, 1]
+    drawn_with = replace(latents, noise=latents.noise + np.where(moves, mean, 0.0)[:, None])
+    found = fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01, 0.1])).means
+    assert found.start == pytest.approx([1.5], abs=5.0 / np.sqrt(latents.count))
+    assert found.noise[0] == pytest.approx([3.0, 2.0], abs=0.6)
+    assert 1.0 / (1.0 + np.exp(-found.choice[0])) == pytest.approx(0.2, abs=0.05)
+
+
+def test_densities_are_densities():
+    """Of pilots and of fitted means: their ratio to the model has mean 1 under the model."""
+    generator = np.random.default_rng(4)
+    start, noise = generator.standard_normal((20_000, 1)), generator.standard_normal((20_000, 3, 1))
+    family = LatentFamily.over(3, start=1, noise=1)
+    mild = replace(family, start=0.2 * family.start, mean=0.2 * family.mean)
+    ratio = np.exp(mild.log_ratio(start, noise, np.ones((20_000, 3), dtype=np.bool_)))
+    assert ratio.mean() == pytest.approx(1.0, abs=5.0 * ratio.std() / np.sqrt(20_000))
+    means = LatentMeans(np.array([0.5]), np.array([[0.4]]), np.array([0.3]))
+    rollout, basis = np.repeat(np.arange(20_000), 3), np.ones((60_000, 1))
+    decisions = LatentDecisions(start, rollout, basis, noise.reshape(-1, 1))
+    ratio = np.exp(means.log_ratio(decisions))
+    assert ratio.mean() == pytest.approx(1.0, abs=5.0 * ratio.std() / np.sqrt(20_000))
+    gradient = scores(means, decisions)[:5]
+    for place, moved in enumerate(("start", "noise")):
+        nudged = replace(means, **{moved: getattr(means, moved) + 1e-6})
+        slope = (nudged.log_ratio(decisions) - means.log_ratio(decisions))[:5] / 1e-6
+        np.testing.assert_allclose(gradient[:, place], slope, rtol=1e-4, atol=1e-5)
+
+
+def test_what_is_drawn_is_what_is_weighed():
+    """The weight that a rollout's file tells is that under the proposal of its stage's pool."""
+    experiment = experiment_of(
+        SLOTS, SLOTS.spec(3.0), method="mixture", rollouts=40, stages=2, final_rollouts=40
+    )
+    method, problem = experiment.method, experiment.problem
+    state = method.init(problem, repetition=0)
+    while not method.is_done(state):
+        state, stage = method.step(problem, state)
+    count = stage.scored.rollouts.count
+    pool, rows = state.pool, np.arange(count)
+    own = pool.log_ratio[-count:][rows, pool.component[-count:]]
+    fitted = pool.component[-count:] > 0
+    assert fitted.any()
+    log_weight = stage.scored.rollouts.log_weight
+    np.testing.assert_allclose(-own[fitted], log_weight[fitted], rtol=1e-9, atol=1e-9)

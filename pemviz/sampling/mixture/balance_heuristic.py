@@ -8,6 +8,7 @@ from scipy.special import logsumexp
 
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.proposals.defensive_share import defended
+from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import (
     PolynomialBasis,
     StateFeatures,
@@ -15,6 +16,7 @@ from pemviz.proposals.offset_logistic import (
     shift,
 )
 from pemviz.proposals.pilots import PilotFamily
+from pemviz.sampling.mixture.latents import FreshLatents, latent_ratios
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, ScoredRollouts
 
@@ -51,6 +53,8 @@ class Pool:
         log_p: Log likelihood under the error model, ``[N]``.
         rule_robustness: ``[N]`` of each rule by name, where there are rules.
         broken: ``[N]`` likewise.
+        latents: Of all rollouts but the final ones, where there are any.
+        means: How each fitted proposal moves them.
     """
 
     decisions: Decisions
@@ -62,6 +66,8 @@ class Pool:
     log_p: FloatArray
     rule_robustness: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
+    latents: LatentDecisions | None = None
+    means: tuple[LatentMeans, ...] = ()
 
     @property
     def count(self) -> int:
@@ -145,6 +151,7 @@ def extended(
     defensive: float,
     features: StateFeatures,
     basis: PolynomialBasis,
+    latents: FreshLatents | None = None,
     last: bool = False,
 ) -> Pool:
     """The pool with more rollouts.
@@ -160,6 +167,7 @@ def extended(
         defensive: Share of the error model in every outcome's probability.
         features: What proposals look at.
         basis: Its monomials.
+        latents: Of the rollouts, where there are any.
         last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
     """
     acts = _acts(scored.rollouts, features)
@@ -169,6 +177,10 @@ def extended(
     coefficients = (*(pool.coefficients if pool else ()), *new)
     fitted = log_ratios(fresh, coefficients, count=count, defensive=defensive)
     after = np.hstack([pilots.log_ratio(scored.rollouts, acts)[:, None], fitted])
+    means = (*(pool.means if pool else ()), *(latents.means if latents else ()))
+    if latents is not None:
+        of_latents = latent_ratios(latents.decisions, means)
+        after = after + np.hstack([latents.by_pilots[:, None], of_latents])
     if pool is None:
         return Pool(
             decisions=fresh,
@@ -180,10 +192,14 @@ def extended(
             log_p=log_p,
             rule_robustness=scored.rule_robustness,
             broken=scored.broken,
+            latents=None if latents is None else latents.decisions,
+            means=means,
         )
-    before = pool.log_ratio
+    before, known = pool.log_ratio, pool.latents
     if new:
         added = log_ratios(pool.decisions, new, count=pool.count, defensive=defensive)
+        if known is not None and latents is not None:
+            added = added + latent_ratios(known, latents.means)
         before = np.hstack([before, added - np.stack(optimism, axis=1)])
     return Pool(
         decisions=pool.decisions if last else _joined(pool.decisions, fresh, first=pool.count),
@@ -195,11 +211,19 @@ def extended(
         log_p=np.concatenate([pool.log_p, log_p]),
         rule_robustness=_appended(pool.rule_robustness, scored.rule_robustness),
         broken=_appended(pool.broken, scored.broken),
+        latents=known if last else _with_latents(known, latents),
+        means=means,
     )
 
 
 def _appended(before: Mapping[str, AnyArray], after: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     return {name: np.concatenate([values, after[name]]) for name, values in before.items()}
+
+
+def _with_latents(
+    known: LatentDecisions | None, fresh: FreshLatents | None
+) -> LatentDecisions | None:
+    return known if known is None or fresh is None else known.joined(fresh.decisions)
 
 
 def _joined(before: Decisions, fresh: Decisions, *, first: int) -> Decisions:

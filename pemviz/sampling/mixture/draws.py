@@ -9,6 +9,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move, moved, namespace
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, StateFeatures
 from pemviz.proposals.pilots import PilotFamily, PilotProposal
+from pemviz.sampling.mixture.latents import DividedLatents
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import StateBatch
 
@@ -28,11 +29,13 @@ class DividedProposal:
         pilots: Of all N rollouts; without a step for those that are not pilots.
         fitted: With coefficients ``[N, B]``, 0 for pilots; ``None`` if all are pilots.
         piloted: Which are, ``[N]``.
+        latents: What latents are drawn from, where there are any.
     """
 
     pilots: PilotProposal
     fitted: OffsetLogisticProposal | None
     piloted: BoolArray
+    latents: DividedLatents | None = None
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[N]``, at states ``[N]`` of the same N rollouts."""
@@ -42,13 +45,39 @@ class DividedProposal:
         by_fitted = self.fitted.logit(states, pem_logit)
         return namespace(pem_logit).where(self.piloted, by_pilots, by_fitted)
 
+    def start_mean(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
+        """Of the latents at the start, ``[N, S]``.
+
+        Raises:
+            TypeError: The scenario has no latents.
+        """
+        return self._of_latents().start_mean()
+
+    def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Of a step's noise, means ``[N, M]`` and shares ``[N]``.
+
+        Raises:
+            TypeError: The scenario has no latents.
+        """
+        return self._of_latents().noise_mean(states, detected)
+
+    def _of_latents(self) -> DividedLatents:
+        if self.latents is None:
+            message = "the proposal is for a scenario without latents"
+            raise TypeError(message)
+        return self.latents
+
     def rows(self, rows: slice) -> Self:
         """What some of the rollouts are drawn from."""
         fitted = self.fitted
         if fitted is not None:
             fitted = replace(fitted, coefficients=fitted.coefficients[rows])
         return replace(
-            self, pilots=self.pilots.rows(rows), fitted=fitted, piloted=self.piloted[rows]
+            self,
+            pilots=self.pilots.rows(rows),
+            fitted=fitted,
+            piloted=self.piloted[rows],
+            latents=None if self.latents is None else self.latents.rows(rows),
         )
 
     def moved(self, move: Move) -> Self | None:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from pemviz.arrays import FloatArray
+from pemviz.proposals.latent_means import LatentMeans, fit_means
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import (
     WeightedOutcomes,
@@ -16,7 +17,8 @@ from pemviz.proposals.offset_logistic_fit import (
 )
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, smoothed_weights
-from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
+from pemviz.sampling.mixture.balance_heuristic import Pool
+from pemviz.sampling.mixture.latents import noise_basis
 from pemviz.sampling.mixture.levels import Elites, failing_elites, guided_elites
 from pemviz.sampling.mixture.ways import Ways, WeightedRollouts, shares_of_draws, ways_of
 
@@ -57,6 +59,7 @@ class Fit:
         elites: How many.
         loss: [nats a decision].
         share: Of the rollouts that are not pilots, drawn from it.
+        means: How it moves latents, where there are any.
     """
 
     coefficients: FloatArray
@@ -65,6 +68,7 @@ class Fit:
     elites: int
     loss: float
     share: float = 1.0
+    means: LatentMeans | None = None
 
 
 def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
@@ -79,8 +83,12 @@ def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -
         exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))
     weight = weights_of(pool, elites, exponent=exponent)
     first = fitted(pool, basis, elites, weight, settings)
-    learned = learned_from(pool.decisions, weight)
-    ways = ways_of(learned, first.coefficients, ridge=ridge_by_degree(basis, settings.ridge))
+    learned = learned_from(pool, weight)
+    ridge = ridge_by_degree(basis, settings.ridge)
+    noise_ridge = ridge_by_degree(noise_basis(basis), settings.ridge)
+    ways = ways_of(
+        learned, first.coefficients, means=first.means, ridge=ridge, noise_ridge=noise_ridge
+    )
     if ways.share.size == 1:
         return (first,)
     parts = np.zeros((ways.share.size, pool.count))
@@ -146,9 +154,16 @@ def fitted(
     if start is None:
         start = pool.coefficients[-1] if pool.coefficients else np.zeros(penalty.size)
     found = fit_offset_logistic(outcomes, ridge=penalty, start=start)
+    optimism, means = leave_one_out_loss(outcomes, found, group=group, count=pool.count), None
+    if pool.latents is not None:
+        moved = fit_means(
+            pool.latents, weight, ridge=ridge_by_degree(noise_basis(basis), settings.ridge)
+        )
+        optimism, means = optimism + moved.optimism, moved.means
     return Fit(
         coefficients=found.coefficients,
-        optimism=leave_one_out_loss(outcomes, found, group=group, count=pool.count),
+        optimism=optimism,
+        means=means,
         threshold=elites.threshold,
         elites=elites.count,
         loss=found.loss,
@@ -165,8 +180,9 @@ def weights_of(pool: Pool, elites: Elites, *, exponent: float) -> FloatArray:
     return weight
 
 
-def learned_from(decisions: Decisions, weight: FloatArray) -> WeightedRollouts:
+def learned_from(pool: Pool, weight: FloatArray) -> WeightedRollouts:
     """Those of the pool's rollouts whose weight ``[N]`` is not 0."""
+    decisions = pool.decisions
     kept = weight[decisions.rollout] > 0.0
     number = np.cumsum(weight > 0.0) - 1
     rollout = number[decisions.rollout[kept]].astype(np.int64)
@@ -177,7 +193,8 @@ def learned_from(decisions: Decisions, weight: FloatArray) -> WeightedRollouts:
         offset=decisions.offset[kept],
         weight=positive[rollout],
     )
-    return WeightedRollouts(outcomes, rollout, positive)
+    latents = None if pool.latents is None else pool.latents.of(np.flatnonzero(weight > 0.0))
+    return WeightedRollouts(outcomes, rollout, positive, latents)
 
 
 def _parts(

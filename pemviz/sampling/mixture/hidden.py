@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.proposals.latent_means import fit_means
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import fit_offset_logistic
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
@@ -24,8 +25,9 @@ from pemviz.sampling.mixture.fit import (
     smoothing_exponent,
     weights_of,
 )
+from pemviz.sampling.mixture.latents import latent_ratios, noise_basis
 from pemviz.sampling.mixture.levels import Elites
-from pemviz.sampling.mixture.ways import SAMPLE, ways_of
+from pemviz.sampling.mixture.ways import SAMPLE, Ways, WeightedRollouts, ways_of
 
 HARDLY_DRAWN = 3.0
 """Log of how many times more often pilots draw a rollout than the main proposals do."""
@@ -64,10 +66,8 @@ def fit_to_hidden_ways(
     log_weight = pool.log_weight[hidden.chosen]
     even = smoothing_exponent(log_weight, least_ess=EVEN_SHARE * hidden.count)
     weight = weights_of(pool, hidden, exponent=even)
-    learned, rollouts = learned_from(pool.decisions, weight), np.flatnonzero(weight > 0.0)
-    few, ridge = learned.resampled(SAMPLE), ridge_by_degree(basis, settings.ridge)
-    first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
-    ways = ways_of(few, first.coefficients, ridge=ridge, least_scatter=LEAST_SCATTER, price=PRICE)
+    learned, rollouts = learned_from(pool, weight), np.flatnonzero(weight > 0.0)
+    ways = _told_apart(learned.resampled(SAMPLE), basis, settings)
     fits: list[Fit] = []
     for share in ways.responsibilities(learned).T:
         chosen = np.zeros_like(hidden.chosen)
@@ -84,6 +84,25 @@ def fit_to_hidden_ways(
     return tuple(fits)
 
 
+def _told_apart(few: WeightedRollouts, basis: PolynomialBasis, settings: FitSettings) -> Ways:
+    """Ways of failing among few rollouts."""
+    ridge = ridge_by_degree(basis, settings.ridge)
+    noise_ridge = ridge_by_degree(noise_basis(basis), settings.ridge)
+    first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
+    means = None
+    if few.latents is not None:
+        means = fit_means(few.latents, few.weight, ridge=noise_ridge).means
+    return ways_of(
+        few,
+        first.coefficients,
+        means=means,
+        ridge=ridge,
+        noise_ridge=noise_ridge,
+        least_scatter=LEAST_SCATTER,
+        price=PRICE,
+    )
+
+
 def _share(pool: Pool, chosen: BoolArray) -> float:
     """Of the estimate, from the ``chosen`` of the violating rollouts."""
     return float(np.exp(log_sum(pool.log_weight[chosen]) - log_sum(pool.log_weight[pool.violated])))
@@ -94,5 +113,7 @@ def _hardly_drawn(pool: Pool, main: Sequence[Fit], defensive: float) -> BoolArra
     ratio = log_ratios(
         pool.decisions, [fit.coefficients for fit in main], count=pool.count, defensive=defensive
     )
+    if pool.latents is not None:
+        ratio = ratio + latent_ratios(pool.latents, [fit.means for fit in main if fit.means])
     by_main: FloatArray = np.asarray(logsumexp(ratio + np.log([fit.share for fit in main]), axis=1))
     return pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_DRAWN)

@@ -34,6 +34,7 @@ import numpy as np
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.fixed import PemProposal
+from pemviz.proposals.latent_pilots import LatentFamily
 from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,
     PolynomialBasis,
@@ -56,10 +57,12 @@ from pemviz.sampling.mixture.fit import (
     with_exploring,
 )
 from pemviz.sampling.mixture.hidden import fit_to_hidden_ways
+from pemviz.sampling.mixture.latents import divided_latents, fresh_latents
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.sampling.value_twisted.method import with_latch
 from pemviz.simulators.latched import VIOLATED, MonitoredSimulator
+from pemviz.simulators.latents import latent_counts
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
 DEFENSIVE_STEPS = 2.0
@@ -287,6 +290,7 @@ def _main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal
         coefficients=state.fits[0].coefficients,
         violated=VIOLATED,
         defensive=_defence(steps),
+        means=state.fits[0].means,
     )
 
 
@@ -295,14 +299,30 @@ def _drawn(
 ) -> ScoredRollouts:
     steps = problem.simulator.states - 1
     fitted = np.unique(component[component != PILOTS])
+    generator = np.random.default_rng(seeds.spawn(1)[0])
     proposal = divided(
         component,
         {int(index): state.fits[index - fitted[0]].coefficients for index in fitted},
         _main_proposal(state, steps=steps),
         family=PilotFamily.over(steps, turns=state.turns),
         features=state.features,
-        generator=np.random.default_rng(seeds.spawn(1)[0]),
+        generator=generator,
     )
+    counts = latent_counts(problem.simulator)
+    if counts:
+        first = fitted[0] if fitted.size else 0
+        means = [None if c == PILOTS else state.fits[c - first].means for c in component.tolist()]
+        family = LatentFamily.over(steps // state.turns, start=counts.start, noise=counts.noise)
+        pilots = family.drawn(int((component == PILOTS).sum()), generator, of=component.size)
+        latents = divided_latents(
+            pilots,
+            means,
+            counts,
+            features=state.features,
+            basis=state.basis,
+            turns=state.turns,
+        )
+        proposal = replace(proposal, latents=latents)
     return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
 
 
@@ -340,6 +360,13 @@ def _pooled(
         defensive=_defence(steps),
         features=state.features,
         basis=basis,
+        latents=fresh_latents(
+            scored.rollouts,
+            [fit.means for fit in new],
+            features=state.features,
+            basis=basis,
+            turns=state.turns,
+        ),
         last=last,
     )
 

@@ -10,10 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 from scipy.special import expit, logsumexp
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.proposals.latent_means import (
+    LatentDecisions,
+    LatentMeans,
+    information,
+    next_round,
+    scores,
+)
 from pemviz.proposals.offset_logistic_fit import (
     WeightedOutcomes,
     fit_offset_logistic,
@@ -26,6 +33,9 @@ ROUNDS = 8
 SAMPLE = 100
 """Rollouts by which ways are told apart: enough for a handful, and cheap."""
 
+Ridges = tuple[FloatArray, FloatArray]
+"""Penalties of the coefficients, ``[B]``, and of those of the means of noise, ``[B']``."""
+
 
 @dataclass(frozen=True)
 class WeightedRollouts:
@@ -35,11 +45,13 @@ class WeightedRollouts:
         outcomes: Their decisions; ``weight`` is that of the rollout.
         rollout: Which of E rollouts each decision belongs to, ``[M]``, ascending.
         weight: Of each rollout, ``[E]``.
+        latents: Of each, where there are any.
     """
 
     outcomes: WeightedOutcomes
     rollout: IntArray
     weight: FloatArray
+    latents: LatentDecisions | None = None
 
     @property
     def count(self) -> int:
@@ -52,7 +64,7 @@ class WeightedRollouts:
         changed = WeightedOutcomes(
             outcomes.basis, outcomes.missed, outcomes.offset, weight[self.rollout]
         )
-        return WeightedRollouts(changed, self.rollout, weight)
+        return WeightedRollouts(changed, self.rollout, weight, self.latents)
 
     def resampled(self, count: int) -> "WeightedRollouts":
         """About ``count`` rollouts of equal weight, drawn systematically; all if they are fewer."""
@@ -72,6 +84,7 @@ class WeightedRollouts:
             ),
             rollout,
             weight,
+            None if self.latents is None else self.latents.of(np.flatnonzero(times > 0)),
         )
 
 
@@ -82,14 +95,21 @@ class Ways:
     Attributes:
         coefficients: ``[C, B]``.
         share: ``[C]``, sums to 1.
+        means: How each moves latents; ``None`` where there are none.
     """
 
     coefficients: FloatArray
     share: FloatArray
+    means: tuple[LatentMeans | None, ...]
+
+    @property
+    def each(self) -> Sequence[tuple[FloatArray, LatentMeans | None]]:
+        """Coefficients and means of each proposal."""
+        return list(zip(self.coefficients, self.means, strict=True))
 
     def log_joint(self, rollouts: WeightedRollouts) -> FloatArray:
         """Log of share times likelihood of each rollout under each proposal, ``[E, C]``."""
-        columns = [_log_likelihood(rollouts, one) for one in self.coefficients]
+        columns = [_log_likelihood(rollouts, *one) for one in self.each]
         return np.stack(columns, axis=1) + np.log(self.share)
 
     def responsibilities(self, rollouts: WeightedRollouts) -> FloatArray:
@@ -103,6 +123,8 @@ def ways_of(
     first: FloatArray,
     *,
     ridge: FloatArray,
+    means: LatentMeans | None = None,
+    noise_ridge: FloatArray | None = None,
     least_scatter: float = LEAST_SCATTER,
     price: float = 1.0,
 ) -> Ways:
@@ -112,25 +134,32 @@ def ways_of(
         rollouts: What is learned from.
         first: Coefficients of the one proposal fitted to all of them, ``[B]``.
         ridge: Penalty of each coefficient, ``[B]``.
+        means: How that proposal moves latents.
+        noise_ridge: Penalty of the coefficients of their means, ``[B']``.
         least_scatter: Proposals whose rollouts scatter less are not split.
         price: Of another proposal, in units of the Bayesian information criterion.
     """
-    ways = Ways(first[None, :], np.ones(1))
-    if _scatter(rollouts, first, rollouts.weight, ridge)[0] < least_scatter:
+    ways = Ways(first[None, :], np.ones(1), (means,))
+    ridges = ridge, np.empty(0) if noise_ridge is None else noise_ridge
+    if _scatter(rollouts, *ways.each[0], rollouts.weight, ridges)[0] < least_scatter:
         return ways
     few = rollouts.resampled(SAMPLE)
     while ways.share.size < MOST_WAYS:
-        tried = _split(few, ways, ridge, least_scatter)
-        if tried is None or _gain(few, ways, tried) <= price * _price(few, ridge):
+        tried = _split(few, ways, ridges, least_scatter)
+        if tried is None or _gain(few, ways, tried) <= price * _price(few, ridges):
             break
         ways = tried
     order = np.argsort(-ways.share, kind="stable")
-    return Ways(ways.coefficients[order], ways.share[order])
+    ordered = tuple(ways.means[place] for place in order)
+    return Ways(ways.coefficients[order], ways.share[order], ordered)
 
 
-def _price(rollouts: WeightedRollouts, ridge: FloatArray) -> float:
+def _price(rollouts: WeightedRollouts, ridges: Ridges) -> float:
     """What one more proposal costs, by the Bayesian information criterion [nats]."""
-    return 0.5 * ridge.size * float(np.log(max(rollouts.weight.sum(), np.e)))
+    latents, size = rollouts.latents, ridges[0].size
+    if latents is not None:
+        size += latents.start.shape[1] + latents.noise.shape[1] * ridges[1].size
+    return 0.5 * size * float(np.log(max(rollouts.weight.sum(), np.e)))
 
 
 def _gain(rollouts: WeightedRollouts, before: Ways, after: Ways) -> float:
@@ -142,13 +171,13 @@ def _gain(rollouts: WeightedRollouts, before: Ways, after: Ways) -> float:
 
 
 def _split(
-    rollouts: WeightedRollouts, ways: Ways, ridge: FloatArray, least_scatter: float
+    rollouts: WeightedRollouts, ways: Ways, ridges: Ridges, least_scatter: float
 ) -> Ways | None:
     """One proposal more, fitted from a cut through the part that scatters most."""
     shares = ways.responsibilities(rollouts)
     scatter = [
-        _scatter(rollouts, one, rollouts.weight * shares[:, index], ridge)
-        for index, one in enumerate(ways.coefficients)
+        _scatter(rollouts, *one, rollouts.weight * shares[:, index], ridges)
+        for index, one in enumerate(ways.each)
     ]
     worst = int(np.argmax([largest for largest, _ in scatter]))
     largest, place = scatter[worst]
@@ -158,7 +187,7 @@ def _split(
     shares = np.hstack([shares, (shares[:, worst] * upper)[:, None]])
     shares[upper, worst] = 0.0
     start = np.vstack([ways.coefficients, ways.coefficients[worst]])
-    tried = ways
+    means, tried = (*ways.means, ways.means[worst]), ways
     for _ in range(ROUNDS):
         share = rollouts.weight @ shares
         if share.min() <= 0.0:
@@ -167,25 +196,41 @@ def _split(
             [
                 fit_offset_logistic(
                     rollouts.weighted(rollouts.weight * shares[:, index]).outcomes,
-                    ridge=ridge,
+                    ridge=ridges[0],
                     start=one,
                     steps=1,
                 ).coefficients
                 for index, one in enumerate(start)
             ]
         )
-        tried = Ways(start, share / share.sum())
+        means = tuple(
+            _next_means(one, rollouts, rollouts.weight * shares[:, index], ridges[1])
+            for index, one in enumerate(means)
+        )
+        tried = Ways(start, share / share.sum(), means)
         shares = tried.responsibilities(rollouts)
     return tried
 
 
+def _next_means(
+    means: LatentMeans | None, rollouts: WeightedRollouts, weight: FloatArray, ridge: FloatArray
+) -> LatentMeans | None:
+    if means is None or rollouts.latents is None:
+        return None
+    return next_round(means, rollouts.latents, weight, ridge=ridge)
+
+
 def _scatter(
-    rollouts: WeightedRollouts, coefficients: FloatArray, weight: FloatArray, ridge: FloatArray
+    rollouts: WeightedRollouts,
+    coefficients: FloatArray,
+    means: LatentMeans | None,
+    weight: FloatArray,
+    ridges: Ridges,
 ) -> tuple[float, FloatArray]:
     """Largest variance of the rollouts' scores relative to that of a model's draws.
 
-    The score is the derivative of a rollout's log likelihood by the coefficients; its variance
-    under the model is the Fisher information.
+    The score is the derivative of a rollout's log likelihood by the coefficients, and by the means
+    of latents; its variance under the model is the Fisher information.
 
     Returns:
         The variance, and the scores along its direction ``[E]``.
@@ -201,10 +246,14 @@ def _scatter(
         axis=1,
     )
     by_decision = weight[rollouts.rollout] * miss * (1.0 - miss)
-    information = outcomes.basis.T @ (outcomes.basis * by_decision[:, None]) + np.diag(ridge)
+    known = outcomes.basis.T @ (outcomes.basis * by_decision[:, None]) + np.diag(ridges[0])
+    if means is not None and rollouts.latents is not None:
+        score = np.hstack([score, scores(means, rollouts.latents)])
+        of_means = information(means, rollouts.latents, weight, ridge=ridges[1])
+        known = np.asarray(block_diag(known, of_means))
     spread = score.T @ (score * weight[:, None])
-    size = ridge.size
-    variances, directions = eigh(spread, information, subset_by_index=[size - 1, size - 1])
+    last = score.shape[1] - 1
+    variances, directions = eigh(spread, known, subset_by_index=[last, last])
     return float(variances[0]), score @ directions[:, 0]
 
 
@@ -220,12 +269,17 @@ def _cut(place: FloatArray, weight: FloatArray) -> float:
     return float(0.5 * (ordered[best] + ordered[best + 1]))
 
 
-def _log_likelihood(rollouts: WeightedRollouts, coefficients: FloatArray) -> FloatArray:
+def _log_likelihood(
+    rollouts: WeightedRollouts, coefficients: FloatArray, means: LatentMeans | None
+) -> FloatArray:
     outcomes = rollouts.outcomes
     logit = outcomes.offset + outcomes.basis @ coefficients
     against = np.where(outcomes.missed, -logit, logit)
     loss = np.logaddexp(0.0, against)
-    return -np.bincount(rollouts.rollout, weights=loss, minlength=rollouts.count).astype(np.float64)
+    found = -np.bincount(rollouts.rollout, weights=loss, minlength=rollouts.count)
+    if means is not None and rollouts.latents is not None:
+        found = found + means.log_ratio(rollouts.latents)
+    return found.astype(np.float64)
 
 
 def shares_of_draws(share: FloatArray) -> Sequence[float]:

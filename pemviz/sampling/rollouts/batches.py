@@ -99,8 +99,9 @@ def check_numbers(
         ("proposal: logit", rollouts.proposal_logit),
     ]
     if rollouts.latents is not None:
-        means = rollouts.latents.start_mean, rollouts.latents.noise_mean
-        if not all(np.isfinite(mean).all() for mean in means):
+        latents = rollouts.latents
+        moved = latents.start_mean, latents.noise_mean, latents.noise_share
+        if not all(np.isfinite(values).all() for values in moved):
             message = "proposal: the mean of a latent is no finite number"
             raise SimulationError(message)
     worst: tuple[int, int, str] | None = None

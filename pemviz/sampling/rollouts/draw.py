@@ -74,7 +74,7 @@ def roll_out(
         under_pem[step] = pem.logit(simulator.salient(states.signals))
         under_proposal[step] = proposal.logit(states, under_pem[step])
         detected[step] = draws[step] >= _expit(-under_proposal[step])
-        noise = None if track is None else track.noise(step, states, proposal)
+        noise = None if track is None else track.noise(step, states, detected[step], proposal)
         states = stepped(simulator, states, detected[step], noise)
         signals.record(step + 1, states.signals)
         memory.record(step + 1, kept_with_rollouts(states.memory))

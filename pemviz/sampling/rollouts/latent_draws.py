@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.latents import LatentCounts, Latents, StandardNormals
 from pemviz.types import MovesLatents, Proposal, StateBatch
 
@@ -37,10 +38,13 @@ class NormalSource:
         if not self._counts:
             return None
         at_start, each = self._counts.start, self._counts.noise
-        normals = self._generator.standard_normal((count, at_start + self._steps * each))
+        a_step = each + (each > 0)
+        normals = self._generator.standard_normal((count, at_start + self._steps * a_step))
+        by_step = normals[:, at_start:].reshape(count, self._steps, a_step)
         return StandardNormals(
             start=normals[:, :at_start],
-            noise=normals[:, at_start:].reshape(count, self._steps, each),
+            noise=by_step[..., :each],
+            choice=by_step[..., each:].sum(-1),
         )
 
 
@@ -71,22 +75,30 @@ class LatentTrack:
         mean = np.zeros(normals.start.shape)
         if isinstance(proposal, MovesLatents):
             mean = mean + proposal.start_mean(count)
-        none = np.zeros(normals.noise.shape, order="F")
-        latents = Latents(normals.start + mean, mean, none, none.copy(order="F"))
-        return LatentTrack(normals, latents.map(np.asfortranarray), outcomes // steps)
+        none = np.zeros(normals.noise.shape)
+        latents = Latents(normals.start + mean, mean, none, none, np.ones((count, steps)))
+        blank = latents.map(lambda values: np.array(values, order="F"))
+        return LatentTrack(normals, blank, outcomes // steps)
 
-    def noise(self, step: int, states: StateBatch, proposal: Proposal) -> FloatArray | None:
+    def noise(
+        self, step: int, states: StateBatch, detected: BoolArray, proposal: Proposal
+    ) -> FloatArray | None:
         """Of the step that follows an outcome, ``[N, M]``; ``None`` before a step's last outcome.
 
         Args:
             step: The outcome's index.
             states: At which it was, ``[N]``.
+            detected: The outcome, ``[N]``.
             proposal: What the means come from.
         """
         if (step + 1) % self.turns:
             return None
-        of_step, latents = step // self.turns, self.latents
-        if isinstance(proposal, MovesLatents):
-            latents.noise_mean[:, of_step] = proposal.noise_mean(states)
-        latents.noise[:, of_step] = self.normals.noise[:, of_step] + latents.noise_mean[:, of_step]
+        of_step, latents, normals = step // self.turns, self.latents, self.normals
+        noise = normals.noise[:, of_step]
+        if noise.shape[1] and isinstance(proposal, MovesLatents):
+            mean, share = proposal.noise_mean(states, detected)
+            latents.noise_mean[:, of_step], latents.noise_share[:, of_step] = mean, share
+            moves = ndtr(normals.choice[:, of_step]) < share
+            noise = noise + np.where(moves[:, None], mean, 0.0)
+        latents.noise[:, of_step] = noise
         return latents.noise[:, of_step]

@@ -96,7 +96,7 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
             detected=unknown.astype(np.bool_),
             pem_logit=unknown,
             proposal_logit=unknown,
-            latents=Latents(normals, 0.0 * normals, noise, 0.0 * noise) if counts else None,
+            latents=_unmoved(normals, noise) if counts else None,
         ),
         score=np.full((count, states), np.inf),
         looks=np.zeros((count, states), dtype=np.int64),
@@ -108,6 +108,10 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
         uniforms=uniforms,
         noise=noise,
     )
+
+
+def _unmoved(start: FloatArray, noise: FloatArray) -> Latents:
+    return Latents(start, 0.0 * start, noise, 0.0 * noise, np.ones(noise.shape[:2]))
 
 
 def restart(

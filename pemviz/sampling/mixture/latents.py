@@ -1,0 +1,199 @@
+"""Latents in the mixture: what they are drawn from, and what proposals are fitted to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import expit
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.latents import LatentCounts, Latents
+from pemviz.proposals.latent_means import (
+    LatentDecisions,
+    LatentMeans,
+    choice_logit,
+    noise_means,
+    unmoved,
+)
+from pemviz.proposals.latent_pilots import LatentFamily, LatentPilots
+from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures
+from pemviz.simulators.latched import VIOLATED
+from pemviz.types import RolloutBatch, StateBatch
+
+NOISE_DEGREE = 2
+"""Of the polynomial that gives means of noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class DividedLatents:
+    """What the latents of each of N rollouts are drawn from: a pilot's means or fitted ones.
+
+    Attributes:
+        pilots: Of all N rollouts; 0 for those that are not pilots.
+        start: Fitted means at the start, ``[N, S]``, 0 for pilots.
+        noise: Fitted coefficients, ``[N, M, B]``, likewise.
+        choice: Fitted coefficients of how often it is moved, ``[N, B]``.
+        piloted: Which are pilots, ``[N]``: what they move, they move always.
+        features: What fitted proposals look at, beside the step's last outcome.
+        basis: Monomials of it all; ``None`` if all rollouts are pilots.
+        turns: Outcomes of a step.
+    """
+
+    pilots: LatentPilots
+    start: FloatArray
+    noise: FloatArray
+    choice: FloatArray
+    piloted: BoolArray
+    features: StateFeatures
+    basis: PolynomialBasis | None
+    turns: int
+
+    def start_mean(self) -> FloatArray:
+        """Of the latents at the start, ``[N, S]``."""
+        return self.pilots.start + self.start
+
+    def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Of a step's noise: means ``[N, M]``, 0 after a violation, and shares ``[N]``."""
+        mean = self.pilots.noise_mean(int(states.step) // self.turns)
+        share = np.ones(len(mean))
+        if self.basis is not None:
+            basis = self.basis.evaluate(_looked_at(self.features, states, detected))
+            mean = mean + noise_means(basis, self.noise)
+            share = np.where(self.piloted, 1.0, expit(choice_logit(basis, self.choice)))
+        over = states.memory.get(VIOLATED, np.zeros(len(mean), dtype=np.bool_))
+        return np.where(over[:, None], 0.0, mean), share
+
+    def rows(self, rows: slice) -> "DividedLatents":
+        """Of some of the rollouts."""
+        return replace(
+            self,
+            pilots=self.pilots.rows(rows),
+            start=self.start[rows],
+            noise=self.noise[rows],
+            choice=self.choice[rows],
+            piloted=self.piloted[rows],
+        )
+
+
+def divided_latents(
+    pilots: LatentPilots,
+    means: Sequence[LatentMeans | None],
+    counts: LatentCounts,
+    *,
+    features: StateFeatures,
+    basis: PolynomialBasis | None,
+    turns: int,
+) -> DividedLatents:
+    """Of N rollouts.
+
+    Args:
+        pilots: Of all; 0 for those that are not pilots.
+        means: Fitted ones of each rollout, ``None`` for pilots.
+        counts: Latents of a rollout.
+        features: What fitted proposals look at.
+        basis: Monomials of it, for outcomes.
+        turns: Outcomes of a step.
+    """
+    basis = None if basis is None else noise_basis(basis)
+    monomials = 1 if basis is None else len(basis.exponents)
+    none = unmoved(start=counts.start, noise=counts.noise, basis=monomials)
+    own = [none if each is None else each for each in means]
+    return DividedLatents(
+        pilots=pilots,
+        start=np.stack([each.start for each in own]),
+        noise=np.stack([each.noise for each in own]),
+        choice=np.stack([each.choice for each in own]),
+        piloted=np.array([each is None for each in means]),
+        features=features,
+        basis=basis,
+        turns=turns,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class FreshLatents:
+    """Latents of rollouts that come to the pool.
+
+    Attributes:
+        decisions: As proposals see them.
+        by_pilots: Log of the pilots' density over the model's, ``[n]``.
+        means: Of the proposals that the pool does not know yet.
+    """
+
+    decisions: LatentDecisions
+    by_pilots: FloatArray
+    means: tuple[LatentMeans, ...]
+
+
+def fresh_latents(
+    rollouts: RolloutBatch,
+    means: Sequence[LatentMeans | None],
+    *,
+    features: StateFeatures,
+    basis: PolynomialBasis,
+    turns: int,
+) -> FreshLatents | None:
+    """Of rollouts with latents; ``None`` for others."""
+    latents = rollouts.latents
+    if latents is None:
+        return None
+    states, acts = _last_turns(rollouts, turns)
+    counts = counts_of(latents)
+    family = LatentFamily.over(acts.shape[1], start=counts.start, noise=counts.noise)
+    acts = acts if counts.noise else np.zeros_like(acts)
+    detected = rollouts.detected[:, turns - 1 :: turns]
+    values = _looked_at(features, states, detected)[acts]
+    return FreshLatents(
+        decisions=LatentDecisions(
+            start=latents.start,
+            rollout=np.nonzero(acts)[0].astype(np.int64),
+            basis=noise_basis(basis).evaluate(values),
+            noise=latents.noise[acts],
+        ),
+        by_pilots=family.log_ratio(latents.start, latents.noise, acts),
+        means=tuple(each for each in means if each is not None),
+    )
+
+
+def noise_basis(basis: PolynomialBasis) -> PolynomialBasis:
+    """Monomials for the means of noise, of what outcomes look at and of the outcome itself.
+
+    A step's noise is drawn after its outcomes: an error of a position may matter with a detection
+    alone.
+    """
+    return PolynomialBasis(
+        mean=np.append(basis.mean, 0.5),
+        spread=np.append(basis.spread, 0.5),
+        degree=min(basis.degree, NOISE_DEGREE),
+    )
+
+
+def _looked_at(features: StateFeatures, states: StateBatch, detected: BoolArray) -> FloatArray:
+    """Features of states ``[...]`` and outcomes there, ``[..., D + 1]``."""
+    values = features.values(states)
+    values = np.broadcast_to(values, (*detected.shape, values.shape[-1]))
+    return np.concatenate([values, detected[..., None]], axis=-1, dtype=np.float64)
+
+
+def counts_of(latents: Latents) -> LatentCounts:
+    """How many a rollout has."""
+    return LatentCounts(start=latents.start.shape[1], noise=latents.noise.shape[2])
+
+
+def latent_ratios(latents: LatentDecisions, means: Sequence[LatentMeans]) -> FloatArray:
+    """Log q_k / p ``[N, K]`` of the latents of N rollouts under fitted proposals."""
+    columns = [each.log_ratio(latents) for each in means]
+    return np.stack(columns, axis=1) if columns else np.zeros((latents.count, 0))
+
+
+def _last_turns(rollouts: RolloutBatch, turns: int) -> tuple[StateBatch, BoolArray]:
+    """States before each step's last outcome ``[N, T-1]``, and whether nothing is violated yet."""
+    count, steps = rollouts.detected.shape
+    columns = slice(turns - 1, steps, turns)
+    states = StateBatch(
+        step=np.arange(steps, dtype=np.int64)[None, columns],
+        signals={name: values[:, columns] for name, values in rollouts.signals.items()},
+        memory={name: values[:, columns] for name, values in rollouts.memory.items()},
+    )
+    over = states.memory.get(VIOLATED, np.zeros((count, steps // turns), dtype=np.bool_))
+    return states, ~over
