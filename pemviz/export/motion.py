@@ -15,6 +15,7 @@ import numpy as np
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import InputError
 from pemviz.export.rollout import RankedRollout
+from pemviz.sampling.frailty import SEEN_LOGIT, VISIBILITY
 from pemviz.simulators.braking.contact import (
     CAMERA_TO_BUMPER_M,
     Contact,
@@ -23,7 +24,10 @@ from pemviz.simulators.braking.contact import (
 )
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M, EGO_SPEED, GAP, LEAD_SPEED
 from pemviz.simulators.braking.scenario import scenario_signals as signals_of
+from pemviz.simulators.remembering import LAST_OUTCOME
 
+REMEMBERED = {signal.key for signal in (LAST_OUTCOME, VISIBILITY, SEEN_LOGIT)}
+"""What runs keep of perception's memory beside the scenario's own signals."""
 FARTHEST = 1e9
 """Beyond any position [m] or speed [m/s]."""
 
@@ -102,13 +106,14 @@ def braking_motion(rollout: RankedRollout, *, form: str) -> BrakingMotion:
         )
         raise InputError(message)
     keys = {signal.name: signal.key for signal in signals_of(scenario)}
-    if set(rollout.signals) != set(keys.values()) or set(rollout.detected) != {""}:
-        message = f"format = {form}: the rollouts must hold {', '.join(keys.values())}, one slot"
+    others = set(rollout.signals) - set(keys.values()) - REMEMBERED
+    if others or not set(keys.values()) <= set(rollout.signals) or set(rollout.detected) != {""}:
+        message = f"format = {form}: the rollouts must hold {', '.join(keys.values())} alone"
         raise InputError(message)
     gap_m, ego_mps, lead_mps = (
         rollout.signals[keys[name]] for name in (GAP, EGO_SPEED, LEAD_SPEED)
     )
-    if not all(np.all(np.abs(values) <= FARTHEST) for values in rollout.signals.values()):
+    if not all(np.all(np.abs(values) <= FARTHEST) for values in (gap_m, ego_mps, lead_mps)):
         message = f"format = {form}: the rollout holds what is no gap or speed"
         raise InputError(message)
     ego_rear_m = np.concatenate([[0.0], np.cumsum(ego_mps[:-1] * scenario.dt_s)])

@@ -12,7 +12,7 @@ from pemviz.config import SHIPPED_SIMULATORS, ScenarioConfig
 from pemviz.errors import InputError
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.result import RunResult
-from pemviz.runs.rollout_files import BROKEN, load_rollouts
+from pemviz.runs.rollout_files import BROKEN, LATENTS, load_rollouts
 from pemviz.runs.same_run import read_whole_run
 
 PER_ROLLOUT = ("repetition", "stage", "robustness", "violated")
@@ -40,6 +40,8 @@ class RankedRollout:
             one name ``""``.
         log_p: ``[T-1]`` log likelihood of the outcomes under the error model [nats], likewise.
         log_q: ``[T-1]`` the same under the distribution that they were drawn from [nats].
+        latents: Of a scenario that takes some: ``start`` and the means ``start_mean`` that it was
+            drawn with ``[S]``, ``noise`` and ``noise_mean`` ``[T-1, M]``.
     """
 
     result: RunResult
@@ -54,6 +56,7 @@ class RankedRollout:
     detected: Mapping[str, BoolArray]
     log_p: Mapping[str, FloatArray]
     log_q: Mapping[str, FloatArray]
+    latents: Mapping[str, FloatArray]
 
     @property
     def states(self) -> int:
@@ -92,7 +95,11 @@ def read_ranked_rollout(folder: Path, *, rank: int) -> RankedRollout:
     result = read_whole_run(folder)
     table = load_rollouts(folder)
     _check(table, where=folder)
-    order = ranked_rows(table, result.stages)
+    try:
+        order = ranked_rows(table, result.stages)
+    except ValueError as error:
+        message = f"rollouts {folder}: {error}"
+        raise InputError(message) from error
     if not 1 <= rank <= order.size:
         message = f"rank = {rank}: must be from 1 to {order.size}, the rollouts of {folder}"
         raise InputError(message)
@@ -119,12 +126,13 @@ def _chosen(
         detected=outcomes["detected"],
         log_p=outcomes["log_p"],
         log_q=outcomes["log_q"],
+        latents={n.removeprefix(LATENTS): v for n, v in one.items() if n.startswith(LATENTS)},
     )
 
 
 def _signal_keys(table: Mapping[str, AnyArray]) -> list[str]:
     known = (*PER_ROLLOUT, *PER_OUTCOME)
-    return [name for name in table if name not in known and not name.startswith(BROKEN)]
+    return [n for n in table if n not in known and not n.startswith((BROKEN, LATENTS))]
 
 
 def _slot_names(result: RunResult, detected: AnyArray) -> tuple[str, ...]:
@@ -161,6 +169,8 @@ def _check(table: Mapping[str, AnyArray], *, where: Path) -> None:
         raise InputError(message)
     count, steps = outcomes[:2]
     for name, values in table.items():
+        if name.startswith(LATENTS):
+            continue
         shape = (count, steps + 1)
         if name in PER_OUTCOME:
             shape = outcomes

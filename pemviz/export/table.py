@@ -5,8 +5,10 @@ same in all rows, so that tables of several rollouts can be put below each other
 ``time_s`` of the shipped scenario (a run folder does not tell the time step of other
 simulators); each signal under its key; the outcome at that step, ``detected``, with its log
 likelihoods ``log_p`` under the error model and ``log_q`` under what it was drawn from [nats]. Of
-several slots each has these three, ``detected.NAME``. At the last state perception does not act:
-these are empty.
+several slots each has these three, ``detected.NAME``. Of a scenario with latents each one,
+``latents.start.0``, and the mean that it was drawn with, ``latents.start_mean.0``; those at the
+start are the same in all rows. At the last state perception does not act: what belongs to a step is
+empty there.
 """
 
 import csv
@@ -47,6 +49,11 @@ def columns(rollout: RankedRollout) -> dict[str, Column]:
         for name in PER_OUTCOME:
             values: Mapping[str, AnyArray] = getattr(rollout, name)
             table[f"{name}.{slot}" if slot else name] = [*values[slot].tolist(), None]
+    for name, latents in rollout.latents.items():
+        for place in range(latents.shape[-1]):
+            drawn: Any = latents[..., place].tolist()
+            cells = [drawn] * states if latents.ndim == 1 else [*drawn, None]
+            table[f"latents.{name}.{place}"] = cells
     return table
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from pemviz.analysis.contribution import carrying, contributions
 from pemviz.arrays import AnyArray, BoolArray, IntArray, row_sums
 from pemviz.runs.result import StageSummary, weighty_stages
+from pemviz.runs.rollout_files import latents_of
 
 
 def ranked_rows(table: Mapping[str, AnyArray], stages: Sequence[StageSummary]) -> IntArray:
@@ -18,6 +19,9 @@ def ranked_rows(table: Mapping[str, AnyArray], stages: Sequence[StageSummary]) -
     Args:
         table: Under the keys of ``rollouts.npz``, stages in order.
         stages: The run's.
+
+    Raises:
+        ValueError: Latents do not fit together.
     """
     robustness = np.asarray(table["robustness"], dtype=np.float64)
     return np.lexsort((robustness, ~_carries(table, stages))).astype(np.int64)
@@ -26,10 +30,15 @@ def ranked_rows(table: Mapping[str, AnyArray], stages: Sequence[StageSummary]) -
 def _carries(table: Mapping[str, AnyArray], stages: Sequence[StageSummary]) -> BoolArray:
     """Which rollouts ``[N]`` are among those that carry the estimate of a stage that counts."""
     carries = np.zeros(table["violated"].shape, dtype=np.bool_)
+    latents = latents_of(table)
     for repetition, stage in weighty_stages(stages):
         rows = np.flatnonzero((table["repetition"] == repetition) & (table["stage"] == stage))
-        log_ratio = np.subtract(table["log_p"][rows], table["log_q"][rows], order="C")
+        if rows.size == 0:
+            continue
+        ratios = np.subtract(table["log_p"][rows], table["log_q"][rows], order="C")
+        log_weight = row_sums(ratios)
+        if latents is not None:
+            log_weight = log_weight + latents.take(rows).log_weight
         violated = np.asarray(table["violated"][rows], dtype=np.bool_)
-        if rows.size:
-            carries[rows] = carrying(contributions(row_sums(log_ratio), violated=violated))
+        carries[rows] = carrying(contributions(log_weight, violated=violated))
     return carries

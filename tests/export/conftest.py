@@ -3,11 +3,29 @@ from pathlib import Path
 import pytest
 
 import pemviz
+from pemviz.config import ScenarioConfig
 from pemviz.runs.resume import carry_out
 from tests.sampling.test_slots import BY_SLOT, GhostBrake
 
 RULES = {"moves": "always[0,15] (speed >= 0.5)", "hits-not": "always[0,15] (gap >= 0.5)"}
 SAMPLE = Path(__file__).resolve().parents[2] / "recordings" / "sample"
+
+
+@pytest.fixture(scope="session")
+def memory_run(tmp_path_factory):
+    """The shipped scenario with misses that hang together and obstacles that differ."""
+    config = pemviz.ExperimentConfig(
+        method="naive",
+        final_rollouts=4,
+        pem="lr",
+        memory_s=0.1,
+        frailty=0.5,
+        spec="always[0,5] (gap >= 2.0)",
+        scenario=ScenarioConfig(states=6),
+    )
+    folder = tmp_path_factory.mktemp("memory")
+    carry_out(pemviz.build_experiment(config), folder)
+    return folder
 
 
 @pytest.fixture

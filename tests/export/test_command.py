@@ -78,6 +78,15 @@ def test_ones_own_simulator_has_tables_alone(form, slots_run, tmp_path, capsys, 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("form", ["openscenario", "commonroad"])
+def test_runs_with_a_memory_have_cars_too(form, memory_run, tmp_path):
+    """They keep what perception remembers as further signals."""
+    pytest.importorskip(formats.FORMATS[form].module, reason="needs the extra pemviz[export]")
+    assert len(read_ranked_rollout(memory_run, rank=1).signals) == 6
+    words = ["--format", form, "--out", str(tmp_path / "one.file")]
+    assert main(["export", str(memory_run), *words]) == 0
+
+
 def test_a_file_is_dated_by_its_run(sample_run, tmp_path):
     assert read_ranked_rollout(sample_run, rank=1).date == UNDATED
     shutil.copytree(sample_run, tmp_path / "run")

@@ -17,7 +17,9 @@ from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts
 from tests.export.conftest import RULES
+from tests.latent_toys import Drift
 from tests.runs import test_rules
+from tests.toy import constant_pem
 
 
 def read_csv(content):
@@ -73,6 +75,24 @@ def test_a_table_of_ones_own_simulator_holds_signals_rules_and_every_slot(slots_
     settings = json.loads(table.schema.metadata[METADATA])
     assert settings["rules"] == RULES
     assert settings["memory_s"] == 0.2
+
+
+def test_latents_stand_in_columns_of_their_own(tmp_path):
+    drift = Drift(miss_m=0.1)
+    config = pemviz.ExperimentConfig(
+        method="naive", final_rollouts=30, spec=drift.spec(1.0), plan=False
+    )
+    pem = constant_pem(detection_probability=0.5)
+    result = carry_out(pemviz.build_experiment(config, simulator=drift, pem=pem), tmp_path)
+    first, kept = result.least_robust[0], load_rollouts(tmp_path)
+    rows = read_csv(csv_bytes(read_ranked_rollout(tmp_path, rank=1)))
+    start, noise = (kept[f"latents.{name}"][first.rollout] for name in ("start", "noise"))
+    assert [float(row["latents.start.0"]) for row in rows] == [*start] * 17
+    assert [row["latents.noise.0"] for row in rows] == [*map(repr, noise[:, 0].tolist()), ""]
+    assert {row["latents.noise_mean.0"] for row in rows} == {"0.0", ""}
+    distance_m = [float(row["distance_m"]) for row in rows]
+    missed = np.array([row["detected"] == "false" for row in rows[:-1]])
+    np.testing.assert_allclose(np.diff(distance_m), 0.1 * missed + 0.2 * noise[:, 0], atol=1e-12)
 
 
 def test_the_shipped_scenario_has_times(sample_run):
