@@ -3,6 +3,7 @@
 What is said to be on a device may be handed tensors in place of arrays, all on one device.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, fields
 from importlib import import_module
@@ -141,4 +142,6 @@ def row_sums(values: FloatArray) -> FloatArray:
     there are.
     """
     values = np.ascontiguousarray(values)
-    return np.sum(values if values.ndim == 2 else values.reshape(len(values), -1), axis=1)
+    # without rows numpy cannot tell how long one is
+    length = math.prod(values.shape[1:])
+    return np.sum(values if values.ndim == 2 else values.reshape(len(values), length), axis=1)

@@ -84,10 +84,15 @@ def _recorders(
     written = path.with_name(".run.rrd.partial") if path.exists() else path
     recorder = Recorder(
         written,
-        frames=not arguments.no_frames and not experiment.is_own_system,
+        frames=not arguments.no_frames and _has_film(experiment),
         live_port=arguments.live,
     )
     return (recorder if written == path else _Replacing(recorder, written, path),)
+
+
+def _has_film(experiment: Experiment) -> bool:
+    """Whether outcomes alone tell what highway-env draws: the shipped scenario, without errors."""
+    return not experiment.is_own_system and experiment.config.position_errors is None
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ from pemviz.reports.estimate_text import (
     memory_text,
     model_range_text,
     number_text,
+    position_errors_text,
     probability_text,
     reference_text,
     share_text,
@@ -115,6 +116,8 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
         yield f"  reference {reference_text(result.reference, estimate)}"
     yield f"  {result.pem.name} learnt from {data_text(result.pem)}"
     yield f"  misses {memory_text(result.memory)}"
+    if result.position_errors is not None:
+        yield f"  measured distance: {position_errors_text(result.position_errors)}"
     if result.latents is not None:
         yield f"  latents (standard normals): {result.latents}"
 

@@ -108,9 +108,11 @@ def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
 
 
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
-    """Every field as plain values, for TOML and JSON; rules by name, if there are any."""
+    """Every field as plain values, for TOML and JSON; rules, position errors if there are any."""
     table = asdict(config)
     del table["rules"]
+    if config.position_errors is None:
+        del table["position_errors"]
     if config.rules:
         table["rules"] = {rule.name: rule.formula for rule in config.rules}
     return table

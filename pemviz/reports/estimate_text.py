@@ -137,6 +137,11 @@ def _hanging_together(memory: RunMemory) -> list[str]:
     return parts
 
 
+def position_errors_text(model: PemInfo) -> str:
+    """By which errors distances were measured, as far as a line needs it."""
+    return f"with errors of {model.name}, from {data_text(model)}"
+
+
 def data_text(pem: PemInfo) -> str:
     """What an error model learnt from, as far as a line needs it: up to the first detail."""
     return re.split(r" \(|; ", pem.data, maxsplit=1)[0] or "data that it does not name"
@@ -167,6 +172,8 @@ def summary_text(result: RunResult) -> str:
         f"  violations: {violations_text(estimate)}",
         *(f"  rule {rule.name}: {probability_text(rule.estimate)}" for rule in result.rules),
     ]
+    if result.position_errors is not None:
+        lines.append(f"  measured distance: {position_errors_text(result.position_errors)}")
     if result.latents is not None:
         lines.append(f"  latents: {result.latents}")
     if result.config.memory_s or result.config.frailty:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
+from pemviz.pem import PositionErrorModel, load_position_errors
 from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
 from pemviz.sampling.back_end import GAP, BackEnd
 from pemviz.sampling.description import Need
@@ -14,6 +15,7 @@ from pemviz.sampling.rollouts.final_batch import largest_part
 from pemviz.sampling.slots import SlotFeatures, StepFeatures, turns_of
 from pemviz.sampling.tracks import TrackFeatures
 from pemviz.simulators.braking.features import BrakingFeatures
+from pemviz.simulators.braking.scenario import BrakingScenario
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.latents import LatentSimulator, latent_counts
@@ -32,16 +34,52 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
 
     Raises:
         ConfigError: There is none of that name, or it does not keep to the protocol.
+        PemError: The model of position errors cannot be used.
     """
-    simulator = build_named_simulator(config.simulator, config.scenario)
+    errors = _position_errors(config)
+    simulator = build_named_simulator(config.simulator, config.scenario, errors=errors)
     if config.simulator not in SHIPPED:
         return own_back_end(simulator)
+    if errors is not None and isinstance(simulator, BrakingScenario):
+        return BackEnd(
+            simulator=simulator,
+            features=BrakingFeatures(config.scenario, simulator),
+            twin=None,
+            batch_rollouts=batch_rollouts(config),
+            position_errors=errors,
+        )
     return BackEnd(
         simulator=simulator,
         features=BrakingFeatures(config.scenario),
         twin=VectorizedSimulator(config.scenario),
         batch_rollouts=batch_rollouts(config),
     )
+
+
+def _position_errors(config: ExperimentConfig) -> PositionErrorModel | None:
+    """The errors by which a shipped back end measures.
+
+    Raises:
+        InputError: They cannot be used, or the back end is none that takes them.
+    """
+    if config.position_errors is None:
+        return None
+    check_measures(config)
+    return load_position_errors(config.position_errors)
+
+
+def check_measures(config: ExperimentConfig) -> None:
+    """Refuse position errors for a simulator that takes none.
+
+    Raises:
+        ConfigError: It is none of the shipped ones.
+    """
+    if config.position_errors is not None and config.simulator not in SHIPPED:
+        message = (
+            f"position_errors = {config.position_errors!r}: simulator {config.simulator!r} takes "
+            f"none, only {' and '.join(SHIPPED)} do"
+        )
+        raise ConfigError(message)
 
 
 def batch_rollouts(config: ExperimentConfig) -> int:

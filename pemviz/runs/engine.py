@@ -13,6 +13,7 @@ from pemviz._version import __version__
 from pemviz.arrays import read_only
 from pemviz.config import ExperimentConfig
 from pemviz.errors import PemvizError, RunError
+from pemviz.pem import PositionErrorModel
 from pemviz.runs.data_plan import with_data_plan
 from pemviz.runs.events import (
     Observer,
@@ -33,7 +34,7 @@ from pemviz.runs.interpretation import (
     with_curves,
 )
 from pemviz.runs.memory import memory_of
-from pemviz.runs.result import PemInfo, RunResult, with_stage
+from pemviz.runs.result import PemInfo, RunResult, position_info, with_stage
 from pemviz.runs.rules import estimates_by_rule, rule_answers
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.simulators.latents import latent_counts
@@ -246,6 +247,7 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         versions=versions(),
         memory=memory_of(experiment.pem),
         latents=latent_counts(experiment.problem.simulator) or None,
+        position_errors=position_info(experiment.back_end.position_errors),
         assumptions=_assumptions(experiment),
         warnings=experiment.warnings,
     )
@@ -255,6 +257,8 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     first, *others = OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS
     if latents := latent_counts(experiment.problem.simulator):
         others = [f"{LATENTS}: {latents}", *others]
+    if experiment.back_end.position_errors is not None:
+        others = [_measured_by(experiment.back_end.position_errors), *others]
     if experiment.folding is not None:
         first = slots_assumption(experiment.folding.simulator.slots)
     tau_s, frailty = experiment.config.memory_s, experiment.config.frailty
@@ -264,6 +268,16 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     how += [f"by obstacles differing, frailty {frailty:g}, all rollout long"] if frailty else []
     bursts = f"given the state, misses hang together {' and '.join(how)}, and no more"
     return (first, bursts, *others)
+
+
+def _measured_by(model: PositionErrorModel) -> str:
+    """What is assumed of the lead car's measured distance."""
+    report = model.card.report
+    largest = f"{report['axes'][0]['largest']:.3g} m" if report else "not told"
+    return (
+        f"the ego brakes by the measured distance, off as position errors {model.name} say; the "
+        f"largest error in their data is {largest}, larger ones are the word of their tails"
+    )
 
 
 def slots_assumption(slots: Sequence[Slot]) -> str:

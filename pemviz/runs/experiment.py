@@ -13,6 +13,7 @@ from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.runs.back_ends import (
     build_back_end,
+    check_measures,
     check_method_fits,
     own_back_end,
     with_choices,
@@ -220,6 +221,8 @@ def _named_parts(
     config.validate()
     check_device(config.device)
     model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
+    if own is not None:
+        check_measures(config)
     return config, model, own or build_back_end(config)
 
 

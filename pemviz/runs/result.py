@@ -21,6 +21,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Share
 from pemviz.display import ShownInNotebooks
 from pemviz.latents import LatentCounts
+from pemviz.pem import PositionErrorModel
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.value_twisted.reference import Reference
@@ -44,6 +45,13 @@ class PemInfo:
     name: str
     digest: str
     data: str
+
+
+def position_info(model: PositionErrorModel | None) -> PemInfo | None:
+    """Which position errors a result rests on."""
+    if model is None:
+        return None
+    return PemInfo(name=model.name, digest=model.digest, data=model.card.data)
 
 
 @dataclass(frozen=True)
@@ -120,6 +128,7 @@ class RunResult(ShownInNotebooks):
         memory: What was assumed of how misses hang together, and what the model's own data say
             of it; ``None`` in results of versions that knew no memory.
         latents: How many standard normals the simulator took; ``None`` if none.
+        position_errors: By which the scenario measured; ``None``: it measured exactly.
         reference: The answer by the value-twisted reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
         families: The answer under other families of models that learnt from the same data.
@@ -144,6 +153,7 @@ class RunResult(ShownInNotebooks):
     least_robust: tuple[RankedRollout, ...] = ()
     memory: RunMemory | None = None
     latents: LatentCounts | None = None
+    position_errors: PemInfo | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
     families: tuple[FamilyAnswer, ...] = ()

@@ -110,6 +110,7 @@ def result_document(result: RunResult) -> Table:
         **_rule_tables(result.rules),
         "memory": None if result.memory is None else asdict(result.memory),
         **({} if result.latents is None else {"latents": asdict(result.latents)}),
+        **_position_errors(result),
         "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
         "families": [asdict(answer) for answer in result.families],
@@ -217,6 +218,12 @@ def _estimate(entry: object, *, name: str) -> object:
         message = f"{name}.warnings = {shown(warnings)}: must be the texts of its diagnostics"
         raise InputError(message)
     return estimate
+
+
+def _position_errors(result: RunResult) -> dict[str, Any]:
+    """By which the scenario measured, where it did not exactly."""
+    model = result.position_errors
+    return {} if model is None else {"position_errors": asdict(model)}
 
 
 def _rule_tables(rules: Sequence[RuleAnswer]) -> Table:

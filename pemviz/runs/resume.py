@@ -116,7 +116,13 @@ def check_resumable(experiment: Experiment, folder: Path) -> None:
     if not has_result(folder):
         return
     result = read_result(folder)
-    difference = run_differs(result, config=experiment.config, pem_digest=experiment.pem.digest)
+    errors = experiment.back_end.position_errors
+    difference = run_differs(
+        result,
+        config=experiment.config,
+        pem_digest=experiment.pem.digest,
+        position_digest=None if errors is None else errors.digest,
+    )
     if difference is not None:
         message = f"run {folder}: was begun with {difference}; start a new run"
         raise InputError(message)

@@ -18,7 +18,11 @@ DIGITS = 12
 
 
 def run_differs(
-    result: RunResult, *, config: ExperimentConfig, pem_digest: str | None = None
+    result: RunResult,
+    *,
+    config: ExperimentConfig,
+    pem_digest: str | None = None,
+    position_digest: str | None = None,
 ) -> str | None:
     """How the run of a result differs from the one asked for, in words; ``None``: not at all.
 
@@ -26,6 +30,7 @@ def run_differs(
         result: What the folder holds.
         config: What is asked for.
         pem_digest: SHA-256 of the error model that is asked for; ``None``: any of its name.
+        position_digest: The same of the position errors.
     """
     settings = setting_differences(result.config, config)
     if settings:
@@ -35,6 +40,12 @@ def run_differs(
         return (
             f"another error model of the name {config.pem!r} (digest "
             f"{result.pem.digest[:DIGITS]}, now {pem_digest[:DIGITS]})"
+        )
+    errors = result.position_errors
+    if position_digest is not None and errors is not None and errors.digest != position_digest:
+        return (
+            f"other position errors of the name {config.position_errors!r} (digest "
+            f"{errors.digest[:DIGITS]}, now {position_digest[:DIGITS]})"
         )
     return None
 

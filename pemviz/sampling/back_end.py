@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pemviz.pem import PositionErrorModel
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.simulators.latents import begun
 from pemviz.types import Simulator
@@ -21,6 +22,7 @@ class BackEnd:
         twin: A fast simulator of the same scenario, if there is one.
         batch_rollouts: How many rollouts are simulated at a time.
         is_own: Whether it is the user's own or another package's.
+        position_errors: Of what the shipped scenario measures; ``None``: it measures exactly.
     """
 
     simulator: Simulator
@@ -28,6 +30,7 @@ class BackEnd:
     twin: Simulator | None
     batch_rollouts: int
     is_own: bool = False
+    position_errors: PositionErrorModel | None = None
 
     @property
     def farthest_m(self) -> float | None:

@@ -15,6 +15,7 @@ from typing import Any
 
 from pemviz.config import SHIPPED_SIMULATORS, ScenarioConfig
 from pemviz.config.entry_points import NamedPart
+from pemviz.simulators.braking.measured_gap import RangeErrors
 from pemviz.types import Simulator
 
 SHIPPED = SHIPPED_SIMULATORS
@@ -26,8 +27,15 @@ def simulator_names() -> tuple[str, ...]:
     return SIMULATORS.names()
 
 
-def build_named_simulator(name: str, scenario: ScenarioConfig) -> Simulator:
+def build_named_simulator(
+    name: str, scenario: ScenarioConfig, *, errors: RangeErrors | None = None
+) -> Simulator:
     """The simulator ``name``; a shipped one goes before a registered one of the same name.
+
+    Args:
+        name: Shipped or registered.
+        scenario: Its parameters.
+        errors: Of the gap that a shipped one measures; others take none.
 
     Raises:
         ConfigError: There is none, two packages register it, or its factory fails or returns
@@ -36,11 +44,11 @@ def build_named_simulator(name: str, scenario: ScenarioConfig) -> Simulator:
     if name == "highway-env":
         from pemviz.simulators.braking.highway import HighwaySimulator  # noqa: PLC0415  pulls in pygame
 
-        return HighwaySimulator(scenario)
+        return HighwaySimulator(scenario, errors)
     if name == "vectorized":
         from pemviz.simulators.braking.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
 
-        return VectorizedSimulator(scenario)
+        return VectorizedSimulator(scenario, errors)
     return SIMULATORS.registered(
         name,
         made=lambda factory: _called(factory, scenario),

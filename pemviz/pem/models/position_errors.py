@@ -207,6 +207,11 @@ class PositionErrorModel:
         )
         return (self.mean(rows)[:, 0] + self.scale(rows)[:, 0] * standard).reshape(shape)
 
+    @property
+    def range_memory(self) -> NoiseMemory:
+        """How the noise along the line of sight hangs together over time."""
+        return self.axes[0].memory
+
     def mean(self, salient: FloatArray) -> FloatArray:
         """Centre of the errors ``[N, M]`` [m, m/s] for salient variables ``[N, 11]``."""
         features = self._features(salient)[0]

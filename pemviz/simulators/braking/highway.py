@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pemviz.arrays import BoolArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.scenario import (
@@ -39,30 +39,35 @@ class HighwaySimulator(BrakingScenario):
         """Back end's name."""
         return "highway-env"
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
-        """The states one time step on, for outcomes ``[N]``."""
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
+        """The states one time step on, for outcomes ``[N]`` and, with errors, noise ``[N, 1]``."""
         from pemviz.simulators.braking.highway_env_scenario import BrakingState  # noqa: PLC0415  pygame
 
         scene = _scene(self.config, get_ident())
         reached: list[BrakingState] = []
+        seen_m, noises = self.perceived_gap(states, noise)
         columns = (
             np.full(detected.shape, states.step),
             states.signals[GAP],
             states.signals[EGO_SPEED],
             states.signals[LEAD_SPEED],
             states.memory[SPEED_ERROR_INTEGRAL],
+            seen_m,
             detected,
         )
-        for *state, is_detected in zip(*(column.tolist() for column in columns), strict=True):
+        for *state, seen, is_detected in zip(*(column.tolist() for column in columns), strict=True):
             scene.load(BrakingState(*state))
-            scene.advance(detected=is_detected)
+            # without errors the scene's own gap counts
+            scene.advance(detected=is_detected, seen_m=None if self.errors is None else seen)
             reached.append(scene.state)
         table = np.array(reached, dtype=np.float64).reshape(-1, len(BrakingState._fields))
         _, gap_m, ego_mps, lead_mps, integral_m = table.T
         return StateBatch(
             step=states.step + 1,
             signals={GAP: gap_m, EGO_SPEED: ego_mps, LEAD_SPEED: lead_mps},
-            memory={SPEED_ERROR_INTEGRAL: integral_m},
+            memory={SPEED_ERROR_INTEGRAL: integral_m, **noises},
         )
 
 

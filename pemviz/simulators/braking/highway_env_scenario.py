@@ -111,6 +111,7 @@ class EgoCar(ScenarioCar):
         self.scenario = scenario
         self.lead = lead
         self.lead_detected = False
+        self.seen_gap_m: float | None = None
         self.speed_error_integral_m = 0.0
         self.centre_to_camera_m = self.LENGTH / 2 - CAMERA_TO_BUMPER_M
         self.centre_to_zero_gap_m = self.centre_to_camera_m + lead.LENGTH / 2
@@ -123,8 +124,9 @@ class EgoCar(ScenarioCar):
 
     @property
     def emergency(self) -> bool:
-        """Whether the lead car is detected and close."""
-        return brakes(self.lead_detected, self.gap_m, self.scenario)
+        """Whether the lead car is detected and, as far as perception tells, close."""
+        gap_m = self.gap_m if self.seen_gap_m is None else self.seen_gap_m
+        return brakes(self.lead_detected, gap_m, self.scenario)
 
     def act(self, action: Any = None) -> None:  # noqa: ARG002
         """Choose the acceleration; ``action`` is highway-env's and not used."""
@@ -242,9 +244,14 @@ class BrakingEnv(AbstractEnv):
         ego.speed_error_integral_m = state.speed_error_integral_m
         lead.step_index = self.steps = state.step
 
-    def advance(self, *, detected: bool) -> None:
-        """Move one time step on, without the costs of observing."""
-        self.ego.lead_detected = detected
+    def advance(self, *, detected: bool, seen_m: float | None = None) -> None:
+        """Move one time step on, without the costs of observing.
+
+        Args:
+            detected: Whether perception detects the lead car.
+            seen_m: The gap as perception measures it [m]; ``None``: the true one.
+        """
+        self.ego.lead_detected, self.ego.seen_gap_m = detected, seen_m
         self.road.act()
         self.road.step(self.scenario.dt_s)
         self.steps += 1

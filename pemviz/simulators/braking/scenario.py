@@ -7,6 +7,8 @@ import numpy as np
 
 from pemviz.arrays import FloatArray, namespace
 from pemviz.config import ScenarioConfig
+from pemviz.latents import NO_LATENTS, LatentCounts
+from pemviz.simulators.braking.measured_gap import MeasuredGap, RangeErrors
 from pemviz.types import Signal, StateBatch
 
 GAP = "gap"
@@ -29,9 +31,17 @@ class BrakingScenario:
 
     Attributes:
         config: The scenario's parameters.
+        errors: Of the measured gap, which the ego's emergency braking rule then acts on; ``None``:
+            it acts on the true one.
     """
 
     config: ScenarioConfig
+    errors: RangeErrors | None = None
+
+    @property
+    def latents(self) -> LatentCounts:
+        """Standard normals that a rollout takes: none without errors."""
+        return NO_LATENTS if self.errors is None else self._measured.latents
 
     @property
     def states(self) -> int:
@@ -48,8 +58,14 @@ class BrakingScenario:
         """Gap [m], ego speed and lead speed [m/s]."""
         return scenario_signals(self.config)
 
-    def initial(self, *, count: int) -> StateBatch:
-        """Both cars at the initial speed, arrays ``[count]``."""
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
+        """Both cars at the initial speed, arrays ``[count]``.
+
+        Args:
+            count: Number of rollouts N.
+            start: With errors whose noise lasts, standard normals ``[N, 1]``.
+        """
+        noises = {} if self.errors is None else self._measured.begin(count, start)
         speed_mps = np.full(count, self.config.initial_speed_mps)
         return StateBatch(
             step=np.zeros((), dtype=np.int64),
@@ -58,8 +74,28 @@ class BrakingScenario:
                 EGO_SPEED: speed_mps,
                 LEAD_SPEED: speed_mps,
             },
-            memory={SPEED_ERROR_INTEGRAL: np.zeros(count)},
+            memory={SPEED_ERROR_INTEGRAL: np.zeros(count), **noises},
         )
+
+    def perceived_gap(
+        self, states: StateBatch, noise: FloatArray | None
+    ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
+        """The gap ``[N]`` [m] that the braking rule acts on, and what states keep of its noise.
+
+        Args:
+            states: ``[N]``.
+            noise: With errors, standard normals ``[N, 1]``; ``None``: 0.
+        """
+        gap_m = states.signals[GAP]
+        if self.errors is None:
+            return gap_m, {}
+        given = np.zeros((len(gap_m), 1)) if noise is None else noise
+        return self._measured.measure(states, self.salient(states.signals), gap_m, given)
+
+    @property
+    def _measured(self) -> MeasuredGap:
+        assert self.errors is not None  # noqa: S101  asked for with errors alone
+        return MeasuredGap(self.config, self.errors)
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The lead car's salient variables ``[..., 11]``."""

@@ -26,24 +26,27 @@ class VectorizedSimulator(BrakingScenario):
     are of one step, whose number stays a number.
     """
 
-    def moved(self, move: Move) -> Self:  # noqa: ARG002
-        """Itself: it holds no arrays."""
-        return self
+    def moved(self, move: Move) -> Self | None:  # noqa: ARG002
+        """Itself: it holds no arrays; ``None`` with errors, which numpy computes."""
+        return self if self.errors is None else None
 
     @property
     def name(self) -> str:
         """Back end's name."""
         return "vectorized"
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
-        """The states one time step on, for outcomes ``[N]``."""
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
+        """The states one time step on, for outcomes ``[N]`` and, with errors, noise ``[N, 1]``."""
         dt_s = self.config.dt_s
         ego_mps = states.signals[EGO_SPEED]
         lead_mps = states.signals[LEAD_SPEED]
         gap_m = lead_mps - ego_mps
         gap_m *= dt_s
         gap_m += states.signals[GAP]
-        ego_mps2, integral_m = self._ego_acceleration(states, detected)
+        seen_m, noises = self.perceived_gap(states, noise)
+        ego_mps2, integral_m = self._ego_acceleration(states, detected, seen_m)
         return StateBatch(
             step=states.step + 1,
             signals={
@@ -51,11 +54,11 @@ class VectorizedSimulator(BrakingScenario):
                 EGO_SPEED: _advance_speed(ego_mps, ego_mps2, dt_s),
                 LEAD_SPEED: _advance_speed(lead_mps, self._lead_acceleration(states), dt_s),
             },
-            memory={SPEED_ERROR_INTEGRAL: integral_m},
+            memory={SPEED_ERROR_INTEGRAL: integral_m, **noises},
         )
 
     def _ego_acceleration(
-        self, states: StateBatch, detected: BoolArray
+        self, states: StateBatch, detected: BoolArray, seen_m: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Commanded acceleration [m/s^2] and the speed error integral [m], both ``[N]``."""
         config = self.config
@@ -69,7 +72,7 @@ class VectorizedSimulator(BrakingScenario):
         cruise_mps2 = cruise_mps2.clip(
             -config.maximum_deceleration_mps2, config.maximum_acceleration_mps2
         )
-        emergency = brakes(detected, states.signals[GAP], config)
+        emergency = brakes(detected, seen_m, config)
         xp = namespace(emergency)
         return (
             xp.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),

@@ -1,0 +1,184 @@
+"""The braking scenario on measured distances, against plain loops, and its exact answers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import pemviz
+from pemviz.config import ScenarioConfig
+from pemviz.config.toml_files import load_preset
+from pemviz.errors import ConfigError, InputError
+from pemviz.pem import NoiseMemory, constant_errors, load_position_errors
+from pemviz.pem.judging.position_error_report import straight_ahead
+from pemviz.sampling.rollouts.draw import replay
+from pemviz.simulators.braking.highway import HighwaySimulator
+from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from tests.simulators.reference import reference_rollout
+from tests.toy import MissCounter
+
+PAPER = ScenarioConfig()
+SHIPPED = load_position_errors("pointpillars")
+back_ends = pytest.mark.parametrize("back_end", [VectorizedSimulator, HighwaySimulator])
+
+
+def drawn(count, *, seed=1, config=PAPER):
+    random = np.random.default_rng(seed)
+    steps = config.states - 1
+    return {
+        "detected": random.random((count, steps)) < 0.7,
+        "start": random.standard_normal((count, 1)),
+        "noise": random.standard_normal((count, steps, 1)),
+    }
+
+
+@back_ends
+def test_no_spread_gives_the_answer_without_errors_to_the_last_bit(back_end):
+    draws = drawn(6)
+    exact = replay(simulator=back_end(PAPER), detected=draws["detected"])
+    errors = constant_errors(memory=NoiseMemory(lasting_share=0.5, tau_s=0.2))
+    measured = replay(simulator=back_end(PAPER, errors), **draws)
+    for name, values in exact.items():
+        np.testing.assert_array_equal(measured[name], values)
+
+
+def test_both_back_ends_agree_given_the_same_draws():
+    draws = drawn(12, seed=2)
+    one, other = (
+        replay(simulator=end(PAPER, SHIPPED), **draws)
+        for end in (VectorizedSimulator, HighwaySimulator)
+    )
+    for name in (GAP, EGO_SPEED, LEAD_SPEED):
+        np.testing.assert_allclose(one[name], other[name], rtol=0, atol=1e-9)
+    exact = replay(simulator=VectorizedSimulator(PAPER), detected=draws["detected"])
+    assert np.abs(one[GAP] - exact[GAP]).max() > 0.1  # errors matter
+
+
+def test_the_rule_acts_on_the_measured_gap():
+    """A plain loop finds the noise and the error of each step; the reference loop drives."""
+    draws, memory = drawn(5, seed=3), SHIPPED.range_memory
+    passed = replay(simulator=VectorizedSimulator(PAPER, SHIPPED), **draws)
+    rho, share = np.exp(-PAPER.dt_s / memory.tau_s), memory.lasting_share
+    # the loop brakes wherever it is told of a detection, however far away the lead car is
+    anywhere = replace(PAPER, emergency_gap_m=1e6)
+    for row in range(5):
+        moving, brakes = 0.0, []
+        for step, fresh in enumerate(draws["noise"][row, :, 0]):
+            moving = fresh if step == 0 else rho * moving + np.sqrt(1.0 - rho**2) * fresh
+            noise = np.sqrt(share) * draws["start"][row, 0] + np.sqrt(1.0 - share) * moving
+            gap_m = passed[GAP][row, step]
+            place = straight_ahead(gap_m + PAPER.lead_length_m / 2)
+            error_m = SHIPPED.error(place, np.array([[noise, 0.0]]))[0, 0]
+            close = gap_m + error_m < PAPER.emergency_gap_m
+            brakes.append(bool(draws["detected"][row, step] and close))
+        expected = reference_rollout(anywhere, brakes)
+        np.testing.assert_allclose(passed[GAP][row], expected["gap"], rtol=0, atol=1e-9)
+
+
+def least_gap(error_m):
+    """Of a rollout in which all is detected and measured with the same error throughout."""
+    config = replace(PAPER, emergency_gap_m=PAPER.emergency_gap_m - error_m)
+    return min(reference_rollout(config, [True] * (PAPER.states - 1))["gap"])
+
+
+def critical_error():
+    """The least error that lasts and violates, by bisection over the plain loop."""
+    low, high = 0.0, 9.0
+    assert least_gap(low) >= 2.0 > least_gap(high)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if least_gap(middle) >= 2.0 else (low, middle)
+    return high
+
+
+def test_an_error_that_lasts_violates_where_it_is_large_enough():
+    """Gaussian, for the whole rollout, perfect detector: P(violation) = P(error > critical)."""
+    sd_m, critical_m = 2.0, critical_error()
+    errors = constant_errors(range_sd_m=sd_m, memory=NoiseMemory(lasting_share=1.0))
+    count = 4000
+    draws = drawn(count, seed=4)
+    draws["detected"] = np.ones_like(draws["detected"])
+    passed = replay(simulator=VectorizedSimulator(PAPER, errors), **draws)
+    violated = passed[GAP].min(axis=1) < 2.0
+    np.testing.assert_array_equal(violated, sd_m * draws["start"][:, 0] > critical_m)
+    probability = stats.norm.sf(critical_m / sd_m)
+    assert 0.02 < probability < 0.5
+    # five standard errors: one run in two million fails
+    tolerance = 5.0 * np.sqrt(probability / count)
+    assert violated.mean() == pytest.approx(probability, abs=tolerance)
+
+
+def small(method, **changes):
+    config = replace(
+        load_preset("paper"), method=method, rollouts=200, final_rollouts=200, plan=False,
+        position_errors="pointpillars", pem="lr",
+    )  # fmt: skip
+    return replace(config, **changes)
+
+
+def test_a_run_measures_with_errors_tells_so_and_is_replayed():
+    config = small("monte-carlo")
+    worst = pemviz.LeastRobust()
+    experiment = pemviz.build_experiment(config)
+    result = pemviz.run(experiment, observers=[worst])
+    assert result.position_errors is not None
+    assert result.position_errors.digest == SHIPPED.digest
+    assert any("off as position errors pointpillars say" in each for each in result.assumptions)
+    assert "measured distance: with errors of pointpillars, from" in pemviz.summary_text(result)
+    rollout = worst.rollout
+    assert rollout is not None
+    again = replay(
+        simulator=VectorizedSimulator(config.scenario, SHIPPED),
+        detected=rollout.detected[None],
+        start=rollout.start[None],
+        noise=rollout.noise[None],
+    )
+    np.testing.assert_array_equal(again[GAP][0], rollout.signals[GAP])
+
+
+def test_runs_without_errors_know_of_none():
+    experiment = pemviz.build_experiment(replace(load_preset("paper"), plan=False))
+    assert experiment.back_end.position_errors is None
+    assert experiment.features.values(experiment.back_end.simulator.initial(count=2)).shape == (
+        2,
+        3,
+    )
+
+
+def test_detections_matter_where_the_measured_gap_may_be_small():
+    experiment = pemviz.build_experiment(small("monte-carlo"))
+    states = experiment.back_end.simulator.initial(count=3)
+    at = replace(states, signals={**states.signals, GAP: np.array([9.9, 10.4, 60.0])})
+    assert experiment.features.reacts(at).tolist() == [True, True, False]
+    assert experiment.features.values(at).shape == (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"position_errors": "yolo"}, "no model of position errors 'yolo'; give one of"),
+        ({"position_errors": " "}, "no model of position errors ' '"),
+        ({"position_errors": "nowhere.safetensors"}, "nowhere.safetensors: no such file"),
+        ({"method": "value-twisted"}, "runs through all states"),
+        ({"method": "mixture", "reference": True}, "reference = true"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(changes, words):
+    with pytest.raises(InputError, match=words) as caught:
+        pemviz.build_experiment(replace(small("monte-carlo"), **changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_goes_on_with_the_same_position_errors_alone(tmp_path):
+    from pemviz.runs.same_run import run_differs  # noqa: PLC0415
+
+    config = small("monte-carlo", rollouts=2, final_rollouts=2)
+    result = pemviz.run_experiment(config)
+    assert run_differs(result, config=config, position_digest=SHIPPED.digest) is None
+    difference = run_differs(result, config=config, position_digest="0" * 64)
+    assert difference is not None
+    assert "other position errors of the name 'pointpillars'" in difference
+    with pytest.raises(ConfigError, match="takes none, only vectorized and highway-env do"):
+        pemviz.build_experiment(config, simulator=MissCounter(states=7))
