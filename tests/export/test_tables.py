@@ -29,8 +29,8 @@ def read_csv(content):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"method": "mixture", "stages": 2, "repetitions": 3},
-        {"method": "splitting", "stages": 6, "rollouts": 60, "repetitions": 2},
+        {"method": "mixture", "stages": 2, "rollouts": 60, "final_rollouts": 80, "repetitions": 2},
+        {"method": "splitting", "stages": 6, "rollouts": 40, "repetitions": 2},
         {"method": "monte-carlo", "final_rollouts": 50},
     ],
     ids=lambda changes: changes["method"],
