@@ -53,6 +53,9 @@ class RecordArguments:
     """Folder in which the run folder is made."""
     rule: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A rule as NAME=FORMULA, in place of --spec: each rule is answered, and any of them."""
+    tracker: str | None = None
+    """Tracker between perception and controller: M/N, confirmed by M hits of N, then options such
+    as ,coast=0.5,filter=kalman; none: none. As --scenario.tracker, which explains it."""
     fail_above: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1.
     NAME=P for one of several rules."""
@@ -107,7 +110,7 @@ def parse(words: Sequence[str]) -> RecordArguments:
     ):
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
-    arguments = _with_rules(arguments, start.experiment)
+    arguments = _with_tracker(_with_rules(arguments, start.experiment))
     if source.resume is not None and arguments.experiment != start.experiment:
         message = (
             f"resume = {source.resume}: the run goes on with its own configuration; leave out "
@@ -117,6 +120,14 @@ def parse(words: Sequence[str]) -> RecordArguments:
     arguments.experiment.validate()  # before anything slow is imported
     _ = arguments.limits
     return arguments
+
+
+def _with_tracker(arguments: RecordArguments) -> RecordArguments:
+    if arguments.tracker is None:
+        return arguments
+    config = arguments.experiment
+    scenario = replace(config.scenario, tracker=arguments.tracker)
+    return replace(arguments, experiment=replace(config, scenario=scenario))
 
 
 def _with_rules(arguments: RecordArguments, start: ExperimentConfig) -> RecordArguments:

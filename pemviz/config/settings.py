@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range, check_fields, shown
+from pemviz.config.tracker_text import NO_TRACKER, read_tracker
 from pemviz.errors import ConfigError
 
 METHODS = NamedPart(
@@ -80,6 +81,12 @@ class ScenarioConfig:
     """The agm metric normalises gaps from minus to plus this value [m]; above 0 to 1e6."""
     speed_bound_mps: Annotated[float, Positive] = 40.0
     """The agm metric normalises speeds from 0 to this value [m/s]; above 0 to 1e6."""
+    tracker: str = NO_TRACKER
+    """Tracker between perception and controller: none, or M/N: the lead car is tracked once M of
+    the last N outcomes detected it, and the ego brakes for a tracked car. Options behind it,
+    separated by commas: coast=SECONDS that a track stays without a detection; filter=none,
+    alpha-beta or kalman, of the gap; alpha=, beta=; position-sd= [m], acceleration-sd= [m/s^2],
+    speed-sd= [m/s]. For instance 2/3,coast=0.5,filter=kalman."""
 
     @property
     def initial_speed_mps(self) -> float:
@@ -188,6 +195,7 @@ class ExperimentConfig:
             ConfigError: One line that names field, value and what is allowed.
         """
         check_fields(self)
+        read_tracker(self.scenario.tracker)
         self._validate_rules()
         if not self.pem.strip():
             message = "pem = '': must be the name of a shipped model or a file"

@@ -10,6 +10,7 @@ import tomli_w
 
 from pemviz.config import ExperimentConfig
 from pemviz.config.records import read_record, read_value
+from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import ConfigError
 from pemviz.files.shipped import asset_path
 
@@ -108,9 +109,11 @@ def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
 
 
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
-    """Every field as plain values, for TOML and JSON; rules, position errors if there are any."""
+    """Every field as plain values, for TOML and JSON; rules, position errors, tracker if any."""
     table = asdict(config)
     del table["rules"]
+    if config.scenario.tracker == NO_TRACKER:
+        del table["scenario"]["tracker"]
     if config.position_errors is None:
         del table["position_errors"]
     if config.rules:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Union, get_args, get_origin, get_type_hin
 from hypothesis import strategies as st
 
 from pemviz.analysis.explanation import Explanation
-from pemviz.config import ExperimentConfig
+from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range
 from pemviz.config.settings import RULE_NAME
@@ -63,7 +63,12 @@ def plainly(kind, **chosen):
 def configurations():
     named = st.text(min_size=1, max_size=8).filter(str.strip)
     devices = st.sampled_from(("cpu", "torch-cpu", "cuda", "cuda:12"))
-    alone = plainly(ExperimentConfig, pem=named, simulator=named, device=devices, rules=st.just(()))
+    trackers = st.sampled_from(("none", "2/3", "1/1,coast=0.5,filter=kalman"))
+    scenarios = plainly(ScenarioConfig, tracker=trackers)
+    alone = plainly(
+        ExperimentConfig, pem=named, simulator=named, device=devices, rules=st.just(()),
+        scenario=scenarios,
+    )  # fmt: skip
     names = st.from_regex(RULE_NAME, fullmatch=True)
     rules = st.dictionaries(names, TEXTS, max_size=2)
     return st.builds(ExperimentConfig.with_rules, alone, rules)

@@ -120,7 +120,7 @@ def test_proposals_look_at_tracks():
     for hit in ((True, False), (True, True), (False, False)):
         states = experiment.problem.simulator.step(states, np.array(hit))
     values = experiment.features.values(states)
-    np.testing.assert_array_equal(values[:, -3:], [[1.0, 2.0, 1.0], [0.0, 1.0, 1.0]])
+    np.testing.assert_array_equal(values[:, -2:], [[2.0, 1.0], [1.0, 1.0]])
 
 
 @pytest.mark.parametrize(

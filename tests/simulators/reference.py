@@ -2,16 +2,29 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from pemviz.config import ScenarioConfig
+from tests.simulators.one_track import OneTrack
 
 
-def reference_rollout(config: ScenarioConfig, detected: Sequence[bool]) -> dict[str, list[float]]:
-    """T values for each signal and for the controller's memory."""
+def reference_rollout(
+    config: ScenarioConfig, detected: Sequence[bool], tracker=None
+) -> dict[str, list[float]]:
+    """T values for each signal and for the controller's memory; T - 1 gaps that it is told."""
+    follows = None if tracker is None else OneTrack(tracker)
     target = config.initial_speed_kmh * 1000 / 3600
     gap, ego, lead, integral = config.initial_gap_m, target, target, 0.0
     track = {"gap": [gap], "ego_speed": [ego], "lead_speed": [lead], "integral": [integral]}
-    for step, seen in enumerate(detected):
-        if seen and gap < config.emergency_gap_m:
+    told = []
+    for step, is_detected in enumerate(detected):
+        seen = is_detected
+        told.append(gap)
+        if follows is not None:
+            follows.update(is_detected, np.array([gap]))
+            seen = follows.confirmed
+            told[-1] = float(follows.x[0, 0]) if seen else gap
+        if seen and told[-1] < config.emergency_gap_m:
             ego_acceleration = -config.emergency_deceleration_mps2
         else:
             error = target - ego
@@ -31,4 +44,4 @@ def reference_rollout(config: ScenarioConfig, detected: Sequence[bool]) -> dict[
         lead = max(0.0, lead + max(lead_acceleration, -lead / config.dt_s) * config.dt_s)
         for name, value in zip(track, (gap, ego, lead, integral), strict=True):
             track[name].append(value)
-    return track
+    return {**track, "told": told}

@@ -10,6 +10,7 @@ import viser
 from pemviz.config import METHODS, ExperimentConfig, MetricName, ScenarioConfig
 from pemviz.config.rule_words import read_rules, rules_text
 from pemviz.config.toml_files import load_preset, preset_names
+from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
@@ -316,12 +317,13 @@ class ExperimentTab:
 def scenario_text(scenario: ScenarioConfig) -> str:
     """The scenario in a sentence."""
     end_s = (scenario.states - 1) * scenario.dt_s
+    follows = "" if scenario.tracker == NO_TRACKER else f", by a tracker ({scenario.tracker}),"
     return block(
         quiet(
             f"Scenario: both cars drive {scenario.initial_speed_kmh:g} km/h, "
             f"{scenario.initial_gap_m:g} m apart, when the lead car brakes at "
-            f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. A detection below "
-            f"{scenario.emergency_gap_m:g} m makes the ego brake at "
+            f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
+            f"A detection{follows} below {scenario.emergency_gap_m:g} m makes the ego brake at "
             f"{scenario.emergency_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
             f"{scenario.states} states, {scenario.dt_s:g} s apart ({end_s:.2f} s)."
         )

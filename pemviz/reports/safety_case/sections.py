@@ -226,8 +226,9 @@ def scenario_text(config: ExperimentConfig) -> str:
     )
     named = {"initial_speed_kmh", "initial_gap_m", "lead_deceleration_mps2"}
     others = [
-        f"{field.name} {getattr(scenario, field.name):g}"
+        f"{field.name} {value if isinstance(value, str) else f'{value:g}'}"
         for field in fields(scenario)
-        if field.name not in named and getattr(scenario, field.name) != getattr(default, field.name)
+        if field.name not in named
+        and (value := getattr(scenario, field.name)) != getattr(default, field.name)
     ]
     return "; ".join([shown, *others])

@@ -32,7 +32,7 @@ from pemviz.colors import EGO, LEAD, rgb
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.emergency_braking import brakes
-from pemviz.simulators.braking.scenario import CAR_WIDTH_M, EGO_LENGTH_M
+from pemviz.simulators.braking.scenario import CAR_WIDTH_M, EGO_LENGTH_M, scenario_tracker
 
 ENVIRONMENT_ID = "pemviz-braking-v0"
 
@@ -110,8 +110,8 @@ class EgoCar(ScenarioCar):
         super().__init__(road, length_m=EGO_LENGTH_M, color=EGO_RGB)
         self.scenario = scenario
         self.lead = lead
-        self.lead_detected = False
-        self.seen_gap_m: float | None = None
+        self.lead_present = False
+        self.told_gap_m = math.inf
         self.speed_error_integral_m = 0.0
         self.centre_to_camera_m = self.LENGTH / 2 - CAMERA_TO_BUMPER_M
         self.centre_to_zero_gap_m = self.centre_to_camera_m + lead.LENGTH / 2
@@ -124,9 +124,8 @@ class EgoCar(ScenarioCar):
 
     @property
     def emergency(self) -> bool:
-        """Whether the lead car is detected and, as far as perception tells, close."""
-        gap_m = self.gap_m if self.seen_gap_m is None else self.seen_gap_m
-        return brakes(self.lead_detected, gap_m, self.scenario)
+        """Whether the ego is told of a close lead car."""
+        return brakes(self.lead_present, self.told_gap_m, self.scenario)
 
     def act(self, action: Any = None) -> None:  # noqa: ARG002
         """Choose the acceleration; ``action`` is highway-env's and not used."""
@@ -182,8 +181,7 @@ class PerceptionOutcome(ActionType):
         return spaces.Discrete(2)
 
     def act(self, action: Any) -> None:
-        """Tell the ego what perception reports at this state."""
-        self.env.ego.lead_detected = bool(action)
+        """Nothing: the environment tells the ego as it moves on."""
 
 
 class BrakingEnv(AbstractEnv):
@@ -207,6 +205,7 @@ class BrakingEnv(AbstractEnv):
             render_mode: ``rgb_array`` to render frames ``[160, 640, 3]`` without a display.
         """
         self.scenario = ScenarioConfig() if scenario is None else scenario
+        self.tracker = scenario_tracker(self.scenario)
         super().__init__(config=_view(self.scenario), render_mode=render_mode)
 
     def update_metadata(self, video_real_time_ratio: float = 1) -> None:
@@ -234,7 +233,7 @@ class BrakingEnv(AbstractEnv):
         )
 
     def load(self, state: BrakingState) -> None:
-        """Put the scene into ``state``."""
+        """Put the scene into ``state``; its tracks stay."""
         ego, lead = self.ego, self.lead
         # With the zero of the gap at x = 0 the gap is read back to the last digit.
         ego.position[0] = -ego.centre_to_zero_gap_m
@@ -244,14 +243,19 @@ class BrakingEnv(AbstractEnv):
         ego.speed_error_integral_m = state.speed_error_integral_m
         lead.step_index = self.steps = state.step
 
-    def advance(self, *, detected: bool, seen_m: float | None = None) -> None:
-        """Move one time step on, without the costs of observing.
+    def advance(self, *, detected: bool) -> None:
+        """Move one time step on, without the costs of observing, on the true gap."""
+        present, gap_m = detected, self.ego.gap_m
+        if self.tracker is not None:
+            self.tracks = self.tracker.update(
+                self.tracks, np.array([detected]), np.array([self.ego.gap_m])
+            )
+            present, gap_m = bool(self.tracks.confirmed[0]), float(self.tracks.position_m[0, 0])
+        self.move(present=present, gap_m=gap_m)
 
-        Args:
-            detected: Whether perception detects the lead car.
-            seen_m: The gap as perception measures it [m]; ``None``: the true one.
-        """
-        self.ego.lead_detected, self.ego.seen_gap_m = detected, seen_m
+    def move(self, *, present: bool, gap_m: float) -> None:
+        """Move one time step on, with the ego told of a lead car there."""
+        self.ego.lead_present, self.ego.told_gap_m = present, gap_m
         self.road.act()
         self.road.step(self.scenario.dt_s)
         self.steps += 1
@@ -265,6 +269,8 @@ class BrakingEnv(AbstractEnv):
         return super().render()
 
     def _reset(self) -> None:
+        if self.tracker is not None:
+            self.tracks = self.tracker.start(1)
         self.road = straight_road(self.scenario)
         self.lead = LeadCar(self.road, self.scenario)
         self.ego = EgoCar(self.road, self.scenario, self.lead)

@@ -2,13 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, namespace
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, namespace
 from pemviz.config import ScenarioConfig
+from pemviz.config.tracker_text import read_tracker
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.simulators.braking.measured_gap import MeasuredGap, RangeErrors
+from pemviz.simulators.tracking.filters import AlphaBeta, Kalman, LastPosition
+from pemviz.simulators.tracking.tracker import Tracker
 from pemviz.types import Signal, StateBatch
 
 GAP = "gap"
@@ -74,13 +78,40 @@ class BrakingScenario:
                 EGO_SPEED: speed_mps,
                 LEAD_SPEED: speed_mps,
             },
-            memory={SPEED_ERROR_INTEGRAL: np.zeros(count), **noises},
+            memory={SPEED_ERROR_INTEGRAL: np.zeros(count), **noises, **self._no_tracks(count)},
         )
+
+    @cached_property
+    def tracker(self) -> Tracker | None:
+        """Between perception and controller; ``None``: the ego reacts to single detections."""
+        return scenario_tracker(self.config)
+
+    def _no_tracks(self, count: int) -> dict[str, AnyArray]:
+        tracker = self.tracker
+        return {} if tracker is None else tracker.memory(tracker.start(count))
+
+    def perceived(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None
+    ) -> "Perceived":
+        """What the controller is told at ``states`` ``[N]``.
+
+        Args:
+            states: ``[N]``.
+            detected: Perception's outcomes ``[N]``.
+            noise: As in :meth:`perceived_gap`.
+        """
+        gap_m, noises = self.perceived_gap(states, noise)
+        tracker = self.tracker
+        if tracker is None:
+            return Perceived(detected, gap_m, noises)
+        tracks = tracker.update(tracker.state(states.memory), detected, gap_m)
+        memory = {**noises, **tracker.memory(tracks)}
+        return Perceived(tracks.confirmed, tracks.position_m[..., 0], memory)
 
     def perceived_gap(
         self, states: StateBatch, noise: FloatArray | None
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """The gap ``[N]`` [m] that the braking rule acts on, and what states keep of its noise.
+        """The gap ``[N]`` [m] that perception measures, and what states keep of its noise.
 
         Args:
             states: ``[N]``.
@@ -100,6 +131,51 @@ class BrakingScenario:
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The lead car's salient variables ``[..., 11]``."""
         return lead_car_salient(self.config, signals)
+
+
+@dataclass(frozen=True)
+class Perceived:
+    """What the controller is told of the lead car, arrays ``[N]``.
+
+    Attributes:
+        present: Whether it is there: detected, or tracked.
+        gap_m: The gap to it [m], where it is there.
+        memory: What the next states remember of it.
+    """
+
+    present: BoolArray
+    gap_m: FloatArray
+    memory: Mapping[str, AnyArray]
+
+
+def scenario_tracker(config: ScenarioConfig) -> Tracker | None:
+    """The tracker that the scenario's controller has, of the gap."""
+    settings = read_tracker(config.tracker)
+    if settings is None:
+        return None
+    gains = {name: getattr(settings, name) for name in ("alpha", "beta")}
+    spreads = {
+        "position_sd_m": settings.position_sd,
+        "acceleration_sd_mps2": settings.acceleration_sd,
+        "first_speed_sd_mps": settings.speed_sd,
+    }
+    filters = {
+        "none": LastPosition,
+        "alpha-beta": lambda: AlphaBeta(**_given(gains)),
+        "kalman": lambda: Kalman(**_given(spreads)),
+    }
+    return Tracker(
+        dt_s=config.dt_s,
+        hits=settings.hits,
+        window=settings.window,
+        coast_s=settings.coast,
+        axes=1,
+        filter=filters[settings.filter](),
+    )
+
+
+def _given(options: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def scenario_signals(config: ScenarioConfig) -> tuple[Signal, ...]:

@@ -13,6 +13,7 @@ from pemviz.simulators.braking.scenario import (
     LEAD_SPEED,
     SPEED_ERROR_INTEGRAL,
     BrakingScenario,
+    Perceived,
 )
 from pemviz.types import StateBatch
 
@@ -45,8 +46,8 @@ class VectorizedSimulator(BrakingScenario):
         gap_m = lead_mps - ego_mps
         gap_m *= dt_s
         gap_m += states.signals[GAP]
-        seen_m, noises = self.perceived_gap(states, noise)
-        ego_mps2, integral_m = self._ego_acceleration(states, detected, seen_m)
+        told = self.perceived(states, detected, noise)
+        ego_mps2, integral_m = self._ego_acceleration(states, told)
         return StateBatch(
             step=states.step + 1,
             signals={
@@ -54,11 +55,11 @@ class VectorizedSimulator(BrakingScenario):
                 EGO_SPEED: _advance_speed(ego_mps, ego_mps2, dt_s),
                 LEAD_SPEED: _advance_speed(lead_mps, self._lead_acceleration(states), dt_s),
             },
-            memory={SPEED_ERROR_INTEGRAL: integral_m, **noises},
+            memory={SPEED_ERROR_INTEGRAL: integral_m, **told.memory},
         )
 
     def _ego_acceleration(
-        self, states: StateBatch, detected: BoolArray, seen_m: FloatArray
+        self, states: StateBatch, told: Perceived
     ) -> tuple[FloatArray, FloatArray]:
         """Commanded acceleration [m/s^2] and the speed error integral [m], both ``[N]``."""
         config = self.config
@@ -72,7 +73,7 @@ class VectorizedSimulator(BrakingScenario):
         cruise_mps2 = cruise_mps2.clip(
             -config.maximum_deceleration_mps2, config.maximum_acceleration_mps2
         )
-        emergency = brakes(detected, seen_m, config)
+        emergency = brakes(told.present, told.gap_m, config)
         xp = namespace(emergency)
         return (
             xp.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),

@@ -10,7 +10,7 @@ from typing import Annotated, Protocol
 
 from pemviz.arrays import FloatArray, namespace
 from pemviz.config.ranges import Range, check_fields
-from pemviz.errors import ConfigError
+from pemviz.config.tracker_text import ALPHA, check_stable
 
 Spread = Annotated[float, Range(low=0.0, high=1e6)]
 
@@ -85,7 +85,7 @@ class AlphaBeta:
             noise (Benedict & Bordner 1962).
     """
 
-    alpha: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] = 0.7
+    alpha: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] = ALPHA
     beta: Annotated[float, Range(low=0.0, low_open=True, high=4.0)] | None = None
 
     def __post_init__(self) -> None:
@@ -95,9 +95,7 @@ class AlphaBeta:
             ConfigError: One is out of its range.
         """
         check_fields(self, prefix="tracker: ")
-        if self.beta is not None and self.beta >= 4.0 - 2.0 * self.alpha:
-            message = f"tracker: beta = {self.beta:g}: must be below {4.0 - 2.0 * self.alpha:g}"
-            raise ConfigError(f"{message}, 4 - 2 alpha")
+        check_stable(self.alpha, self.beta)
 
     @property
     def keeps(self) -> tuple[str, ...]:

@@ -176,16 +176,15 @@ class Tracker:
     def numbers(self, state: TrackerState) -> list[FloatArray]:
         """What a proposal may look at, arrays ``[...]``.
 
-        Whether a track is confirmed, its hits, the steps since the last, and along each axis where
-        it is [m] and how it moves [m/s].
+        A track's hits, which are all once it is confirmed, and the steps since the last; with a
+        filter of its motion also where it is [m] and how it moves [m/s], along each axis.
         """
         xp, like = namespace(state.confirmed), state.motion.variances[..., 0]
-        facts = (state.confirmed, self.hits_seen(state), self.steps_since_hit(state))
+        facts = (self.hits_seen(state), self.steps_since_hit(state))
         numbers = [xp.ones_like(like) * fact for fact in facts]
-        for axis in range(self.axes):
-            numbers.append(state.position_m[..., axis])
-            if "speed_mps" in self.filter.keeps:
-                numbers.append(state.speed_mps[..., axis])
+        if "speed_mps" in self.filter.keeps:
+            for axis in range(self.axes):
+                numbers += [state.position_m[..., axis], state.speed_mps[..., axis]]
         return numbers
 
     def memory(self, state: TrackerState) -> dict[str, AnyArray]:

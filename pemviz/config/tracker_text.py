@@ -1,0 +1,117 @@
+"""A tracker as it is written in options and files: ``none``, or ``2/3,coast=0.5,filter=kalman``."""
+
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal, get_args, get_type_hints
+
+from pemviz.config.ranges import Range, check_fields, check_value, optional_value, shown
+from pemviz.errors import ConfigError
+
+NO_TRACKER = "none"
+ALPHA = 0.7
+"""Of an alpha-beta filter, unless it is given."""
+Hits = Annotated[int, Range(low=1, high=30)]
+Spread = Annotated[float, Range(low=0.0, high=1e6)]
+FilterName = Literal["none", "alpha-beta", "kalman"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerSettings:
+    """A tracker between perception and controller; what is ``None`` is the filter's own.
+
+    Attributes:
+        hits: Needed for a confirmation.
+        window: Outcomes that they are counted over.
+        coast: How long a confirmed track stays without a hit [s].
+        filter: Of its position and speed.
+        alpha: Of an alpha-beta filter.
+        beta: Likewise.
+        position_sd: Of a measured position's error, of a Kalman filter [m].
+        acceleration_sd: Of accelerations, likewise [m/s^2].
+        speed_sd: Of the speed before the first hit, likewise [m/s].
+    """
+
+    hits: Hits
+    window: Hits
+    coast: Annotated[float, Range(low=0.0, high=1e6)] = 0.0
+    filter: FilterName = "none"
+    alpha: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None
+    beta: Annotated[float, Range(low=0.0, low_open=True, high=4.0)] | None = None
+    position_sd: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] | None = None
+    acceleration_sd: Spread | None = None
+    speed_sd: Spread | None = None
+
+
+OPTIONS = tuple(f.name for f in fields(TrackerSettings) if f.name not in ("hits", "window"))
+OF_FILTER = {
+    "none": (),
+    "alpha-beta": ("alpha", "beta"),
+    "kalman": ("position_sd", "acceleration_sd", "speed_sd"),
+}
+
+
+def read_tracker(text: str) -> TrackerSettings | None:
+    """What ``M/N`` and options behind it, ``NAME=VALUE``, say; ``None`` for ``none``.
+
+    Raises:
+        ConfigError: One line: what is wrong, and what is allowed.
+    """
+    words = [word.strip() for word in text.split(",")]
+    if words == [NO_TRACKER]:
+        return None
+    where = f"tracker = {shown(text)}"
+    hits, slash, window = words[0].partition("/")
+    if not (slash and hits.isascii() and hits.isdecimal() and window.isascii()):
+        message = f"{where}: must be none, or M/N for M hits of N outcomes, then options"
+        raise ConfigError(message)
+    given: dict[str, str] = {}
+    for word in words[1:]:
+        name, equals, value = (part.strip() for part in word.partition("="))
+        name = name.replace("-", "_")
+        if not equals or name not in OPTIONS or name in given:
+            allowed = ", ".join(option.replace("_", "-") for option in OPTIONS)
+            message = f"{where}: {shown(word)} must be NAME=VALUE, each once, of {allowed}"
+            raise ConfigError(message)
+        given[name] = value
+    values = {"hits": hits, "window": window, **given}
+    settings = TrackerSettings(**{name: _value(name, word) for name, word in values.items()})
+    check_fields(settings, prefix="tracker: ")
+    _check_together(settings, where)
+    return settings
+
+
+def _value(name: str, word: str) -> Any:
+    """The option's value, of the type that its field has."""
+    annotation = optional_value(get_type_hints(TrackerSettings, include_extras=True)[name])
+    kind = get_args(annotation)[0] if name != "filter" else str
+    try:
+        value = kind(word)
+    except ValueError:
+        value = word
+    return check_value(
+        name=f"tracker: {name.replace('_', '-')}", value=value, annotation=annotation
+    )
+
+
+def _check_together(settings: TrackerSettings, where: str) -> None:
+    if settings.hits > settings.window:
+        message = f"{where}: {settings.hits} hits of {settings.window} outcomes: must be no more"
+        raise ConfigError(message)
+    check_stable(ALPHA if settings.alpha is None else settings.alpha, settings.beta)
+    for names in OF_FILTER.values():
+        for name in names:
+            if getattr(settings, name) is not None and name not in OF_FILTER[settings.filter]:
+                message = (
+                    f"{where}: {name.replace('_', '-')} is no option of filter {settings.filter}"
+                )
+                raise ConfigError(message)
+
+
+def check_stable(alpha: float, beta: float | None) -> None:
+    """Refuse gains of an alpha-beta filter under which errors grow (Kalata 1984).
+
+    Raises:
+        ConfigError: ``beta`` is not below 4 - 2 alpha.
+    """
+    if beta is not None and beta >= 4.0 - 2.0 * alpha:
+        message = f"tracker: beta = {beta:g}: must be below {4.0 - 2.0 * alpha:g}, 4 - 2 alpha"
+        raise ConfigError(message)
