@@ -74,6 +74,12 @@ LEAST_KNOWN = None
 """For what is known least by then."""
 FITTED_S = (0.0, 0.0, 0.0, 0.01, 0.02, 0.02, 1.0, 0.3, 0.1, 0.05, 0.03, *[LEAST_KNOWN] * 8)
 """Memory times that proposals are fitted for, one after another [s]."""
+FRAIL_FITTED_S = (
+    *(0.0, 0.0, 0.02, 0.05, 0.1, 0.2, 1.0, 0.5, 0.05),
+    *(LEAST_KNOWN, 0.0, LEAST_KNOWN, 0.05, LEAST_KNOWN, 0.15, LEAST_KNOWN, 0.5),
+    *(LEAST_KNOWN, LEAST_KNOWN),
+)
+"""The same where obstacles differ: some of all late, for independence is not known least then."""
 PILOTED_S = (0.0, 0.1, 1.0)
 """Memory times whose models a family of pilots is around, each [s]."""
 MEASURED_FRAILTY = {"RRC, a camera detector": 0.68, "PointRCNN, a lidar detector": 0.83}
@@ -182,12 +188,14 @@ def memory_curve(
         ConfigError: The scenario has a signal named like the last outcome.
         SimulationError: A batch has something that is no finite number, or takes too long.
     """
-    u = PILOTED_U if frailty > 0.0 else 0.0
+    fitted_s, late, u = FITTED_S, 8, 0.0
+    if frailty > 0.0:
+        fitted_s, late, u = FRAIL_FITTED_S, 10, PILOTED_U
     axis = _Axis(
         told=tuple(Memory(tau_s, frailty) for tau_s in sorted({*SHOWN_S, *also_s})),
         sought=tuple(Memory(tau_s, frailty) for tau_s in SHOWN_S),
-        fitted=tuple(None if at is None else Memory(at, frailty) for at in FITTED_S),
-        late=8,
+        fitted=tuple(None if at is None else Memory(at, frailty) for at in fitted_s),
+        late=late,
         piloted=tuple(Given(Memory(tau_s, frailty), u) for tau_s in PILOTED_S),
         seed_key=SEED_KEY,
     )

@@ -9,12 +9,14 @@ graph of states. Outcomes so far tell of u alone: the value of a state with a hi
 with the nodes u_j of :mod:`pemviz.pem.models.frailty`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.chunks import distinct_rows
 from pemviz.sampling.frailty import FrailModel
 from pemviz.sampling.value_twisted.merging import Pause, no_pause
 from pemviz.sampling.value_twisted.reachable_states import Layer, StateGraph
@@ -44,18 +46,54 @@ def frail_log_probability(
         model: The error model.
         pause: Called now and then; may raise to stop.
     """
-    given = [
-        log_value_at_start(given_visibility(graph, model, float(u)), pause=pause)
-        for u in model.nodes.u
-    ]
-    return float(np.asarray(logsumexp(np.array(given) + model.nodes.log_weight)))
+    given = by_visibility(graph, model)
+    log_given = [log_value_at_start(given(float(u)), pause=pause) for u in model.nodes.u]
+    return float(np.asarray(logsumexp(np.array(log_given) + model.nodes.log_weight)))
 
 
-def given_visibility(graph: StateGraph, model: FrailModel, u: float) -> StateGraph:
-    """The graph with the logits of 'detected' of an obstacle of visibility ``u``."""
-    return replace(graph, layers=tuple(_layer_given(layer, model, u) for layer in graph.layers))
+def by_visibility(graph: StateGraph, model: FrailModel) -> Callable[[float], StateGraph]:
+    """The graph with the logits of 'detected' of an obstacle of a visibility u.
+
+    States whose outcomes are alike are many, and looked for once.
+    """
+    alike = [_Alike.of(layer) for layer in graph.layers]
+
+    def given(u: float) -> StateGraph:
+        layers = (
+            replace(layer, pem_logit=same.logit(model, u))
+            for layer, same in zip(graph.layers, alike, strict=True)
+        )
+        return replace(graph, layers=tuple(layers))
+
+    return given
 
 
-def _layer_given(layer: Layer, model: FrailModel, u: float) -> Layer:
-    last = layer.states.signals.get(LAST_OUTCOME.name, np.zeros(layer.count))
-    return replace(layer, pem_logit=model.logit_given(layer.pem_logit, last, u=u))
+@dataclass(frozen=True, eq=False)
+class _Alike:
+    """What decides the outcomes of n states: M different things.
+
+    Attributes:
+        own: Logits of the model of single outcomes, ``[M]``.
+        last: The outcomes before, ``[M]``.
+        which: Of each state, ``[n]``; ``None``: all are different.
+    """
+
+    own: FloatArray
+    last: FloatArray
+    which: IntArray | None
+
+    @staticmethod
+    def of(layer: Layer) -> "_Alike":
+        """Of a layer's states."""
+        own = layer.pem_logit
+        last = layer.states.signals.get(LAST_OUTCOME.name, np.zeros(layer.count))
+        found = distinct_rows(np.column_stack([own, last]))
+        if found is None:
+            return _Alike(own, last, None)
+        first, which = found
+        return _Alike(own[first], last[first], which)
+
+    def logit(self, model: FrailModel, u: float) -> FloatArray:
+        """Of 'detected' given the obstacle's visibility, ``[n]``."""
+        logit = model.logit_given(self.own, self.last, u=u)
+        return logit if self.which is None else logit[self.which]

@@ -1,6 +1,6 @@
 """From the values of the reachable states, one for each visibility u, to the twisted proposal."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -11,7 +11,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.proposals.twisted import TwistedProposal
 from pemviz.proposals.twisted_cells import cell_keys
 from pemviz.sampling.frailty import FrailModel, without_frailty
-from pemviz.sampling.value_twisted.frail import OwnOutcomes, given_visibility
+from pemviz.sampling.value_twisted.frail import OwnOutcomes, by_visibility
 from pemviz.sampling.value_twisted.frail_proposal import (
     FrailTwistedProposal,
     KnownValues,
@@ -37,6 +37,8 @@ from pemviz.sampling.value_twisted.tables import counting, tabulated
 from pemviz.sampling.value_twisted.values import Values, log_values, solve
 from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
 
+ByVisibility = Callable[[float], StateGraph]
+"""The graph given a visibility."""
 LARGEST_LOG = 1e6
 POOLED_OF = 3
 """One of so many nodes is pooled: that decides what is kept, and what unknown states get."""
@@ -69,13 +71,14 @@ def build_frail_twisted_proposal(
         largest_layer=largest_layer,
         pause=pause,
     )
-    solved = _solved(graph, model, pause)
+    given_visibility = by_visibility(graph, model)
+    solved = _solved(graph, model, given_visibility, pause)
     left_out = 0.0
     if not graph.exact:
         tried = partial(left_out_share, twin=scenario, unsafe=unsafe, pause=pause)
         left_out = max(
             tried(given, solve(given, pause=pause), pem=_GivenVisibility(model, u))
-            for u, given in _typical(graph, solved, model)
+            for u, given in _typical(solved, model, given_visibility)
         )
     plain = tabulated(graph, solved.pooled, twin=scenario, left_out=left_out, pause=pause)
     return FrailTwistedProposal(
@@ -96,14 +99,16 @@ class _Solved:
     pooled: Values
 
 
-def _solved(graph: StateGraph, model: FrailModel, pause: Pause) -> _Solved:
+def _solved(
+    graph: StateGraph, model: FrailModel, given_visibility: ByVisibility, pause: Pause
+) -> _Solved:
     """Backward at every node; forward too at those that are pooled."""
     u = value_nodes(model.memory.frailty)
     log_value = tuple(np.empty((layer.count, u.size), dtype=np.float32) for layer in graph.layers)
     log_start = np.full(u.size, 0.0 if graph.start == UNSAFE_NODE else -LARGEST_LOG)
     pool = _Pool.of([layer.count for layer in graph.layers])
     for k in range(u.size):
-        given = given_visibility(graph, model, float(u[k]))
+        given = given_visibility(float(u[k]))
         if k % POOLED_OF == 1:
             values = solve(given, pause=pause)
             pool.add(values, log_weight=-0.5 * float(u[k]) ** 2)
@@ -195,13 +200,13 @@ def _moved(node: IntArray, places: IntArray) -> IntArray:
 
 
 def _typical(
-    graph: StateGraph, solved: _Solved, model: FrailModel
+    solved: _Solved, model: FrailModel, given_visibility: ByVisibility
 ) -> Iterator[tuple[float, StateGraph]]:
     """Quantiles of u given a violation, and the graph given each."""
     log_share = solved.log_given + model.nodes.log_weight
     share = np.cumsum(np.exp(log_share - log_share.max()))
     for u in model.nodes.u[np.searchsorted(share / share[-1], QUANTILES)].tolist():
-        yield u, given_visibility(graph, model, u)
+        yield u, given_visibility(u)
 
 
 @dataclass(frozen=True, eq=False)
