@@ -16,42 +16,44 @@ from scipy.special import ndtr
 from pemviz.arrays import FloatArray
 from pemviz.errors import ConfigError
 
+Numbers = FloatArray | float
 
-def normal(z: FloatArray, *, mean: float, sd: float) -> FloatArray:
-    """Normal with ``mean`` and standard deviation ``sd``, above 0.
+
+def normal(z: FloatArray, *, mean: Numbers, sd: Numbers) -> FloatArray:
+    """Normal with ``mean`` and standard deviation ``sd``, above 0, each one for all or ``[...]``.
 
     Raises:
         ConfigError: ``sd`` is not above 0.
     """
-    _require(sd > 0.0, f"normal: sd = {sd:g}: must be above 0")
-    return mean + sd * np.asarray(z)
+    _require_above_0("normal: sd", sd)
+    return np.asarray(mean + sd * np.asarray(z))
 
 
-def log_normal(z: FloatArray, *, median: float, spread: float) -> FloatArray:
+def log_normal(z: FloatArray, *, median: Numbers, spread: Numbers) -> FloatArray:
     """Log-normal: its logarithm is normal around log ``median``.
 
     Args:
         z: Standard normals, ``[...]``.
-        median: Above 0.
-        spread: Standard deviation of the logarithm, above 0.
+        median: Above 0, one for all or ``[...]``.
+        spread: Standard deviation of the logarithm, likewise.
 
     Raises:
         ConfigError: One of them is not above 0.
     """
-    _require(median > 0.0, f"log_normal: median = {median:g}: must be above 0")
-    _require(spread > 0.0, f"log_normal: spread = {spread:g}: must be above 0")
-    return median * np.exp(spread * np.asarray(z))
+    _require_above_0("log_normal: median", median)
+    _require_above_0("log_normal: spread", spread)
+    return np.asarray(median * np.exp(spread * np.asarray(z)))
 
 
-def uniform(z: FloatArray, *, low: float, high: float) -> FloatArray:
-    """Uniform between ``low`` and ``high``.
+def uniform(z: FloatArray, *, low: Numbers, high: Numbers) -> FloatArray:
+    """Uniform between ``low`` and ``high``, each one for all or ``[...]``.
 
     Raises:
         ConfigError: ``low`` is not below ``high``.
     """
-    _require(low < high, f"uniform: low = {low:g}, high = {high:g}: low must be below high")
+    _require_above_0("uniform: high - low", np.subtract(high, low))
     z = np.asarray(z)
-    share = (high - low) * ndtr(-np.abs(z))
+    share = np.subtract(high, low) * ndtr(-np.abs(z))
     return np.where(z < 0.0, low + share, high - share)
 
 
@@ -64,8 +66,9 @@ def empirical(z: FloatArray, *, sample: FloatArray) -> FloatArray:
         ConfigError: Fewer than two values, or one that is no finite number.
     """
     ordered = np.sort(np.asarray(sample, dtype=np.float64), axis=None)
-    _require(ordered.size > 1, f"empirical: {ordered.size} values: must be two at least")
-    _require(bool(np.isfinite(ordered).all()), "empirical: values must be finite numbers")
+    if ordered.size < 2 or not np.isfinite(ordered).all():
+        message = f"empirical: {ordered.size} values: must be two finite numbers at least"
+        raise ConfigError(message)
     z = np.asarray(z)
     place = (ordered.size - 1) * ndtr(-np.abs(z))
     ranks = np.arange(ordered.size, dtype=np.float64)
@@ -86,6 +89,9 @@ def distribution(z: FloatArray, of: Any) -> FloatArray:
     return np.where(z < 0.0, of.ppf(tail), of.isf(tail))
 
 
-def _require(holds: bool, message: str) -> None:
-    if not holds:
+def _require_above_0(what: str, values: Numbers) -> None:
+    above = np.asarray(values) > 0.0
+    if not np.all(above):  # nor is what is no number
+        worst = np.asarray(values, dtype=np.float64)[~above].flat[0]
+        message = f"{what} = {worst:g}: must be above 0"
         raise ConfigError(message)

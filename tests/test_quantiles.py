@@ -44,15 +44,30 @@ def test_empirical_is_the_quantile_of_the_sample():
     assert (low, high) == (SAMPLE.min(), SAMPLE.max())
 
 
+def test_parameters_may_differ_from_one_value_to_the_next():
+    sd = np.linspace(1.0, 2.0, 7)
+    np.testing.assert_array_equal(quantiles.normal(Z, mean=sd, sd=sd), sd + sd * Z)
+    found = quantiles.uniform(Z, low=sd, high=2.0 * sd)
+    np.testing.assert_allclose(found, sd + sd * stats.norm.cdf(Z), rtol=1e-14)
+    with pytest.raises(ConfigError, match=r"normal: sd = -0\.5"):
+        quantiles.normal(Z, mean=0.0, sd=sd - 1.5)
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [
         (lambda: quantiles.normal(Z, mean=0.0, sd=0.0), "normal: sd = 0: must be above 0"),
         (lambda: quantiles.log_normal(Z, median=-1.0, spread=1.0), "median = -1"),
         (lambda: quantiles.log_normal(Z, median=1.0, spread=np.nan), "spread = nan"),
-        (lambda: quantiles.uniform(Z, low=1.0, high=1.0), "low must be below high"),
-        (lambda: quantiles.empirical(Z, sample=np.ones(1)), "1 values: must be two at least"),
-        (lambda: quantiles.empirical(Z, sample=np.array([1.0, np.inf])), "finite numbers"),
+        (
+            lambda: quantiles.uniform(Z, low=1.0, high=1.0),
+            "high - low = 0: must be above 0",
+        ),
+        (lambda: quantiles.empirical(Z, sample=np.ones(1)), "1 values: must be two"),
+        (
+            lambda: quantiles.empirical(Z, sample=np.array([1.0, np.inf])),
+            "must be two finite",
+        ),
     ],
 )
 def test_what_is_no_distribution_is_refused(call, words):

@@ -18,7 +18,7 @@ of its steps: by so many standard deviations either way."""
 UNMOVED_SHARE = 0.4
 """Of rollouts whose latents stay, at the start and likewise in the steps."""
 MOST_SINGLE_STEPS = 128
-HALVINGS = 3
+QUARTERS = 4
 CHUNK_ROLLOUTS = 512
 
 
@@ -156,13 +156,11 @@ def _members(steps: int, noise: int) -> Iterator[tuple[int, float, int, int, flo
 
 
 def _lengths(steps: int) -> list[list[tuple[int, int]]]:
-    """Windows of all steps, 1/2, 1/4, ... of them, each overlapping the next, and single steps."""
+    """Windows of all steps, of a quarter of them, each overlapping the next, and single steps."""
     lengths = [[(0, steps)]]
-    for halving in range(1, HALVINGS + 1):
-        places = 2 ** (halving + 1)
-        if places <= steps:
-            edges = [round(steps * place / places) for place in range(places + 1)]
-            lengths.append(list(zip(edges[:-2], edges[2:], strict=True)))
+    if steps >= 2 * QUARTERS:
+        edges = [round(steps * place / (2 * QUARTERS)) for place in range(2 * QUARTERS + 1)]
+        lengths.append(list(zip(edges[:-2], edges[2:], strict=True)))
     singles = np.unique(np.linspace(0, steps, min(steps, MOST_SINGLE_STEPS) + 1).astype(int))
     lengths.append(list(zip(singles[:-1].tolist(), singles[1:].tolist(), strict=True)))
     return lengths

@@ -23,6 +23,10 @@ from pemviz.sampling.mixture.levels import Elites, failing_elites, guided_elites
 from pemviz.sampling.mixture.ways import Ways, WeightedRollouts, shares_of_draws, ways_of
 
 NEGLIGIBLE_SHARE = 1e-4
+NOISE_RIDGE = {"constant": 0.01, "outcome": 0.5, "state": 50.0}
+"""Penalties of coefficients of noise, relative to those of outcomes: of the constant, of the step's
+own outcome, and of the state, each further degree twice as much. A few violations at some steps say
+little of noise at the others: what they suggest must not keep later rollouts away from those."""
 EXPLORING_SHARE = 0.25
 """Of the rollouts that are not pilots, for a level above 0, and for hidden ways of failing."""
 
@@ -85,9 +89,12 @@ def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -
     first = fitted(pool, basis, elites, weight, settings)
     learned = learned_from(pool, weight)
     ridge = ridge_by_degree(basis, settings.ridge)
-    noise_ridge = ridge_by_degree(noise_basis(basis), settings.ridge)
     ways = ways_of(
-        learned, first.coefficients, means=first.means, ridge=ridge, noise_ridge=noise_ridge
+        learned,
+        first.coefficients,
+        means=first.means,
+        ridge=ridge,
+        noise_ridge=noise_ridge(basis, settings),
     )
     if ways.share.size == 1:
         return (first,)
@@ -156,9 +163,7 @@ def fitted(
     found = fit_offset_logistic(outcomes, ridge=penalty, start=start)
     optimism, means = leave_one_out_loss(outcomes, found, group=group, count=pool.count), None
     if pool.latents is not None:
-        moved = fit_means(
-            pool.latents, weight, ridge=ridge_by_degree(noise_basis(basis), settings.ridge)
-        )
+        moved = fit_means(pool.latents, weight, ridge=noise_ridge(basis, settings))
         optimism, means = optimism + moved.optimism, moved.means
     return Fit(
         coefficients=found.coefficients,
@@ -232,6 +237,20 @@ def smoothing_exponent(log_weight: FloatArray, *, least_ess: float) -> float:
     if excess(0.0) <= 0.0:
         return 0.0
     return float(cast(float, brentq(excess, 0.0, 1.0, xtol=1e-6)))
+
+
+def noise_ridge(basis: PolynomialBasis, settings: FitSettings) -> FloatArray:
+    """Penalties of the coefficients of noise, ``[B']``."""
+    outcome = (basis.mean.size,)
+    alone: dict[tuple[int, ...], float] = {
+        (): NOISE_RIDGE["constant"],
+        outcome: NOISE_RIDGE["outcome"],
+    }
+    relative = [
+        alone.get(chosen, NOISE_RIDGE["state"] * 2.0 ** (len(chosen) - 1))
+        for chosen in noise_basis(basis).exponents
+    ]
+    return settings.ridge * np.array(relative)
 
 
 def ridge_by_degree(basis: PolynomialBasis, ridge: float) -> FloatArray:

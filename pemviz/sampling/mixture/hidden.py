@@ -21,11 +21,12 @@ from pemviz.sampling.mixture.fit import (
     FitSettings,
     fitted,
     learned_from,
+    noise_ridge,
     ridge_by_degree,
     smoothing_exponent,
     weights_of,
 )
-from pemviz.sampling.mixture.latents import latent_ratios, noise_basis
+from pemviz.sampling.mixture.latents import latent_ratios
 from pemviz.sampling.mixture.levels import Elites
 from pemviz.sampling.mixture.ways import SAMPLE, Ways, WeightedRollouts, ways_of
 
@@ -86,18 +87,17 @@ def fit_to_hidden_ways(
 
 def _told_apart(few: WeightedRollouts, basis: PolynomialBasis, settings: FitSettings) -> Ways:
     """Ways of failing among few rollouts."""
-    ridge = ridge_by_degree(basis, settings.ridge)
-    noise_ridge = ridge_by_degree(noise_basis(basis), settings.ridge)
+    ridge, of_noise = ridge_by_degree(basis, settings.ridge), noise_ridge(basis, settings)
     first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
     means = None
     if few.latents is not None:
-        means = fit_means(few.latents, few.weight, ridge=noise_ridge).means
+        means = fit_means(few.latents, few.weight, ridge=of_noise).means
     return ways_of(
         few,
         first.coefficients,
         means=means,
         ridge=ridge,
-        noise_ridge=noise_ridge,
+        noise_ridge=of_noise,
         least_scatter=LEAST_SCATTER,
         price=PRICE,
     )
