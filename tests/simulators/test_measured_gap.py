@@ -10,14 +10,14 @@ import pemviz
 from pemviz.config import ScenarioConfig
 from pemviz.config.toml_files import load_preset
 from pemviz.errors import ConfigError, InputError
-from pemviz.pem import NoiseMemory, constant_errors, load_position_errors
+from pemviz.pem import NoiseMemory, constant_errors, load_position_errors, save_position_errors
 from pemviz.pem.judging.position_error_report import straight_ahead
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.braking.highway import HighwaySimulator
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from tests.simulators.reference import reference_rollout
-from tests.toy import MissCounter
+from tests.toy import MissCounter, constant_pem
 
 PAPER = ScenarioConfig()
 SHIPPED = load_position_errors("pointpillars")
@@ -44,15 +44,16 @@ def test_no_spread_gives_the_answer_without_errors_to_the_last_bit(back_end):
         np.testing.assert_array_equal(measured[name], values)
 
 
-def test_both_back_ends_agree_given_the_same_draws():
-    draws = drawn(12, seed=2)
+@pytest.mark.parametrize("tracker", ["none", "2/3"])
+def test_both_back_ends_agree_given_the_same_draws(tracker):
+    draws, config = drawn(6, seed=2), replace(PAPER, tracker=tracker)
     one, other = (
-        replay(simulator=end(PAPER, SHIPPED), **draws)
+        replay(simulator=end(config, SHIPPED), **draws)
         for end in (VectorizedSimulator, HighwaySimulator)
     )
     for name in (GAP, EGO_SPEED, LEAD_SPEED):
         np.testing.assert_allclose(one[name], other[name], rtol=0, atol=1e-9)
-    exact = replay(simulator=VectorizedSimulator(PAPER), detected=draws["detected"])
+    exact = replay(simulator=VectorizedSimulator(config), detected=draws["detected"])
     assert np.abs(one[GAP] - exact[GAP]).max() > 0.1  # errors matter
 
 
@@ -108,6 +109,24 @@ def test_an_error_that_lasts_violates_where_it_is_large_enough():
     # five standard errors: one run in two million fails
     tolerance = 5.0 * np.sqrt(probability / count)
     assert violated.mean() == pytest.approx(probability, abs=tolerance)
+
+
+def test_a_rare_error_is_found_with_its_exact_probability(tmp_path):
+    """P(a Gaussian is 6 deviations up) = 9.9e-10; four standard errors, one run in 16,000 fails."""
+    errors = tmp_path / "errors.safetensors"
+    save_position_errors(
+        constant_errors(range_sd_m=critical_error() / 6.0, memory=NoiseMemory(lasting_share=1.0)),
+        errors,
+    )
+    config = small("mixture", stages=6, rollouts=60, final_rollouts=300, seed=1)
+    perfect = constant_pem(detection_probability=1.0 - 1e-13)
+    experiment = pemviz.build_experiment(replace(config, position_errors=str(errors)), pem=perfect)
+    estimate = pemviz.run(experiment).estimate
+    assert estimate is not None
+    assert estimate.std_error is not None
+    assert estimate.std_error < 0.2 * estimate.probability
+    tolerance = 4.0 * estimate.std_error
+    assert estimate.probability == pytest.approx(stats.norm.sf(6.0), rel=0, abs=tolerance)
 
 
 def small(method, **changes):

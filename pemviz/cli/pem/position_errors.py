@@ -48,7 +48,7 @@ def write_position_errors(model: PositionErrorModel, path: Path) -> None:
             f"at {nearest['low_m']:g} to {nearest['high_m']:g} m, "
             f"{farthest['fitted_half_width']:.2f} {unit} at {farthest['low_m']:g} to "
             f"{farthest['high_m']:g} m; held out, an error costs {nats['constant']:.3f} nats by "
-            f"one Gaussian, {min(nats['gaussian'], nats['student-t']):.3f} by this"
+            f"one Gaussian, {nats['gaussian' if freedom is None else 'student-t']:.3f} by this"
         )
 
 

@@ -28,6 +28,13 @@ go below 0.
 6. *Speeds:* each grows by its acceleration times dt, and is 0 if that is negative: a car that
    would reverse stands.
 
+**Position errors** (``measured_gap.py``; none unless asked for). In rule 2 the gap is then the one
+that perception measures: gap + e, e the error along the line of sight of the lead car's centre, a
+function of its salient variables and a standard normal u_t. With the error model's share c and
+memory time tau, u_t = sqrt(c) s + sqrt(1 - c) a_t; s is drawn once, a_0 = z_0, and
+a_t = rho a_{t-1} + sqrt(1 - rho^2) z_t with rho = exp(-dt/tau). s and the z_t are the rollout's
+latents.
+
 **Salient variables** of the lead car at a state, as KITTI would label it, in the order of
 ``pemviz.pem.SALIENT_COLUMNS``: class Car, truncation 0, occlusion 0 (none), alpha -pi/2, height
 1.53 m, width 1.63 m, length ``lead_length_m`` (5 m), x = 0, y = ``camera_height_m`` (1.65 m), z =
