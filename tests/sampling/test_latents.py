@@ -98,8 +98,9 @@ def test_outcomes_are_the_same_with_latents_and_without():
     )
 
 
-@pytest.mark.parametrize("method", ["monte-carlo", "splitting"])
-@pytest.mark.parametrize("simulator", [FAR, SLOTS], ids=["one outcome", "slots"])
+@pytest.mark.parametrize(
+    ("simulator", "method"), [(FAR, "splitting"), (FAR, "mixture"), (SLOTS, "mixture")]
+)
 def test_a_rollout_replays_from_its_file(simulator, method, tmp_path):
     """And a run that was interrupted ends with the same files, to the last bit."""
     settings = {"rollouts": 30, "stages": 2, "final_rollouts": 30}

@@ -19,6 +19,10 @@ proposals for ways of failing that the newest would hardly draw, in the second h
 carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.hidden`). With several
 rules each has proposals of its own, drawn from alike, that go on until all rules are broken.
 
+Latents, where the scenario takes any, are moved beside outcomes: pilots move one at a time up or
+down (:mod:`pemviz.proposals.latent_pilots`), each fitted proposal has means of its own, fitted with
+the same weights (:mod:`pemviz.proposals.latent_means`), and q_k is the density of both.
+
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
 much the fit flatters them (:func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`). The
