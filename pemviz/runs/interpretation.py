@@ -235,7 +235,7 @@ def with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
         return result
     pem, back_end = single_outcome_model(experiment.pem), without_memory(experiment.back_end)
     problem = experiment.problem.without_rules()
-    problem = replace(problem, simulator=back_end.simulator, finished=nothing_finished)
+    problem = replace(problem, simulator=back_end.simulator, pem=pem, finished=nothing_finished)
     if back_end.twin is not None:
         problem = replace(problem, simulator=back_end.twin, run_batches=run_here)
     fitted = memory.fitted

@@ -100,6 +100,17 @@ def test_a_run_tells_the_curve_whatever_its_own_memory(result):
     assert result_from_document(result_document(other)) == other
 
 
+def test_a_run_with_frailty_tells_both_curves_through_its_own_place():
+    memory = run_experiment(replace(SHORT, memory_s=0.15, frailty=0.5)).memory
+    assert {point.frailty for point in memory.curve} == {0.5}
+    assert {point.tau_s for point in memory.frailty_curve} == {0.15}
+    of_curve, of_frailties = (
+        [point for point in curve if (point.tau_s, point.frailty) == (0.15, 0.5)]
+        for curve in (memory.curve, memory.frailty_curve)
+    )
+    assert len(of_curve) == len(of_frailties) == 1
+
+
 def test_the_black_box_is_told_from_its_twin(result):
     found = run_experiment(replace(SHORT, simulator="highway-env", final_rollouts=4))
     assert beside(found, 0.0) == beside(result, 0.0)
