@@ -25,7 +25,13 @@ if TYPE_CHECKING:
     from pemviz.runs.result_file import read_result
     from pemviz.runs.store import RunStore
     from pemviz.sampling.description import MethodDescription
+    from pemviz.simulators.episodic import EpisodicSimulator, side_by_side
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator, GymnasiumSlotSimulator
+    from pemviz.simulators.gymnasium_episodes import (
+        GymnasiumEpisodes,
+        GymnasiumSlotEpisodes,
+        named_detections_action,
+    )
     from pemviz.simulators.latents import LatentSimulator
     from pemviz.simulators.slots import Slot, SlotSimulator
     from pemviz.simulators.tracking.filters import AlphaBeta, Kalman
@@ -38,11 +44,14 @@ _HOMES = {
     "BoolArray": "arrays",
     "ConfigError": "errors",
     "DetectorModel": "pem",
+    "EpisodicSimulator": "simulators.episodic",
     "Estimate": "types",
     "Experiment": "runs.experiment",
     "ExperimentConfig": "config",
     "FloatArray": "arrays",
+    "GymnasiumEpisodes": "simulators.gymnasium_episodes",
     "GymnasiumSimulator": "simulators.gymnasium_adapter",
+    "GymnasiumSlotEpisodes": "simulators.gymnasium_episodes",
     "GymnasiumSlotSimulator": "simulators.gymnasium_adapter",
     "InputError": "errors",
     "Kalman": "simulators.tracking.filters",
@@ -69,9 +78,11 @@ _HOMES = {
     "Tracker": "simulators.tracking.tracker",
     "TrackerState": "simulators.tracking.tracker",
     "build_experiment": "runs.experiment",
+    "named_detections_action": "simulators.gymnasium_episodes",
     "read_result": "runs.result_file",
     "run": "runs.engine",
     "run_experiment": "runs.engine",
+    "side_by_side": "simulators.episodic",
     "summary_text": "reports.estimate_text",
     "tracked": "simulators.tracking.tracked",
 }
@@ -81,11 +92,14 @@ __all__ = [
     "BoolArray",
     "ConfigError",
     "DetectorModel",
+    "EpisodicSimulator",
     "Estimate",
     "Experiment",
     "ExperimentConfig",
     "FloatArray",
+    "GymnasiumEpisodes",
     "GymnasiumSimulator",
+    "GymnasiumSlotEpisodes",
     "GymnasiumSlotSimulator",
     "InputError",
     "Kalman",
@@ -113,9 +127,11 @@ __all__ = [
     "TrackerState",
     "__version__",
     "build_experiment",
+    "named_detections_action",
     "read_result",
     "run",
     "run_experiment",
+    "side_by_side",
     "summary_text",
     "tracked",
 ]

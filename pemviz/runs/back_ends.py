@@ -1,6 +1,7 @@
 """The simulator of an experiment with what is known about it."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
@@ -18,6 +19,7 @@ from pemviz.simulators.braking.features import BrakingFeatures
 from pemviz.simulators.braking.scenario import BrakingScenario
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
+from pemviz.simulators.episodic import EpisodicSimulator, episodic, side_by_side
 from pemviz.simulators.latents import LatentSimulator, latent_counts
 from pemviz.simulators.registry import SHIPPED, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
@@ -91,19 +93,27 @@ def batch_rollouts(config: ExperimentConfig) -> int:
 
 
 def own_back_end(
-    simulator: Simulator | SlotSimulator | LatentSimulator,
+    simulator: Simulator | SlotSimulator | LatentSimulator | EpisodicSimulator,
     *,
     twin: Simulator | SlotSimulator | None = None,
 ) -> BackEnd:
     """A simulator of the user's own, tried out, with a twin of its own if it has one.
 
-    One with slots is unrolled.
+    One with slots is unrolled; an environment that can only be reset and stepped is one of one
+    rollout at a time.
 
     Raises:
         ConfigError: One of them does not keep to the protocol, or they differ in their states, or
             there are latents, which no twin can have.
     """
+    simulator = _at_once(simulator)
     check_simulator(simulator)
+    if twin is not None and episodic(simulator) is not None:
+        message = (
+            f"twin of simulator {simulator.name!r}: it is episodic, and its states cannot be kept; "
+            "without a twin, use mixture"
+        )
+        raise ConfigError(message)
     if twin is not None and latent_counts(simulator):
         message = (
             f"twin of simulator {simulator.name!r}: it has latents, and a twin's states must be "
@@ -123,6 +133,15 @@ def own_back_end(
         batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=own.states)),
         is_own=True,
     )
+
+
+def _at_once(
+    simulator: Simulator | SlotSimulator | LatentSimulator | EpisodicSimulator,
+) -> Simulator | SlotSimulator | LatentSimulator:
+    """A simulator whose states are arrays; of one environment, one of one rollout at a time."""
+    if isinstance(simulator, EpisodicSimulator) and not isinstance(simulator, type):
+        return side_by_side(simulator)
+    return cast(Any, simulator)
 
 
 def _features(own: Simulator, simulator: Simulator | SlotSimulator) -> StateFeatures:
@@ -176,20 +195,22 @@ def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
         lacking["twin"] = f"runs through all states, and simulator {name!r} has latents"
     elif back_end.twin is None:
         lacking["twin"] = f"needs a fast twin, and simulator {name!r} has none"
+    if episodic(back_end.simulator) is not None:
+        kept = f"goes on from kept states, and simulator {name!r} is episodic"
+        lacking |= {"twin": kept, "restarts": kept}
     if back_end.farthest_m is None:
         lacking["gap"] = f"needs the gap, and simulator {name!r} has no signal {GAP!r}"
     elif turns_of(back_end.simulator) > 1:
         lacking["gap"] = f"looks at one gap alone, and simulator {name!r} has several slots"
     for need, complaint in lacking.items():
         if need in by_name(config.method).needs:
-            message = f"method = {config.method!r}: {complaint}; {FIT_ANYWHERE}"
+            fits = "use mixture" if "restarts" in lacking else FIT_ANYWHERE
+            message = f"method = {config.method!r}: {complaint}; {fits}"
             raise ConfigError(message)
     if config.memory_curve and turns_of(back_end.simulator) > 1:
         message = f"memory_curve = true: not with slots, and simulator {name!r} has them"
         raise ConfigError(message)
     if config.reference and "twin" in lacking:
-        message = (
-            f"reference = true: the reference {lacking['twin']}; "
-            "use method splitting as an independent check"
-        )
+        fits = "leave it out" if "restarts" in lacking else "use splitting as an independent check"
+        message = f"reference = true: the reference {lacking['twin']}; {fits}"
         raise ConfigError(message)

@@ -35,6 +35,7 @@ from pemviz.sampling.rollouts.devices import (
 from pemviz.sampling.slots import with_slots
 from pemviz.sampling.value_twisted.method import require_unsafe
 from pemviz.simulators.check_latents import latent_warnings
+from pemviz.simulators.episodic import EpisodicSimulator
 from pemviz.simulators.latents import LatentSimulator, latent_counts
 from pemviz.simulators.registry import build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
@@ -113,7 +114,7 @@ class Experiment:
 def build_experiment(
     config: ExperimentConfig,
     *,
-    simulator: Simulator | SlotSimulator | LatentSimulator | None = None,
+    simulator: Simulator | SlotSimulator | LatentSimulator | EpisodicSimulator | None = None,
     pem: DetectorModel | Mapping[str, DetectorModel] | None = None,
     twin: Simulator | SlotSimulator | None = None,
     features: StateFeatures | None = None,

@@ -19,6 +19,7 @@ from pemviz.pem.models.frailty import VisibilityNodes, log_sums, remembered_outc
 from pemviz.pem.models.memory import frail_logit, remembering_logit
 from pemviz.pem.models.with_memory import PemWithMemory
 from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.simulators.episodic import kept_memory
 from pemviz.simulators.latched import WrappedSimulator
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.remembering import LAST_OUTCOME
@@ -353,4 +354,4 @@ def carried_on(
 
 def kept_with_rollouts(memory: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     """What of a state's memory rollouts hold: all but what is for going on alone."""
-    return {name: values for name, values in memory.items() if name != NEXT}
+    return {name: values for name, values in kept_memory(memory).items() if name != NEXT}

@@ -16,9 +16,9 @@ from pemviz.sampling.rollouts.batches import (
     BatchTask,
     SimulationError,
     check_numbers,
-    of_rows,
     run_here,
 )
+from pemviz.sampling.rollouts.draw import of_rows
 from pemviz.sampling.rollouts.latent_draws import NormalSource
 from pemviz.sampling.rollouts.time_limit import call_within
 from pemviz.simulators.latched import Monitor

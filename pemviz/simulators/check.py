@@ -1,6 +1,7 @@
 """Whether a simulator of somebody else's keeps to the protocol, told before a run starts."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NoReturn, TypeVar
 
 import numpy as np
@@ -16,6 +17,7 @@ from pemviz.simulators.check_slots import (
     check_slots,
     outcomes_by_slot,
 )
+from pemviz.simulators.episodic import episodic, kept_memory
 from pemviz.simulators.latched import VIOLATED
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import SlotSimulator
@@ -45,6 +47,7 @@ def check_simulator(simulator: Simulator | SlotSimulator) -> None:
     since methods continue from kept states, and results must not depend on batches.
     Where slots are declared, "missed" is an error in every slot, and now and then in one alone.
     Where latents are, each rollout has its own, but for the two with the same outcomes.
+    Episodes, which cannot be gone on with, are tried twice with the same mixed outcomes.
 
     Raises:
         ConfigError: One line: what is missing, of the wrong shape, not pure, or random.
@@ -62,6 +65,9 @@ def check_simulator(simulator: Simulator | SlotSimulator) -> None:
     check_counts(simulator, where)
     if isinstance(simulator, SlotSimulator):
         check_slots(simulator, where)
+    if episodic(simulator) is not None:
+        _check_episodes(simulator, where)
+        return
     _check_start(simulator, where)
     start = _begun(simulator, _latents(simulator), where)
     _check_tracks(simulator, start, where)
@@ -118,6 +124,39 @@ def _check_start(simulator: Simulator | SlotSimulator, where: str) -> None:
     other = _difference(simulator, start, again)
     if other is not None:
         _refuse(f"{where}: initial gives another state when it is called again ({other})")
+
+
+def _check_episodes(simulator: Simulator | SlotSimulator, where: str) -> None:
+    """Two episodes with the same outcomes must be the same; nothing can be gone on from."""
+    courses = [_episode(simulator, where) for _ in range(2)]
+    for step, (one, other) in enumerate(zip(*courses, strict=True)):
+        differs = _difference(simulator, one, other)
+        if differs is not None:
+            _refuse(
+                f"{where}: an episode must be the same again after a reset with the same outcomes; "
+                f"a second time it differs at step {step} ({differs})"
+            )
+    course = courses[0]
+    _check_tracks(simulator, course[0], where)
+    if isinstance(simulator, SlotSimulator):
+        check_asked(simulator, course[0], where)
+        check_ever_present(simulator, course, where)
+    else:
+        first = {name: np.repeat(values, COUNT) for name, values in course[1].signals.items()}
+        _check_salient(simulator, first, where)
+
+
+def _episode(simulator: Simulator | SlotSimulator, where: str) -> list[StateBatch]:
+    """The states ``[1]`` of one episode with mixed outcomes."""
+    mixed = slice(MIXED, MIXED + 1)
+    outcomes, latents = _outcomes(simulator)[mixed], _latents(simulator).take(mixed)
+    course = [_begun(simulator, latents, where)]
+    for step in range(simulator.states - 1):
+        _check_states(course[-1], simulator, f"{where}: reset or step", step=step, count=1)
+        noise = latents.noise[:, step]
+        course.append(_stepped(simulator, course[-1], outcomes[:, step], noise, where))
+    _check_states(course[-1], simulator, f"{where}: step", step=simulator.states - 1, count=1)
+    return [replace(one, memory=dict(kept_memory(one.memory))) for one in course]
 
 
 def _check_tracks(simulator: Simulator | SlotSimulator, start: StateBatch, where: str) -> None:
@@ -281,7 +320,12 @@ def _check_names(signals: tuple[Signal, ...], where: str) -> None:
 
 
 def _check_states(
-    states: StateBatch, simulator: Simulator | SlotSimulator, where: str, *, step: int
+    states: StateBatch,
+    simulator: Simulator | SlotSimulator,
+    where: str,
+    *,
+    step: int,
+    count: int = COUNT,
 ) -> None:
     if np.ndim(states.step) != 0 or int(states.step) != step:
         _refuse(f"{where}: step is {states.step!r}: must be one number for the batch, here {step}")
@@ -291,8 +335,8 @@ def _check_states(
     if VIOLATED in states.memory:
         _refuse(f"{where}: the memory {VIOLATED!r} is pemviz's own; choose another name")
     for name, values in {**states.signals, **states.memory}.items():
-        if np.shape(values) != (COUNT,):
-            _refuse(f"{where}: {name} has shape {np.shape(values)}: must be ({COUNT},)")
+        if np.shape(values) != (count,):
+            _refuse(f"{where}: {name} has shape {np.shape(values)}: must be ({count},)")
     for name, values in states.signals.items():
         if values.dtype != np.float64 or not np.isfinite(values).all():
             _refuse(f"{where}: {name} must be finite numbers of type float64 (state {step})")

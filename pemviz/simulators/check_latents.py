@@ -6,6 +6,7 @@ import numpy as np
 
 from pemviz.errors import ConfigError
 from pemviz.latents import LatentCounts, StandardNormals
+from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import begun, latent_counts, stepped
 from pemviz.types import Simulator, StateBatch
 
@@ -54,6 +55,8 @@ def latent_warnings(simulator: Simulator) -> tuple[str, ...]:
         start[:, place] = generator.standard_normal(TRIED)
         if _alike(begun(simulator, count=TRIED, start=start)):
             found.append(f"simulator {simulator.name}: initial ignores start latent {place}")
+    if episodic(simulator) is not None:  # few at a time, and each step is dear
+        return tuple(found)
     states = begun(simulator, count=TRIED)
     for place in range(latents.noise):
         noise = np.zeros((TRIED, latents.noise))

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from pemviz.arrays import LARGEST_NUMBER, FloatArray
 from pemviz.errors import RunError
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.protocol import Pem
-from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.draw import of_rows, simulate
 from pemviz.types import Proposal, RolloutBatch, Simulator
 
 
@@ -41,20 +41,6 @@ class BatchTask:
     def _rows(self, rows: slice) -> "BatchTask":
         normals = None if self.normals is None else self.normals.take(rows)
         return BatchTask(of_rows(self.proposal, rows), self.uniforms[rows], normals)
-
-
-@runtime_checkable
-class RowBoundProposal(Proposal, Protocol):
-    """A proposal of N rollouts that differs from one to the next."""
-
-    def rows(self, rows: slice) -> Proposal:
-        """What some of the rollouts are drawn from."""
-        ...
-
-
-def of_rows(proposal: Proposal, rows: slice) -> Proposal:
-    """What the chosen ones of the rollouts that ``proposal`` is for are drawn from."""
-    return proposal.rows(rows) if isinstance(proposal, RowBoundProposal) else proposal
 
 
 class BatchRunner(Protocol):

@@ -1,7 +1,7 @@
 """Rollouts: the scenario stepped with outcomes drawn from a proposal."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from scipy import special
@@ -11,6 +11,7 @@ from pemviz.latents import StandardNormals
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.sampling.rollouts.latent_draws import LatentTrack
+from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import begun, stepped
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
@@ -34,9 +35,23 @@ def simulate(
         normals: Of a scenario with latents.
 
     Returns:
-        N rollouts.
+        N rollouts; of environments side by side as many at a time as there are.
     """
     count, steps = uniforms.shape
+    pieces = _pieces(simulator, count)
+    if len(pieces) > 1:
+        return RolloutBatch.concatenate(
+            [
+                simulate(
+                    simulator=simulator,
+                    pem=pem,
+                    proposal=of_rows(proposal, rows),
+                    uniforms=uniforms[rows],
+                    normals=None if normals is None else normals.take(rows),
+                )
+                for rows in pieces
+            ]
+        )
     track = None
     if normals is not None:
         track = LatentTrack.begun(normals, proposal, outcomes=steps)
@@ -103,6 +118,18 @@ def replay(
         start: ``[N, S]``; ``None``: all 0.
         noise: ``[N, T-1, M]``, with slots not unrolled; ``None`` likewise.
     """
+    pieces = _pieces(simulator, len(detected))
+    if len(pieces) > 1:
+        parts = [
+            replay(
+                simulator=simulator,
+                detected=detected[rows],
+                start=None if start is None else start[rows],
+                noise=None if noise is None else noise[rows],
+            )
+            for rows in pieces
+        ]
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     states = begun(simulator, count=detected.shape[0], start=start)
     signals = _Track(states.signals, simulator.states)
     by_step = np.ascontiguousarray(np.moveaxis(detected, 0, 1))
@@ -112,6 +139,27 @@ def replay(
         states = stepped(simulator, states, by_step[step], given)
         signals.record(step + 1, states.signals)
     return signals.by_rollout()
+
+
+def _pieces(simulator: Simulator, count: int) -> list[slice]:
+    """Which of ``count`` rollouts are carried out at a time: all, but of environments few."""
+    places = episodic(simulator)
+    at_a_time = count if places is None else places.count
+    return [slice(row, row + at_a_time) for row in range(0, count, max(at_a_time, 1))]
+
+
+@runtime_checkable
+class RowBoundProposal(Proposal, Protocol):
+    """A proposal of N rollouts that differs from one to the next."""
+
+    def rows(self, rows: slice) -> Proposal:
+        """What some of the rollouts are drawn from."""
+        ...
+
+
+def of_rows(proposal: Proposal, rows: slice) -> Proposal:
+    """What the chosen ones of the rollouts that ``proposal`` is for are drawn from."""
+    return proposal.rows(rows) if isinstance(proposal, RowBoundProposal) else proposal
 
 
 def _expit(logit: Any) -> Any:
