@@ -5,7 +5,7 @@ display or pyplot.
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from pemviz.colors import (
 )
 from pemviz.errors import InputError
 from pemviz.reports.ladder_text import LADDER_TITLE, ends_text, rung_name
+from pemviz.reports.memory_curve import BY_FRAILTY, BY_MEMORY_TIME, CurveAxis, measured_names
 from pemviz.runs.kept_stages import KeptStages
 from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.result import RunResult
@@ -196,25 +197,52 @@ def memory_curve(*, result: RunResult) -> RunFigure:
     Raises:
         InputError: The run has no such curve.
     """
-    curve = () if result.memory is None else result.memory.curve
+    figure, axes = _curve(result, BY_MEMORY_TIME, name="memory_curve", label="memory time [s]")
+    axes.set_title("If misses come in bursts", loc="left")
+    return figure
+
+
+def frailty_curve(*, result: RunResult) -> RunFigure:
+    """The failure probability over frailties of obstacles, with intervals.
+
+    Raises:
+        InputError: The run has no such curve.
+    """
+    figure, axes = _curve(result, BY_FRAILTY, name="frailty_curve", label="frailty")
+    axes.set_title("If some obstacles are harder to see all along", loc="left")
+    return figure
+
+
+def _curve(result: RunResult, axis: CurveAxis, *, name: str, label: str) -> tuple[RunFigure, Any]:
+    """A curve through its points with their intervals, and what was measured on video."""
+    memory = result.memory
+    curve = () if memory is None else axis.points(memory)
     points = [point for point in curve if point.probability > 0.0]
-    if not points:
-        message = "memory_curve: the run has none; ask for it with memory_curve=True"
+    if memory is None or not points:
+        message = f"{name}: the run has none; ask for it with memory_curve=True"
         raise InputError(message)
     figure, axes = _figure(3.4)
-    tau_s = [point.tau_s for point in points]
-    axes.plot(tau_s, [point.probability for point in points], color=PROPOSAL, linewidth=2.0)
-    for point in points:
+    places = [axis.place(point) for point in points]
+    axes.plot(places, [point.probability for point in points], color=PROPOSAL, linewidth=2.0)
+    for place, point in zip(places, points, strict=True):
         if point.low and point.high:
             style = ":" if point.caveats else "-"
             ends = [point.low, point.high]
-            axes.plot([point.tau_s] * 2, ends, color=PROPOSAL, linestyle=style, marker="_")
+            axes.plot([place] * 2, ends, color=PROPOSAL, linestyle=style, marker="_")
+    _mark_measured(axes, measured_names(memory, axis))
     held = not any(point.caveats for point in points)
     note = "95 % intervals" if held else "dotted: not a 95 % interval"
-    axes.set(yscale="log", xlabel=f"memory time of misses [s] ({note})")
-    axes.set(ylabel="failure probability")
-    axes.set_title("If misses come in bursts", loc="left")
-    return figure
+    axes.set(yscale="log", xlabel=f"{label} ({note})", ylabel="failure probability")
+    return figure, axes
+
+
+def _mark_measured(axes: Any, names: Mapping[float, str]) -> None:
+    """Places that were measured on video, and of whom."""
+    for place, name in names.items():
+        whole = axes.get_xaxis_transform()
+        axes.vlines(place, 0.0, 1.0, color=PEM, linewidth=1.0, transform=whole)
+        words = f" {name.split(',')[0]}, on video"
+        axes.text(place, 0.03, words, transform=whole, rotation=90, fontsize=8, ha="right")
 
 
 def _figure(height_in: float, *, rows: int = 1) -> tuple[RunFigure, Any]:

@@ -112,14 +112,25 @@ def test_causes_are_drawn_by_band_with_two_standard_errors():
         figures.causes(result=replace(result(), explanation=None))
 
 
-def test_the_memory_curve_is_drawn_through_its_points():
-    curve = tuple(CurvePoint(t, p, p / 2, 2 * p, 50.0) for t, p in ((0.0, 1e-9), (0.2, 1e-4)))
-    figure = figures.memory_curve(result=result(memory=RunMemory(tau_s=0.0, curve=curve)))
+@pytest.mark.parametrize(
+    ("draw", "points", "curve"),
+    [
+        (figures.memory_curve, [{"tau_s": 0.0}, {"tau_s": 0.2}], "curve"),
+        (figures.frailty_curve, [{"frailty": 0.0}, {"frailty": 0.2}], "frailty_curve"),
+    ],
+)
+def test_a_curve_is_drawn_through_its_points(draw, points, curve):
+    told = tuple(
+        CurvePoint(**{"tau_s": 0.0, **place}, probability=p, low=p / 2, high=2 * p, ess=50.0)
+        for place, p in zip(points, (1e-9, 1e-4), strict=True)
+    )
+    figure = draw(result=result(memory=RunMemory(**{"tau_s": 0.0, curve: told})))
     line, *whiskers = figure.axes[0].lines
+    assert list(line.get_xdata()) == [0.0, 0.2]
     assert list(line.get_ydata()) == [1e-9, 1e-4]
     assert [list(w.get_ydata()) for w in whiskers] == [[5e-10, 2e-9], [5e-5, 2e-4]]
     with pytest.raises(InputError, match="memory_curve=True"):
-        figures.memory_curve(result=result())
+        draw(result=result())
 
 
 def test_rollouts_and_proposals_are_drawn_of_the_stages_that_were_kept():

@@ -15,7 +15,7 @@ from pemviz.panel.views.page import PLOT_PX, cell, page, wide
 from pemviz.reports.pictures.causes import cause_sections
 from pemviz.reports.pictures.data_plan import plan_part
 from pemviz.reports.pictures.html import good, grid, heading, number, percent, quiet, warning
-from pemviz.reports.pictures.memory import memory_curve
+from pemviz.reports.pictures.memory import memory_curves
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.trust import data_warnings, run_diagnostics
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
@@ -52,7 +52,7 @@ def _why(run: RunData, *, target: str) -> str:
         cell(plan_part(result)),
         cell(_trust(run)),
         cell(models_part(result)),
-        cell(memory_curve(result.memory)),
+        *map(cell, memory_curves(result.memory)),
         cell(_assumptions(run)),
         wide(_data(run)),
     )

@@ -44,15 +44,22 @@ FRAILTY = _Look(
 
 def memory_curve(memory: RunMemory | None) -> str:
     """What the assumptions are worth, in words and as plots; empty without a curve."""
-    over_tau, over_frailty = assumption_line(memory), frailty_line(memory)
-    if memory is None:
-        return ""
-    parts: list[str] = []
-    if over_tau is not None:
-        parts += [warning(over_tau), _plot(memory, BY_MEMORY_TIME, TAU), quiet(BY_MEMORY_TIME.note)]
-    if over_frailty is not None:
-        parts += [warning(over_frailty), _plot(memory, BY_FRAILTY, FRAILTY), quiet(BY_FRAILTY.note)]
-    return "".join(parts)
+    return "".join(memory_curves(memory))
+
+
+def memory_curves(memory: RunMemory | None) -> tuple[str, str]:
+    """What the assumptions on bursts and on how obstacles differ are worth; each empty without."""
+    bursts, obstacles = assumption_line(memory), frailty_line(memory)
+    return (
+        "" if memory is None or bursts is None else _told(memory, bursts, BY_MEMORY_TIME, TAU),
+        ""
+        if memory is None or obstacles is None
+        else _told(memory, obstacles, BY_FRAILTY, FRAILTY),
+    )
+
+
+def _told(memory: RunMemory, line: str, axis: CurveAxis, look: _Look) -> str:
+    return warning(line) + _plot(memory, axis, look) + quiet(axis.note)
 
 
 def _plot(memory: RunMemory, axis: CurveAxis, look: _Look) -> str:

@@ -13,7 +13,7 @@ GRANTED: Mapping[RungKind, str] = {
     "sampling": "the error model {pem} and the simulation are right",
     "refits": "any refit of {pem} to its data may be right",
     "families": "any of the other shipped kinds of error model may be right",
-    "memory": "misses may hang together in time, for as long as was looked at",
+    "memory": "misses may hang together in time, and obstacles differ, as far as was looked at",
     "data": "of the model no more is granted than that P(missed) is constant in bands of distance, "
     "and misses are as assumed",
 }

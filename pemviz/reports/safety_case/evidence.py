@@ -12,11 +12,10 @@ from pemviz.reports.estimate_text import (
     violations_text,
 )
 from pemviz.reports.ladder_text import LADDER_TITLE, rung_name
-from pemviz.reports.memory_curve import assumption_line
 from pemviz.reports.pictures.answers import AnswerRow, answers_plot
 from pemviz.reports.pictures.causes import band_table, chain_table
 from pemviz.reports.pictures.ladder import ladder_plot
-from pemviz.reports.pictures.memory import memory_curve
+from pemviz.reports.pictures.memory import memory_curves
 from pemviz.reports.pictures.violations import gap_plot, misses_over_time
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.safety_case.case import CaseRun
@@ -168,14 +167,15 @@ NO_DATA_WARNING = "Nothing speaks against the error model where the scenario goe
 
 def _memory(result: RunResult) -> str:
     """What independence of misses is worth, where it was asked; otherwise that it was not."""
-    if assumption_line(result.memory) is None:
+    over_time, over_frailty = memory_curves(result.memory)
+    if not over_time:
         return warnings(
             [
                 "What the assumption on how misses follow each other is worth was not looked at "
                 "in this run: pemviz record --memory-curve tells. On video misses come in bursts."
             ]
         )
-    return f"<div class='half'>{memory_curve(result.memory)}</div>"
+    return pair(over_time, over_frailty)
 
 
 def _causes(run: CaseRun) -> str:
