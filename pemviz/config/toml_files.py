@@ -110,12 +110,18 @@ def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
 
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON; rules, position errors, tracker if any."""
-    table = asdict(config)
-    del table["rules"]
+    table = every_setting(config)
     if config.scenario.tracker == NO_TRACKER:
         del table["scenario"]["tracker"]
     if config.position_errors is None:
         del table["position_errors"]
+    return table
+
+
+def every_setting(config: ExperimentConfig) -> dict[str, Any]:
+    """Every field as plain values, those that files leave out as well; rules by name, if any."""
+    table = asdict(config)
+    del table["rules"]
     if config.rules:
         table["rules"] = {rule.name: rule.formula for rule in config.rules}
     return table

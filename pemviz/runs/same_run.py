@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from pemviz.config import ExperimentConfig
-from pemviz.config.toml_files import config_table, load_config
+from pemviz.config.toml_files import every_setting, load_config
 from pemviz.errors import InputError
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import read_result
@@ -54,7 +54,7 @@ def setting_differences(
     first: ExperimentConfig, second: ExperimentConfig
 ) -> dict[str, tuple[Any, Any]]:
     """The settings in which two configurations differ, by dotted name, with both values."""
-    one, other = flat_settings(config_table(first)), flat_settings(config_table(second))
+    one, other = flat_settings(every_setting(first)), flat_settings(every_setting(second))
     names = [*one, *(name for name in other if name not in one)]
     return {n: (one.get(n), other.get(n)) for n in names if one.get(n) != other.get(n)}
 

@@ -97,12 +97,16 @@ def test_a_run_keeps_the_answers_of_its_refits(naive_run):
 
 
 def test_runs_side_by_side_show_every_setting_that_differs(live_run, naive_run):
-    third = replace(naive_run, result=replace(naive_run.result, config=live_run.config))
+    rules = {"near": "gap > 2"}
+    other = replace(live_run.config.with_rules(rules), position_errors="pointrcnn")
+    third = replace(naive_run, result=replace(naive_run.result, config=other))
     runs = [naive_run, live_run, third]
     rows = list(well_formed(compare.differences_table(runs)).iter("tr"))
     cells = {row[0].text: [cell.text for cell in row[1:]] for row in rows[1:]}
     assert cells["method"] == ["naive", "adaptive", "adaptive"]
     assert cells["final_rollouts"] == ["60", "40", "40"]
+    assert cells["rules.near"] == ["–", "–", "gap > 2"]
+    assert cells["position_errors"] == ["–", "–", "pointrcnn"]
     assert "seed" not in cells
     table = well_formed(compare.estimates_table(runs))
     assert len(list(table.iter("tr"))) == 4

@@ -9,7 +9,7 @@ import numpy as np
 from pemviz.arrays import BoolArray
 from pemviz.colors import BLACK, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
-from pemviz.config.toml_files import config_table
+from pemviz.config.toml_files import every_setting
 from pemviz.panel.ranking import elites, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.curves import RUN_COLORS, RUN_DASHES, Curves, Line, over_common
@@ -215,19 +215,23 @@ def _is_reliable(run: RunData) -> str:
 
 def differences_table(runs: Sequence[RunData]) -> str:
     """The settings in which runs differ, with every run's value."""
-    settings = [flat_settings(config_table(run.config)) for run in runs]
+    settings = [flat_settings(every_setting(run.config)) for run in runs]
+    names = sorted({name for each in settings for name in each})
     differing = [
-        name for name in sorted(settings[0]) if any(s[name] != settings[0][name] for s in settings)
+        name for name in names if any(s.get(name) != settings[0].get(name) for s in settings)
     ]
     if not differing:
         return quiet("All settings are equal.")
     lines = [
-        [escape(name), *(escape(shown_setting(s[name])) for s in settings)] for name in differing
+        [escape(name), *(escape(shown_setting(s.get(name))) for s in settings)]
+        for name in differing
     ]
     return grid(["", *LETTERS[: len(runs)]], lines, name="Settings")
 
 
 def shown_setting(value: object) -> str:
-    """A setting in few characters."""
+    """A setting in few characters; a dash where a run has none of the name."""
+    if value is None:
+        return number(None)
     words = f"{value:g}" if isinstance(value, float) else str(value)
     return words if len(words) <= 40 else words[:39] + "\N{HORIZONTAL ELLIPSIS}"
