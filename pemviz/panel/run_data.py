@@ -13,7 +13,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.runs.result import RunResult, StageSummary
-from pemviz.runs.rollout_files import BROKEN
+from pemviz.runs.rollout_files import BROKEN, latents_of, log_weights
 from pemviz.simulators.braking.scenario import scenario_signals
 from pemviz.types import Simulator, StageKind
 
@@ -119,8 +119,7 @@ class RunData:
     @cached_property
     def log_weight(self) -> FloatArray:
         """Log importance weights ``[N]`` of the rollouts kept [nats]."""
-        rollouts = self.rollouts
-        return row_sums(np.asarray(rollouts["log_p"] - rollouts["log_q"], dtype=np.float64))
+        return log_weights(self.rollouts)
 
     @cached_property
     def pem_nll(self) -> FloatArray:
@@ -161,7 +160,7 @@ def thinned(
         return tuple(parts)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     violations = np.flatnonzero(final_violations(joined, stages=stages))
-    log_weight = row_sums(joined["log_p"][violations] - joined["log_q"][violations])
+    log_weight = log_weights(joined)[violations]
     heavy = violations[np.argsort(-log_weight, kind="stable")[: limit // 2]]
     order = np.argsort(joined["robustness"], kind="stable")
     others = order[~np.isin(order, heavy)][: limit - heavy.size]
@@ -239,6 +238,11 @@ def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, wher
         if fault is not None:
             message = f"rollouts {where}: {name} {fault}"
             raise InputError(message)
+    try:
+        latents_of(table)
+    except ValueError as error:
+        message = f"rollouts {where}: {error}"
+        raise InputError(message) from error
 
 
 def _fault(name: str, values: AnyArray) -> str | None:

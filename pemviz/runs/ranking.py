@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pemviz.analysis.contribution import carrying, contributions
-from pemviz.arrays import AnyArray, BoolArray, IntArray, row_sums
+from pemviz.arrays import AnyArray, BoolArray, IntArray
 from pemviz.runs.result import StageSummary, weighty_stages
-from pemviz.runs.rollout_files import latents_of
+from pemviz.runs.rollout_files import log_weights
 
 
 def ranked_rows(table: Mapping[str, AnyArray], stages: Sequence[StageSummary]) -> IntArray:
@@ -30,15 +30,11 @@ def ranked_rows(table: Mapping[str, AnyArray], stages: Sequence[StageSummary]) -
 def _carries(table: Mapping[str, AnyArray], stages: Sequence[StageSummary]) -> BoolArray:
     """Which rollouts ``[N]`` are among those that carry the estimate of a stage that counts."""
     carries = np.zeros(table["violated"].shape, dtype=np.bool_)
-    latents = latents_of(table)
+    log_weight = log_weights(table)
     for repetition, stage in weighty_stages(stages):
         rows = np.flatnonzero((table["repetition"] == repetition) & (table["stage"] == stage))
         if rows.size == 0:
             continue
-        ratios = np.subtract(table["log_p"][rows], table["log_q"][rows], order="C")
-        log_weight = row_sums(ratios)
-        if latents is not None:
-            log_weight = log_weight + latents.take(rows).log_weight
         violated = np.asarray(table["violated"][rows], dtype=np.bool_)
-        carries[rows] = carrying(contributions(log_weight, violated=violated))
+        carries[rows] = carrying(contributions(log_weight[rows], violated=violated))
     return carries

@@ -9,7 +9,7 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.lib import format as npy
 
-from pemviz.arrays import LARGEST_NUMBER, AnyArray
+from pemviz.arrays import LARGEST_NUMBER, AnyArray, FloatArray, row_sums
 from pemviz.errors import InputError
 from pemviz.files.array_files import read_arrays
 from pemviz.files.atomic import write_atomically
@@ -83,6 +83,19 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
             raise ValueError(message)
         kept[name] = values
     return Latents(**kept)
+
+
+def log_weights(arrays: Mapping[str, AnyArray]) -> FloatArray:
+    """Log importance weights ``[N]`` of rollouts under the keys of ``rollouts.npz`` [nats].
+
+    Of outcomes and, where there are some, of latents.
+
+    Raises:
+        ValueError: Latents do not fit together, or are no finite numbers.
+    """
+    of_outcomes = row_sums(np.subtract(arrays["log_p"], arrays["log_q"], order="C"))
+    latents = latents_of(arrays)
+    return of_outcomes if latents is None else of_outcomes + latents.log_weight
 
 
 def part_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:

@@ -199,3 +199,31 @@ def test_a_stored_run_without_a_rules_column_is_refused(naive_run):
     config = naive_run.config.with_rules({"far": "always[0,99] (gap >= 3.0)"})
     with pytest.raises(InputError, match=r"broken\.far is absent"):
         check_table(naive_run.rollouts, config, where="here")
+
+
+def test_weights_and_shares_count_latents(controller):
+    """Measured distances err: what moved their noise is part of a rollout's weight."""
+    config = ExperimentConfig(
+        method="mixture", stages=2, rollouts=60, final_rollouts=60, seed=5,
+        position_errors="pointpillars",
+    )  # fmt: skip
+    controller.start(config)
+    run = wait_until(controller).run
+    table = run.rollouts
+    of_outcomes = (table["log_p"] - table["log_q"]).sum(axis=1)
+    # noise is drawn from (1 - c) N(0, 1) + c N(mean, 1)
+    z, mean, share = (table[f"latents.{n}"] for n in ("noise", "noise_mean", "noise_share"))
+    moved = np.exp((mean * (z - 0.5 * mean)).sum(axis=2))
+    of_latents = -np.log1p(share * (moved - 1.0)).sum(axis=1)
+    begun, moved_by = table["latents.start"], table["latents.start_mean"]
+    of_latents = of_latents - (moved_by * (begun - 0.5 * moved_by)).sum(axis=1)
+    assert np.abs(of_latents).max() > 1.0
+    np.testing.assert_allclose(run.log_weight, of_outcomes + of_latents, rtol=1e-9, atol=1e-9)
+    stored = load_run(run.folder)
+    np.testing.assert_array_equal(stored.log_weight, run.log_weight)
+    first = run.result.least_robust[0]
+    shown = rank(run, config.metric, among="carrying")
+    assert row(run, shown, 0).share == pytest.approx(first.share, rel=1e-12)
+    damaged = {**table, "latents.noise_mean": mean[:, :-1]}
+    with pytest.raises(InputError, match=r"latents\.noise_mean must be finite numbers of shape"):
+        check_table(damaged, config, where="here")

@@ -12,7 +12,7 @@ from pemviz.errors import InputError
 from pemviz.pem import PemCard, load_pem
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import RESULT_FILE, has_result
-from pemviz.runs.rollout_files import latents_of, load_rollouts
+from pemviz.runs.rollout_files import load_rollouts, log_weights
 from pemviz.runs.same_run import read_whole_run
 
 ROLLOUTS = "rollouts.npz"
@@ -145,10 +145,7 @@ def _likeliest(rollouts: Mapping[str, AnyArray], result: RunResult) -> Violation
     found = np.flatnonzero(violated & in_final if np.any(violated & in_final) else violated)
     if found.size == 0 or GAP not in rollouts or rollouts["detected"].ndim > 2:
         return None  # the picture is of one obstacle's misses against its gap
-    log_weight = np.sum(rollouts["log_p"][found] - rollouts["log_q"][found], axis=1)
-    latents = latents_of(rollouts)
-    if latents is not None:
-        log_weight += latents.log_weight[found]
+    log_weight = log_weights(rollouts)[found]
     weight = np.exp(log_weight - np.max(log_weight))
     order = np.argsort(-weight, kind="stable")[:LIKELIEST]
     missed = ~np.asarray(rollouts["detected"][found[order]], dtype=np.bool_)
