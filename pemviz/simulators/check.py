@@ -10,6 +10,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.latents import StandardNormals
 from pemviz.simulators.check_latents import check_counts, tried_normals
+from pemviz.simulators.check_scene import check_scene
 from pemviz.simulators.check_slots import (
     check_asked,
     check_ever_present,
@@ -79,6 +80,8 @@ def check_simulator(simulator: Simulator | SlotSimulator) -> None:
         check_ever_present(simulator, course, where)
     else:
         _check_salient(simulator, course[1].signals, where)
+    for states in (start, course[-1]):
+        check_scene(simulator, states, where)
     _check_alike(simulator, course, where)
     _check_order(simulator, course, where)
     _check_continued(simulator, course, where)
@@ -144,6 +147,7 @@ def _check_episodes(simulator: Simulator | SlotSimulator, where: str) -> None:
     else:
         first = {name: np.repeat(values, COUNT) for name, values in course[1].signals.items()}
         _check_salient(simulator, first, where)
+    check_scene(simulator, course[-1], where)
 
 
 def _episode(simulator: Simulator | SlotSimulator, where: str) -> list[StateBatch]:

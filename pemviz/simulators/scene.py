@@ -1,0 +1,133 @@
+"""What a scenario may offer so that views draw it: cars on a road, and where it tracks them.
+
+The frame is the world's: x along the road, y to its left [m], headings counterclockwise from x
+[rad]; x and y are those of a car's centre. Any simulator may offer it, shipped or not: a view asks
+:func:`drawn_scene` and :func:`drawn_tracks`, and draws whatever states files hold.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.types import StateBatch
+
+
+@dataclass(frozen=True)
+class SceneCar:
+    """One car of a scene.
+
+    Attributes:
+        name: For labels, e.g. ``lead``.
+        length_m: Bumper to bumper.
+        width_m: Side to side.
+        height_m: Ground to roof.
+        slot: Name of the slot whose outcomes are about this car; ``None``: perception is not asked
+            about it. Without slots, outcomes are about the first car after the ego.
+    """
+
+    name: str
+    length_m: float = 5.0
+    width_m: float = 2.0
+    height_m: float = 1.5
+    slot: str | None = None
+
+
+@dataclass(frozen=True)
+class Road:
+    """A straight road.
+
+    Attributes:
+        lane_edges_m: y of its lines [m], ascending, at least two; those between the first and the
+            last part lanes.
+    """
+
+    lane_edges_m: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class SceneStates:
+    """Where C cars are in states ``[...]``.
+
+    Attributes:
+        x_m: Centre along the road, ``[..., C]`` [m].
+        y_m: Centre to the left, ``[..., C]`` [m].
+        heading_rad: ``[..., C]``, counterclockwise from the road's direction [rad].
+        speed_mps: ``[..., C]`` [m/s].
+        present: ``[..., C]`` whether the car is there at all; the rest counts only where it is.
+        collided: ``[...]`` whether the ego has touched another car.
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    heading_rad: FloatArray
+    speed_mps: FloatArray
+    present: BoolArray
+    collided: BoolArray
+
+
+@dataclass(frozen=True)
+class SceneTracks:
+    """Where the controller believes the car of each of K slots to be, in states ``[...]``.
+
+    Attributes:
+        x_m: Its centre along the road, ``[..., K]`` [m].
+        y_m: Its centre to the left, ``[..., K]`` [m].
+        x_sd_m: Standard deviation of ``x_m``, ``[..., K]`` [m]; 0 where none is known.
+        y_sd_m: Standard deviation of ``y_m``, ``[..., K]`` [m].
+        confirmed: ``[..., K]`` whether there is a track that the controller acts on; the rest
+            counts only where there is.
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    x_sd_m: FloatArray
+    y_sd_m: FloatArray
+    confirmed: BoolArray
+
+
+@runtime_checkable
+class DrawsScene(Protocol):
+    """A scenario that tells where its cars are."""
+
+    @property
+    def scene_cars(self) -> tuple[SceneCar, ...]:
+        """The C cars, the ego first."""
+        ...
+
+    @property
+    def road(self) -> Road:
+        """What they drive on."""
+        ...
+
+    def scene(self, signals: Mapping[str, FloatArray]) -> SceneStates:
+        """Signals ``[...]`` to where the cars are: signals are what files hold of a rollout."""
+        ...
+
+
+@runtime_checkable
+class DrawsTracks(Protocol):
+    """A scenario that tells where its controller believes cars to be."""
+
+    def scene_tracks(self, states: StateBatch) -> SceneTracks:
+        """States ``[...]``, memory included, to the tracks of the K slots, 1 without slots."""
+        ...
+
+
+def drawn_scene(simulator: object) -> DrawsScene | None:
+    """A simulator, or the one that it wraps, if it tells where its cars are."""
+    return next((one for one in _inwards(simulator) if isinstance(one, DrawsScene)), None)
+
+
+def drawn_tracks(simulator: object) -> DrawsTracks | None:
+    """A simulator, or the one that it wraps, if it tells where it believes cars to be."""
+    return next((one for one in _inwards(simulator) if isinstance(one, DrawsTracks)), None)
+
+
+def _inwards(simulator: Any) -> list[Any]:
+    """A simulator, the one that it wraps as ``scenario``, and so on."""
+    layers: list[Any] = []
+    while simulator is not None:
+        layers.append(simulator)
+        simulator = getattr(simulator, "scenario", None)
+    return layers
