@@ -21,13 +21,19 @@ class StandingCar:
         Signal(name="gap", key="gap_m", unit="m", low=-50.0, high=250.0),
         Signal(name="speed", key="speed_mps", unit="m/s", low=0.0, high=20.0),
     )
-    latents = LatentCounts(start=1, noise=1)  # standard normals, for quantiles to map
+    latents = LatentCounts(start=2, noise=1)  # standard normals, for quantiles to map
+    starts: tuple[Signal, ...] = (  # what they mean at the start: which starts are dangerous?
+        Signal(name="gap", key="gap_m", unit="m", low=40.0, high=90.0),
+        Signal(name="speed", key="speed_mps", unit="m/s", low=10.0, high=18.0),
+    )
+    start_plane: tuple[str, str] = ("gap", "speed")
 
-    def initial(self, *, count: int, start: FloatArray) -> StateBatch:  # start [count, 1]
-        signals = {
-            "gap": quantiles.log_normal(start[:, 0], median=60.0, spread=0.1),
-            "speed": np.full(count, 14.0),
-        }
+    def start_values(self, start: FloatArray) -> Mapping[str, FloatArray]:  # start [N, 2]
+        gap_m = quantiles.log_normal(start[:, 0], median=60.0, spread=0.1)
+        return {"gap": gap_m, "speed": quantiles.normal(start[:, 1], mean=14.0, sd=1.0)}
+
+    def initial(self, *, count: int, start: FloatArray) -> StateBatch:  # noqa: ARG002
+        signals = self.start_values(start)  # [count] each
         return StateBatch(step=np.zeros((), dtype=np.int64), signals=signals)
 
     def step(self, states: StateBatch, detected: BoolArray, noise: FloatArray) -> StateBatch:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         SceneTracks,
     )
     from pemviz.simulators.slots import Slot, SlotSimulator
+    from pemviz.simulators.starts import NamesStarts
     from pemviz.simulators.tracking.filters import AlphaBeta, Kalman
     from pemviz.simulators.tracking.tracked import tracked
     from pemviz.simulators.tracking.tracker import Tracker, TrackerState
@@ -71,6 +72,7 @@ _HOMES = {
     "Latents": "latents",
     "LeastRobust": "runs.least_robust",
     "MethodDescription": "sampling.description",
+    "NamesStarts": "simulators.starts",
     "PemvizError": "errors",
     "Proposal": "types",
     "Road": "simulators.scene",
@@ -125,6 +127,7 @@ __all__ = [
     "Latents",
     "LeastRobust",
     "MethodDescription",
+    "NamesStarts",
     "PemvizError",
     "Proposal",
     "Road",

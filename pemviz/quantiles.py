@@ -11,7 +11,7 @@ the median the survival function is used, so that z = 8 is as exact as z = -8.
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import log_ndtr, ndtr, ndtri_exp
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import ConfigError
@@ -57,24 +57,69 @@ def uniform(z: FloatArray, *, low: Numbers, high: Numbers) -> FloatArray:
     return np.where(z < 0.0, low + share, high - share)
 
 
-def empirical(z: FloatArray, *, sample: FloatArray) -> FloatArray:
-    """As a ``sample [n]``, linear between its sorted values (Hyndman, Fan 1996, type 7).
+def truncated(z: FloatArray, *, low: float, high: float) -> FloatArray:
+    """Standard normals cut to ``[low, high]``, for the functions above to map.
 
-    Nothing lies beyond the sample's ends: what it did not show does not happen.
+    With u the latent's probability, the quantile of (1 - u) Phi(low) + u Phi(high), by logarithms
+    and in whichever tail is the smaller: an interval from 20 to 21 keeps its digits too.
+
+    Args:
+        z: Standard normals, ``[...]``; values increase with them.
+        low: Finite or minus infinity.
+        high: Finite or infinity.
 
     Raises:
-        ConfigError: Fewer than two values, or one that is no finite number.
+        ConfigError: ``low`` is not below ``high``.
+    """
+    if not low < high:
+        message = f"truncated: low = {low:g}: must be below high = {high:g}"
+        raise ConfigError(message)
+    z = np.asarray(z)
+    below = np.logaddexp(log_ndtr(low) + log_ndtr(-z), log_ndtr(high) + log_ndtr(z))
+    above = np.logaddexp(log_ndtr(-low) + log_ndtr(-z), log_ndtr(-high) + log_ndtr(z))
+    values = np.where(below < above, ndtri_exp(below), -ndtri_exp(above))
+    return np.clip(values, low, high)
+
+
+def empirical(
+    z: FloatArray, *, sample: FloatArray, low: float = -np.inf, high: float = np.inf
+) -> FloatArray:
+    """As a ``sample [n]``, linear between its sorted values (Hyndman, Fan 1996, type 7).
+
+    Nothing lies beyond the sample's ends: what it did not show does not happen. Nor beyond ``low``
+    and ``high``: what lies between them is scaled up to the whole.
+
+    Raises:
+        ConfigError: Fewer than two values, one that is no finite number, or nothing between
+            ``low`` and ``high``.
     """
     ordered = np.sort(np.asarray(sample, dtype=np.float64), axis=None)
     if ordered.size < 2 or not np.isfinite(ordered).all():
         message = f"empirical: {ordered.size} values: must be two finite numbers at least"
         raise ConfigError(message)
     z = np.asarray(z)
-    place = (ordered.size - 1) * ndtr(-np.abs(z))
-    ranks = np.arange(ordered.size, dtype=np.float64)
-    from_low = np.interp(place, ranks, ordered)
-    from_high = np.interp(place, ranks, ordered[::-1])
+    begin, end = _place(ordered, low), ordered.size - 1 - _place(-ordered[::-1], -high)
+    if not begin < end:
+        message = f"empirical: nothing of the sample lies in [{low:g}, {high:g}]"
+        raise ConfigError(message)
+    inner = np.arange(np.floor(begin) + 1.0, np.ceil(end))
+    ranks = np.concatenate([[begin], inner, [end]])
+    values = np.interp(ranks, np.arange(ordered.size), ordered)
+    place = (end - begin) * ndtr(-np.abs(z))
+    from_low = np.interp(place, ranks - begin, values)
+    from_high = np.interp(place, end - ranks[::-1], values[::-1])
     return np.where(z < 0.0, from_low, from_high)
+
+
+def _place(ordered: FloatArray, bound: float) -> float:
+    """The first rank, between the values' own ranks too, that is not below ``bound``."""
+    rank = int(np.searchsorted(ordered, bound, side="left"))
+    if rank == 0:
+        return 0.0
+    if rank == ordered.size:
+        return float(rank)
+    before, after = ordered[rank - 1], ordered[rank]
+    return rank - 1 + float((bound - before) / (after - before))
 
 
 def distribution(z: FloatArray, of: Any) -> FloatArray:

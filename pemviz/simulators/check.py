@@ -22,6 +22,7 @@ from pemviz.simulators.episodic import episodic, kept_memory
 from pemviz.simulators.latched import VIOLATED
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import SlotSimulator
+from pemviz.simulators.starts import check_starts
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Signal, Simulator, StateBatch
 
@@ -64,6 +65,7 @@ def check_simulator(simulator: Simulator | SlotSimulator) -> None:
     where = f"simulator {simulator.name!r}"
     _check_facts(simulator, where)
     check_counts(simulator, where)
+    check_starts(simulator, where)
     if isinstance(simulator, SlotSimulator):
         check_slots(simulator, where)
     if episodic(simulator) is not None:
