@@ -104,7 +104,8 @@ class ExperimentConfig:
     group pemviz.methods."""
     metric: MetricName = "classical"
     """Robustness metric that ranks rollouts and sets thresholds; violations are always decided
-    by the classical one."""
+    by the classical one. agm counts what position errors, latents or a tracker carry beyond its
+    bounds as the bound."""
     spec: str = "always[0,99] (gap >= 2.0)"
     """Specification in Signal Temporal Logic over gap [m], ego_speed and lead_speed [m/s];
     intervals count steps."""

@@ -17,7 +17,8 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
 from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData, signals_of, verdicts
-from pemviz.runs.specification import build_formula, build_metric
+from pemviz.runs.rollout_files import latents_of
+from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
 from pemviz.sampling.elite_threshold import elite_threshold
 from pemviz.sampling.elite_threshold import elites as elites_of_stage
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
@@ -56,7 +57,11 @@ def rank(
     by_share: bool = False,
     rule: str | None = None,
 ) -> Ranking:
-    """Rank a run's rollouts; scores are computed once for a run, a metric and a rule."""
+    """Rank a run's rollouts; scores are computed once for a run, a metric and a rule.
+
+    Raises:
+        InputError: The metric cannot score them: agm, with bounds that rollouts leave.
+    """
     return run.memo.get(
         ("ranking", metric, among, by_share, rule),
         lambda: _rank(run, metric, among=among, by_share=by_share, rule=rule),
@@ -92,7 +97,8 @@ def _robustness(run: RunData, metric: MetricName, rule: str | None) -> FloatArra
     formulas = {None: run.config.spec} | {one.name: one.formula for one in run.config.rules}
     config = replace(run.config, metric=metric, spec=formulas[rule], rules=())
     formula = build_formula(config, simulator)
-    scale = build_metric(config, simulator)
+    beyond = latents_of(run.rollouts) is not None or may_leave_bounds(simulator)
+    scale = build_metric(config, simulator, beyond=beyond)
     return np.asarray(stl.robustness(formula, signals_of(run), scale), dtype=np.float64)
 
 

@@ -36,6 +36,7 @@ from pemviz.runs.interpretation import (
 from pemviz.runs.memory import memory_of
 from pemviz.runs.result import PemInfo, RunResult, position_info, with_stage
 from pemviz.runs.rules import estimates_by_rule, rule_answers
+from pemviz.runs.specification import may_leave_bounds
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.slots import Slot
@@ -45,6 +46,7 @@ VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
 
 LATENTS = "beside perception, independent standard normals that the simulator maps are random"
 INDEPENDENT = "misses are independent of each other given the state"
+BOUNDED = "metric agm, which ranks rollouts and no more, counts what is beyond a bound as the bound"
 ASSUMPTIONS = (
     "perception never reports an obstacle that is not there",
     "there is one obstacle, the lead car",
@@ -259,6 +261,8 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
         others = [f"{LATENTS}: {latents}", *others]
     if experiment.back_end.position_errors is not None:
         others = [_measured_by(experiment.back_end.position_errors), *others]
+    if experiment.config.metric == "agm" and may_leave_bounds(experiment.problem.simulator):
+        others = [*others, BOUNDED]
     if experiment.folding is not None:
         first = slots_assumption(experiment.folding.simulator.slots)
     tau_s, frailty = experiment.config.memory_s, experiment.config.frailty

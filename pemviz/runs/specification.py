@@ -18,6 +18,8 @@ from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
 from pemviz.simulators.latched import Monitor
+from pemviz.simulators.latents import latent_counts
+from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.stl.formulas import Or
 from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Simulator
@@ -111,18 +113,37 @@ def _parsed(text: str, simulator: Simulator, *, name: str) -> stl.Formula:
     return formula
 
 
-def build_metric(config: ExperimentConfig, simulator: Simulator) -> stl.Metric:
+def build_metric(
+    config: ExperimentConfig, simulator: Simulator, *, beyond: bool | None = None
+) -> stl.Metric:
     """The metric that ranks rollouts.
+
+    Args:
+        config: What is asked.
+        simulator: The scenario.
+        beyond: Whether rollouts may leave the bounds that agm normalises by, and values there
+            then count as the bound; by default as :func:`may_leave_bounds` says.
 
     Raises:
         ConfigError: The agm metric's bounds do not hold all that the scenario can reach.
     """
     if config.metric == "agm":
         check_bounds_hold(simulator)
-        return stl.Agm(bounds={s.name: (s.low, s.high) for s in declared_signals(simulator)})
+        bounds = {s.name: (s.low, s.high) for s in declared_signals(simulator)}
+        return stl.Agm(bounds, clip=may_leave_bounds(simulator) if beyond is None else beyond)
     if config.metric == "smooth-cumulative":
         return stl.SmoothCumulative(beta=config.smooth_beta_per_m)
     return stl.Classical()
+
+
+def may_leave_bounds(simulator: object) -> bool:
+    """Whether rollouts may go beyond those that are all missed and all detected.
+
+    Latents may carry them further, and so may a tracker: it goes on reporting what perception
+    misses again. Bounds that hold for all of them are far wider than what nearly all rollouts
+    reach, and robustness only ranks; so the bounds stay those of the scenario.
+    """
+    return bool(latent_counts(simulator)) or tracker_of(simulator) is not None
 
 
 def check_bounds_hold(simulator: Simulator) -> None:

@@ -157,6 +157,23 @@ def test_a_run_measures_with_errors_tells_so_and_is_replayed():
     np.testing.assert_array_equal(again[GAP][0], rollout.signals[GAP])
 
 
+def test_gaps_beyond_agms_bounds_count_as_the_bound_where_errors_may_lead_there():
+    """Without latents and a tracker the two extreme rollouts stay within; no value is cut."""
+    config = replace(small("monte-carlo"), metric="agm", spec="always[0,0] (gap >= 2.0)")
+    beyond = {name: np.full((1, PAPER.states), 10.0) for name in (GAP, EGO_SPEED, LEAD_SPEED)}
+    beyond[GAP][:] = 25.2
+    experiment = pemviz.build_experiment(config)
+    assert experiment.problem.robustness(beyond).tolist() == [(25.0 - 2.0) / 50.0]
+    for scenario in (PAPER, replace(PAPER, tracker="1/2,coast=0.2")):
+        exact = replace(config, position_errors=None, scenario=scenario)
+        problem = pemviz.build_experiment(exact).problem
+        if scenario is PAPER:
+            with pytest.raises(InputError, match="declared bounds"):
+                problem.robustness(beyond)
+        else:
+            assert problem.robustness(beyond).tolist() == [0.46]
+
+
 def test_runs_without_errors_know_of_none():
     experiment = pemviz.build_experiment(replace(load_preset("paper"), plan=False))
     assert experiment.back_end.position_errors is None

@@ -10,13 +10,14 @@ from pemviz.arrays import BoolArray
 from pemviz.colors import BLACK, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
 from pemviz.config.toml_files import every_setting
-from pemviz.panel.ranking import elites, rank, row
+from pemviz.errors import InputError
+from pemviz.panel.ranking import Ranking, elites, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.curves import RUN_COLORS, RUN_DASHES, Curves, Line, over_common
 from pemviz.panel.views.learning import DOUBTED, decades, logs_of_answer
 from pemviz.panel.views.page import cell, page, wide
 from pemviz.reports.estimate_text import no_interval_text
-from pemviz.reports.pictures.html import grid, heading, number, quiet
+from pemviz.reports.pictures.html import grid, heading, number, quiet, warning
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.same_run import flat_settings
 from pemviz.runs.trust import run_interval_caveats, run_unreliable_because
@@ -44,15 +45,16 @@ def metric_curves(run: RunData | None) -> Curves | None:
 
 
 def _metric_curves(run: RunData) -> Curves:
+    rankings, _ = _rankings(run)
     lines = [
         Line(
             f"{metric}, gap [m]",
-            np.asarray(run.rollouts["gap_m"][row(run, rank(run, metric), 0).index], np.float64),
+            np.asarray(run.rollouts["gap_m"][row(run, ranking, 0).index], np.float64),
             METRICS.get(metric, BLACK),
             width=3.4 - 0.8 * place,
             dash=METRIC_DASHES.get(metric, ()),
         )
-        for place, metric in enumerate(metric_names())
+        for place, (metric, ranking) in enumerate(rankings.items())
     ]
     time_s = np.arange(run.config.scenario.states, dtype=np.float64) * run.config.scenario.dt_s
     touch = np.full(time_s.size, CAMERA_TO_BUMPER_M)
@@ -68,7 +70,8 @@ def _metric_curves(run: RunData) -> Curves:
 def overlap_table(run: RunData) -> str:
     """How many elites two metrics share."""
     sigma = run.config.sigma
-    sets = {m: elites(run, rank(run, m), sigma=sigma) for m in metric_names()}
+    rankings, complaints = _rankings(run)
+    sets = {m: elites(run, ranking, sigma=sigma) for m, ranking in rankings.items()}
     lines = [
         [escape(a), *(overlap_text(sets[a], sets[b]) for b in sets)] for a in sets
     ]  # fmt: skip
@@ -81,7 +84,20 @@ def overlap_table(run: RunData) -> str:
         heading("Overlap of the elites")
         + grid(["", *map(escape, sets)], lines, name="Overlap of elites")
         + note
+        + "".join(map(warning, complaints))
     )
+
+
+def _rankings(run: RunData) -> tuple[dict[MetricName, Ranking], list[str]]:
+    """Rankings of the metrics that can score the rollouts, and in a line each why others cannot."""
+    rankings: dict[MetricName, Ranking] = {}
+    complaints: list[str] = []
+    for metric in metric_names():
+        try:
+            rankings[metric] = rank(run, metric)
+        except InputError as error:
+            complaints.append(f"{metric} is left out: {error}")
+    return rankings, complaints
 
 
 def overlap_text(first: BoolArray, second: BoolArray) -> str:
