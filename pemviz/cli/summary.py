@@ -12,6 +12,7 @@ from rich.table import Table
 from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
+from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.reports.causes_text import (
     BURST_COLUMNS,
     BURST_TITLE,
@@ -116,6 +117,8 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
         yield f"  reference {reference_text(result.reference, estimate)}"
     yield f"  {result.pem.name} learnt from {data_text(result.pem)}"
     yield f"  misses {memory_text(result.memory)}"
+    if config.scenario.tracker != NO_TRACKER:
+        yield f"  tracker between perception and controller: {config.scenario.tracker}"
     if result.position_errors is not None:
         yield f"  measured distance: {position_errors_text(result.position_errors)}"
     if result.latents is not None:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.causes_text import causes_line
 from pemviz.reports.digits import digits_of, end_text
@@ -137,6 +138,18 @@ def _hanging_together(memory: RunMemory) -> list[str]:
     return parts
 
 
+def beyond_default_text(result: RunResult) -> str:
+    """What of misses, tracker and measured distances the run was asked for; empty where nothing."""
+    config = result.config
+    parts = [f"memory time {config.memory_s:g} s"] if config.memory_s else []
+    parts += [f"frailty {config.frailty:g}"] if config.frailty else []
+    if config.scenario.tracker != NO_TRACKER:
+        parts.append(f"tracker {config.scenario.tracker}")
+    if result.position_errors is not None:
+        parts.append(f"position errors {result.position_errors.name}")
+    return ", ".join(parts)
+
+
 def position_errors_text(model: PemInfo) -> str:
     """By which errors distances were measured, as far as a line needs it."""
     return f"with errors of {model.name}, from {data_text(model)}"
@@ -172,6 +185,8 @@ def summary_text(result: RunResult) -> str:
         f"  violations: {violations_text(estimate)}",
         *(f"  rule {rule.name}: {probability_text(rule.estimate)}" for rule in result.rules),
     ]
+    if result.config.scenario.tracker != NO_TRACKER:
+        lines.append(f"  tracker: {result.config.scenario.tracker}")
     if result.position_errors is not None:
         lines.append(f"  measured distance: {position_errors_text(result.position_errors)}")
     if result.latents is not None:

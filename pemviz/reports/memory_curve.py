@@ -182,7 +182,10 @@ def assumption_worth(memory: RunMemory | None) -> str:
     if memory is None or not memory.curve:
         return ""
     words = "Misses are taken as independent given the state."
-    if memory.tau_s > 0.0:
+    if memory.tau_s > 0.0 and memory.frailty > 0.0:
+        frailty = f"a frailty of {memory.frailty:g}"
+        words = f"A memory time of {memory.tau_s:g} s and {frailty} are assumptions."
+    elif memory.tau_s > 0.0:
         words = f"A memory time of {memory.tau_s:g} s is an assumption."
     elif memory.frailty > 0.0:
         words = "Misses are taken as independent given the state and the obstacle."

@@ -12,6 +12,7 @@ from pemviz.analysis.causes import BandMisses, Chain
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.config import ExperimentConfig
+from pemviz.errors import InputError
 from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import field_docs, hint, limits
 from pemviz.panel.ranking import rank, row
@@ -60,6 +61,35 @@ def test_pages_without_a_run_say_so():
     assert "No rollouts yet" in compare.metrics_page(None)
 
 
+def test_a_metric_that_cannot_score_the_rollouts_is_told_and_the_others_stay(naive_run):
+    scenario = replace(naive_run.config.scenario, gap_bound_m=10.0)
+    run = with_result(naive_run, config=replace(naive_run.config, scenario=scenario))
+    page = well_formed(compare.metrics_page(run))
+    (alert,) = [words for words in page.itertext() if "left out" in words]
+    assert "agm is left out: metric = 'agm': gap reaches" in alert
+    assert [header.text for header in page.iter("th")][1:] == ["classical", "smooth-cumulative"]
+    curves = compare.metric_curves(run)
+    assert [line.name for line in curves.lines if "," in line.name] == [
+        "classical, gap [m]", "smooth-cumulative, gap [m]",
+    ]  # fmt: skip
+
+
+def test_rollouts_that_latents_carry_beyond_agms_bounds_are_ranked_all_the_same(naive_run):
+    """As if they had stayed at the bound; without latents a gap beyond it is no such run's."""
+    table = dict(naive_run.rollouts)
+    safe = int(np.argmax(table["gap_m"].min(axis=1)))
+    for name, gap_m in (("kept", 25.0), ("left", 25.2)):
+        table[name] = np.array(table["gap_m"])
+        table[name][safe, 3] = gap_m
+    drawn = {"latents.start": np.zeros((60, 1)), "latents.start_mean": np.zeros((60, 1))}
+    left = {**table, "gap_m": table["left"]}
+    with pytest.raises(InputError, match="declared bounds"):
+        rank(replace(naive_run, parts=(left,)), "agm")
+    ranked = rank(replace(naive_run, parts=({**left, **drawn},)), "agm")
+    kept = rank(replace(naive_run, parts=({**table, "gap_m": table["kept"]},)), "agm")
+    np.testing.assert_array_equal(ranked.robustness, kept.robustness)
+
+
 def test_loaded_run_shows_what_the_live_one_showed(live_run, loaded_run):
     assert loaded_run.result == live_run.result
     assert len(loaded_run.curves) == len(live_run.curves)
@@ -72,8 +102,16 @@ def test_headline_gives_the_estimate(naive_run):
     text = headline.headline(naive_run)
     estimate = naive_run.result.estimate
     assert f"P(violation) = {number(estimate.probability, 2)}<" in text
-    assert "in one run, if error model ml-nn is right" in text
+    assert "in one run, if error model ml-nn is right<" in text
     assert f"{estimate.failures} of 60" in text
+    scenario = replace(naive_run.config.scenario, tracker="2/3,coast=0.5")
+    config = replace(naive_run.config, memory_s=0.2, frailty=0.7, scenario=scenario)
+    errors = PemInfo(name="pointrcnn", digest="", data="")
+    asked = headline.headline(with_result(naive_run, config=config, position_errors=errors))
+    assert (
+        "right; with memory time 0.2 s, frailty 0.7, tracker 2/3,coast=0.5, "
+        "position errors pointrcnn<"
+    ) in asked
 
 
 def test_headline_and_why_tell_of_a_disagreement_with_the_reference(naive_run):

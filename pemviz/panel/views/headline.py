@@ -10,6 +10,7 @@ from pemviz.reports.data_plan_text import short_rows
 from pemviz.reports.digits import digits_of
 from pemviz.reports.estimate_text import (
     aimed_text,
+    beyond_default_text,
     interval_name,
     level_text,
     no_interval_text,
@@ -60,7 +61,9 @@ def _answer(run: RunData) -> str:
         f"{number(estimate.rollouts_simulated, 6)} simulated"
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
-    lines += quiet(f"in one run, if error model {run.result.pem.name} is right")
+    asked = beyond_default_text(run.result)
+    given = f"; with {asked}" if asked else ""
+    lines += quiet(f"in one run, if error model {run.result.pem.name} is right{given}")
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
     worth = assumption_worth(run.result.memory)
     lines += warning(f"{worth} (more in Why)") if worth else ""
