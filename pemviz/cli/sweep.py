@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -24,7 +24,7 @@ from pemviz.sweep.cluster import ClusterWorkers
 from pemviz.sweep.fields import parse_variation
 from pemviz.sweep.folders import sweep_folder
 from pemviz.sweep.local import LocalWorkers
-from pemviz.sweep.model_files import ModelFiles, model_files
+from pemviz.sweep.model_files import ModelFiles, NamedModels, model_files, models_of
 from pemviz.sweep.plan import Plan, PlannedRun, make_plan
 from pemviz.sweep.runs import Keep
 from pemviz.sweep.summary import summary_markdown
@@ -83,7 +83,7 @@ def run(words: Sequence[str]) -> int:
     plan = make_plan(
         base, [parse_variation(text) for text in arguments.vary], seeds=arguments.seeds
     )
-    models = {name: model_files(name) for name in {one.config.pem for one in plan.runs}}
+    models = {names: model_files(names) for names in {models_of(one.config) for one in plan.runs}}
     workers = _workers(arguments, plan)
     out = _out(arguments, plan)
     with sweep_folder(out) as runs:
@@ -166,7 +166,7 @@ def _carry_out(
     before: Sequence[RunState],
     workers: Workers,
     *,
-    models: dict[str, ModelFiles],
+    models: Mapping[NamedModels, ModelFiles],
     keep: Keep,
     quiet: bool,
 ) -> tuple[list[RunState], str | None]:

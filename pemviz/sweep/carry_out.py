@@ -1,13 +1,13 @@
 """Carries a sweep's runs out: hands them to workers, keeps what comes back, retries once."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from pemviz.sweep.folders import read_finished, write_folder
-from pemviz.sweep.model_files import ModelFiles
+from pemviz.sweep.model_files import ModelFiles, NamedModels, models_of
 from pemviz.sweep.plan import PlannedRun
 from pemviz.sweep.runs import Keep, RunOutcome, task_of
 from pemviz.sweep.workers import Workers
@@ -15,7 +15,7 @@ from pemviz.types import Estimate
 
 POLL_S = 0.2
 ATTEMPTS = 2
-OTHER_RESULT = "its result is not what was asked for: another error model, or a damaged file"
+OTHER_RESULT = "its result is not what was asked for: another model, or a damaged file"
 
 RunStatus = Literal["done", "failed", "not run"]
 
@@ -65,7 +65,7 @@ def carry_out_runs(
     planned: Sequence[PlannedRun],
     workers: Workers,
     *,
-    models: dict[str, ModelFiles],
+    models: Mapping[NamedModels, ModelFiles],
     keep: Keep,
     on_report: OnReport,
     on_end: Callable[[RunState], None],
@@ -77,7 +77,7 @@ def carry_out_runs(
         runs: Where the run folders are made.
         planned: The runs.
         workers: Who carries them out, ready for it.
-        models: Files of error models by the name that configurations have for them.
+        models: Files of models by the names that configurations have for them.
         keep: What is kept of a run.
         on_report: Told of every run that is done or failed, for progress displays.
         on_end: Told of every run that is done, or failed for good.
@@ -94,7 +94,7 @@ def carry_out_runs(
         capacity = workers.capacity
         while waiting and running < capacity:
             one = waiting.popleft()
-            workers.submit(task_of(one, model=models[one.config.pem], keep=keep))
+            workers.submit(task_of(one, model=models[models_of(one.config)], keep=keep))
             running += 1
         for outcome in workers.finished(timeout_s=POLL_S):
             running -= 1

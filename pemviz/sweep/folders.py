@@ -85,7 +85,12 @@ def read_finished(runs: Path, planned: PlannedRun, *, keep: Keep) -> Estimate | 
         result = read_result(folder)
     except InputError:
         return None
-    difference = run_differs(result, config=planned.config, pem_digest=planned.pem_digest)
+    difference = run_differs(
+        result,
+        config=planned.config,
+        pem_digest=planned.pem_digest,
+        position_digest=planned.position_digest,
+    )
     if result.status != "done" or difference is not None or result.estimate is None:
         return None
     return replace(result.estimate, diagnostics=run_diagnostics(result))

@@ -28,12 +28,14 @@ class PlannedRun:
         config: What is asked of it.
         setting: The varied fields with their values, the seed aside.
         pem_digest: SHA-256 of the error model that it shall use.
+        position_digest: The same of the position errors; ``None`` without.
     """
 
     name: str
     config: ExperimentConfig
     setting: Setting
     pem_digest: str
+    position_digest: str | None = None
 
     @property
     def label(self) -> str:
@@ -83,12 +85,12 @@ def make_plan(base: ExperimentConfig, variations: Sequence[Variation], *, seeds:
         chosen = tuple(zip((one.field for one in variations), values, strict=True))
         config = with_setting(base, chosen)
         setting = tuple((name, value) for name, value in chosen if name != "seed")
-        digest = _checked_digest(config, chosen)
+        digests = _checked_digests(config, chosen)
         for number in range(seeds):
             seeded = replace(config, seed=config.seed + number)
             seeded.validate()
             name = run_name(seeded, setting)
-            runs.append(PlannedRun(name, seeded, setting, digest))
+            runs.append(PlannedRun(name, seeded, setting, *digests))
     return Plan(variations=tuple(variations), runs=tuple(runs))
 
 
@@ -135,10 +137,12 @@ def _check(variations: Sequence[Variation], *, seeds: int) -> None:
         raise ConfigError(message)
 
 
-def _checked_digest(config: ExperimentConfig, chosen: Setting) -> str:
-    """Build the experiment, as a run will, and tell which error model it uses."""
+def _checked_digests(config: ExperimentConfig, chosen: Setting) -> tuple[str, str | None]:
+    """Build the experiment, as a run will, and tell which error model and errors it uses."""
     try:
-        return build_experiment(config).pem.digest
+        experiment = build_experiment(config)
+        errors = experiment.back_end.position_errors
+        return experiment.pem.digest, None if errors is None else errors.digest
     except InputError as error:
         if not chosen:
             raise

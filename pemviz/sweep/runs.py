@@ -38,7 +38,7 @@ class RunTask:
     Attributes:
         name: The run's.
         config_toml: Its configuration.
-        model: The error model's files, where it is no shipped one.
+        model: Files of the error model and the position errors, where they are no shipped ones.
         keep: Which files come back: configuration and result, or all.
         version: Of pemviz; another one might give other results.
     """
@@ -116,12 +116,9 @@ def _carry_out(task: RunTask, temporary: Path) -> RunOutcome:
 
 
 def _experiment(task: RunTask, temporary: Path) -> Experiment:
-    """The experiment as configured, with the error model read from where its files lie here."""
+    """The experiment as configured, with its models read from where their files lie here."""
     config = config_from_table(tomllib.loads(task.config_toml))
-    here = task.model.put_into(temporary)
-    if here is None:
-        return build_experiment(config)
-    return replace(build_experiment(replace(config, pem=str(here))), config=config)
+    return replace(build_experiment(task.model.put_into(temporary, config)), config=config)
 
 
 def _observers(task: RunTask, folder: Path) -> list[Observer]:

@@ -11,19 +11,20 @@ from dataclasses import replace
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.errors import RunError
+from pemviz.errors import InputError, RunError
+from pemviz.pem import constant_errors, save_position_errors
 from pemviz.processes import DIED, ONE_THREAD
 from pemviz.sweep.carry_out import ATTEMPTS, carry_out_runs, finished_before
 from pemviz.sweep.fields import parse_variation
-from pemviz.sweep.folders import write_folder
+from pemviz.sweep.folders import read_finished, write_folder
 from pemviz.sweep.local import LocalWorkers
-from pemviz.sweep.model_files import ModelFiles
+from pemviz.sweep.model_files import ModelFiles, model_files, models_of
 from pemviz.sweep.plan import make_plan
 from pemviz.sweep.runs import RunOutcome, carry_out, task_of
 from pemviz.sweep.table import rows
 
 NAIVE = ExperimentConfig(method="naive", final_rollouts=20)
-MODELS = {"ml-nn": ModelFiles()}
+MODELS = {("ml-nn", None): ModelFiles()}
 
 
 class InThisProcess:
@@ -106,6 +107,31 @@ def test_a_run_that_fails_by_itself_is_told_with_its_reason():
     assert outcome.files == ()
 
 
+def test_own_position_errors_travel_with_the_run_and_changed_ones_make_another_result(tmp_path):
+    """A worker elsewhere sees no file of this machine; a folder of a run before tells which."""
+    here, runs = tmp_path / "here" / "errors.safetensors", tmp_path / "runs"
+    here.parent.mkdir()
+    runs.mkdir()
+    save_position_errors(constant_errors(range_sd_m=0.5), here)
+    config = replace(NAIVE, position_errors=str(here))
+    (planned,) = make_plan(config, []).runs
+    task = task_of(planned, model=model_files(models_of(config)), keep="results")
+    here.rename(tmp_path / "away.safetensors")
+    outcome = carry_out(task)
+    assert outcome.message is None
+    write_folder(runs, planned.name, outcome.files)
+    assert read_finished(runs, planned, keep="results") is not None
+    save_position_errors(constant_errors(range_sd_m=0.6), here)
+    (changed,) = make_plan(config, []).runs
+    assert changed.name == planned.name
+    assert read_finished(runs, changed, keep="results") is None
+    here.unlink()
+    with pytest.raises(
+        InputError, match=r"errors\.safetensors': cannot be read "
+    ):
+        model_files(models_of(config))
+
+
 def test_another_version_is_refused():
     (planned,) = make_plan(NAIVE, []).runs
     task = replace(task_of(planned, model=ModelFiles(), keep="results"), version="0.0.1")
@@ -118,7 +144,7 @@ def test_a_result_of_another_error_model_is_no_result(tmp_path):
     plan = replace(make_plan(NAIVE, []), runs=(other,))
     states = driven(tmp_path, plan, InThisProcess(plan, {}))
     assert states[planned.name].status == "failed"
-    assert "another error model" in (states[planned.name].message or "")
+    assert "another model" in (states[planned.name].message or "")
 
 
 @pytest.mark.parametrize("name", ["../x", "a/b", ".hidden", "/etc/x", ""])
