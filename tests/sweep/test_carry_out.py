@@ -126,9 +126,7 @@ def test_own_position_errors_travel_with_the_run_and_changed_ones_make_another_r
     assert changed.name == planned.name
     assert read_finished(runs, changed, keep="results") is None
     here.unlink()
-    with pytest.raises(
-        InputError, match=r"errors\.safetensors': cannot be read "
-    ):
+    with pytest.raises(InputError, match=r"errors\.safetensors': cannot be read "):
         model_files(models_of(config))
 
 
