@@ -8,10 +8,10 @@ from typing import Annotated
 import tyro
 
 from pemviz.cli.parsing import Processes, parse_arguments
-from pemviz.config import ExperimentConfig
+from pemviz.config import ExperimentConfig, StartChoice
 from pemviz.config.gate_limits import GateLimits, read_limits
 from pemviz.config.ranges import Range, check_value
-from pemviz.config.rule_words import read_rules
+from pemviz.config.rule_words import read_rules, read_starts
 from pemviz.config.toml_files import load_config, load_preset
 from pemviz.errors import ConfigError
 from pemviz.sampling.registry import SHIPPED
@@ -32,8 +32,8 @@ class Source:
     """Where the configuration starts from; every other option overrides it."""
 
     preset: str | None = None
-    """Shipped configuration: paper, town01, or paper-algorithm, the paper's own method. Without
-    --config, paper."""
+    """Shipped configuration: paper, town01, or paper-algorithm, the paper's own method; or a family
+    of encounters with random starts: braking, cut-in, cut-out. Without --config, paper."""
     config: Path | None = None
     """Configuration file (TOML), for instance the config.toml of an earlier run."""
     resume: Path | None = None
@@ -56,6 +56,9 @@ class RecordArguments:
     tracker: str | None = None
     """Tracker between perception and controller: M/N, confirmed by M hits of N, then options such
     as ,coast=0.5,filter=kalman; none: none. As --scenario.tracker, which explains it."""
+    start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A start value of the family's encounters as NAME=VALUE, or NAME=DISTRIBUTION, such as
+    gap="lognormal(30, 0.4) in [8, 100]"; others keep theirs."""
     fail_above: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1.
     NAME=P for one of several rules."""
@@ -110,7 +113,7 @@ def parse(words: Sequence[str]) -> RecordArguments:
     ):
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
-    arguments = _with_tracker(_with_rules(arguments, start.experiment))
+    arguments = _with_starts(_with_tracker(_with_rules(arguments, start.experiment)))
     if source.resume is not None and arguments.experiment != start.experiment:
         message = (
             f"resume = {source.resume}: the run goes on with its own configuration; leave out "
@@ -128,6 +131,15 @@ def _with_tracker(arguments: RecordArguments) -> RecordArguments:
     config = arguments.experiment
     scenario = replace(config.scenario, tracker=arguments.tracker)
     return replace(arguments, experiment=replace(config, scenario=scenario))
+
+
+def _with_starts(arguments: RecordArguments) -> RecordArguments:
+    """With the start values that were given, beside those of preset or file."""
+    config = arguments.experiment
+    given = read_starts(arguments.start)
+    kept = [choice for choice in config.start if choice.name not in given]
+    start = (*kept, *(StartChoice(*choice) for choice in given.items()))
+    return replace(arguments, experiment=replace(config, start=start))
 
 
 def _with_rules(arguments: RecordArguments, start: ExperimentConfig) -> RecordArguments:

@@ -1,5 +1,6 @@
 """What is asked of a run, with units and ranges, and how it is written as TOML."""
 
+from pemviz.config.encounters import FAMILIES, EncounterConfig, StartChoice
 from pemviz.config.settings import (
     DEVICES,
     METHODS,
@@ -13,11 +14,14 @@ from pemviz.config.settings import (
 
 __all__ = [
     "DEVICES",
+    "FAMILIES",
     "METHODS",
     "SHIPPED_SIMULATORS",
+    "EncounterConfig",
     "ExperimentConfig",
     "MethodName",
     "MetricName",
     "Rule",
     "ScenarioConfig",
+    "StartChoice",
 ]

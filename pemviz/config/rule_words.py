@@ -1,4 +1,4 @@
-"""Rules as they are written on a command line and in a field: NAME=FORMULA."""
+"""Rules and start values as they are written on a command line: NAME=FORMULA, NAME=DISTRIBUTION."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,17 +12,30 @@ def read_rules(words: Sequence[str]) -> Mapping[str, str]:
     Raises:
         ConfigError: One is not NAME=FORMULA, or a name stands twice.
     """
-    rules: dict[str, str] = {}
+    return _read_named(words, kind="rule", value="FORMULA", another="another rule")
+
+
+def read_starts(words: Sequence[str]) -> Mapping[str, str]:
+    """Name to distribution.
+
+    Raises:
+        ConfigError: One is not NAME=DISTRIBUTION, or a name stands twice.
+    """
+    return _read_named(words, kind="start", value="DISTRIBUTION", another="another start value")
+
+
+def _read_named(words: Sequence[str], *, kind: str, value: str, another: str) -> Mapping[str, str]:
+    found: dict[str, str] = {}
     for word in words:
-        name, equals, formula = (part.strip() for part in word.partition("="))
-        if not equals or not name or not formula:
-            message = f"rule = {word!r}: must be NAME=FORMULA"
+        name, equals, text = (part.strip() for part in word.partition("="))
+        if not equals or not name or not text:
+            message = f"{kind} = {word!r}: must be NAME={value}"
             raise ConfigError(message)
-        if name in rules:
-            message = f"rule = {word!r}: another rule has this name"
+        if name in found:
+            message = f"{kind} = {word!r}: {another} has this name"
             raise ConfigError(message)
-        rules[name] = formula
-    return rules
+        found[name] = text
+    return found
 
 
 def rules_text(rules: Sequence[Rule]) -> str:

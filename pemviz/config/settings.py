@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Self
 
+from pemviz.config.encounters import NO_FAMILY, EncounterConfig, StartChoice, start_values
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range, check_fields, shown
 from pemviz.config.tracker_text import NO_TRACKER, read_tracker
@@ -177,6 +178,36 @@ class ExperimentConfig:
     range over refits, tracked sequences that would fix the memory time; a few seconds."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
+    encounter: EncounterConfig = field(default_factory=EncounterConfig)
+    """A family of encounters in place of the scenario, whose tracker it has."""
+    start: tuple[StartChoice, ...] = ()
+    """Start values of the encounter with other distributions than the family's."""
+
+    @property
+    def is_braking_scenario(self) -> bool:
+        """Whether it is about the one gap of the shipped braking scenario."""
+        return self.encounter.family == NO_FAMILY and self.simulator in SHIPPED_SIMULATORS
+
+    @property
+    def other_scenario(self) -> str:
+        """In words, of what is not the braking scenario."""
+        if self.encounter.family == NO_FAMILY:
+            return f"that of the simulator {self.simulator}"
+        return f"encounters of the family {self.encounter.family}, on {self.simulator}"
+
+    @property
+    def dt_s(self) -> float:
+        """Time step of what is shipped [s]."""
+        return self._timed.dt_s
+
+    @property
+    def states(self) -> int:
+        """States in a rollout of what is shipped (T)."""
+        return self._timed.states
+
+    @property
+    def _timed(self) -> ScenarioConfig | EncounterConfig:
+        return self.scenario if self.encounter.family == NO_FAMILY else self.encounter
 
     def with_rules(self, rules: Mapping[str, str]) -> Self:
         """The same with named rules instead of one specification; with none, as it is.
@@ -198,6 +229,7 @@ class ExperimentConfig:
         check_fields(self)
         read_tracker(self.scenario.tracker)
         self._validate_rules()
+        self._validate_encounter()
         if not self.pem.strip():
             message = "pem = '': must be the name of a shipped model or a file"
             raise ConfigError(message)
@@ -221,6 +253,40 @@ class ExperimentConfig:
         if self.rules and self.spec != conjunction(self.rules):
             message = f"spec = {self.spec!r}: must be left out where there are rules"
             raise ConfigError(message)
+
+    def _validate_encounter(self) -> None:
+        if self.encounter.family == NO_FAMILY:
+            if self.encounter != EncounterConfig() or self.start:
+                changed = "start" if self.start else "encounter"
+                message = f"{changed}: must be left out where encounter.family is none"
+                raise ConfigError(message)
+            return
+        if self.scenario != ScenarioConfig(tracker=self.scenario.tracker):
+            message = f"scenario: must be left out but for its tracker with {self._family}"
+            raise ConfigError(message)
+        if self.simulator not in SHIPPED_SIMULATORS:
+            allowed = " or ".join(SHIPPED_SIMULATORS)
+            message = f"simulator = {self.simulator!r}: must be {allowed} with {self._family}"
+            raise ConfigError(message)
+        known = [value.name for value in start_values(self.encounter)]
+        names = [choice.name for choice in self.start]
+        for name in names:
+            if name not in known:
+                message = (
+                    f"start = {shown(name)}: must be one of {', '.join(known)} with {self._family}"
+                )
+                raise ConfigError(message)
+        if len(set(names)) < len(names):
+            message = f"start = {', '.join(names)}: must be each name once"
+            raise ConfigError(message)
+        for choice in self.start:
+            from pemviz.config.distribution_text import read_distribution  # noqa: PLC0415  numpy
+
+            read_distribution(choice.distribution, name=f"start.{choice.name}")
+
+    @property
+    def _family(self) -> str:
+        return f"encounter.family {self.encounter.family}"
 
 
 def conjunction(rules: Sequence[Rule]) -> str:

@@ -9,6 +9,7 @@ from typing import Any, cast
 import tomli_w
 
 from pemviz.config import ExperimentConfig
+from pemviz.config.encounters import NO_FAMILY, StartChoice
 from pemviz.config.records import read_record, read_value
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import ConfigError
@@ -85,7 +86,8 @@ _TOO_DEEP = "nested too deeply"
 def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
     """The configuration that a table of plain values spells out.
 
-    ``rules`` is a table of names and formulas; ``spec`` may then be left out.
+    ``rules`` is a table of names and formulas; ``spec`` may then be left out. ``start`` is one of
+    names and distributions.
 
     Args:
         table: What :func:`config_table` gives, or a part of it.
@@ -94,36 +96,59 @@ def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
     Raises:
         ConfigError: A field is unknown or of the wrong type.
     """
-    if not isinstance(table, Mapping) or "rules" not in table:
+    if not isinstance(table, Mapping) or not {"rules", "start"} & set(cast(Any, table)):
         return read_record(ExperimentConfig, table, name=name)
-    others = {key: value for key, value in cast(dict[str, Any], table).items() if key != "rules"}
-    place = f"{name}.rules" if name else "rules"
-    rules: Mapping[str, str] = read_value(
-        Mapping[str, str], cast(dict[str, Any], table)["rules"], name=place
-    )
-    if not rules:
-        message = f"{place} = {{}}: must name one rule at least"
+    others = dict(cast(Mapping[str, Any], table))
+    named = {key: _named_texts(others.pop(key, None), key, name) for key in ("rules", "start")}
+    start = tuple(StartChoice(*choice) for choice in named["start"].items())
+    config = read_record(ExperimentConfig, others, name=name).with_rules(named["rules"])
+    return replace(config, spec=others.get("spec", config.spec), start=start)
+
+
+def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
+    """A table of texts by name; empty where it is left out.
+
+    Raises:
+        ConfigError: It is none, or is there without a name.
+    """
+    if given is None:
+        return {}
+    place = f"{name}.{key}" if name else key
+    texts: Mapping[str, str] = read_value(Mapping[str, str], given, name=place)
+    if not texts:
+        one = "rule" if key == "rules" else "start value"
+        message = f"{place} = {{}}: must name one {one} at least"
         raise ConfigError(message)
-    config = read_record(ExperimentConfig, others, name=name).with_rules(rules)
-    return replace(config, spec=others.get("spec", config.spec))
+    return texts
 
 
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
-    """Every field as plain values, for TOML and JSON; rules, position errors, tracker if any."""
+    """Every field as plain values, for TOML and JSON.
+
+    Without rules, position errors, tracker, family where there are none.
+    """
     table = every_setting(config)
     if config.scenario.tracker == NO_TRACKER:
         del table["scenario"]["tracker"]
     if config.position_errors is None:
         del table["position_errors"]
+    if config.encounter.family == NO_FAMILY:
+        del table["encounter"]
+    elif config.scenario.tracker == NO_TRACKER:
+        del table["scenario"]
+    else:
+        table["scenario"] = {"tracker": config.scenario.tracker}
     return table
 
 
 def every_setting(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, those that files leave out as well; rules by name, if any."""
     table = asdict(config)
-    del table["rules"]
+    del table["rules"], table["start"]
     if config.rules:
         table["rules"] = {rule.name: rule.formula for rule in config.rules}
+    if config.start:
+        table["start"] = {choice.name: choice.distribution for choice in config.start}
     return table
 
 

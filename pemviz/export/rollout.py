@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.config import SHIPPED_SIMULATORS, ScenarioConfig
+from pemviz.config import ScenarioConfig
 from pemviz.errors import InputError
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.result import RunResult
@@ -67,7 +67,7 @@ class RankedRollout:
     def scenario(self) -> ScenarioConfig | None:
         """The shipped scenario's parameters; ``None``: it was another simulator."""
         config = self.result.config
-        return config.scenario if config.simulator in SHIPPED_SIMULATORS else None
+        return config.scenario if config.is_braking_scenario else None
 
     @property
     def date(self) -> datetime:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from pemviz.analysis.contribution import CARRIED
 from pemviz.analysis.model_uncertainty import ModelInterval
-from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
+from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
@@ -205,8 +205,8 @@ def _causes(result: RunResult) -> list[str]:
 
 
 def _scenario(config: ExperimentConfig) -> str:
-    if config.simulator not in SHIPPED_SIMULATORS:
-        return f"that of the simulator **{config.simulator}**"
+    if not config.is_braking_scenario:
+        return config.other_scenario
     return (
         f"{config.scenario.initial_speed_kmh:g} km/h, {config.scenario.initial_gap_m:g} m behind "
         f"a lead car that brakes at {config.scenario.lead_deceleration_mps2:g} m/s²"

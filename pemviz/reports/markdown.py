@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields
 
-from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
+from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.reports.causes_text import BURST_COLUMNS, BURST_TITLE, burst_rows, causes_line
 from pemviz.reports.data_plan_text import (
@@ -289,15 +289,15 @@ def _setting(config: ExperimentConfig, name: str, method: MethodDescription) -> 
 
 
 def _misses(config: ExperimentConfig, misses: int) -> str:
-    if config.simulator not in SHIPPED_SIMULATORS:  # its rollouts may be of another length
+    if not config.is_braking_scenario:  # its rollouts may be of another length
         return str(misses)
     return f"{misses} of {config.scenario.states - 1} steps"
 
 
 def _scenario(config: ExperimentConfig) -> str:
     """What differs from the defaults, the first figures in any case."""
-    if config.simulator not in SHIPPED_SIMULATORS:
-        return markdown_text(f"that of the simulator {config.simulator}")
+    if not config.is_braking_scenario:
+        return markdown_text(config.other_scenario)
     scenario, default = config.scenario, ScenarioConfig()
     shown = (
         f"{scenario.initial_speed_kmh:g} km/h, {scenario.initial_gap_m:g} m behind a lead car "

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from pemviz.config import ExperimentConfig
+from pemviz.config.encounters import NO_FAMILY
 from pemviz.errors import ConfigError
 from pemviz.pem import PositionErrorModel, load_position_errors
 from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
@@ -38,6 +39,9 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         ConfigError: There is none of that name, or it does not keep to the protocol.
         PemError: The model of position errors cannot be used.
     """
+    if config.encounter.family != NO_FAMILY:
+        message = f"encounter.family = {config.encounter.family!r}: no back end steps it"
+        raise ConfigError(message)
     errors = _position_errors(config)
     simulator = build_named_simulator(config.simulator, config.scenario, errors=errors)
     if config.simulator not in SHIPPED:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 
-from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
+from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.pem import PemCard
 from pemviz.reports.data_plan_text import (
@@ -216,8 +216,8 @@ def provenance(run: CaseRun) -> str:
 
 def scenario_text(config: ExperimentConfig) -> str:
     """The scenario in a line, with what differs from the defaults."""
-    if config.simulator not in SHIPPED_SIMULATORS:
-        return f"that of the simulator {config.simulator}"
+    if not config.is_braking_scenario:
+        return config.other_scenario
     scenario, default = config.scenario, ScenarioConfig()
     shown = (
         f"an ego car {scenario.initial_gap_m:g} m behind a lead car, both at "
