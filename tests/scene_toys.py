@@ -39,7 +39,7 @@ class CutIn:
     )
 
     def initial(self, *, count: int) -> StateBatch:
-        at = {"ego_speed": 20.0, "gap_lead": 45.0, "gap_cutter": 12.0, "aside_cutter": LANE_M}
+        at = {"ego_speed": 20.0, "gap_lead": 45.0, "gap_cutter": 16.0, "aside_cutter": LANE_M}
         signals = {name: np.full(count, at.get(name, 0.0)) for name, _ in SIGNALS}
         memory = self.tracker.memory(self.tracker.start(count, slots=2))
         return StateBatch(step=np.zeros((), dtype=np.int64), signals=signals, memory=memory)
@@ -70,7 +70,7 @@ class CutIn:
         return np.stack([signals["gap_lead"], signals["gap_cutter"]], axis=-1)[..., None]
 
     def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
-        return np.stack([signals["gap_lead"] < 60.0, signals["gap_cutter"] > -4.0], axis=-1)
+        return np.stack([signals["gap_lead"] < 44.0, signals["gap_cutter"] > -4.0], axis=-1)
 
     def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         near = np.stack([signals["gap_lead"], signals["gap_cutter"]], axis=-1) < 30.0

@@ -50,6 +50,7 @@ SCENE = "/worst_case/scene"
 OUTCOMES = "/worst_case/outcomes"
 WORST_SERIES = "/worst_case/series"
 WORST_DETECTION = "/worst_case/p_detected"
+PLAN = "/worst_case/from_above"
 FRAMES = "/worst_case/highway_env"
 
 SUBTREE = "/**"  # in a view: the entity and all below it
@@ -93,6 +94,16 @@ def setting(part: str) -> str:
 def lane(rank: int, part: str) -> str:
     """A part of the scene's lane for the ``rank``-th least robust rollout, from 1."""
     return f"/worst_case/scene/rank_{rank}/{part}"
+
+
+def road_car(rank: int, car: int) -> str:
+    """A car of the scene's ``rank``-th rollout, from 1; the ego is car 0."""
+    return f"/worst_case/scene/rank_{rank}/car_{car}"
+
+
+def plan(rank: int, part: str) -> str:
+    """A part of the ``rank``-th least robust rollout from above."""
+    return f"/worst_case/from_above/rank_{rank}/{part}"
 
 
 def outcomes(rank: int) -> str:

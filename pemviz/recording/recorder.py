@@ -1,5 +1,6 @@
 """The observer that writes a run's recording while the run goes on."""
 
+import re
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -14,6 +15,8 @@ from pemviz.recording.blueprint import blueprint, views_with_data
 from pemviz.recording.compact import compact
 from pemviz.recording.estimates import Answer, drawn_answer, drawn_repetitions, log_estimates
 from pemviz.recording.ladder import log_ladder
+from pemviz.recording.road_plan import log_road_plan
+from pemviz.recording.road_scene import log_road_scene
 from pemviz.recording.rollouts import log_rollouts
 from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota, unvaried
 from pemviz.recording.stream import RecordingFile
@@ -29,8 +32,9 @@ from pemviz.runs.events import (
 from pemviz.runs.result import RunResult
 from pemviz.runs.slot_outcomes import slots_of
 from pemviz.simulators.braking.scenario import EGO_SPEED
+from pemviz.simulators.scene import drawn_scene
 from pemviz.simulators.slots import Slot
-from pemviz.types import StageResult
+from pemviz.types import Signal, StageResult
 
 RECORDED_REPETITION = 0
 REDRAW_GROWTH = 1.1
@@ -47,7 +51,7 @@ class _Run:
         views: What the recording will show.
         quota: How many rollouts are kept.
         gap_m: Grid of the curves against gap; ``None`` if the scenario has no gap.
-        has_scene: Whether the scenario has what the 3D scene draws.
+        has_scene: Whether the scenario has what the 3D scene of one gap draws.
         slots: The scenario's slots; none where perception answers one thing a step.
     """
 
@@ -140,7 +144,12 @@ class Recorder:
         file.markdown(paths.CONFIG, text.config_document(event.result))
         file.markdown(
             paths.CONTENTS,
-            text.contents_text(run.quota, repetitions=config.repetitions, slots=run.slots),
+            text.contents_text(
+                run.quota,
+                repetitions=config.repetitions,
+                slots=run.slots,
+                on_roads=drawn_scene(event.simulator) is not None,
+            ),
         )
         self._write_texts(file, event.result, running=True)
         if run.gap_m is not None:
@@ -153,7 +162,9 @@ class Recorder:
     def _add_stage(self, file: RecordingFile, run: _Run, event: StageDone) -> None:
         stage = event.stage
         before = self._tracks
-        self._tracks = worst.update_tracks(before, stage, event.result, slots=run.slots)
+        self._tracks = worst.update_tracks(
+            before, stage, event.result, simulator=run.started.simulator
+        )
         if stage.repetition != RECORDED_REPETITION:
             return
         if stage.stage == 0:  # only now is it known which signals nothing depends on
@@ -168,10 +179,8 @@ class Recorder:
             slots=run.slots,
             dt_s=run.started.simulator.dt_s,
         )
-        if run.has_scene and self._tracks[: scene.LANES] != before[: scene.LANES]:
-            scene.log_scene(
-                file, self._tracks, scenario=run.started.config.scenario, stage=stage.stage
-            )
+        if self._tracks[: scene.LANES] != before[: scene.LANES]:
+            self._write_scene(file, run, stage=stage.stage)
         self._write_texts(file, event.result, running=True)
         file.flush()
 
@@ -258,19 +267,29 @@ class Recorder:
         worst.log_worst_plots(
             file, self._tracks, signals=run.started.signals, stage=last, dt_s=dt_s
         )
-        repeated = run.started.config.repetitions > 1
-        if run.has_scene and repeated:
-            scene.log_scene(file, self._tracks, scenario=run.started.config.scenario, stage=last)
+        if run.started.config.repetitions > 1:
+            self._write_scene(file, run, stage=last)
         if self._frames:
             worst.log_frames(
                 file, self._tracks[0], scenario=run.started.config.scenario, stage=last
             )
 
+    def _write_scene(self, file: RecordingFile, run: _Run, *, stage: int) -> None:
+        """The least robust rollouts on their road, as far as their scenario tells of one."""
+        if run.has_scene:
+            scene.log_scene(file, self._tracks, scenario=run.started.config.scenario, stage=stage)
+            return
+        drawn = [track.drawn for track in self._tracks if track.drawn is not None]
+        titles = [f"robustness {track.ranked.robustness:.3g}" for track in self._tracks]
+        if drawn:
+            log_road_scene(file, drawn, titles=titles, stage=stage)
+            log_road_plan(file, drawn, titles=titles, stage=stage)
+
 
 def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
     config = event.config
     names = {signal.name for signal in event.signals}
-    slots = slots_of(event.simulator)
+    slots, told = slots_of(event.simulator), drawn_scene(event.simulator)
     return _Run(
         started=event,
         views=all_views(
@@ -281,6 +300,8 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
                 signals=event.signals,
                 robustness_unit=robustness_unit(config.metric),
                 frames=frames,
+                road=None if told is None else told.road,
+                asked=None if told is None else _asked(event),
             )
         ),
         quota=quota(
@@ -291,9 +312,17 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
         gap_m=gap_grid(event.simulator, step_m=CURVE_STEP_M)
         if GAP in names and not slots
         else None,
-        has_scene={GAP, EGO_SPEED} <= names and not slots,
+        has_scene={GAP, EGO_SPEED} <= names and not slots and told is None,
         slots=slots,
     )
+
+
+def _asked(event: RunStarted) -> Signal | None:
+    """The first signal that the specification, or a rule, is about."""
+    formulas = [rule.formula for rule in event.config.rules] or [event.config.spec]
+    names = [name for one in formulas for name in re.findall(r"[A-Za-z_]\w*", one)]
+    by_name = {signal.name: signal for signal in event.signals}
+    return next((by_name[name] for name in names if name in by_name), None)
 
 
 def _without_constants(run: _Run, stage: StageResult) -> _Run:

@@ -8,13 +8,16 @@ import numpy as np
 
 from pemviz.recording import paths
 from pemviz.recording.plot import LARGE, NORMAL, ROWS, WITHOUT_LEGEND, Shape
+from pemviz.recording.road_plan import Bounds, plan_bounds
+from pemviz.simulators.scene import Road
 from pemviz.types import Signal
 
-ViewKind = Literal["text", "plot", "series", "tensor", "scene", "image"]
+ViewKind = Literal["text", "plot", "series", "tensor", "scene", "roads", "plan", "image"]
 ContainerKind = Literal["tabs", "horizontal", "vertical", "grid"]
 
 MOST_STAGE_TABS = 14
 GRID_COLUMNS = 3
+MOST_SIGNALS_IN_ROW = 4
 PROBABILITY_AXIS = (-0.02, 1.03)
 
 
@@ -28,6 +31,7 @@ class ViewSpec:
         paths: The entities it shows; the last is its subject, without which it is left out.
         axis: Fixed range of the vertical axis.
         shape: Of a drawn plot.
+        bounds: What a plan shows at first, from left to right and from top to bottom.
     """
 
     kind: ViewKind
@@ -35,6 +39,7 @@ class ViewSpec:
     paths: tuple[str, ...]
     axis: tuple[float, float] | None = None
     shape: Shape = NORMAL
+    bounds: Bounds | None = None
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,8 @@ class Subject:
         signals: The scenario's signals.
         robustness_unit: Unit of the ranking metric; empty if it has none.
         frames: Whether highway-env's pictures are recorded.
+        road: Of a scenario that tells where its cars are.
+        asked: The signal that is drawn of the least robust rollouts; by default the first.
     """
 
     method: str
@@ -77,6 +84,8 @@ class Subject:
     signals: tuple[Signal, ...]
     robustness_unit: str
     frames: bool = False
+    road: Road | None = None
+    asked: Signal | None = None
 
 
 def all_views(subject: Subject) -> ContainerSpec:
@@ -248,20 +257,20 @@ def _stage_rollouts(subject: Subject, stage: int) -> ContainerSpec:
             (path(paths.DETECTED),),
         ),
     ]
+    many = len(signals) > MOST_SIGNALS_IN_ROW
     rows = (
-        ContainerSpec("horizontal", "Signals", tuple(signals)),
+        ContainerSpec(
+            "grid" if many else "horizontal", "Signals", tuple(signals), columns=MOST_SIGNALS_IN_ROW
+        ),
         ContainerSpec("horizontal", "Perception", tuple(outcomes)),
     )
-    return ContainerSpec("vertical", f"Stage {stage}", rows)
+    shares = (2.0, 1.0) if many else None
+    return ContainerSpec("vertical", f"Stage {stage}", rows, shares=shares)
 
 
 def _worst(subject: Subject) -> ContainerSpec:
-    gap = subject.signals[0]
-    scene = ViewSpec(
-        "scene",
-        "Least robust rollouts, seen from the ego car",
-        (paths.SCENE + paths.SUBTREE,),
-    )
+    gap = subject.asked or subject.signals[0]
+    scenes = _scenes(subject)
     frames = [ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,))]
     plots = ContainerSpec(
         "vertical",
@@ -281,7 +290,7 @@ def _worst(subject: Subject) -> ContainerSpec:
             ),
         ),
     )
-    upper = ContainerSpec("horizontal", "Scene", (scene, plots), shares=(1.6, 1.0))
+    upper = ContainerSpec("horizontal", "Scene", (scenes, plots), shares=(1.6, 1.0))
     lower = ContainerSpec(
         "horizontal",
         "Outcomes",
@@ -291,7 +300,21 @@ def _worst(subject: Subject) -> ContainerSpec:
         ),
         shares=(1.6, 1.0),
     )
-    return ContainerSpec("vertical", "Worst case", (upper, lower), shares=(1.25, 1.0))
+    share = 1.25 if subject.road is None else 1.9
+    return ContainerSpec("vertical", "Worst case", (upper, lower), shares=(share, 1.0))
+
+
+def _scenes(subject: Subject) -> ViewSpec | ContainerSpec:
+    """The least robust rollouts in 3D and, where the scenario tells where cars are, from above."""
+    title, path = "Least robust rollouts, seen from the ego car", paths.SCENE + paths.SUBTREE
+    if subject.road is None:
+        return ViewSpec("scene", title, (path,))
+    above = "Least robust rollouts from above; white: where the controller tracks a car"
+    bounds = plan_bounds(subject.road)
+    plan = ViewSpec("plan", above, (paths.PLAN + paths.SUBTREE,), bounds=bounds)
+    return ContainerSpec(
+        "vertical", "Scenes", (ViewSpec("roads", title, (path,)), plan), shares=(1.0, 1.0)
+    )
 
 
 def _config() -> ContainerSpec:

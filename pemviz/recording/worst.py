@@ -15,10 +15,11 @@ from pemviz.recording import paths
 from pemviz.recording.outcomes import log_outcomes
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.runs.drawn_rollout import DrawnRollout, drawn_rollout
 from pemviz.runs.result import RankedRollout, RunResult
-from pemviz.runs.slot_outcomes import faultless, faultless_probability, right_by_slot
-from pemviz.simulators.slots import Slot
-from pemviz.types import Signal, StageResult
+from pemviz.runs.slot_outcomes import faultless, faultless_probability, right_by_slot, slots_of
+from pemviz.simulators.slots import SlotSimulator
+from pemviz.types import Signal, Simulator, StageResult
 
 JPEG_QUALITY = 85
 
@@ -34,6 +35,7 @@ class Track:
         pem_probability: ``[T-1]`` P(detected) under the perception error model.
         proposal_probability: ``[T-1]`` P(detected) under the proposal.
         right_by_slot: ``[T-1]`` whether each of several slots does not err, by its name.
+        drawn: Where its cars are, of a scenario that tells.
     """
 
     ranked: RankedRollout
@@ -42,6 +44,7 @@ class Track:
     pem_probability: FloatArray
     proposal_probability: FloatArray
     right_by_slot: Mapping[str, BoolArray]
+    drawn: DrawnRollout | None = None
 
     @property
     def name(self) -> str:
@@ -57,7 +60,11 @@ class Track:
 
 
 def update_tracks(
-    tracks: Sequence[Track], stage: StageResult, result: RunResult, *, slots: Sequence[Slot]
+    tracks: Sequence[Track],
+    stage: StageResult,
+    result: RunResult,
+    *,
+    simulator: Simulator | SlotSimulator,
 ) -> tuple[Track, ...]:
     """The tracks of ``result``'s least robust rollouts, kept ones and those of a new stage."""
     logged = {_key(track.ranked): track for track in tracks}
@@ -67,7 +74,7 @@ def update_tracks(
         if key in logged:
             current.append(logged[key])
         elif (ranked.repetition, ranked.stage) == (stage.repetition, stage.stage):
-            current.append(_track(stage, ranked, slots))
+            current.append(_track(stage, ranked, simulator))
     return tuple(current)
 
 
@@ -75,15 +82,24 @@ def _key(ranked: RankedRollout) -> tuple[int, int, int]:
     return (ranked.repetition, ranked.stage, ranked.rollout)
 
 
-def _track(stage: StageResult, ranked: RankedRollout, slots: Sequence[Slot]) -> Track:
-    rollouts, row = stage.scored.rollouts, ranked.rollout
+def _track(
+    stage: StageResult, ranked: RankedRollout, simulator: Simulator | SlotSimulator
+) -> Track:
+    rollouts, row, slots = stage.scored.rollouts, ranked.rollout, slots_of(simulator)
+    signals = {name: values[row].copy() for name, values in rollouts.signals.items()}
     return Track(
         ranked=ranked,
-        signals={name: values[row].copy() for name, values in rollouts.signals.items()},
+        signals=signals,
         detected=np.array(faultless(rollouts.detected[row], slots=slots)),
         pem_probability=faultless_probability(rollouts.pem_logit[row], slots=slots),
         proposal_probability=faultless_probability(rollouts.proposal_logit[row], slots=slots),
         right_by_slot=right_by_slot(rollouts.detected[row], slots=slots),
+        drawn=drawn_rollout(
+            simulator,
+            signals=signals,
+            detected=rollouts.detected[row],
+            memory={name: values[row].copy() for name, values in rollouts.memory.items()},
+        ),
     )
 
 

@@ -1,0 +1,74 @@
+"""What the two pictures of the least robust rollouts on their roads share: places and colours.
+
+Every rollout has a road of its own, the least robust one's nearest to the viewer. The ego car's
+centre stays at x = 0, so that the rollouts can be compared; the road moves instead. Coordinates: x
+ahead, y to the left, in metres.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import FloatArray
+from pemviz.colors import DETECTED, EGO, GREEN, GREY, LEAD, MISSED, PURPLE, SKY, Rgba, rgba
+from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout
+
+ROADS = 2
+VERGE_M = 5.0
+"""Between two roads; a rollout's words stand there."""
+BEHIND_M, AHEAD_M = 15.0, 60.0
+DASH_M, DASH_SPACING_M = 3.0, 9.0
+OTHERS = (LEAD, PURPLE, GREEN, SKY)
+ANSWERS: dict[int, Rgba] = {NOT_ASKED: rgba(GREY), RIGHT: rgba(DETECTED), WRONG: rgba(MISSED)}
+SIGMAS = 2.0
+"""How many standard deviations an ellipse of a track reaches."""
+
+
+@dataclass(frozen=True)
+class RoadPlace:
+    """Where a rollout's road lies.
+
+    Attributes:
+        rank: Of the rollout, from 1.
+        low_m: Right edge of its road, in the rollout's own y.
+        high_m: Left edge.
+    """
+
+    rank: int
+    low_m: float
+    high_m: float
+
+    @property
+    def shift_m(self) -> float:
+        """What is added to the rollout's own y."""
+        return (self.rank - 1) * (self.high_m - self.low_m + VERGE_M) - self.low_m
+
+
+def road_place(drawn: DrawnRollout, rank: int) -> RoadPlace:
+    """Where the road of the ``rank``-th rollout lies."""
+    edges_m = drawn.road.lane_edges_m
+    return RoadPlace(rank=rank, low_m=edges_m[0], high_m=edges_m[-1])
+
+
+def car_color(car: int) -> str:
+    """The ego's is its own; the others' in their order."""
+    return EGO if car == 0 else OTHERS[(car - 1) % len(OTHERS)]
+
+
+def places_m(drawn: DrawnRollout, place: RoadPlace, car: int) -> FloatArray:
+    """Centre ``[T, 2]`` of a car, seen from the ego."""
+    states = drawn.states
+    return np.stack(
+        [states.x_m[:, car] - states.x_m[:, 0], states.y_m[:, car] + place.shift_m], axis=1
+    )
+
+
+def dash_starts_m(ego_x_m: float) -> FloatArray:
+    """Where dashes of lane lines begin, seen from the ego."""
+    first = -BEHIND_M - (ego_x_m - BEHIND_M) % DASH_SPACING_M + DASH_SPACING_M
+    return np.arange(first, AHEAD_M - DASH_M, DASH_SPACING_M)
+
+
+def grey_from(drawn: DrawnRollout) -> int:
+    """The first state of contact: what follows is no motion of the encounter."""
+    return drawn.count if drawn.contact_step is None else drawn.contact_step
