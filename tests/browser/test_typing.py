@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.browser.driving import beside, choose, run, tab, until, warned
+from tests.browser.driving import beside, choose, enter, run, tab, until, warned
 
 pytest.importorskip("viser")
 
@@ -38,10 +38,22 @@ def test_a_bad_formula_is_told_where_it_is_typed_and_is_not_run(open_page, shots
     rules.fill("near = always[0,99] (gap >= 2.0)\nfar = always[0,99] (gap >= 4.0)")
     page.get_by_text("The rules are understood.").wait_for()
     page.screenshot(path=shots / "rules.png")
+    page.get_by_text("Tracker and position errors").click()
+    choose(page, "Tracker", "M/N")
+    enter(page, "Hits M", 4)
+    warned(page).get_by_text("4 hits of 3 outcomes: must be no more").wait_for()
+    enter(page, "Hits M", 1)
+    choose(page, "Position errors", "a file")
+    warned(page).get_by_text("no model of position errors ''").wait_for()
+    choose(page, "Position errors", "pointpillars")
+    page.get_by_text("by a tracker (1/3,coast=0.5), below 10 m, measured with errors").wait_for()
+    page.screenshot(path=shots / "perception.png")
     run(page)
     until(page, lambda: panel.controller.state.finished_runs > 0)
     shown = panel.controller.state.run
     assert shown.config.target == 1e-9
+    assert shown.config.scenario.tracker == "1/3,coast=0.5"
+    assert shown.config.position_errors == "pointpillars"
     page.locator("table[aria-label='Each rule by itself'] td", has_text="far").wait_for()
     tab(page, "Trajectories")
     choose(page, "Rule", "near")

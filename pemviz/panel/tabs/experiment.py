@@ -3,11 +3,12 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import cast, get_args
 
 import viser
 
-from pemviz.config import METHODS, ExperimentConfig, MetricName, ScenarioConfig
+from pemviz.config import METHODS, ExperimentConfig, MetricName
 from pemviz.config.rule_words import read_rules, rules_text
 from pemviz.config.toml_files import load_preset, preset_names
 from pemviz.config.tracker_text import NO_TRACKER
@@ -15,6 +16,7 @@ from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import hint, limits
+from pemviz.panel.tabs.perception import PerceptionControls, check_measured
 from pemviz.pem import shipped_pems
 from pemviz.reports.pictures.html import block, good, quiet, warning
 from pemviz.runs.experiment import build_simulator
@@ -56,7 +58,6 @@ class ExperimentTab:
 
     def __init__(self, browser: Browser) -> None:
         self._browser = browser
-        self._scenario = load_preset(FIRST_PRESET).scenario
         self._base = load_preset(FIRST_PRESET)
         self._running = self._wrong = False
         self._add_buttons()
@@ -92,7 +93,7 @@ class ExperimentTab:
             spec=self.spec.value,
             rules=(),
         )
-        return settings.with_rules(self._rules())
+        return self.perception.into(settings).with_rules(self._rules())
 
     def _rules(self) -> Mapping[str, str]:
         """The rules typed, name to formula.
@@ -141,7 +142,7 @@ class ExperimentTab:
         self.method = gui.add_dropdown("Method", METHODS.names(), hint=hint("method"))
         self.metric = gui.add_dropdown("Metric", get_args(MetricName), hint=hint("metric"))
         self.preset.on_update(browser.on(self._choose_preset))
-        self.method.on_update(browser.on(self._enable))
+        self.method.on_update(browser.on(self._choose_parts))
 
     def _add_numbers(self) -> None:
         self.own_alpha = self._browser.client.gui.add_checkbox(
@@ -167,6 +168,7 @@ class ExperimentTab:
             "Frailty", 0.0, min=low, max=high, step=FRAILTY_STEP, hint=hint("frailty")
         )
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
+        self.perception = PerceptionControls(gui, browser.on(self._choose_parts))
         self.memory_curve = gui.add_checkbox("Memory curve", False, hint=hint("memory_curve"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
         self.target = gui.add_text("Target", "", hint=hint("target") + TARGET_WORDS)
@@ -180,6 +182,8 @@ class ExperimentTab:
             self.seed, self.memory, self.frailty,
         ):  # fmt: skip
             typed.on_update(browser.on(self._check))
+        for chosen in (self.simulator, self.reference):
+            chosen.on_update(browser.on(self._choose_parts))
         self.fail_above.on_update(browser.on(self._judge))
 
     def _float(self, label: str, name: str, *, step: float) -> viser.GuiSliderHandle[float]:
@@ -201,6 +205,11 @@ class ExperimentTab:
     def _choose_preset(self) -> None:
         self.show(load_preset(self.preset.value))
 
+    def _choose_parts(self) -> None:
+        """What there is to choose beside them, and what fits, may be different."""
+        self._enable()
+        self._check()
+
     def _fill(self, config: ExperimentConfig) -> None:
         if config.method not in self.method.options:
             self.method.options = (*self.method.options, config.method)
@@ -219,9 +228,8 @@ class ExperimentTab:
         self.reference.value, self.rules.value = config.reference, rules_text(config.rules)
         self.spec.value = config.spec
         self.target.value = "" if config.target is None else f"{config.target:g}"
-        set_html(self._facts, scenario_text(config.scenario))
-        self._enable()
-        self._check()
+        self.perception.fill(config)
+        self._choose_parts()
 
     def _fill_alpha(self, config: ExperimentConfig) -> None:
         own = by_name(config.method).alpha
@@ -246,6 +254,7 @@ class ExperimentTab:
         ):
             if control.visible != shown:
                 control.visible = shown
+        self.perception.offer(self.simulator.value)
         for name, control in (
             ("stages", self.stages),
             ("rollouts", self.rollouts),
@@ -269,6 +278,8 @@ class ExperimentTab:
         self.spec.disabled = bool(self.rules.value.strip())
         complaints = list(self._complaints())
         self._wrong = bool(complaints)
+        if not self._wrong:
+            set_html(self._facts, scenario_text(self.config))
         set_html(self._verdict, verdict(complaints, rules=self.spec.disabled))
         set_html(self._waits, block(quiet(WAITS)) if complaints else "")
         self._enable_run()
@@ -286,6 +297,7 @@ class ExperimentTab:
         if not wrong:
             try:
                 self.config.validate()
+                check_measured(self.config)
             except InputError as error:
                 yield str(error)
 
@@ -314,17 +326,19 @@ class ExperimentTab:
         browser.look_at(None)
 
 
-def scenario_text(scenario: ScenarioConfig) -> str:
+def scenario_text(config: ExperimentConfig) -> str:
     """The scenario in a sentence."""
+    scenario, errors = config.scenario, config.position_errors
     end_s = (scenario.states - 1) * scenario.dt_s
+    measured = "" if errors is None else f", measured with errors of {Path(errors).name},"
     follows = "" if scenario.tracker == NO_TRACKER else f", by a tracker ({scenario.tracker}),"
     return block(
         quiet(
             f"Scenario: both cars drive {scenario.initial_speed_kmh:g} km/h, "
             f"{scenario.initial_gap_m:g} m apart, when the lead car brakes at "
             f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
-            f"A detection{follows} below {scenario.emergency_gap_m:g} m makes the ego brake at "
-            f"{scenario.emergency_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
+            f"A detection{follows} below {scenario.emergency_gap_m:g} m{measured} makes the ego "
+            f"brake at {scenario.emergency_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
             f"{scenario.states} states, {scenario.dt_s:g} s apart ({end_s:.2f} s)."
         )
     )

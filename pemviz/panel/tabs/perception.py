@@ -1,0 +1,153 @@
+"""Controls of what lies between perception and controller: a tracker, and position errors."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, get_args, get_type_hints
+
+import viser
+
+from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
+from pemviz.config.ranges import Range
+from pemviz.config.tracker_text import (
+    NO_TRACKER,
+    FilterName,
+    TrackerSettings,
+    read_tracker,
+    tracker_options,
+)
+from pemviz.errors import ConfigError
+from pemviz.panel.fields import field_docs, hint
+from pemviz.pem import shipped_position_errors
+from pemviz.runs.back_ends import build_back_end, check_method_fits
+
+FOLDER = "Tracker and position errors"
+NONE, COUNTED, FROM_FILE = "none", "M/N", "a file"
+FIRST = TrackerSettings(hits=2, window=3, coast=0.5)
+"""What the controls hold before a tracker is chosen."""
+COAST_STEP_S = 0.05
+HITS_HINT = "M: detections among the last N outcomes that make the lead car tracked."
+WINDOW_HINT = "N: outcomes over which detections are counted."
+COAST_HINT = "How long a tracked car stays so without a detection [s]."
+FILTER_HINT = "Of the gap and its change, while the lead car is tracked."
+OPTIONS_HINT = (
+    "NAME=VALUE, separated by commas: alpha, beta of alpha-beta; position-sd [m], acceleration-sd "
+    "[m/s^2], speed-sd [m/s] of kalman. Empty: the filter's own."
+)
+FILE_HINT = "Path of a file of 'pemviz pem fit --position-errors', where the panel runs."
+
+
+class PerceptionControls:
+    """A folder, folded away at first; shown for the shipped simulators alone, which take both."""
+
+    def __init__(self, gui: viser.GuiApi, changed: Callable[[Any], None]) -> None:
+        """Add the controls.
+
+        Args:
+            gui: Where.
+            changed: Called when a person has changed one.
+        """
+        self._base = ScenarioConfig()
+        self._folder = gui.add_folder(FOLDER, expand_by_default=False)
+        with self._folder:
+            self._add_tracker(gui)
+            self.errors = gui.add_dropdown(
+                "Position errors", [NONE, *shipped_position_errors(), FROM_FILE],
+                hint=hint("position_errors"),
+            )  # fmt: skip
+            self.file = gui.add_text("Errors file", "", hint=FILE_HINT)
+        for control in (*self._counted, self.options, self.kind, self.errors, self.file):
+            control.on_update(changed)
+
+    def fill(self, config: ExperimentConfig) -> None:
+        """Show what a configuration says."""
+        self._base = config.scenario
+        settings = read_tracker(config.scenario.tracker)
+        self.kind.value = NONE if settings is None else COUNTED
+        if settings is not None:
+            self.hits.value, self.window.value = settings.hits, settings.window
+            self.coast.value, self.filter.value = settings.coast, settings.filter
+            self.options.value = ",".join(tracker_options(settings))
+        named = config.position_errors
+        shipped = named in shipped_position_errors()
+        self.errors.value = NONE if named is None else named if shipped else FROM_FILE
+        self.file.value = "" if named is None or shipped else named
+
+    def offer(self, simulator: str) -> None:
+        """Show what a simulator takes, and what the present choices need."""
+        counted = self.kind.value == COUNTED
+        filtered = counted and self.filter.value != NO_TRACKER
+        for control, shown in (
+            (self._folder, simulator in SHIPPED_SIMULATORS),
+            *((control, counted) for control in self._counted),
+            (self.options, filtered),
+            (self.file, self.errors.value == FROM_FILE),
+        ):
+            if control.visible != shown:
+                control.visible = shown
+
+    def into(self, config: ExperimentConfig) -> ExperimentConfig:
+        """A configuration with what the controls say; without errors where they are not offered."""
+        if config.simulator not in SHIPPED_SIMULATORS:
+            return replace(config, position_errors=None)
+        chosen = self.errors.value
+        named = {NONE: None, FROM_FILE: self.file.value.strip()}.get(chosen, chosen)
+        scenario = replace(config.scenario, tracker=self._tracker())
+        return replace(config, position_errors=named, scenario=scenario)
+
+    def _add_tracker(self, gui: viser.GuiApi) -> None:
+        self.kind = gui.add_dropdown(
+            "Tracker", [NONE, COUNTED], hint=field_docs(ScenarioConfig)["tracker"]
+        )
+        low, high = _ends("hits")
+        self.hits = gui.add_number(
+            "Hits M", FIRST.hits, min=int(low), max=int(high), step=1, hint=HITS_HINT
+        )
+        self.window = gui.add_number(
+            "Outcomes N", FIRST.window, min=int(low), max=int(high), step=1, hint=WINDOW_HINT
+        )
+        low, high = _ends("coast")
+        self.coast = gui.add_number(
+            "Coasting [s]", FIRST.coast, min=low, max=high, step=COAST_STEP_S, hint=COAST_HINT
+        )
+        self.filter = gui.add_dropdown("Filter", get_args(FilterName), hint=FILTER_HINT)
+        self.options = gui.add_text("Filter options", "", hint=OPTIONS_HINT)
+        self._counted = (self.hits, self.window, self.coast, self.filter)
+
+    def _tracker(self) -> str:
+        """The tracker as options have it; as it was filled in where it says the same."""
+        if self.kind.value == NONE:
+            return NO_TRACKER
+        words = [f"{self.hits.value}/{self.window.value}"]
+        words += [f"coast={self.coast.value}"] * (self.coast.value != 0.0)
+        filtered = self.filter.value != NO_TRACKER
+        words += [f"filter={self.filter.value}"] * filtered
+        words += [self.options.value.strip()] * bool(filtered and self.options.value.strip())
+        return same_tracker(",".join(words), self._base.tracker)
+
+
+def same_tracker(typed: str, before: str) -> str:
+    """The tracker typed; in its words before where it means the same."""
+    try:
+        return before if read_tracker(typed) == read_tracker(before) else typed
+    except ConfigError:  # told when the configuration is checked
+        return typed
+
+
+def check_measured(config: ExperimentConfig) -> None:
+    """Refuse position errors that cannot be used, or with which the method can do nothing.
+
+    Raises:
+        InputError: They are such.
+    """
+    if config.position_errors is not None:
+        check_method_fits(config, build_back_end(config))
+
+
+def _ends(name: str) -> tuple[float, float]:
+    """Bounds of a number of a tracker's settings."""
+    annotation = get_type_hints(TrackerSettings, include_extras=True)[name]
+    (limit,) = (part for part in get_args(annotation) if isinstance(part, Range))
+    if limit.low is None or limit.high is None:
+        message = f"{name} declares no bounds"
+        raise ValueError(message)
+    return limit.low, limit.high
