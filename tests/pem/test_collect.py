@@ -13,6 +13,7 @@ from pemviz.pem import PemError, load_table
 from pemviz.pem.data.collect import CollectOptions, collect
 from pemviz.pem.data.kitti_labels import TYPES
 from pemviz.pem.data.matching import iou, match_boxes
+from pemviz.pem.data.position_errors import load_error_csv
 from tests.pem.helpers import seeds
 
 EXPECTED_COLUMNS = {
@@ -142,6 +143,38 @@ def collected(folder, **options):
 )
 def test_threshold_class_and_score(folders, options, missed):
     assert collected(folders, **options).missed == missed
+
+
+def test_places_of_detections_give_errors_that_position_errors_are_read_from(folders):
+    """A second car is seen 2 m too far right and 1.5 m too near, a third is missed."""
+    second = LABEL.replace("100 100 200 200", "300 100 400 200").replace("13.22", "20.0")
+    third = LABEL.replace("100 100 200 200", "500 100 600 200")
+    (folders / "labels" / "000000.txt").write_text(f"{LABEL}\n{second}\n{third}\n")
+    seen = [LABEL.replace("1.00 1.75 13.22", "1.25 1.75 13.72") + " 0.9",
+            second.replace("1.00 1.75 20.0", "3.00 1.75 18.5") + " 0.8"]  # fmt: skip
+    (folders / "detections" / "000000.txt").write_text("\n".join(seen))
+    collected(folders)
+    rows = rows_of(folders / "out.csv")
+    assert [(row["detected"], row["x_error_m"], row["z_error_m"]) for row in rows] == [
+        ("1", "0.25", "0.5"), ("1", "2", "-1.5"), ("0", "", ""),
+    ]  # fmt: skip
+    table = load_error_csv(folders / "out.csv")
+    assert table.axes == ("range", "cross_range")
+    for row, (x_m, z_m, x_error_m, z_error_m) in enumerate(
+        ((1, 13.22, 0.25, 0.5), (1, 20, 2, -1.5))
+    ):
+        angle = np.arctan2(x_m, z_m)  # the line of sight, turned from straight ahead to the right
+        along = x_error_m * np.sin(angle) + z_error_m * np.cos(angle)
+        across = x_error_m * np.cos(angle) - z_error_m * np.sin(angle)
+        np.testing.assert_allclose(table.errors[row], (along, across), rtol=1e-12)
+
+
+@pytest.mark.parametrize("place", ["-1 -1 -1 -1000 -1000 -1000", "-1 -1 -1 0 0 0"])
+def test_boxes_without_a_place_give_no_columns_of_errors(folders, place):
+    result = RESULT.replace("-1 -1 -1 -1000 -1000 -1000", place)
+    (folders / "detections" / "000000.txt").write_text(result)
+    assert collected(folders).missed == 0
+    assert "x_error_m" not in rows_of(folders / "out.csv")[0]
 
 
 def test_class_awareness_tells_a_van_from_a_car(folders):

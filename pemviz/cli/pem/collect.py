@@ -30,8 +30,9 @@ class CollectArguments:
     out: Path = Path("obstacles.csv")
     """CSV file to write."""
     format: DetectionFormat | SequenceFormat = "kitti"
-    """How the detections are written: KITTI results, YOLO text (shares of the image), COCO json;
-    of sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four
+    """How the detections are written: KITTI results (with a 3D place, the table has x_error_m and
+    z_error_m for pemviz pem fit --position-errors), YOLO text (shares of the image), COCO json; of
+    sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four
     sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate."""
     rate_hz: float = 10.0
     """Frames a second of sequences (above 0)."""

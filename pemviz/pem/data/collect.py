@@ -1,7 +1,7 @@
 """From label and detection files to the table that models learn from, one frame at a time."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
@@ -10,7 +10,8 @@ from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
 from pemviz.pem.data.detections import Detection, DetectionFormat, FrameDetections, open_detections
 from pemviz.pem.data.kitti_labels import MISC, TYPES, UNKNOWN_OCCLUSION, Obstacle, read_labels
-from pemviz.pem.data.matching import PAPER_IOU, match_boxes
+from pemviz.pem.data.matching import PAPER_IOU, assign_boxes
+from pemviz.pem.data.position_errors import PLANE_COLUMNS
 from pemviz.pem.data.table import OUTCOME_COLUMN
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
@@ -69,6 +70,10 @@ def collect(
 ) -> CollectCounts:
     """Match every labelled obstacle with the detections and write one row for it.
 
+    Where detections of ``kitti`` have a place, two more columns hold how far it is off, reported
+    minus true, to the right and forward, as ``pemviz pem fit --position-errors`` reads them; empty
+    if missed.
+
     Args:
         labels: folder of KITTI label files, one a frame.
         detections: folder or file of detections.
@@ -105,12 +110,13 @@ def collect(
     partial = out.with_name(f".{out.name}.partial")
     try:
         with partial.open("w", encoding="utf-8", newline="\n") as stream:
-            stream.write(",".join(TABLE_COLUMNS) + "\n")
+            rows: list[_Row] = []
             for done, file in enumerate(files, start=1):
                 obstacles = read_labels(file, on_bad_line=on_bad_line)
-                _write_frame(stream, file.stem, obstacles, reader, options=options, counts=counts)
+                rows += _rows(file.stem, obstacles, reader, options=options, counts=counts)
                 if on_progress is not None:
                     on_progress(done, len(files))
+            _write(stream, rows)
         partial.replace(out)
     except OSError as error:
         raise PemError(f"{out}: cannot be written ({error.strerror})") from None
@@ -119,17 +125,37 @@ def collect(
     return counts
 
 
-def _write_frame(
-    stream: TextIO,
+@dataclass(frozen=True)
+class _Row:
+    cells: str
+    errors: tuple[str, str] | None
+
+
+def _write(stream: TextIO, rows: Sequence[_Row]) -> None:
+    placed = any(row.errors is not None for row in rows)
+    stream.write(",".join((*TABLE_COLUMNS, *PLANE_COLUMNS) if placed else TABLE_COLUMNS) + "\n")
+    for row in rows:
+        stream.write(",".join((row.cells, *(row.errors or ("", "")) * placed)) + "\n")
+
+
+def place_errors(found: Detection | None, obstacle: Obstacle) -> tuple[str, str] | None:
+    """Reported minus true place, to the right and forward [m]; ``None`` without a place."""
+    if found is None or found.location_m is None:
+        return None
+    reported, true = found.location_m, obstacle.location_m
+    return f"{reported[0] - true[0]:.6g}", f"{reported[2] - true[2]:.6g}"
+
+
+def _rows(
     frame: str,
     obstacles: list[Obstacle],
     reader: FrameDetections,
     *,
     options: CollectOptions,
     counts: CollectCounts,
-) -> None:
+) -> Iterator[_Row]:
     counts.frames += 1
-    for obstacle, overlap in _outcomes(obstacles, reader(frame), options=options):
+    for obstacle, overlap, partner in _outcomes(obstacles, reader(frame), options=options):
         if options.drop_unknown and is_unknown(obstacle):
             counts.dropped += 1
             continue
@@ -146,21 +172,23 @@ def _write_frame(
             obstacle.rotation_y_rad,
         )
         cells = (frame, obstacle.type, *(f"{value:.10g}" for value in values))
-        stream.write(",".join((*cells, str(int(detected)), f"{overlap:.4f}")) + "\n")
+        errors = place_errors(partner, obstacle) if detected else None
+        yield _Row(",".join((*cells, str(int(detected)), f"{overlap:.4f}")), errors)
 
 
 def _outcomes(
     obstacles: list[Obstacle], found: list[Detection], *, options: CollectOptions
-) -> Iterator[tuple[Obstacle, float]]:
-    """Each obstacle with its partner's overlap."""
+) -> Iterator[tuple[Obstacle, float, Detection | None]]:
+    """Each obstacle with its partner's overlap, and the partner if there is one."""
     kept = [detection for detection in found if detection.score >= options.score_from]
-    overlaps = match_boxes(
+    overlaps, partners = assign_boxes(
         [obstacle.box_px for obstacle in obstacles],
         [detection.box_px for detection in kept],
         obstacle_types=[each.type for each in obstacles] if options.class_aware else None,
         detection_types=[each.type for each in kept] if options.class_aware else None,
     )
-    return zip(obstacles, overlaps.tolist(), strict=True)
+    chosen = [kept[partner] if partner >= 0 else None for partner in partners.tolist()]
+    return zip(obstacles, overlaps.tolist(), chosen, strict=True)
 
 
 def is_unknown(obstacle: Obstacle) -> bool:

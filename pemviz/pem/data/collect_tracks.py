@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
-from pemviz.pem.data.collect import CLASS_ID, CollectOptions, is_unknown
+from pemviz.pem.data.collect import CLASS_ID, CollectOptions, is_unknown, place_errors
 from pemviz.pem.data.detections import Detection
 from pemviz.pem.data.matching import assign_boxes
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
@@ -189,16 +189,8 @@ def _line(sequence: str, rate_hz: float, row: _Row, *, placed: bool) -> str:
     )
     who = (sequence, str(row.tracked.frame), str(row.tracked.track), f"{rate_hz:g}")
     cells = (*who, obstacle.type, *(f"{value:.10g}" for value in values))
-    errors = _errors(row) if placed else ()
+    errors = (place_errors(row.found, obstacle) or ("", "")) if placed else ()
     return ",".join((*cells, str(int(row.detected)), f"{row.overlap:.4f}", *errors))
-
-
-def _errors(row: _Row) -> tuple[str, str]:
-    """Reported minus true place, to the right and forward [m]; empty if missed."""
-    if row.found is None or row.found.location_m is None:
-        return "", ""
-    reported, true = row.found.location_m, row.tracked.obstacle.location_m
-    return f"{reported[0] - true[0]:.6g}", f"{reported[2] - true[2]:.6g}"
 
 
 def _write(out: Path, lines: list[str]) -> None:

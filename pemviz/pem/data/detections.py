@@ -25,6 +25,8 @@ from pemviz.pem.data.kitti_labels import (
 
 DetectionFormat = Literal["kitti", "yolo", "coco"]
 _WHOLE_NUMBER = re.compile("[0-9]{1,9}")
+UNKNOWN_M = -1000.0
+"""What KITTI's results have for a place that the detector does not tell; its sides are then -1."""
 YOLO_COLUMNS = ("class", "centre_x", "centre_y", "width", "height", "score")
 
 
@@ -119,7 +121,10 @@ def _kitti_detection(cells: list[str], where: str) -> Detection:
     values = numbers(cells, (*LABEL_COLUMNS, "score"), first=1, where=where)
     left, top, right, bottom = values[3:7]
     score = values[14] if len(cells) > columns else 1.0
-    return Detection(cells[0], box(left, top, right, bottom, column=5, where=where), score)
+    sides, place = values[7:10], (values[10], values[11], values[12])
+    has_place = min(sides) > 0.0 and UNKNOWN_M not in place
+    sides_px = box(left, top, right, bottom, column=5, where=where)
+    return Detection(cells[0], sides_px, score, place if has_place else None)
 
 
 def _yolo_detection(
