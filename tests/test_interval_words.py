@@ -21,10 +21,10 @@ from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.views import compare, headline, learning, recordings
 from pemviz.recording.sweep_overview import _label
 from pemviz.recording.text import answer_text
-from pemviz.reports.estimate_text import summary_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.summary_text import summary_text
 from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.failure_tables import table_2
 from pemviz.runs.result_file import result_document, write_result
@@ -54,7 +54,7 @@ def judged(method, *, reliable, repetitions=1):
     one = estimate(method=method, diagnostics=() if reliable else (WRONG,))
     whole = replace(
         made_up(one, repetitions=repetitions),
-        config=ExperimentConfig(method=method, repetitions=repetitions),
+        config=ExperimentConfig(method=method, repetitions=repetitions, encounters_per_hour=2.0),
         reference=None,
     )
     caveat = by_name(method).interval_caveat

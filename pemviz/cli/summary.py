@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -53,6 +53,7 @@ from pemviz.reports.memory_curve import (
     curve_columns,
     curve_rows,
 )
+from pemviz.reports.rates_text import RATE_COLUMNS, RATES_TITLE, rate_line, rate_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
@@ -80,7 +81,9 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
             for line in headline(result, result.estimate):
                 console.print(line, markup=False, soft_wrap=True)
         if result.rules:
-            console.print(_rules(result))
+            console.print(_rows(RULES_TITLE, RULE_COLUMNS, rule_rows(result)))
+        if len(rates := rate_rows(result)) > 1 or (rates and verbose):
+            console.print(_rows(RATES_TITLE, RATE_COLUMNS, rates))
         _print_memory(console, result.memory, verbose=verbose)
         console.print(LADDER_TITLE, style="italic", markup=False)
         console.print(_ladder(result))
@@ -113,6 +116,8 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
     )
     if caveats:
         yield f"  try next: {remedy(estimate.method)}"
+    if rate := rate_line(result):
+        yield f"  {rate}"
     if result.reference is not None:
         yield f"  reference {reference_text(result.reference, estimate)}"
     yield f"  {result.pem.name} learnt from {data_text(result.pem)}"
@@ -125,12 +130,12 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
         yield f"  latents (standard normals): {result.latents}"
 
 
-def _rules(result: RunResult) -> Table:
-    """How likely each rule is broken, a row each."""
-    table = Table(title=RULES_TITLE, title_justify="left", box=None, pad_edge=False)
-    for column in RULE_COLUMNS:
+def _rows(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
+    """Texts as a table without lines."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for column in columns:
         table.add_column(column)
-    for row in rule_rows(result):
+    for row in rows:
         table.add_row(*map(escape, row))
     return table
 

@@ -172,6 +172,9 @@ class ExperimentConfig:
     """Failure probability to bring the system below: tells by which factor misses would have to
     become rarer, for each distance band, and with memory_s to what the memory time would have to
     fall; above 0, at most 1."""
+    encounters_per_hour: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] | None = None
+    """How many encounters such as the scenario's an hour of driving holds on average [1/h]: also
+    tell violations an hour and the hours of driving between them; above 0, at most 1e6."""
     plan: bool = False
     """Also tell what to measure next: the cheapest labels that would show the target (without one,
     a failure probability halfway to what the labels at hand allow), labels that would halve the

@@ -125,7 +125,7 @@ def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
-    Without rules, position errors, tracker, family where there are none.
+    Without rules, position errors, tracker, family and encounters an hour where there are none.
     """
     table = every_setting(config)
     if config.scenario.tracker == NO_TRACKER:
@@ -138,6 +138,8 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
         del table["scenario"]
     else:
         table["scenario"] = {"tracker": config.scenario.tracker}
+    if config.encounters_per_hour is None:
+        del table["encounters_per_hour"]
     return table
 
 

@@ -32,6 +32,7 @@ from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
+from pemviz.reports.rates_text import RATE_COLUMNS, RATES_TITLE, rate_note, rate_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -58,6 +59,7 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
     if result.estimate is not None:
         parts += [*_memory(result), _answer(result, result.estimate), *_rules(result)]
+        parts += _rates(result)
         parts += _plot(result, gate)
         parts += [*_ladder(result), *_plan(result), *_causes(result)]
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
@@ -116,6 +118,14 @@ def _rules(result: RunResult) -> list[str]:
         markdown_table(RULE_COLUMNS, rows),
         *(["\n".join(lines)] if lines else []),
     ]
+
+
+def _rates(result: RunResult) -> list[str]:
+    """Violations an hour of driving, where encounters an hour are told."""
+    rows = [tuple(map(markdown_text, row)) for row in rate_rows(result)]
+    if not rows:
+        return []
+    return [f"### {RATES_TITLE}", markdown_table(RATE_COLUMNS, rows), rate_note(result)]
 
 
 def _memory(result: RunResult) -> list[str]:

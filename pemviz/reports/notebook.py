@@ -19,6 +19,7 @@ from pemviz.reports.pictures.html import STYLE, quiet, warning
 from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curve
 from pemviz.reports.pictures.svg import Axis, Plot
+from pemviz.reports.rates_text import rate_line
 from pemviz.runs.least_robust import Rollout
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -33,13 +34,14 @@ def result_html(result: RunResult) -> str:
     estimate = result.estimate
     if estimate is None:
         return _box([_large(f"No estimate: the run {result.status}"), *_failed(result)])
-    caveats = run_interval_caveats(result)
+    caveats, rate = run_interval_caveats(result), rate_line(result)
     parts = [
         _large(f"Failure probability {short_probability(estimate)}"),
         _line(
             f"if error model {result.pem.name} is right; {_interval(estimate, caveats)}; "
             f"{result.config.method}: {violations_text(estimate)} violate {result.config.spec}"
         ),
+        *([quiet(rate)] if rate else []),
         quiet(f"Misses are taken to be {memory_text(result.memory)}."),
         *(warning(diagnostic.text) for diagnostic in run_diagnostics(result)),
         ladder_plot(result),

@@ -34,6 +34,7 @@ from pemviz.runs.interpretation import (
     with_curves,
 )
 from pemviz.runs.memory import memory_of
+from pemviz.runs.rates import assumed_encounters
 from pemviz.runs.result import PemInfo, RunResult, position_info, with_stage
 from pemviz.runs.rules import estimates_by_rule, rule_answers
 from pemviz.runs.specification import may_leave_bounds
@@ -259,6 +260,8 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     first, *others = OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS
     if latents := latent_counts(experiment.problem.simulator):
         others = [f"{LATENTS}: {latents}", *others]
+    if experiment.config.encounters_per_hour is not None:
+        others = [*others, assumed_encounters(experiment.config.encounters_per_hour)]
     if experiment.back_end.position_errors is not None:
         others = [_measured_by(experiment.back_end.position_errors), *others]
     if experiment.config.metric == "agm" and may_leave_bounds(experiment.problem.simulator):

@@ -15,6 +15,8 @@ What a result.json may hold (schema 1):
 - The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
   ``sensitivity``, and its other fields under ``causes``.
 - ``rules``, and ``broken`` in ``least_robust``, only where there are rules.
+- ``per_hour``, only where encounters an hour are told (:mod:`pemviz.runs.rates`), follows from
+  the estimates too.
 - ``ladder``, what leaves the answer open (:class:`pemviz.runs.ladder.Rung`): it follows from the
   other fields, which are what is read.
 - Null for the robustness of a rollout where it is infinite.
@@ -39,6 +41,7 @@ from pemviz.errors import InputError
 from pemviz.files.atomic import write_json
 from pemviz.files.json_text import parse_json
 from pemviz.runs.ladder import Rung, uncertainty_ladder
+from pemviz.runs.rates import ViolationRate, violation_rates
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.rules import RuleAnswer
 from pemviz.runs.trust import run_interval_caveats
@@ -108,6 +111,7 @@ def result_document(result: RunResult) -> Table:
             else _estimate_table(result.estimate, caveats=run_interval_caveats(result))
         ),
         **_rule_tables(result.rules),
+        **_rate_tables(result),
         "memory": None if result.memory is None else asdict(result.memory),
         **({} if result.latents is None else {"latents": asdict(result.latents)}),
         **_position_errors(result),
@@ -153,6 +157,7 @@ def result_from_document(document: object) -> RunResult:
         message = f"seed = {shown(table['seed'])}: must be that of config, {config.seed}"
         raise InputError(message)
     read_value(tuple[Rung, ...], table.get("ladder", []), name="ladder")
+    read_value(tuple[ViolationRate, ...], table.get("per_hour", []), name="per_hour")
     fields = {
         **table,
         "config": config,
@@ -236,6 +241,12 @@ def _rule_tables(rules: Sequence[RuleAnswer]) -> Table:
         for rule in rules
     ]
     return {"rules": tables} if tables else {}
+
+
+def _rate_tables(result: RunResult) -> Table:
+    """Violations an hour; nothing where encounters an hour are not told."""
+    tables = [asdict(rate) for rate in violation_rates(result)]
+    return {"per_hour": tables} if tables else {}
 
 
 def _ranked_table(rollout: RankedRollout) -> Table:

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 
 from pemviz.cli.summary import print_summary
-from pemviz.reports.estimate_text import reference_text, summary_text
+from pemviz.reports.estimate_text import reference_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.summary_text import summary_text
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.value_twisted.reference import Reference
 from tests.reports.runs import estimate, result

@@ -269,7 +269,7 @@ def test_another_schema_is_refused(sample, schema):
 
 
 def test_what_is_unknown_is_ignored_but_for_settings(sample):
-    document = changed(sample, ("per_hour",), [1])
+    document = changed(sample, ("per_decade",), [1])
     document = changed(document, ("estimate", "ladder"), "x")
     document = changed(document, ("stages", 0, "rules"), {})
     assert result_from_document(document) == result_from_document(sample)

@@ -50,6 +50,7 @@ RULES_HINT = (
     "Rules by name, a line NAME = FORMULA each, in place of the specification: each is answered, "
     "and any of them. Empty: the specification alone."
 )
+MOST_ENCOUNTERS = 1e6
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
 
 
@@ -88,6 +89,7 @@ class ExperimentTab:
             memory_s=float(self.memory.value),
             frailty=float(self.frailty.value),
             target=read_probability(self.target.value, name="target"),
+            encounters_per_hour=self._encounters(),
             memory_curve=self.memory_curve.value,
             reference=self.reference.value,
             spec=self.spec.value,
@@ -102,6 +104,15 @@ class ExperimentTab:
             InputError: A line is no rule.
         """
         return read_rules([line for line in self.rules.value.splitlines() if line.strip()])
+
+    def _encounters(self) -> float | None:
+        """Encounters an hour as typed, if any.
+
+        Raises:
+            InputError: They are no number above 0.
+        """
+        name = "encounters per hour"
+        return read_number(self.encounters.value, name=name, most=MOST_ENCOUNTERS)
 
     def refresh(self, state: PanelState) -> None:
         """Run is possible while nothing runs and nothing is wrong, Stop while something runs."""
@@ -172,14 +183,17 @@ class ExperimentTab:
         self.memory_curve = gui.add_checkbox("Memory curve", False, hint=hint("memory_curve"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
         self.target = gui.add_text("Target", "", hint=hint("target") + TARGET_WORDS)
+        self.encounters = gui.add_text(
+            "Encounters per hour", "", hint=hint("encounters_per_hour") + TARGET_WORDS
+        )
         self.fail_above = gui.add_text("Fail above", "", hint=LIMIT_HINT)
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
         self.rules = gui.add_text("Rules", "", multiline=True, hint=RULES_HINT)
         self._verdict = gui.add_html("")
         self._facts = gui.add_html("")
         for typed in (
-            self.spec, self.rules, self.target, self.stages, self.rollouts, self.final_rollouts,
-            self.seed, self.memory, self.frailty,
+            self.spec, self.rules, self.target, self.encounters, self.stages, self.rollouts,
+            self.final_rollouts, self.seed, self.memory, self.frailty,
         ):  # fmt: skip
             typed.on_update(browser.on(self._check))
         for chosen in (self.simulator, self.reference):
@@ -228,6 +242,8 @@ class ExperimentTab:
         self.reference.value, self.rules.value = config.reference, rules_text(config.rules)
         self.spec.value = config.spec
         self.target.value = "" if config.target is None else f"{config.target:g}"
+        encounters = config.encounters_per_hour
+        self.encounters.value = "" if encounters is None else f"{encounters:g}"
         self.perception.fill(config)
         self._choose_parts()
 
@@ -294,6 +310,11 @@ class ExperimentTab:
             except InputError as error:
                 wrong = True
                 yield str(error)
+        try:
+            self._encounters()
+        except InputError as error:
+            wrong = True
+            yield str(error)
         if not wrong:
             try:
                 self.config.validate()
@@ -350,14 +371,24 @@ def read_probability(typed: str, *, name: str) -> float | None:
     Raises:
         InputError: It is no number above 0 and at most 1.
     """
+    return read_number(typed, name=name, most=1.0)
+
+
+def read_number(typed: str, *, name: str, most: float) -> float | None:
+    """A number above 0 as it was typed; ``None`` for an empty field.
+
+    Raises:
+        InputError: It is no number above 0 and at most ``most``.
+    """
     if not typed.strip():
         return None
     try:
         value = float(typed)
     except ValueError:
         value = math.nan
-    if not 0.0 < value <= 1.0:
-        message = f"{name} = {typed.strip()[:40]!r}: must be above 0 and at most 1, or empty"
+    if not 0.0 < value <= most:
+        allowed = f"above 0 and at most {most:g}"
+        message = f"{name} = {typed.strip()[:40]!r}: must be {allowed}, or empty"
         raise InputError(message)
     return value
 

@@ -19,6 +19,7 @@ from pemviz.reports.gate import decide_run
 from pemviz.reports.memory_curve import assumption_worth
 from pemviz.reports.pictures.html import block, good, grid, number, quiet, warning
 from pemviz.reports.pictures.ladder import ladder_plot
+from pemviz.reports.rates_text import rate_line
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_diagnostics, run_interval_caveats
@@ -67,6 +68,8 @@ def _answer(run: RunData) -> str:
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
     worth = assumption_worth(run.result.memory)
     lines += warning(f"{worth} (more in Why)") if worth else ""
+    rate = rate_line(run.result)
+    lines += quiet(rate) if rate else ""
     lines += _rules(run.result)
     diagnostics = run_diagnostics(run.result)
     for first in diagnostics[:1]:

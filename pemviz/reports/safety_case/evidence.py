@@ -17,6 +17,7 @@ from pemviz.reports.pictures.causes import band_table, chain_table
 from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curves
 from pemviz.reports.pictures.violations import gap_plot, misses_over_time
+from pemviz.reports.rates_text import RATE_COLUMNS, rate_line, rate_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.safety_case.case import CaseRun
 from pemviz.reports.safety_case.html import (
@@ -83,6 +84,7 @@ def _estimate(result: RunResult, *, below: float | None) -> str:
         table(("figure", "found", "wanted"), rows)
         + told
         + _rules(result)
+        + _rates(result)
         + f"<div class='half wide'>{figure(picture, f'{caption}.')}</div>"
     )
 
@@ -93,6 +95,12 @@ def _rules(result: RunResult) -> str:
         return ""
     words = paragraph(f"{RULES_TITLE}; the figures above are of any of them being broken.")
     return words + table(RULE_COLUMNS, rule_rows(result)) + warnings(rule_warnings(result))
+
+
+def _rates(result: RunResult) -> str:
+    """Violations an hour of driving, where encounters an hour are told."""
+    rows = rate_rows(result)
+    return paragraph(rate_line(result)) + table(RATE_COLUMNS, rows) if rows else ""
 
 
 NO_WARNING = "The diagnostics of the sampling give no warning."
