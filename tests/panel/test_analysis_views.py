@@ -10,7 +10,7 @@ import pytest
 from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.errors import InputError
 from pemviz.panel.contribution import shares
-from pemviz.panel.tabs.experiment import read_probability
+from pemviz.panel.tabs.experiment import read_number
 from pemviz.panel.views import compare, headline, learning, models, page, weights
 from pemviz.panel.views.curves import over_common
 from tests.panel.test_views import well_formed, with_result
@@ -139,13 +139,13 @@ def test_lines_end_where_they_are_known():
 @pytest.mark.parametrize("typed", ["x", "0", "-1", "1.5", "nan", "inf", "1e-400", "1,5", "0x1"])
 def test_what_is_no_probability_is_refused(typed):
     with pytest.raises(InputError, match=r"^target = .*: must be above 0 and at most 1, or empty$"):
-        read_probability(typed, name="target")
+        read_number(typed, name="target")
 
 
 def test_probabilities_are_read_as_typed():
-    assert read_probability(" 1e-9 ", name="target") == 1e-9
-    assert read_probability("1", name="target") == 1.0
-    assert read_probability("  ", name="target") is None
+    assert read_number(" 1e-9 ", name="target") == 1e-9
+    assert read_number("1", name="target") == 1.0
+    assert read_number("  ", name="target") is None
 
 
 def test_the_answer_is_judged_by_a_limit(naive_run):

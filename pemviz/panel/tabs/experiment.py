@@ -88,7 +88,7 @@ class ExperimentTab:
             simulator=self.simulator.value,
             memory_s=float(self.memory.value),
             frailty=float(self.frailty.value),
-            target=read_probability(self.target.value, name="target"),
+            target=self._target(),
             encounters_per_hour=self._encounters(),
             memory_curve=self.memory_curve.value,
             reference=self.reference.value,
@@ -105,14 +105,15 @@ class ExperimentTab:
         """
         return read_rules([line for line in self.rules.value.splitlines() if line.strip()])
 
-    def _encounters(self) -> float | None:
-        """Encounters an hour as typed, if any.
+    def _target(self) -> float | None:
+        return read_number(self.target.value, name="target")
 
-        Raises:
-            InputError: They are no number above 0.
-        """
-        name = "encounters per hour"
-        return read_number(self.encounters.value, name=name, most=MOST_ENCOUNTERS)
+    def _fail_above(self) -> float | None:
+        return read_number(self.fail_above.value, name="fail above")
+
+    def _encounters(self) -> float | None:
+        most, name = MOST_ENCOUNTERS, "encounters per hour"
+        return read_number(self.encounters.value, name=name, most=most)
 
     def refresh(self, state: PanelState) -> None:
         """Run is possible while nothing runs and nothing is wrong, Stop while something runs."""
@@ -126,7 +127,7 @@ class ExperimentTab:
     def limit(self) -> float | None:
         """What the upper bound must not exceed; ``None`` where nothing sensible is said."""
         try:
-            return read_probability(self.fail_above.value, name="fail above")
+            return self._fail_above()
         except InputError:
             return None
 
@@ -304,17 +305,12 @@ class ExperimentTab:
         """What is wrong, a line each."""
         wrong = False
         yield from self._misunderstood()
-        for name, typed in (("target", self.target), ("fail above", self.fail_above)):
+        for read in (self._target, self._encounters, self._fail_above):
             try:
-                read_probability(typed.value, name=name)
+                read()
             except InputError as error:
                 wrong = True
                 yield str(error)
-        try:
-            self._encounters()
-        except InputError as error:
-            wrong = True
-            yield str(error)
         if not wrong:
             try:
                 self.config.validate()
@@ -365,17 +361,8 @@ def scenario_text(config: ExperimentConfig) -> str:
     )
 
 
-def read_probability(typed: str, *, name: str) -> float | None:
-    """A probability as it was typed; ``None`` for an empty field.
-
-    Raises:
-        InputError: It is no number above 0 and at most 1.
-    """
-    return read_number(typed, name=name, most=1.0)
-
-
-def read_number(typed: str, *, name: str, most: float) -> float | None:
-    """A number above 0 as it was typed; ``None`` for an empty field.
+def read_number(typed: str, *, name: str, most: float = 1.0) -> float | None:
+    """A number above 0, as a probability is, as it was typed; ``None`` for an empty field.
 
     Raises:
         InputError: It is no number above 0 and at most ``most``.
