@@ -22,6 +22,8 @@ HOLDS = SKY
 VIOLATED = VERMILLION
 EGO = BLUE
 LEAD = ORANGE
+CARS = (EGO, LEAD, PURPLE, GREEN, SKY)
+"""Of a scene with several cars, the ego first."""
 RUNGS = {
     "sampling": BLUE,
     "reference": GREEN,
@@ -39,6 +41,11 @@ PROPOSAL, PROPOSAL_ON_BLACK = VERMILLION, ORANGE
 # rerun adds up the colours of bars that overlap: where both are, the sum is orange
 PEM_BARS_ON_BLACK = "#3c3c46"
 PROPOSAL_BARS_ON_BLACK = "#be7300"
+
+
+def car_color(car: int) -> str:
+    """The ego's is its own; the others' in their order."""
+    return CARS[0] if car == 0 else CARS[1:][(car - 1) % (len(CARS) - 1)]
 
 
 def rgb(color: str) -> tuple[int, int, int]:

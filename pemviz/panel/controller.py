@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError, PemvizError
-from pemviz.panel.run_data import RunData, check_shown
+from pemviz.panel.run_data import RunData, own_scenario
 from pemviz.panel.run_observer import Progress, Watcher
 from pemviz.runs.engine import run as run_engine
 from pemviz.runs.events import Observer
@@ -157,7 +157,7 @@ class Controller:
 
     def _run(self, request: _Request) -> None:
         experiment = build_experiment(request.config)
-        check_shown(experiment.problem.simulator, experiment.config)
+        own = own_scenario(experiment.declared, experiment.config)
         folder = None
         observers: list[Observer] = []
         if request.keep:
@@ -167,7 +167,7 @@ class Controller:
                 message = str(error).replace("out =", "recordings =", 1)
                 raise InputError(message) from error
             observers += self._observers(folder)
-        watcher = Watcher(folder=folder, publish=self._publish)
+        watcher = Watcher(folder=folder, publish=self._publish, own=own)
         if folder is None:
             run_engine(
                 experiment,

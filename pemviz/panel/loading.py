@@ -3,6 +3,7 @@
 import re
 import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from weakref import WeakValueDictionary
 
@@ -12,6 +13,7 @@ from scipy.special import expit
 from pemviz.analysis.detection_curves import gap_grid, initial_states, pem_curve
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config import ExperimentConfig
+from pemviz.config.encounters import NO_FAMILY
 from pemviz.errors import InputError
 from pemviz.files.array_files import load_tensors
 from pemviz.panel.run_data import (
@@ -20,18 +22,23 @@ from pemviz.panel.run_data import (
     check_table,
     detection_probability,
     numbered,
+    own_scenario,
     thinned,
 )
 from pemviz.pem import load_pem
 from pemviz.proposals.gap_network import gap_network_from_arrays
+from pemviz.runs.back_ends import build_back_end
 from pemviz.runs.result_file import RESULT_FILE
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.same_run import read_whole_run
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from pemviz.types import StageKind
+from pemviz.simulators.registry import SHIPPED
+from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
+from pemviz.types import Simulator, StageKind
 
 LARGEST_ROLLOUTS_BYTES = 4 * 1024**3
 BIN_M = 0.25
+DRAWN_BACK_END = "vectorized"
 _INDEX = re.compile("[0-9]{1,9}")
 
 
@@ -68,7 +75,15 @@ def load_run(folder: Path) -> RunData:
     """
     result = read_whole_run(folder)
     config = result.config
-    table = _rollouts(folder, config)
+    own = _own_scenario(config)
+    table = _rollouts(folder, config, own)
+    parts = thinned((numbered(table),), stages=result.stages) if table else ()
+    simulated = int(table["violated"].size) if table else 0
+    if own is not None:  # no gap to draw curves against
+        return RunData(
+            result=result, gap_m=np.empty(0), pem_detection=np.empty(0), parts=parts,
+            simulated=simulated, folder=folder, own=own,
+        )  # fmt: skip
     simulator = VectorizedSimulator(config.scenario)
     gap_m = gap_grid(simulator)
     try:
@@ -85,13 +100,30 @@ def load_run(folder: Path) -> RunData:
         gap_m=gap_m,
         pem_detection=pem_detection,
         curves=curves,
-        parts=thinned((numbered(table),), stages=result.stages) if table else (),
-        simulated=int(table["violated"].size) if table else 0,
+        parts=parts,
+        simulated=simulated,
         folder=folder,
     )
 
 
-def _rollouts(folder: Path, config: ExperimentConfig) -> dict[str, AnyArray]:
+def _own_scenario(config: ExperimentConfig) -> Simulator | SlotSimulator | None:
+    """The scenario that ``config`` names, if it is another than the braking scenario.
+
+    Raises:
+        InputError: There is none of that name here, or nothing to draw.
+    """
+    if config.encounter.family == NO_FAMILY:
+        if config.simulator in SHIPPED:
+            return None
+    else:  # the same states on every back end, and this one is there
+        config = replace(config, simulator=DRAWN_BACK_END)
+    found = build_back_end(config).simulator
+    return own_scenario(found.scenario if isinstance(found, UnrolledSimulator) else found, config)
+
+
+def _rollouts(
+    folder: Path, config: ExperimentConfig, own: Simulator | SlotSimulator | None
+) -> dict[str, AnyArray]:
     whole = folder / "rollouts.npz"
     if whole.exists() and whole.stat().st_size > LARGEST_ROLLOUTS_BYTES:
         message = f"rollouts {whole}: larger than 4 GB, too large to show here"
@@ -99,7 +131,7 @@ def _rollouts(folder: Path, config: ExperimentConfig) -> dict[str, AnyArray]:
     if not whole.exists() and not any((folder / "stages").glob("*.npz")):
         return {}
     table = load_rollouts(folder)
-    check_table(table, config, where=str(folder))
+    check_table(table, config, where=str(folder), simulator=own)
     return table
 
 

@@ -7,7 +7,7 @@ that carry the answer (:mod:`pemviz.analysis.contribution`).
 import csv
 import io
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -18,10 +18,11 @@ from pemviz.config import MetricName
 from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData, signals_of, verdicts
 from pemviz.runs.rollout_files import latents_of
+from pemviz.runs.slot_outcomes import slots_of
 from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
 from pemviz.sampling.elite_threshold import elite_threshold
 from pemviz.sampling.elite_threshold import elites as elites_of_stage
-from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from pemviz.types import Simulator
 
 Among = Literal["carrying", "all"]
 
@@ -93,7 +94,7 @@ def _robustness(run: RunData, metric: MetricName, rule: str | None) -> FloatArra
         return np.empty(0)
     if rule is None and metric == run.config.metric:
         return np.asarray(run.rollouts["robustness"], dtype=np.float64)
-    simulator = VectorizedSimulator(run.config.scenario)
+    simulator = cast(Simulator, run.simulator)
     formulas = {None: run.config.spec} | {one.name: one.formula for one in run.config.rules}
     config = replace(run.config, metric=metric, spec=formulas[rule], rules=())
     formula = build_formula(config, simulator)
@@ -136,8 +137,15 @@ def row(run: RunData, ranking: Ranking, place: int) -> RankedRow:
         ),
         log_weight=float(run.log_weight[index]),
         share=float(ranking.share[index]),
-        misses=int(np.count_nonzero(~table["detected"][index])),
+        misses=_errors(run, index),
     )
+
+
+def _errors(run: RunData, index: int) -> int:
+    """How often perception errs in a rollout, in whichever slot."""
+    detected, slots = run.rollouts["detected"][index], slots_of(run.simulator)
+    nominal = np.array([slot.nominal for slot in slots], dtype=np.bool_) if slots else True
+    return int(np.count_nonzero(detected != nominal))
 
 
 def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:

@@ -14,11 +14,18 @@ from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.runs.result import RunResult, StageSummary
 from pemviz.runs.rollout_files import BROKEN, latents_of, log_weights
-from pemviz.simulators.braking.scenario import scenario_signals
-from pemviz.types import Simulator, StageKind
+from pemviz.runs.slot_outcomes import slots_of
+from pemviz.runs.specification import asked_signals
+from pemviz.simulators.braking.scenario import GAP, scenario_signals
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from pemviz.simulators.scene import drawn_scene
+from pemviz.simulators.slots import SlotSimulator
+from pemviz.types import Signal, Simulator, StageKind
 
 Value = TypeVar("Value")
 
+CLEARANCE = "clearance"
+"""Signal of scenarios with several cars: how far the ego is from the nearest [m]."""
 KEPT_ROLLOUTS = 20_000
 FARTHEST = 1e9
 """Beyond any gap [m], speed [m/s] or log likelihood of a step [nats]."""
@@ -72,6 +79,7 @@ class RunData:
         simulated: How many rollouts were simulated; tables may hold fewer, see ``thinned``.
         folder: Where the run lies on disk, if it does.
         running: Whether it goes on.
+        own: The scenario, in its own steps, if it is another than the braking scenario.
     """
 
     result: RunResult
@@ -82,6 +90,7 @@ class RunData:
     simulated: int = 0
     folder: Path | None = None
     running: bool = False
+    own: Simulator | SlotSimulator | None = None
     memo: Memo = field(default_factory=Memo, init=False)
 
     @property
@@ -93,6 +102,30 @@ class RunData:
     def config(self) -> ExperimentConfig:
         """What was asked."""
         return self.result.config
+
+    @cached_property
+    def simulator(self) -> Simulator | SlotSimulator:
+        """The scenario, in its own steps."""
+        return VectorizedSimulator(self.config.scenario) if self.own is None else self.own
+
+    @property
+    def charted(self) -> Signal:
+        """The signal that charts draw: the gap, elsewhere what the specification is about first."""
+        if self.own is None:
+            return next(signal for signal in self.simulator.signals if signal.name == GAP)
+        return asked_signals(self.config, self.own.signals)[0]
+
+    @property
+    def distance(self) -> Signal | None:
+        """The signal that tells how near the cars come, if there is one."""
+        if self.own is None:
+            return self.charted
+        return next((signal for signal in self.own.signals if signal.name == CLEARANCE), None)
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Times ``[T]`` of the states of a rollout [s]."""
+        return np.arange(self.simulator.states, dtype=np.float64) * self.simulator.dt_s
 
     @cached_property
     def rollouts(self) -> Mapping[str, AnyArray]:
@@ -136,7 +169,7 @@ def signals_of(run: RunData) -> dict[str, FloatArray]:
     """The kept rollouts' signals ``[N, T]`` by the names that specifications use."""
     return {
         signal.name: np.asarray(run.rollouts[signal.key], dtype=np.float64)
-        for signal in scenario_signals(run.config.scenario)
+        for signal in run.simulator.signals
     }
 
 
@@ -198,38 +231,51 @@ def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     return {**part, "rollout": index}
 
 
-def check_shown(simulator: Simulator, config: ExperimentConfig) -> None:
-    """Check that a simulator's rollouts look like those of the scenario that the panel draws.
+def own_scenario(
+    simulator: Simulator | SlotSimulator, config: ExperimentConfig
+) -> Simulator | SlotSimulator | None:
+    """The simulator itself, unless its rollouts look like the braking scenario's.
 
     Raises:
-        InputError: They do not.
+        InputError: They do not, and it does not tell where its cars are: there is nothing to draw.
     """
     scenario = config.scenario
     drawn = {signal.name: signal.key for signal in scenario_signals(scenario)}
     offered = {signal.name: signal.key for signal in simulator.signals}
-    if offered != drawn or (simulator.states, simulator.dt_s) != (scenario.states, scenario.dt_s):
+    times = (simulator.states, simulator.dt_s)
+    if offered == drawn and times == (scenario.states, scenario.dt_s):
+        return None
+    if drawn_scene(simulator) is None:
         message = (
             f"simulator = {config.simulator!r}: the panel draws a car behind another "
-            f"({', '.join(drawn)}; scenario.states and dt_s), this one is different; use pemviz "
-            "record and pemviz open"
+            f"({', '.join(drawn)}; scenario.states and dt_s), or a simulator that tells where its "
+            "cars are (pemviz.DrawsScene); use pemviz record and pemviz open"
         )
         raise InputError(message)
+    return simulator
 
 
-def check_table(table: Mapping[str, AnyArray], config: ExperimentConfig, *, where: str) -> None:
+def check_table(
+    table: Mapping[str, AnyArray],
+    config: ExperimentConfig,
+    *,
+    where: str,
+    simulator: Simulator | SlotSimulator | None = None,
+) -> None:
     """Check a table read from disk against what its configuration promises.
 
     Raises:
         InputError: An array is absent, or its shape, type or numbers cannot be a run's.
     """
-    states = config.scenario.states
-    keys = [signal.key for signal in scenario_signals(config.scenario)]
-    widths = dict.fromkeys(keys, states)
-    widths |= dict.fromkeys(("detected", "log_p", "log_q"), states - 1)
+    scenario = VectorizedSimulator(config.scenario) if simulator is None else simulator
+    slots = len(slots_of(scenario))
+    acted = (scenario.states - 1, slots) if slots > 1 else (scenario.states - 1,)
+    shapes = {signal.key: (scenario.states,) for signal in scenario.signals}
+    shapes |= dict.fromkeys(("detected", "log_p", "log_q"), acted)
     count = table["violated"].size if "violated" in table else 0
     broken = [f"{BROKEN}{rule.name}" for rule in config.rules]
-    for name in (*PER_ROLLOUT, *broken, *widths):
-        shape = (count, widths[name]) if name in widths else (count,)
+    for name in (*PER_ROLLOUT, *broken, *shapes):
+        shape = (count, *shapes.get(name, ()))
         if name not in table or table[name].shape != shape:
             state = "is absent" if name not in table else f"has shape {table[name].shape}"
             message = f"rollouts {where}: {name} {state}, must have shape {shape}"

@@ -15,7 +15,8 @@ from pemviz.runs.events import StageDone as StageDoneEvent
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import stage_arrays
 from pemviz.sampling.registry import by_name
-from pemviz.types import StageResult
+from pemviz.simulators.slots import SlotSimulator
+from pemviz.types import Simulator, StageResult
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,23 @@ Publish = Callable[[RunData, Progress], None]
 class Watcher:
     """Observer that publishes a run's state after every event worth showing."""
 
-    def __init__(self, *, folder: Path | None, publish: Publish) -> None:
+    def __init__(
+        self,
+        *,
+        folder: Path | None,
+        publish: Publish,
+        own: Simulator | SlotSimulator | None = None,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            folder: Where the run lies on disk, if it does.
+            publish: What is told of every state of the run.
+            own: The scenario, if it is another than the braking scenario.
+        """
         self._started: RunStarted | None = None
         self._folder = folder
+        self._own = own
         self._publish = publish
         self._began_s = time.monotonic()
         self._gap_m: FloatArray = np.empty(0)
@@ -98,7 +113,7 @@ class Watcher:
 
     def _start(self, event: RunStarted) -> None:
         self._started = event
-        if any(signal.name == GAP for signal in event.signals):
+        if self._own is None and any(signal.name == GAP for signal in event.signals):
             self._gap_m = gap_grid(event.simulator)
             detection = pem_curve(simulator=event.simulator, pem=event.pem, gap_m=self._gap_m)
         else:
@@ -116,6 +131,7 @@ class Watcher:
             pem_detection=detection,
             folder=self._folder,
             running=True,
+            own=self._own,
         )
 
     def _set_result(self, result: RunResult) -> None:

@@ -5,7 +5,6 @@ x = 0 when the rollout begins.
 """
 
 import math
-import threading
 
 import numpy as np
 import viser
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 from pemviz.arrays import FloatArray
 from pemviz.colors import BLUE, DETECTED, EGO, LEAD, MISSED, rgb
 from pemviz.panel import meshes
-from pemviz.panel.server import guarded_server
 from pemviz.panel.views.rollout import Track
 from pemviz.simulators.braking.contact import (
     CAMERA_TO_BUMPER_M,
@@ -32,7 +30,6 @@ LAMP_ON, LAMP_OFF = (255, 20, 20), (84, 12, 12)
 SAFE, CLOSE = np.array([120.0, 130.0, 140.0]), np.array([225.0, 20.0, 20.0])
 FOCAL_PX, IMAGE_PX = 721.5, (1242, 375)
 VIEW_DEPTH_M = 2.0
-REST_S = 1.0
 LOOK_AHEAD_WXYZ = (0.5, -0.5, 0.5, -0.5)
 FIRST_VIEW_POSITION = (-15.0, -19.0, 12.0)
 FIRST_VIEW_TARGET = (4.5, 0.0, -3.6)
@@ -40,8 +37,6 @@ FIRST_VIEW_FOV = 0.66
 BRAKING_MPS2 = 1.0
 AFTER_CONTACT = (150, 150, 150)
 OUTCOME = {True: "detected", False: "MISSED"}
-
-_ONE_PAGE_AT_A_TIME = threading.Lock()
 
 
 class Scene:
@@ -53,11 +48,7 @@ class Scene:
         self._follow = True
         self._travelled_m: FloatArray = np.zeros(1)
         self._gap_m: FloatArray = np.zeros(1)
-        api.configure_default_lights(enabled=False)
-        api.add_light_hemisphere(
-            "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 150), intensity=0.65
-        )
-        api.add_light_directional("/light/sun", intensity=1.0, position=(-6.0, -10.0, 14.0))
+        lights(api)
         self._world = api.add_frame("/world", show_axes=False)
         self._ego = api.add_frame("/world/ego", show_axes=False)
         self._lead = api.add_frame("/world/lead", show_axes=False)
@@ -86,9 +77,14 @@ class Scene:
             "/world/ego/gap_label", "gap", anchor="bottom-center", font_screen_scale=1.15
         )
 
+    def clear(self) -> None:
+        """Nothing is drawn; a later rollout is."""
+        self._world.visible = False
+
     def show(self, track: Track) -> None:
         """Draw another rollout; call :meth:`at` afterwards."""
         self._track = track
+        self._world.visible = True
         dt_s = track.scenario.dt_s
         travelled_m = np.concatenate([[0.0], np.cumsum(track.ego_speed_mps[:-1] * dt_s)])
         self._travelled_m = until_contact(travelled_m, track.contact)
@@ -255,6 +251,15 @@ class Scene:
             )
 
 
+def lights(api: viser.SceneApi) -> None:
+    """A sky and a sun."""
+    api.configure_default_lights(enabled=False)
+    api.add_light_hemisphere(
+        "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 150), intensity=0.65
+    )
+    api.add_light_directional("/light/sun", intensity=1.0, position=(-6.0, -10.0, 14.0))
+
+
 def gap_words(track: Track, step: int) -> str:
     """The gap and perception's outcome at a step, or how the cars came into contact."""
     if track.contact is not None and step >= track.contact.step:
@@ -281,28 +286,3 @@ def gap_color(gap_m: float, *, wide_m: float) -> NDArray[np.uint8]:
     """RGB ``[3]`` from 0 to 255: grey at ``wide_m`` and beyond, red at contact."""
     share = float(np.clip((wide_m - gap_m) / max(wide_m - CAMERA_TO_BUMPER_M, 1e-9), 0.0, 1.0))
     return np.rint(SAFE + share * (CLOSE - SAFE)).astype(np.uint8)
-
-
-def scene_html(track: Track) -> str:
-    """The scene as an HTML page that plays without a server, and rests a moment at its end."""
-    with _ONE_PAGE_AT_A_TIME:
-        return _scene_html(track)
-
-
-def _scene_html(track: Track) -> str:
-    server = guarded_server(host="127.0.0.1", port=0, closed=True)
-    try:
-        server.initial_camera.position = FIRST_VIEW_POSITION
-        server.initial_camera.look_at = FIRST_VIEW_TARGET
-        server.initial_camera.fov = FIRST_VIEW_FOV
-        scene = Scene(server.scene)
-        scene.show(track)
-        scene.at(0)
-        serializer = server.get_scene_serializer()
-        for step in range(1, track.states):
-            serializer.insert_sleep(track.scenario.dt_s)
-            scene.at(step)
-        serializer.insert_sleep(REST_S)
-        return serializer.as_html()
-    finally:
-        server.stop()

@@ -1,6 +1,5 @@
 """The observer that writes a run's recording while the run goes on."""
 
-import re
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -31,10 +30,11 @@ from pemviz.runs.events import (
 )
 from pemviz.runs.result import RunResult
 from pemviz.runs.slot_outcomes import slots_of
+from pemviz.runs.specification import asked_signals
 from pemviz.simulators.braking.scenario import EGO_SPEED
 from pemviz.simulators.scene import drawn_scene
 from pemviz.simulators.slots import Slot
-from pemviz.types import Signal, StageResult
+from pemviz.types import StageResult
 
 RECORDED_REPETITION = 0
 REDRAW_GROWTH = 1.1
@@ -301,7 +301,7 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
                 robustness_unit=robustness_unit(config.metric),
                 frames=frames,
                 road=None if told is None else told.road,
-                asked=None if told is None else _asked(event),
+                asked=None if told is None else asked_signals(config, event.signals)[0],
             )
         ),
         quota=quota(
@@ -315,14 +315,6 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
         has_scene={GAP, EGO_SPEED} <= names and not slots and told is None,
         slots=slots,
     )
-
-
-def _asked(event: RunStarted) -> Signal | None:
-    """The first signal that the specification, or a rule, is about."""
-    formulas = [rule.formula for rule in event.config.rules] or [event.config.spec]
-    names = [name for one in formulas for name in re.findall(r"[A-Za-z_]\w*", one)]
-    by_name = {signal.name: signal for signal in event.signals}
-    return next((by_name[name] for name in names if name in by_name), None)
 
 
 def _without_constants(run: _Run, stage: StageResult) -> _Run:

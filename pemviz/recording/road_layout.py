@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.colors import DETECTED, EGO, GREEN, GREY, LEAD, MISSED, PURPLE, SKY, Rgba, rgba
+from pemviz.colors import DETECTED, GREY, MISSED, Rgba, rgba
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout
 
 ROADS = 2
@@ -18,7 +18,6 @@ VERGE_M = 5.0
 """Between two roads; a rollout's words stand there."""
 BEHIND_M, AHEAD_M = 15.0, 60.0
 DASH_M, DASH_SPACING_M = 3.0, 9.0
-OTHERS = (LEAD, PURPLE, GREEN, SKY)
 ANSWERS: dict[int, Rgba] = {NOT_ASKED: rgba(GREY), RIGHT: rgba(DETECTED), WRONG: rgba(MISSED)}
 SIGMAS = 2.0
 """How many standard deviations an ellipse of a track reaches."""
@@ -48,11 +47,6 @@ def road_place(drawn: DrawnRollout, rank: int) -> RoadPlace:
     """Where the road of the ``rank``-th rollout lies."""
     edges_m = drawn.road.lane_edges_m
     return RoadPlace(rank=rank, low_m=edges_m[0], high_m=edges_m[-1])
-
-
-def car_color(car: int) -> str:
-    """The ego's is its own; the others' in their order."""
-    return EGO if car == 0 else OTHERS[(car - 1) % len(OTHERS)]
 
 
 def places_m(drawn: DrawnRollout, place: RoadPlace, car: int) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 
 from pemviz.arrays import FloatArray
-from pemviz.colors import BLACK, GREY, WHITE, Rgba, rgba
+from pemviz.colors import BLACK, GREY, WHITE, Rgba, car_color, rgba
 from pemviz.recording import paths
 from pemviz.recording.plot import NO_DOT
 from pemviz.recording.road_layout import (
@@ -21,7 +21,6 @@ from pemviz.recording.road_layout import (
     ROADS,
     SIGMAS,
     VERGE_M,
-    car_color,
     dash_starts_m,
     grey_from,
 )

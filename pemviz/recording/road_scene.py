@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from pemviz.arrays import AnyArray, FloatArray
-from pemviz.colors import GREY, WHITE, Rgba, rgba
+from pemviz.colors import GREY, WHITE, Rgba, car_color, rgba
 from pemviz.recording import paths
 from pemviz.recording.road_layout import (
     AHEAD_M,
@@ -17,7 +17,6 @@ from pemviz.recording.road_layout import (
     ROADS,
     SIGMAS,
     RoadPlace,
-    car_color,
     grey_from,
     places_m,
     road_place,

@@ -1,6 +1,7 @@
 """How rollouts are judged: the specification or its rules, and the metric that ranks them."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -22,7 +23,7 @@ from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.stl.formulas import Or
 from pemviz.stl.monitor import FormulaMonitor
-from pemviz.types import Simulator
+from pemviz.types import Signal, Simulator
 
 
 def build_problem(
@@ -95,6 +96,14 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
     for rule in config.rules:  # each by itself, so that what is wrong is told of it
         _parsed(rule.formula, simulator, name=f"rules.{rule.name}")
     return _parsed(config.spec, simulator, name="spec")
+
+
+def asked_signals(config: ExperimentConfig, signals: Sequence[Signal]) -> tuple[Signal, ...]:
+    """The signals that the specification, or its rules, name, in that order; at least the first."""
+    formulas = [rule.formula for rule in config.rules] or [config.spec]
+    names = [name for one in formulas for name in re.findall(r"[A-Za-z_]\w*", one)]
+    by_name = {signal.name: signal for signal in signals}
+    return tuple(by_name[n] for n in dict.fromkeys(names) if n in by_name) or (signals[0],)
 
 
 def _parsed(text: str, simulator: Simulator, *, name: str) -> stl.Formula:

@@ -9,7 +9,7 @@ import pytest
 from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import ConfigError, InputError
-from pemviz.panel.run_data import check_shown
+from pemviz.panel.run_data import own_scenario
 from pemviz.runs.experiment import build_experiment
 from pemviz.simulators.registry import SHIPPED, build_named_simulator, simulator_names
 
@@ -147,7 +147,7 @@ def test_what_needs_a_twin_is_refused(more, capsys):
 @pytest.mark.usefixtures("third_party")
 def test_the_panel_refuses_what_it_cannot_draw():
     config = ExperimentConfig(simulator="faster")
-    check_shown(build_experiment(config).problem.simulator, config)
+    assert own_scenario(build_experiment(config).problem.simulator, config) is None
     lattice = build_named_simulator("lattice", config.scenario)
     with pytest.raises(InputError, match="the panel draws a car behind another"):
-        check_shown(lattice, ExperimentConfig(simulator="lattice"))
+        own_scenario(lattice, ExperimentConfig(simulator="lattice"))

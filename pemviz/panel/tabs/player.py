@@ -1,7 +1,7 @@
 """The Rollout panel beneath the scene: play, pause, speed, scrub, follow, plots against time."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -10,10 +10,13 @@ import viser
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.page_layout import Window
 from pemviz.panel.ranking import RankedRow
+from pemviz.panel.road_scene import RoadScene
 from pemviz.panel.run_data import RunData
 from pemviz.panel.scene import Scene
+from pemviz.panel.scene_page import Shown
 from pemviz.panel.views.page import ROLLOUT, SHEET
-from pemviz.panel.views.rollout import Track, track, track_plots, with_cursor
+from pemviz.panel.views.road_rollout import RoadTrack, road_plots, road_plots_at, road_track
+from pemviz.panel.views.rollout import track, track_plots, with_cursor
 
 Key = Literal["space", "arrowleft", "arrowright"]
 
@@ -30,13 +33,14 @@ class Player:
         self._browser = browser
         self.playing = False
         self._key: object = None
-        self.track: Track | None = None
+        self.track: Shown | None = None
         self._pieces: tuple[str, ...] = ()
         self._step = 0
         self._began: tuple[float, int] = (0.0, 0)
         self._plotted_s = 0.0
         self._speed = 1.0
         self.scene = Scene(browser.client.scene)
+        self.roads = RoadScene(browser.client.scene)
         self.window = Window(browser.client, at_top=False)
         with self.window.panel.add_tab("Rollout", viser.Icon.MOVIE):
             self._add_controls()
@@ -44,16 +48,26 @@ class Player:
     def show(self, run: RunData, entry: RankedRow) -> None:
         """Show a rollout; nothing changes if it is the one shown."""
         key = (self._browser.selections, run.name, entry.repetition, entry.stage, entry.rollout)
-        chosen = track(run, entry)
         if key == self._key:
             return
-        self._key, self.track = key, chosen
-        self._pieces = track_plots(chosen)
+        roads = road_track(run, entry)
+        chosen = self.track = track(run, entry) if roads is None else roads
+        self._key = key
+        self._pieces = plots_of(chosen)
         self.playing = False
         with self._browser.client.atomic():
             self.slider.max = chosen.states - 1
-            self.scene.show(chosen)
+            self._draw(chosen)
             self._go_to(interesting_step(chosen))
+
+    def _draw(self, chosen: Shown) -> None:
+        """One of the two scenes is drawn, the other one is empty."""
+        if isinstance(chosen, RoadTrack):
+            self.scene.clear()
+            self.roads.show(chosen)
+        else:
+            self.roads.clear()
+            self.scene.show(chosen)
 
     def advance(self) -> None:
         """Move on with the time that has passed, while playing."""
@@ -62,7 +76,7 @@ class Player:
             return
         began_s, first = self._began
         passed = (time.monotonic() - began_s) * self._speed
-        step = min(first + int(passed / chosen.scenario.dt_s), chosen.states - 1)
+        step = min(first + int(passed / chosen.dt_s), chosen.states - 1)
         if step != self._step:
             self._go_to(step)
         if step == chosen.states - 1:
@@ -91,14 +105,13 @@ class Player:
             return
         self._step = min(max(step, 0), chosen.states - 1)
         with self._browser.client.atomic():
-            self.scene.at(self._step)
+            drawn = self.roads if isinstance(chosen, RoadTrack) else self.scene
+            drawn.at(self._step)
             self.slider.value = self._step
             now_s = time.monotonic()
             if not self.playing or now_s - self._plotted_s >= PLOT_PAUSE_S:
                 self._plotted_s = now_s
-                set_html(
-                    self._plots, with_cursor(self._pieces, chosen, self._step, speed=self._speed)
-                )
+                set_html(self._plots, plots_at(self._pieces, chosen, self._step, speed=self._speed))
 
     def _scrub(self) -> None:
         self._pause()
@@ -146,9 +159,24 @@ class Player:
     def follow(self, follow: bool) -> None:
         """Whether the view keeps up with the ego car."""
         self.scene.follow(follow)
+        self.roads.follow(follow)
         self._go_to(self._step)
 
 
-def interesting_step(chosen: Track) -> int:
+def plots_of(chosen: Shown) -> tuple[str, ...]:
+    """The plots of a rollout, each without its end."""
+    return road_plots(chosen) if isinstance(chosen, RoadTrack) else track_plots(chosen)
+
+
+def plots_at(pieces: Sequence[str], chosen: Shown, step: int, *, speed: float) -> str:
+    """The plots with a cursor at a step."""
+    if isinstance(chosen, RoadTrack):
+        return road_plots_at(pieces, chosen, step, speed=speed)
+    return with_cursor(pieces, chosen, step, speed=speed)
+
+
+def interesting_step(chosen: Shown) -> int:
     """Where the eye should land: the state of contact, else the closest one."""
+    if isinstance(chosen, RoadTrack):
+        return chosen.interesting_step
     return int(np.argmin(chosen.gap_m)) if chosen.contact is None else chosen.contact.step

@@ -7,7 +7,7 @@ from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.ranking import rank, ranking_csv
-from pemviz.panel.scene import scene_html
+from pemviz.panel.scene_page import scene_html
 from pemviz.panel.tabs.player import Player
 from pemviz.panel.views.recordings import delete_question, recordings_table, viewer_link
 from pemviz.runs.same_run import read_whole_run

@@ -13,7 +13,14 @@ from pemviz.config.toml_files import every_setting
 from pemviz.errors import InputError
 from pemviz.panel.ranking import Ranking, elites, rank, row
 from pemviz.panel.run_data import RunData
-from pemviz.panel.views.curves import RUN_COLORS, RUN_DASHES, Curves, Line, over_common
+from pemviz.panel.views.curves import (
+    RUN_COLORS,
+    RUN_DASHES,
+    Curves,
+    Line,
+    over_common,
+    signal_label,
+)
 from pemviz.panel.views.learning import DOUBTED, decades, logs_of_answer
 from pemviz.panel.views.page import cell, page, wide
 from pemviz.reports.estimate_text import no_interval_text
@@ -38,7 +45,7 @@ def metrics_page(run: RunData | None) -> str:
 
 
 def metric_curves(run: RunData | None) -> Curves | None:
-    """Gap against time of each metric's least robust rollout."""
+    """Gap, or what is asked about, against time of each metric's least robust rollout."""
     if run is None or not run.parts or run.running:
         return None
     return run.memo.get("metric curves", lambda: _metric_curves(run))
@@ -46,24 +53,26 @@ def metric_curves(run: RunData | None) -> Curves | None:
 
 def _metric_curves(run: RunData) -> Curves:
     rankings, _ = _rankings(run)
+    charted = run.charted
     lines = [
         Line(
-            f"{metric}, gap [m]",
-            np.asarray(run.rollouts["gap_m"][row(run, ranking, 0).index], np.float64),
+            f"{metric}, {signal_label(charted)}",
+            np.asarray(run.rollouts[charted.key][row(run, ranking, 0).index], np.float64),
             METRICS.get(metric, BLACK),
             width=3.4 - 0.8 * place,
             dash=METRIC_DASHES.get(metric, ()),
         )
         for place, (metric, ranking) in enumerate(rankings.items())
     ]
-    time_s = np.arange(run.config.scenario.states, dtype=np.float64) * run.config.scenario.dt_s
-    touch = np.full(time_s.size, CAMERA_TO_BUMPER_M)
+    if run.own is None:
+        touch = np.full(run.time_s.size, CAMERA_TO_BUMPER_M)
+        lines.append(Line("bumpers touch [m]", touch, VERMILLION, width=1.0))
     return Curves(
         title=f"Each metric's least robust of {run.kept:,} rollouts (one line: the same)",
-        x=time_s,
+        x=run.time_s,
         x_label="time [s]",
-        y_label="gap [m]",
-        lines=(*lines, Line("bumpers touch [m]", touch, VERMILLION, width=1.0)),
+        y_label=signal_label(charted),
+        lines=tuple(lines),
     )
 
 

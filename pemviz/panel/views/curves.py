@@ -7,6 +7,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.colors import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
+from pemviz.types import Signal
 
 RUN_COLORS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY)
 RUN_DASHES = ((), (6, 3), (2, 3), (9, 3, 2, 3), (12, 4), (4, 4))
@@ -51,6 +52,21 @@ class Curves:
     y_label: str
     lines: tuple[Line, ...]
     y_range: tuple[float, float] | None = None
+
+
+def signal_name(signal: Signal) -> str:
+    """A signal in words."""
+    return signal.name.replace("_", " ")
+
+
+def in_brackets(unit: str) -> str:
+    """A unit behind words; nothing without one."""
+    return f" [{unit}]" if unit else ""
+
+
+def signal_label(signal: Signal) -> str:
+    """A signal in words with its unit."""
+    return signal_name(signal) + in_brackets(signal.unit)
 
 
 def over_common(x: FloatArray, grids: Sequence[tuple[FloatArray, FloatArray]]) -> list[FloatArray]:

@@ -11,6 +11,19 @@ from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 PAGE_ROWS = 12
+BRAKING_SCENE = (
+    "flat blue marks on the road say where the camera detected the car ahead, upright crosses "
+    "where it missed; in the blue strip a detection brakes hard. The gap is measured from the "
+    f"ego's windscreen camera: at {CAMERA_TO_BUMPER_M:g} m, the red line, the bumpers touch, "
+    "and what a rollout tells after that is grey."
+)
+ROAD_SCENE = (
+    "a ball over a car says what perception reports of it: small and blue detected, large and "
+    "orange missed, grey nothing to report; beside the road stands a row for each obstacle, flat "
+    "blue marks where the ego detected it, upright crosses where it erred. White lines: where "
+    "the controller tracks a car, with an ellipse of two standard deviations where it knows any. "
+    "From contact on the cars are grey."
+)
 VIOLATED = f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>"
 
 
@@ -51,10 +64,7 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
     shown = (
         f"Ranks {start + 1} to {start + len(lines)} of {count:,} {ranked_text(ranking)}. "
         "Click a row, or press the up and down arrow keys; type a rank to jump. In the scene, "
-        "flat blue marks on the road say where the camera detected the car ahead, upright crosses "
-        "where it missed; in the blue strip a detection brakes hard. The gap is measured from the "
-        f"ego's windscreen camera: at {CAMERA_TO_BUMPER_M:g} m, the red line, the bumpers touch, "
-        "and what a rollout tells after that is grey."
+        f"{BRAKING_SCENE if run.own is None else ROAD_SCENE}"
     )
     if run.kept < run.simulated:
         shown += (

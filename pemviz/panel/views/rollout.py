@@ -59,6 +59,11 @@ class Track:
         return int(self.gap_m.size)
 
     @property
+    def dt_s(self) -> float:
+        """Time step [s]."""
+        return self.scenario.dt_s
+
+    @property
     def time_s(self) -> FloatArray:
         """Times ``[T]`` [s]."""
         return np.arange(self.states, dtype=np.float64) * self.scenario.dt_s

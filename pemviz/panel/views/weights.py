@@ -9,7 +9,15 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
 from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData
-from pemviz.panel.views.curves import RUN_COLORS, RUN_DASHES, Curves, Line
+from pemviz.panel.views.curves import (
+    RUN_COLORS,
+    RUN_DASHES,
+    Curves,
+    Line,
+    in_brackets,
+    signal_label,
+    signal_name,
+)
 from pemviz.panel.views.page import cell, page, wide
 from pemviz.reports.pictures.html import clickable_points, number, percent, quiet
 from pemviz.reports.pictures.svg import Axis, Plot, text
@@ -187,23 +195,27 @@ def _heaviest_curves(run: RunData) -> Curves | None:
     heaviest = heaviest[share[heaviest] > 0.0]
     if not heaviest.size:
         return None
-    time_s = np.arange(run.config.scenario.states, dtype=np.float64) * run.config.scenario.dt_s
+    charted = run.charted
     lines = [
         Line(
-            f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))}) [m]",
-            np.asarray(run.rollouts["gap_m"][index], dtype=np.float64),
+            f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))})"
+            f"{in_brackets(charted.unit)}",
+            np.asarray(run.rollouts[charted.key][index], dtype=np.float64),
             RUN_COLORS[place],
             dash=RUN_DASHES[place],
         )
         for place, index in enumerate(heaviest.tolist())
     ]
-    touch = Line("bumpers touch [m]", np.full(time_s.size, CAMERA_TO_BUMPER_M), BLACK, width=1.0)
+    if run.own is None:
+        touch = np.full(run.time_s.size, CAMERA_TO_BUMPER_M)
+        lines.append(Line("bumpers touch [m]", touch, BLACK, width=1.0))
     return Curves(
-        title="Gap of the rollouts that contribute most (share of the answer)",
-        x=time_s,
+        title=f"{signal_name(charted).capitalize()} of the rollouts that contribute most (share of "
+        "the answer)",
+        x=run.time_s,
         x_label="time [s]",
-        y_label="gap [m]",
-        lines=(*lines, touch),
+        y_label=signal_label(charted),
+        lines=tuple(lines),
     )
 
 
@@ -234,7 +246,9 @@ def least_gaps(run: RunData) -> LeastGaps | None:
     chosen = np.flatnonzero(keys)
     if not chosen.size or not drawn:
         return None
-    gap_m = np.min(np.asarray(table["gap_m"][chosen], dtype=np.float64), axis=1)
+    if run.distance is None:
+        return None
+    gap_m = np.min(np.asarray(table[run.distance.key][chosen], dtype=np.float64), axis=1)
     order = np.argsort(gap_m, kind="stable")
     log10 = np.empty(0)
     if by_name(run.config.method).has_likelihood_ratios:
@@ -245,6 +259,8 @@ def least_gaps(run: RunData) -> LeastGaps | None:
 
 def _least_gaps(run: RunData) -> str:
     """How likely the least gap is below a value: under the error model, and as drawn."""
+    if run.distance is None:
+        return quiet("No signal of the scenario tells how near the cars come.")
     gaps = least_gaps(run)
     if gaps is None:
         return quiet("No rollouts that the answer rests on yet.")
@@ -253,15 +269,14 @@ def _least_gaps(run: RunData) -> str:
     floor = max(min(float(np.min(v[np.isfinite(v)], initial=0.0)) for v in logs), FARTHEST)
     plot = Plot(
         title="How near the cars come",
-        x=Axis(low, high, "least gap in a rollout [m]"),
+        x=Axis(low, high, f"least {signal_name(run.distance)} in a rollout [m]"),
         y=Axis(math.floor(floor) - 0.5, 0.4, "probability of less", log10=True),
         height=HEIGHT,
         left=54,
         bottom=50,
     )
-    plot.vline(
-        CAMERA_TO_BUMPER_M, color=VERMILLION, label=f"{CAMERA_TO_BUMPER_M:g} m: bumpers touch"
-    )
+    touch_m = CAMERA_TO_BUMPER_M if run.own is None else 0.0
+    plot.vline(touch_m, color=VERMILLION, label=f"{touch_m:g} m: {_touching(run)}")
     entries: list[tuple[str, str, str]] = []
     for values, entry in zip(
         logs, (("as drawn", GREY, "5 3"), ("under the error model", BLUE, "")), strict=True
@@ -272,6 +287,10 @@ def _least_gaps(run: RunData) -> str:
     for place, entry in enumerate(reversed(entries)):
         plot.legend([entry], x=plot.left + 160 * place, y=plot.height - 6)
     return plot.text() + quiet(_gap_words(run, weighted=bool(gaps.log10_probability.size)))
+
+
+def _touching(run: RunData) -> str:
+    return "bumpers touch" if run.own is None else "contact"
 
 
 def _staircase(plot: Plot, x: FloatArray, y: FloatArray, *, color: str, dash: str) -> None:

@@ -1,5 +1,6 @@
 """The Why tab: which misses cause violations, and how far to trust the number."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -17,9 +18,11 @@ from pemviz.reports.pictures.data_plan import plan_part
 from pemviz.reports.pictures.html import good, grid, heading, number, percent, quiet, warning
 from pemviz.reports.pictures.memory import memory_curves
 from pemviz.reports.pictures.svg import Axis, Plot
+from pemviz.runs.slot_outcomes import faultless, slots_of
 from pemviz.runs.trust import data_warnings, run_diagnostics
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.registry import by_name
+from pemviz.simulators.slots import Slot
 from pemviz.types import Estimate
 
 BAND_M = 1.0
@@ -63,13 +66,13 @@ class Failures:
     """The violating rollouts that explain the answer.
 
     Attributes:
-        gap_m: ``[F, T-1]`` at the states where perception acted.
-        missed: ``[F, T-1]``.
-        pem_miss: ``[F, T-1]`` P(missed) under the error model.
+        gap_m: ``[F, T-1]`` at the states where perception acted; ``None`` without a gap.
+        missed: ``[F, T-1]``; with several slots, whether perception errs about any of them.
+        pem_miss: ``[F, T-1]`` probability of that under the error model.
         weight: ``[F]`` importance weights, summing to 1.
     """
 
-    gap_m: FloatArray
+    gap_m: FloatArray | None
     missed: BoolArray
     pem_miss: FloatArray
     weight: FloatArray
@@ -88,12 +91,24 @@ def failures_of(run: RunData) -> Failures | None:
     weight = contributions(log_contributions(run), violated=chosen)[chosen]
     detected = np.asarray(rollouts["detected"][chosen], dtype=np.bool_)
     log_p = np.asarray(rollouts["log_p"][chosen], dtype=np.float64)
+    missed, pem_miss = ~detected, np.where(detected, -np.expm1(log_p), np.exp(log_p))
+    if run.own is None:
+        gap_m = np.asarray(rollouts["gap_m"][chosen, :-1], dtype=np.float64)
+        return Failures(gap_m=gap_m, missed=missed, pem_miss=pem_miss, weight=weight)
+    slots = slots_of(run.own)
     return Failures(
-        gap_m=np.asarray(rollouts["gap_m"][chosen, :-1], dtype=np.float64),
-        missed=~detected,
-        pem_miss=np.where(detected, -np.expm1(log_p), np.exp(log_p)),
+        gap_m=None,
+        missed=~faultless(detected, slots=slots),
+        pem_miss=_any_error(pem_miss, slots=slots),
         weight=weight,
     )
+
+
+def _any_error(missed: FloatArray, *, slots: Sequence[Slot]) -> FloatArray:
+    """Probability that perception errs about any slot, from those of 'missed' of each."""
+    nominal = np.array([slot.nominal for slot in slots] or [True], dtype=np.bool_)
+    error = np.where(nominal if len(slots) > 1 else nominal[0], missed, 1.0 - missed)
+    return 1.0 - np.prod(1.0 - error, axis=-1) if len(slots) > 1 else error
 
 
 def _misses(run: RunData) -> list[str]:
@@ -113,12 +128,15 @@ def _misses(run: RunData) -> list[str]:
         f"error model. Black: what the error model itself says{given}."
     )
     sentence = miss_sentence(failures, misses=deciding_misses(run), dt_s=_dt_s(run))
-    where = title + quiet(sentence) + distance_plot(failures)
+    where = title + quiet(sentence)
+    if failures.gap_m is None:
+        return [where + time_plot(failures, dt_s=_dt_s(run)) + quiet(note)]
+    where += distance_plot(failures, failures.gap_m)
     return [where, time_plot(failures, dt_s=_dt_s(run)) + quiet(note)]
 
 
 def _dt_s(run: RunData) -> float:
-    return run.config.scenario.dt_s
+    return run.simulator.dt_s
 
 
 def deciding_misses(run: RunData) -> float | None:
@@ -142,12 +160,14 @@ def miss_sentence(failures: Failures, *, misses: float | None, dt_s: float) -> s
     count = everywhere if misses is None else misses
     where = "" if misses is None else " where perception decides"
     longest = float(np.sum(failures.weight * longest_runs(failures.missed)))
-    edges, share, _ = by_distance(failures)
-    heavy = np.flatnonzero(np.nan_to_num(share) >= 0.5)
     words = (
         f"A violation takes {count:.1f} misses{where} on average, the longest unbroken chain being "
         f"{longest:.1f} steps ({longest * dt_s:.2f} s)."
     )
+    if failures.gap_m is None:
+        return words
+    edges, share, _ = by_distance(failures, failures.gap_m)
+    heavy = np.flatnonzero(np.nan_to_num(share) >= 0.5)
     if heavy.size:
         words += (
             f" Most steps between {edges[heavy[0]]:g} and {edges[heavy[-1] + 1]:g} m are missed."
@@ -165,14 +185,14 @@ def longest_runs(missed: BoolArray) -> FloatArray:
     return longest
 
 
-def by_distance(failures: Failures) -> tuple[FloatArray, FloatArray, FloatArray]:
+def by_distance(failures: Failures, gap_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Edges ``[B+1]`` of gap bands, weighted share missed and the error model's ``[B]``."""
-    high = max(BAND_M, float(np.ceil(np.max(failures.gap_m))))
+    high = max(BAND_M, float(np.ceil(np.max(gap_m))))
     band_m = BAND_M * max(1.0, float(np.ceil(high / (MOST_BANDS * BAND_M))))
     edges = np.arange(0.0, high + band_m / 2, band_m)
-    weight = np.broadcast_to(failures.weight[:, None], failures.gap_m.shape)
-    inside = failures.gap_m >= 0.0
-    index = np.minimum((failures.gap_m[inside] / band_m).astype(np.int64), edges.size - 2)
+    weight = np.broadcast_to(failures.weight[:, None], gap_m.shape)
+    inside = gap_m >= 0.0
+    index = np.minimum((gap_m[inside] / band_m).astype(np.int64), edges.size - 2)
 
     def share(values: FloatArray) -> FloatArray:
         size = edges.size - 1
@@ -183,9 +203,9 @@ def by_distance(failures: Failures) -> tuple[FloatArray, FloatArray, FloatArray]
     return edges, share(failures.missed.astype(np.float64)), share(failures.pem_miss)
 
 
-def distance_plot(failures: Failures) -> str:
+def distance_plot(failures: Failures, gap_m: FloatArray) -> str:
     """Share of steps missed by distance."""
-    edges, missed, expected = by_distance(failures)
+    edges, missed, expected = by_distance(failures, gap_m)
     plot = Plot(
         title="Missed in violations, by distance",
         x=Axis(0.0, float(edges[-1]), "gap [m]"),

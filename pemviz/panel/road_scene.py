@@ -1,0 +1,261 @@
+"""The 3D scene of one rollout of any scenario that tells where its cars are.
+
+Coordinates: x along the road, y to the left, z up, in metres; the ego's centre is at x = 0 when
+the rollout begins.
+"""
+
+import numpy as np
+import viser
+
+from pemviz.arrays import FloatArray
+from pemviz.colors import DETECTED, MISSED, car_color, rgb
+from pemviz.panel import meshes
+from pemviz.panel.scene import (
+    AFTER_CONTACT,
+    GLASS,
+    PAINT,
+    ROAD,
+    TYRE,
+    VERGE,
+    linear,
+)
+from pemviz.panel.views.road_rollout import RoadTrack
+from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
+from pemviz.simulators.scene import SceneCar
+
+ROOT = "/roads"
+BEFORE_M, BEYOND_M = 70.0, 150.0
+DASH_M, DASH_SPACING_M = 3.0, 9.0
+SIGMAS = 2.0
+TRACKED = (255, 255, 255)
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)
+CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]) / 2
+MARK_SPACING_M = 1.3
+BALL_M = {NOT_ASKED: 0.12, RIGHT: 0.28, WRONG: 0.5}
+BALLS = {NOT_ASKED: AFTER_CONTACT, RIGHT: rgb(DETECTED), WRONG: rgb(MISSED)}
+
+
+class RoadScene:
+    """Draws a rollout with one scene API, of a browser or of an exporter."""
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._api = api
+        self._track: RoadTrack | None = None
+        self._follow = True
+        self._cars: list[_Car] = []
+        self._tracks: list[viser.LineSegmentsHandle] = []
+
+    def clear(self) -> None:
+        """Nothing is drawn."""
+        if self._track is not None:
+            self._api.remove_by_name(ROOT)
+        self._track, self._cars, self._tracks = None, [], []
+
+    def show(self, track: RoadTrack) -> None:
+        """Draw another rollout; call :meth:`at` afterwards."""
+        self.clear()
+        self._track = track
+        self._world = self._api.add_frame(ROOT, show_axes=False)
+        drawn = track.drawn
+        self._ground(drawn)
+        self._cars = [_Car(self._api, drawn, car) for car in range(len(drawn.cars))]
+        self._words = self._api.add_label(
+            f"{ROOT}/words", "", anchor="bottom-center", font_screen_scale=1.15
+        )
+        if drawn.tracks is not None:
+            self._tracks = [self._track_lines(slot) for slot in range(len(drawn.slots))]
+        self._marks(drawn)
+
+    def follow(self, follow: bool) -> None:
+        """Whether the ego car stays put and the road moves, so that any view follows it."""
+        self._follow = follow
+
+    def at(self, step: int) -> None:
+        """Move everything to a step of the rollout."""
+        track = self._track
+        if track is None:
+            return
+        drawn = track.drawn
+        ego_x_m = float(drawn.states.x_m[step, 0])
+        self._world.position = (-ego_x_m if self._follow else 0.0, 0.0, 0.0)
+        after = drawn.contact_step is not None and step >= drawn.contact_step
+        for car in self._cars:
+            car.at(step, after=after)
+        self._words.text = drawn.contact_words
+        self._words.visible = after
+        ego_y_m = float(drawn.states.y_m[step, 0])
+        self._words.position = (ego_x_m, ego_y_m, drawn.cars[0].height_m + 2.6)
+        for slot, lines in enumerate(self._tracks):
+            self._move_track(drawn, slot, lines, step, after=after)
+
+    def _ground(self, drawn: DrawnRollout) -> None:
+        x_m = drawn.states.x_m[drawn.states.present]
+        start_m, end_m = float(np.min(x_m)) - BEFORE_M, float(np.max(x_m)) + BEYOND_M
+        edges_m = drawn.road.lane_edges_m
+        middle_m = (start_m + end_m) / 2
+        self._api.add_box(
+            f"{ROOT}/verge",
+            color=VERGE,
+            dimensions=(end_m - start_m + 400.0, 400.0, 0.1),
+            position=(middle_m, 0.0, -0.2),
+            cast_shadow=False,
+        )
+        self._api.add_box(
+            f"{ROOT}/road",
+            color=ROAD,
+            dimensions=(end_m - start_m, edges_m[-1] - edges_m[0] + 0.8, 0.1),
+            position=(middle_m, (edges_m[0] + edges_m[-1]) / 2, -0.06),
+            cast_shadow=False,
+        )
+        dashes_m = np.arange(start_m, end_m, DASH_SPACING_M)
+        for place, edge_m in enumerate(edges_m):
+            if place in (0, len(edges_m) - 1):
+                starts_m, ends_m = np.array([start_m]), np.array([end_m])
+            else:
+                starts_m, ends_m = dashes_m, dashes_m + DASH_M
+            points = np.full((starts_m.size, 2, 3), 0.02)
+            points[:, 0, 0], points[:, 1, 0], points[..., 1] = starts_m, ends_m, edge_m
+            self._api.add_line_segments(
+                f"{ROOT}/line{place}", points=points.astype(np.float32), colors=PAINT,
+                thickness=0.13,
+            )  # fmt: skip
+
+    def _track_lines(self, slot: int) -> viser.LineSegmentsHandle:
+        return self._api.add_line_segments(
+            f"{ROOT}/track{slot}",
+            points=np.zeros((1, 2, 3), dtype=np.float32),
+            colors=TRACKED,
+            thickness=0.09,
+            visible=False,
+        )
+
+    def _move_track(
+        self,
+        drawn: DrawnRollout,
+        slot: int,
+        lines: viser.LineSegmentsHandle,
+        step: int,
+        *,
+        after: bool,
+    ) -> None:
+        """Where the controller believes a slot's car to be: its outline and an ellipse."""
+        tracks = drawn.tracks
+        shown = tracks is not None and not after and bool(tracks.confirmed[step, slot])
+        lines.visible = shown
+        if tracks is None or not shown:
+            return
+        centre = np.array([tracks.x_m[step, slot], tracks.y_m[step, slot]])
+        car = drawn.car_of_slot(slot)
+        outline = centre + CORNERS * (car.length_m + 0.3, car.width_m + 0.3)
+        reach = SIGMAS * np.array([tracks.x_sd_m[step, slot], tracks.y_sd_m[step, slot]])
+        ellipse = centre + np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) * reach
+        flat = [_segments(outline, 0.06)]
+        if reach.any():
+            flat += [_segments(ellipse, car.height_m + 0.15)]
+        lines.points = np.concatenate(flat).astype(np.float32)
+
+    def _marks(self, drawn: DrawnRollout) -> None:
+        """Beside the road, a row for each slot: where the ego was at every answer about it."""
+        end = drawn.count - 1 if drawn.contact_step is None else drawn.contact_step
+        x_m = drawn.states.x_m[:-1, 0]
+        edge_m = drawn.road.lane_edges_m[0]
+        for answer, mesh, color in (
+            (RIGHT, meshes.hit_mark(), DETECTED),
+            (WRONG, meshes.miss_mark(), MISSED),
+        ):
+            step, slot = np.nonzero(drawn.answers[:end] == answer)
+            if not step.size:
+                continue
+            places = np.zeros((step.size, 3), dtype=np.float32)
+            places[:, 0], places[:, 1] = x_m[step], edge_m - 1.0 - MARK_SPACING_M * slot
+            self._api.add_batched_meshes_simple(
+                f"{ROOT}/answers{answer}",
+                vertices=mesh.vertices.astype(np.float32),
+                faces=mesh.faces.astype(np.uint32),
+                batched_wxyzs=np.tile(np.array([1.0, 0, 0, 0], dtype=np.float32), (step.size, 1)),
+                batched_positions=places,
+                batched_colors=linear(rgb(color)),
+                flat_shading=True,
+                side="double",
+                lod="off",
+                cast_shadow=False,
+            )
+
+
+class _Car:
+    """One car: body, glass, wheels and, over it, what perception tells of it."""
+
+    def __init__(self, api: viser.SceneApi, drawn: DrawnRollout, car: int) -> None:
+        self._drawn, self._car = drawn, car
+        shape = drawn.cars[car]
+        self._color = rgb(car_color(car))
+        self._answers = drawn.answer_about(car)
+        path = f"{ROOT}/car{car}"
+        self._frame = api.add_frame(path, show_axes=False)
+        parts = (
+            ("body", meshes.car_body(), self._color),
+            ("glass", meshes.car_glass(), GLASS),
+            ("wheels", meshes.car_wheels(), TYRE),
+        )
+        self._body, *_ = [
+            api.add_mesh_simple(
+                f"{path}/{name}",
+                vertices=_sized(mesh.vertices, shape).astype(np.float32),
+                faces=mesh.faces.astype(np.uint32),
+                color=color,
+                flat_shading=True,
+                side="double",
+            )
+            for name, mesh, color in parts
+        ]
+        above_m = shape.height_m + 0.8
+        self._ball = api.add_icosphere(
+            f"{path}/answer", 1.0, BALLS[NOT_ASKED], position=(0.0, 0.0, above_m),
+            cast_shadow=False, visible=False,
+        )  # fmt: skip
+        self._label = api.add_label(
+            f"{path}/label", shape.name, position=(0.0, 0.0, above_m + 0.8),
+            anchor="bottom-center", font_screen_scale=0.95,
+        )  # fmt: skip
+        self._is_asked = drawn.slot_of_car[car] is not None
+
+    def at(self, step: int, *, after: bool) -> None:
+        states, car = self._drawn.states, self._car
+        there = bool(states.present[step, car])
+        self._frame.visible = there
+        if not there:
+            return
+        half = float(states.heading_rad[step, car]) / 2
+        self._frame.position = (float(states.x_m[step, car]), float(states.y_m[step, car]), 0.0)
+        self._frame.wxyz = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+        shade = AFTER_CONTACT if after else self._color
+        if tuple(self._body.color) != shade:
+            self._body.color = shade
+        answer = int(self._answers[step])
+        self._ball.visible = self._is_asked and not after and step < self._drawn.count - 1
+        self._ball.color, self._ball.scale = BALLS[answer], BALL_M[answer]
+        self._label.visible = not (after and car == 0)
+        self._label.text = self._words(step, after=after)
+
+    def _words(self, step: int, *, after: bool) -> str:
+        drawn, slot = self._drawn, self._drawn.slot_of_car[self._car]
+        name = drawn.cars[self._car].name
+        if slot is None or after or step >= len(drawn.answers):
+            return name
+        return f"{name}: {answer_words(drawn.slots[slot], int(drawn.answers[step, slot]))}"
+
+
+def _sized(vertices: FloatArray, car: SceneCar) -> FloatArray:
+    """Vertices of the standard car, centred and as large as a car."""
+    scale = (
+        car.length_m / meshes.CAR_LENGTH_M,
+        car.width_m / meshes.WIDTH_M,
+        car.height_m / meshes.HEIGHT_M,
+    )
+    return (vertices - np.array([meshes.CAR_LENGTH_M / 2, 0.0, 0.0])) * np.array(scale)
+
+
+def _segments(outline: FloatArray, height_m: float) -> FloatArray:
+    """A closed outline ``[N, 2]`` as segments ``[N-1, 2, 3]`` at a height."""
+    at = np.column_stack([outline, np.full(len(outline), height_m)])
+    return np.stack([at[:-1], at[1:]], axis=1)
