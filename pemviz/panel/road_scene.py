@@ -24,6 +24,8 @@ from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, ans
 from pemviz.simulators.scene import SceneCar
 
 ROOT = "/roads"
+ROAD_VIEW_POSITION = (-24.0, -14.0, 16.0)
+ROAD_VIEW_TARGET = (14.0, 0.5, -6.0)
 BEFORE_M, BEYOND_M = 70.0, 150.0
 DASH_M, DASH_SPACING_M = 3.0, 9.0
 SIGMAS = 2.0
@@ -123,7 +125,7 @@ class RoadScene:
     def _track_lines(self, slot: int) -> viser.LineSegmentsHandle:
         return self._api.add_line_segments(
             f"{ROOT}/track{slot}",
-            points=np.zeros((1, 2, 3), dtype=np.float32),
+            points=np.zeros((len(CORNERS) + len(ANGLES) - 2, 2, 3), dtype=np.float32),
             colors=TRACKED,
             thickness=0.09,
             visible=False,
@@ -149,9 +151,7 @@ class RoadScene:
         outline = centre + CORNERS * (car.length_m + 0.3, car.width_m + 0.3)
         reach = SIGMAS * np.array([tracks.x_sd_m[step, slot], tracks.y_sd_m[step, slot]])
         ellipse = centre + np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) * reach
-        flat = [_segments(outline, 0.06)]
-        if reach.any():
-            flat += [_segments(ellipse, car.height_m + 0.15)]
+        flat = [_segments(outline, 0.06), _segments(ellipse, car.height_m + 0.15)]
         lines.points = np.concatenate(flat).astype(np.float32)
 
     def _marks(self, drawn: DrawnRollout) -> None:

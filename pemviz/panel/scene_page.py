@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import viser
 
-from pemviz.panel.road_scene import RoadScene
+from pemviz.panel.road_scene import ROAD_VIEW_POSITION, ROAD_VIEW_TARGET, RoadScene
 from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET, Scene, lights
 from pemviz.panel.server import guarded_server
 from pemviz.panel.views.road_rollout import RoadTrack
@@ -25,8 +25,9 @@ def scene_html(chosen: Shown) -> str:
 def _scene_html(chosen: Shown) -> str:
     server = guarded_server(host="127.0.0.1", port=0, closed=True)
     try:
-        server.initial_camera.position = FIRST_VIEW_POSITION
-        server.initial_camera.look_at = FIRST_VIEW_TARGET
+        on_roads = isinstance(chosen, RoadTrack)
+        server.initial_camera.position = ROAD_VIEW_POSITION if on_roads else FIRST_VIEW_POSITION
+        server.initial_camera.look_at = ROAD_VIEW_TARGET if on_roads else FIRST_VIEW_TARGET
         server.initial_camera.fov = FIRST_VIEW_FOV
         at = drawn_in(server.scene, chosen)
         at(0)

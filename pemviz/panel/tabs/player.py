@@ -10,9 +10,9 @@ import viser
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.page_layout import Window
 from pemviz.panel.ranking import RankedRow
-from pemviz.panel.road_scene import RoadScene
+from pemviz.panel.road_scene import ROAD_VIEW_POSITION, ROAD_VIEW_TARGET, RoadScene
 from pemviz.panel.run_data import RunData
-from pemviz.panel.scene import Scene
+from pemviz.panel.scene import FIRST_VIEW_POSITION, FIRST_VIEW_TARGET, Scene
 from pemviz.panel.scene_page import Shown
 from pemviz.panel.views.page import ROLLOUT, SHEET
 from pemviz.panel.views.road_rollout import RoadTrack, road_plots, road_plots_at, road_track
@@ -24,6 +24,16 @@ SPEEDS = {"0.1x": 0.1, "0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0}
 STEP_HINT = "State of the rollout; drag to scrub. Keys: arrow left, arrow right."
 PLAY_HINT = "Play and pause (key: space), start again, speed as a multiple of real time."
 PLOT_PAUSE_S = 0.12
+FROM_BEHIND, FROM_ABOVE = "from behind", "from above"
+GAP_VIEWS = {
+    FROM_BEHIND: (FIRST_VIEW_POSITION, FIRST_VIEW_TARGET),
+    FROM_ABOVE: ((8.0, -6.5, 44.0), (8.0, -6.0, 0.0)),
+}
+ROAD_VIEWS = {
+    FROM_BEHIND: (ROAD_VIEW_POSITION, ROAD_VIEW_TARGET),
+    FROM_ABOVE: ((17.0, -9.5, 75.0), (17.0, -9.0, 0.0)),
+}
+"""Where the camera stands, and what it looks at; the rollout's plots cover what lies below."""
 
 
 class Player:
@@ -39,6 +49,7 @@ class Player:
         self._began: tuple[float, int] = (0.0, 0)
         self._plotted_s = 0.0
         self._speed = 1.0
+        self._on_roads = False
         self.scene = Scene(browser.client.scene)
         self.roads = RoadScene(browser.client.scene)
         self.window = Window(browser.client, at_top=False)
@@ -62,12 +73,22 @@ class Player:
 
     def _draw(self, chosen: Shown) -> None:
         """One of the two scenes is drawn, the other one is empty."""
-        if isinstance(chosen, RoadTrack):
+        on_roads = isinstance(chosen, RoadTrack)
+        if on_roads:
             self.scene.clear()
             self.roads.show(chosen)
         else:
             self.roads.clear()
             self.scene.show(chosen)
+        if on_roads != self._on_roads:
+            self._on_roads = on_roads
+            self.look_from(FROM_BEHIND)
+
+    def look_from(self, view: str) -> None:
+        """Put the camera where a view of that name is taken from."""
+        camera = self._browser.client.camera
+        position, target = (ROAD_VIEWS if self._on_roads else GAP_VIEWS)[view]
+        camera.position, camera.look_at = position, target
 
     def advance(self) -> None:
         """Move on with the time that has passed, while playing."""

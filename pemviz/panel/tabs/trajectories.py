@@ -11,7 +11,7 @@ from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, element_id, set_html
 from pemviz.panel.ranking import Among, RankedRow, Ranking, rank, row
 from pemviz.panel.run_data import RunData
-from pemviz.panel.tabs.player import Player
+from pemviz.panel.tabs.player import FROM_ABOVE, FROM_BEHIND, Player
 from pemviz.panel.views.ranking_table import ranking_table
 from pemviz.reports.pictures.html import block, quiet
 
@@ -32,6 +32,7 @@ CARRIES, ALL = "what carries the answer", "all rollouts"
 AMONG: Mapping[str, Among] = {CARRIES: "carrying", ALL: "all"}
 BY_SHARE: Mapping[str, bool] = {"least robust": False, "largest contribution": True}
 FOLLOW_HINT = "Keep the ego car in view while it drives: the road moves beneath it."
+VIEW_HINT = "Where the scene is seen from; drag, scroll and right drag move the view as you like."
 LIVE_PAUSE_S = 0.6
 
 Value = TypeVar("Value")
@@ -52,6 +53,8 @@ class TrajectoriesTab:
         self.rule = gui.add_dropdown("Rule", (EVERY_RULE,), visible=False, hint=RULE_HINT)
         self.place = gui.add_number("Rank", 1, min=1, max=1_000_000, step=1, hint=RANK_HINT)
         self._table = gui.add_html("")
+        self.view = gui.add_dropdown("View", (FROM_BEHIND, FROM_ABOVE), hint=VIEW_HINT)
+        self.view.on_update(browser.on(lambda: player.look_from(self._view())))
         self.follow = gui.add_checkbox("Follow ego", True, hint=FOLLOW_HINT)
         self.follow.on_update(browser.on(lambda: player.follow(self.follow.value)))
         for control in (self.metric, self.among, self.first, self.rule):
@@ -180,6 +183,9 @@ class TrajectoriesTab:
             message = f"{name} = {word[:40]!r}: must be one of {', '.join(meanings)}"
             raise InputError(message)
         return meanings[word]
+
+    def _view(self) -> str:
+        return self._chosen(self.view.value, {v: v for v in (FROM_BEHIND, FROM_ABOVE)}, "view")
 
     def _rule(self, run: RunData) -> str | None:
         names: dict[str, str | None] = {rule.name: rule.name for rule in run.config.rules}

@@ -124,10 +124,10 @@ def road_plots_at(plots: Sequence[str], chosen: RoadTrack, step: int, *, speed: 
 
 
 def step_words(chosen: RoadTrack, step: int) -> str:
-    """What perception errs about at a step; how the cars came into contact, from then on."""
+    """What perception errs about at a step."""
     drawn = chosen.drawn
     if drawn.contact_step is not None and step >= drawn.contact_step:
-        return drawn.contact_words
+        return "after contact"
     if step >= len(drawn.answers):
         return "end"
     wrong = [

@@ -1,0 +1,116 @@
+"""Runs of a scenario that tells where its cars are, in the panel."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import pemviz
+from pemviz.errors import InputError
+from pemviz.panel import loading
+from pemviz.panel.ranking import rank, row
+from pemviz.panel.run_data import check_table, own_scenario
+from pemviz.panel.run_observer import Watcher
+from pemviz.panel.scene_page import scene_html
+from pemviz.panel.views.compare import metric_curves, metrics_page
+from pemviz.panel.views.learning import learning
+from pemviz.panel.views.ranking_table import ranking_table
+from pemviz.panel.views.road_rollout import road_plots, road_plots_at, road_track, step_words
+from pemviz.panel.views.weights import heaviest_curves, weights_page
+from pemviz.panel.views.why import failures_of, why
+from pemviz.runs.drawn_rollout import WRONG
+from pemviz.runs.events import StageDone
+from pemviz.simulators.slots import UnrolledSimulator
+from tests.lattice_walk import ToySimulator
+from tests.scene_toys import CameraOfTwo, CutIn
+
+CONFIG = pemviz.ExperimentConfig(
+    method="naive", final_rollouts=60, plan=False, spec="always[0,40] (collided <= 0.5)"
+)
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """A run as it was shown while it went on, its folder and its one stage."""
+    folder = tmp_path_factory.mktemp("roads") / "a-run"
+    folder.mkdir()
+    stages = []
+    listener = SimpleNamespace(
+        notify=lambda event: stages.append(event.stage) if isinstance(event, StageDone) else None
+    )
+    watcher = Watcher(folder=folder, publish=lambda *_: None, own=CutIn())
+    experiment = pemviz.build_experiment(CONFIG, simulator=CutIn(), pem=CameraOfTwo())
+    pemviz.run(experiment, run_id="a-run", observers=[pemviz.RunStore(folder), watcher, listener])
+    return SimpleNamespace(run=watcher.run, folder=folder, rollouts=stages[0].scored.rollouts)
+
+
+def first(run):
+    return row(run, rank(run, "classical"), 0)
+
+
+def test_a_run_read_from_its_folder_shows_what_it_showed_under_way(ran, monkeypatch):
+    built = SimpleNamespace(simulator=UnrolledSimulator(CutIn()))
+    monkeypatch.setattr(loading, "build_back_end", lambda config: built)
+    loaded = loading.load_run(ran.folder)
+    assert loaded.own == CutIn()
+    assert first(loaded) == first(ran.run)
+    again, before = road_track(loaded, first(loaded)), road_track(ran.run, first(ran.run))
+    np.testing.assert_array_equal(again.drawn.states.x_m, before.drawn.states.x_m)
+    np.testing.assert_array_equal(again.drawn.answers, before.drawn.answers)
+    assert road_plots(again) == road_plots(before)
+
+
+def test_tracks_of_a_rollout_are_those_that_its_controller_had(ran):
+    entry = first(ran.run)
+    tracks, scenario = road_track(ran.run, entry).drawn.tracks, CutIn()
+    memory = {name: v[entry.rollout] for name, v in ran.rollouts.memory.items()}
+    kept = scenario.tracker.state(memory, slots=2).confirmed
+    assert 0 < kept.sum() < kept.size
+    np.testing.assert_array_equal(tracks.confirmed, kept)
+
+
+def test_errors_of_every_slot_count_and_are_told_at_their_step(ran):
+    entry = first(ran.run)
+    chosen = road_track(ran.run, entry)
+    assert entry.misses == np.count_nonzero(~ran.rollouts.detected[entry.rollout])
+    both = np.flatnonzero((chosen.drawn.answers[: chosen.drawn.contact_step] == WRONG).all(axis=1))
+    assert step_words(chosen, int(both[0])) == "lead MISSED, cutter MISSED"
+    assert step_words(chosen, chosen.drawn.contact_step) == "after contact"
+    page = road_plots_at(road_plots(chosen), chosen, 3, speed=1.0)
+    for words in ("Perception", ">lead<", ">cutter<", "impact", "data-cursor='3'"):
+        assert words in page
+    failures = failures_of(ran.run)
+    violated = ran.run.rollouts["violated"]
+    missed = ~ran.rollouts.detected[violated]
+    np.testing.assert_array_equal(failures.missed, missed.any(axis=-1))
+    seen = 1.0 / (1.0 + np.exp(-ran.rollouts.pem_logit[violated]))
+    absent = ~CutIn().present({n: v[violated] for n, v in ran.rollouts.signals.items()})[:, :-1]
+    expected = 1.0 - np.where(absent, 1.0, seen).prod(axis=-1)
+    np.testing.assert_allclose(failures.pem_miss, expected, atol=1e-12)
+
+
+def test_every_page_is_drawn_without_a_gap(ran):
+    run = ran.run
+    assert "ball over a car" in ranking_table(run, rank(run, "classical"), selected=0, target="x")
+    assert "Missed in violations, by time" in why(run)
+    assert "Missed in violations, by distance" not in why(run)
+    assert "No signal of the scenario tells how near" in weights_page(run, target="x", selected=0)
+    assert heaviest_curves(run).title.startswith("Collided of the rollouts")
+    assert metric_curves(run).y_label == "collided"
+    assert metrics_page(run)
+    assert learning(run)
+
+
+def test_a_page_of_the_scene_alone_names_the_cars(ran):
+    page = scene_html(road_track(ran.run, first(ran.run)))
+    assert page.lstrip().lower().startswith("<!doctype html>")
+
+
+def test_tables_of_another_shape_and_simulators_without_cars_are_refused(ran):
+    table = dict(ran.run.rollouts)
+    check_table(table, ran.run.config, where="here", simulator=CutIn())
+    table["detected"] = table["detected"][..., 0]
+    with pytest.raises(InputError, match=r"detected has shape \(60, 40\), must have .*40, 2\)"):
+        check_table(table, ran.run.config, where="here", simulator=CutIn())
+    with pytest.raises(InputError, match=r"tells where its cars are \(pemviz.DrawsScene\)"):
+        own_scenario(ToySimulator(), CONFIG)
