@@ -79,14 +79,14 @@ class EncounterConfig:
     """Acceleration per m/s below the ego's set speed [1/s]; 0 to 100."""
     maximum_acceleration_mps2: Acceleration = 2.0
     """Most that the ego accelerates [m/s^2]; 0 to 20."""
-    maximum_deceleration_mps2: Acceleration = 3.5
+    maximum_deceleration_mps2: Acceleration = 5.0
     """Most that it decelerates to keep speed and gap [m/s^2]; 0 to 20."""
     hard_deceleration_mps2: Annotated[float, Range(low=0.0, low_open=True, high=20.0)] = 8.0
     """How hard it brakes when the time to collision is too small [m/s^2]; above 0 to 20."""
-    hard_reserve_s: Seconds = 0.8
+    hard_reserve_s: Seconds = 0.5
     """A time to collision is too small if it leaves less than this to spare before hard braking
     has to begin [s]; 0 to 100."""
-    reaction_time_s: Seconds = 0.8
+    reaction_time_s: Seconds = 0.5
     """Of the safe distance that the rules ask for [s]; 0 to 100."""
     recovery_time_s: Seconds = 3.0
     """For so long after a car came in front the safe distance to it may be too small [s]; 0 to 100.
@@ -115,37 +115,45 @@ class StartValue:
     high: float
     distribution: str
 
+    @property
+    def key(self) -> str:
+        """The name with its unit, as files have it."""
+        return f"{self.name}_{KEYS[self.unit]}"
+
+
+KEYS = {"m": "m", "m/s": "mps", "s": "s", "m/s^2": "mps2"}
+
 
 def _start(name: str, unit: str, axis: tuple[float, float], distribution: str) -> StartValue:
     return StartValue(name=name, unit=unit, low=axis[0], high=axis[1], distribution=distribution)
 
 
 _FAST = _start("ego_speed", "m/s", (10.0, 40.0), "normal(28, 4) in [18, 36]")
-_DURATION = _start("duration", "s", (0.0, 12.0), "lognormal(4.2, 0.45) in [2, 10]")
+_DURATION = _start("duration", "s", (0.0, 12.0), "lognormal(4.2, 0.45) in [2.5, 10]")
 
 START_VALUES: Mapping[str, tuple[StartValue, ...]] = {
     "braking": (
         _FAST,
-        _start("gap", "m", (0.0, 150.0), "lognormal(40, 0.35) in [15, 150]"),
-        _start("closing_speed", "m/s", (-10.0, 15.0), "normal(0, 1.5) in [-4, 4]"),
+        _start("gap", "m", (0.0, 150.0), "lognormal(45, 0.35) in [25, 150]"),
+        _start("closing_speed", "m/s", (-10.0, 15.0), "normal(0, 1) in [-3, 3]"),
         _start("brake_time", "s", (0.0, 5.0), "uniform(0.5, 2.5)"),
-        _start("deceleration", "m/s^2", (0.0, 10.0), "lognormal(2.5, 0.5) in [0.5, 8]"),
+        _start("deceleration", "m/s^2", (0.0, 10.0), "lognormal(2.2, 0.4) in [0.5, 4]"),
     ),
     "cut-in": (
         _FAST,
-        _start("gap", "m", (0.0, 120.0), "lognormal(30, 0.4) in [8, 120]"),
-        _start("closing_speed", "m/s", (-10.0, 15.0), "normal(4, 3) in [0, 12]"),
+        _start("gap", "m", (0.0, 120.0), "lognormal(25, 0.4) in [15, 100]"),
+        _start("closing_speed", "m/s", (-10.0, 15.0), "normal(3, 3) in [0, 9]"),
         _start("cut_in_time", "s", (0.0, 5.0), "uniform(0.5, 2)"),
         _DURATION,
         _start("lead_gap", "m", (0.0, 150.0), "lognormal(40, 0.3) in [15, 150]"),
     ),
     "cut-out": (
-        _start("ego_speed", "m/s", (10.0, 40.0), "normal(22, 3) in [14, 30]"),
-        _start("gap", "m", (0.0, 120.0), "lognormal(35, 0.3) in [15, 100]"),
-        _start("closing_speed", "m/s", (-10.0, 15.0), "normal(0, 1) in [-3, 3]"),
+        _start("ego_speed", "m/s", (10.0, 40.0), "normal(20, 2.5) in [14, 26]"),
+        _start("gap", "m", (0.0, 120.0), "lognormal(35, 0.25) in [20, 80]"),
+        _start("closing_speed", "m/s", (-10.0, 15.0), "normal(0, 1) in [-2, 2]"),
         _start("cut_out_time", "s", (0.0, 5.0), "uniform(0.5, 2)"),
         _DURATION,
-        _start("margin", "s", (0.0, 6.0), "lognormal(1.2, 0.35) in [0.6, 4]"),
+        _start("margin", "s", (0.0, 6.0), "lognormal(1.5, 0.25) in [1, 4]"),
         _start("revealed_speed", "m/s", (0.0, 20.0), "uniform(0, 10)"),
     ),
 }

@@ -21,8 +21,9 @@ from pemviz.simulators.braking.scenario import BrakingScenario
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.episodic import EpisodicSimulator, episodic, side_by_side
+from pemviz.simulators.families.features import FamilyFeatures
 from pemviz.simulators.latents import LatentSimulator, latent_counts
-from pemviz.simulators.registry import SHIPPED, build_named_simulator
+from pemviz.simulators.registry import SHIPPED, build_family_simulator, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Simulator
@@ -40,8 +41,7 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         PemError: The model of position errors cannot be used.
     """
     if config.encounter.family != NO_FAMILY:
-        message = f"encounter.family = {config.encounter.family!r}: no back end steps it"
-        raise ConfigError(message)
+        return _family_back_end(config)
     errors = _position_errors(config)
     simulator = build_named_simulator(config.simulator, config.scenario, errors=errors)
     if config.simulator not in SHIPPED:
@@ -62,6 +62,24 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
     )
 
 
+def _family_back_end(config: ExperimentConfig) -> BackEnd:
+    """Of a family of encounters, each slot of which takes its turn.
+
+    Raises:
+        ConfigError: A start value's distribution cannot be, or it measures with errors.
+    """
+    check_measures(config)
+    scenario = build_family_simulator(config)
+    unrolled = UnrolledSimulator(scenario)
+    return BackEnd(
+        simulator=unrolled,
+        features=FamilyFeatures(unrolled, scenario),
+        twin=None,
+        batch_rollouts=batch_rollouts(config),
+        is_own=True,
+    )
+
+
 def _position_errors(config: ExperimentConfig) -> PositionErrorModel | None:
     """The errors by which a shipped back end measures.
 
@@ -78,21 +96,25 @@ def check_measures(config: ExperimentConfig) -> None:
     """Refuse position errors for a simulator that takes none.
 
     Raises:
-        ConfigError: It is none of the shipped ones.
+        ConfigError: It is none of the shipped ones, or a family of encounters.
     """
-    if config.position_errors is not None and config.simulator not in SHIPPED:
-        message = (
-            f"position_errors = {config.position_errors!r}: simulator {config.simulator!r} takes "
-            f"none, only {' and '.join(SHIPPED)} do"
-        )
-        raise ConfigError(message)
+    if config.position_errors is None or config.is_braking_scenario:
+        return
+    by = f"simulator {config.simulator!r}"
+    if config.encounter.family != NO_FAMILY:
+        by = f"family {config.encounter.family!r}"
+    message = (
+        f"position_errors = {config.position_errors!r}: {by} takes none, only the braking scenario "
+        f"on {' and '.join(SHIPPED)} does"
+    )
+    raise ConfigError(message)
 
 
 def batch_rollouts(config: ExperimentConfig) -> int:
     """How many rollouts are simulated at a time; the result does not depend on it."""
     if config.simulator == "highway-env":
         return SLOW_BATCH_ROLLOUTS
-    largest = largest_part(states=config.scenario.states)
+    largest = largest_part(states=config.states)
     return largest if is_gpu(config.device) else min(BATCH_ROLLOUTS, largest)
 
 

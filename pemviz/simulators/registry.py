@@ -11,12 +11,16 @@ one, and returns a :class:`pemviz.types.Simulator`.
 
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pemviz.config import SHIPPED_SIMULATORS, ScenarioConfig
+from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
 from pemviz.config.entry_points import NamedPart
+from pemviz.errors import ConfigError
 from pemviz.simulators.braking.measured_gap import RangeErrors
 from pemviz.types import Simulator
+
+if TYPE_CHECKING:
+    from pemviz.simulators.families.scenario import FamilyScenario
 
 SHIPPED = SHIPPED_SIMULATORS
 SIMULATORS = NamedPart(kind="simulator", group="pemviz.simulators", shipped=SHIPPED)
@@ -55,6 +59,20 @@ def build_named_simulator(
         fits=lambda built: isinstance(built, Simulator) and not isinstance(built, type),
         complaint="returns {}, which is no pemviz.Simulator",
     )
+
+
+def build_family_simulator(config: ExperimentConfig) -> "FamilyScenario":
+    """The back end of the family of encounters that ``config`` names.
+
+    Raises:
+        ConfigError: It has none of that name, or a start value's distribution cannot be.
+    """
+    from pemviz.simulators.families.vectorized import VectorizedFamily  # noqa: PLC0415  scipy
+
+    if config.simulator != "vectorized":
+        message = f"simulator = {config.simulator!r}: must be vectorized with a family"
+        raise ConfigError(message)
+    return VectorizedFamily(config.encounter, config.start, config.scenario.tracker)
 
 
 def _called(factory: Callable[..., Any], scenario: ScenarioConfig) -> Any:

@@ -216,5 +216,8 @@ def test_a_run_goes_on_with_the_same_position_errors_alone(tmp_path):
     difference = run_differs(result, config=config, position_digest="0" * 64)
     assert difference is not None
     assert "other position errors of the name 'pointpillars'" in difference
-    with pytest.raises(ConfigError, match="takes none, only vectorized and highway-env do"):
+    with pytest.raises(
+        ConfigError,
+        match="takes none, only the braking scenario on vectorized and highway-env does",
+    ):
         pemviz.build_experiment(config, simulator=MissCounter(states=7))

@@ -8,10 +8,9 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, namespace
 from pemviz.config import ScenarioConfig
-from pemviz.config.tracker_text import read_tracker
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.simulators.braking.measured_gap import MeasuredGap, RangeErrors
-from pemviz.simulators.tracking.filters import AlphaBeta, Kalman, LastPosition
+from pemviz.simulators.tracking.named import tracker_of_text
 from pemviz.simulators.tracking.tracker import Tracker
 from pemviz.types import Signal, StateBatch
 
@@ -150,32 +149,7 @@ class Perceived:
 
 def scenario_tracker(config: ScenarioConfig) -> Tracker | None:
     """The tracker that the scenario's controller has, of the gap."""
-    settings = read_tracker(config.tracker)
-    if settings is None:
-        return None
-    gains = {name: getattr(settings, name) for name in ("alpha", "beta")}
-    spreads = {
-        "position_sd_m": settings.position_sd,
-        "acceleration_sd_mps2": settings.acceleration_sd,
-        "first_speed_sd_mps": settings.speed_sd,
-    }
-    filters = {
-        "none": LastPosition,
-        "alpha-beta": lambda: AlphaBeta(**_given(gains)),
-        "kalman": lambda: Kalman(**_given(spreads)),
-    }
-    return Tracker(
-        dt_s=config.dt_s,
-        hits=settings.hits,
-        window=settings.window,
-        coast_s=settings.coast,
-        axes=1,
-        filter=filters[settings.filter](),
-    )
-
-
-def _given(options: Mapping[str, float | None]) -> dict[str, float]:
-    return {name: value for name, value in options.items() if value is not None}
+    return tracker_of_text(config.tracker, dt_s=config.dt_s, axes=1)
 
 
 def scenario_signals(config: ScenarioConfig) -> tuple[Signal, ...]:

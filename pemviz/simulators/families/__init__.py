@@ -19,8 +19,11 @@ x_k - x_ego - L; aside_k = y_k. At the start, with V = ``ego_speed``, and speeds
 
 - ``braking``: *lead*, gap ``gap``, speed V - ``closing_speed``, y = 0; decelerates by
   ``deceleration`` at every step with t dt >= ``brake_time``.
-- ``cut-in``: *cutting_in*, gap ``gap``, speed V - ``closing_speed``, y from s w to 0, beginning at
-  ``cut_in_time``, within ``duration``; *lead*, gap ``gap`` + L + ``lead_gap``, speed V, y = 0.
+- ``cut-in``: *cutting_in*, speed V - ``closing_speed``, y from s w to 0, beginning at
+  ``cut_in_time``, within ``duration``; gap at s_0 ``gap`` + min(``closing_speed``, V)
+  (``cut_in_time`` + u ``duration``) with S(u) = max(w - W, 0) / (2 w), so that it is ``gap`` when
+  its near side is at the lane marking if the ego keeps its speed; *lead*, ``lead_gap`` + L farther
+  ahead, speed V, y = 0.
 - ``cut-out``: *lead*, gap ``gap``, speed V - ``closing_speed``, y from 0 to s w, beginning at
   ``cut_out_time``, within ``duration``; *revealed*, speed ``revealed_speed``, y = 0, gap ``gap``
   + L + max(V_lead - ``revealed_speed``, 0) (``cut_out_time`` + u ``duration`` + ``margin``) with
@@ -74,18 +77,20 @@ led here; 0 at s_0); of each other car ``gap_NAME``, ``aside_NAME`` [m], ``speed
 - A car is *ahead in lane* if |aside| < (w + W) / 2 and gap + L > 0; its *safe distance* is
   max(0, (v_ego^2 - u^2) / (2 B) + ``reaction_time_s`` v_ego), u = v_k cos(heading_k): what is left
   if both brake by B, the ego that much later (Shalev-Shwartz et al. 2017; Maierhofer et al. 2020).
-- ``safe_distance`` [m]: least gap minus safe distance of the cars that have been ahead in lane at
-  all states of the last ``recovery_time_s``; there is none before that time, so that what the ego
-  meets at s_0 counts as having just come. ``gap_bound_m`` if there is none, and within +- that.
+- ``safe_distance`` [m]: gap minus safe distance of the nearest car ahead in lane (the first in
+  order, if several are), if it is the one at s_t and at the n states before, n =
+  ``recovery_time_s`` / dt rounded down; what the ego meets at s_0 counts as having just come, and
+  so does a car that another one no longer hides. Otherwise ``gap_bound_m``, and always within +-
+  that.
 - ``needless_deceleration`` [m/s^2], of the step that led here: 0 if at its beginning a car ahead in
   lane was nearer than its safe distance, otherwise how much harder the ego braked than the nearest
   one ahead in lane (or than 0, without one), at least 0; 0 at s_0.
-- ``avoidable_by`` [s], with ``cut-in`` only: -10 until the first state, s_0 aside, at which the
-  near side of *cutting_in* is 0.3 m beyond the lane marking, |aside| - W / 2 <= w / 2 - 0.3; from
-  then on, with c its closing speed and g its gap there, g / c - (c / (2 * 6 m/s^2) + 0.35 s),
-  within +-10; 10 if c <= 0; -10 if its lateral movement was to be seen for less than 0.72 s by
-  then, t dt < ``cut_in_time`` + 0.72 s. That is the regulation's own line (UN R157, 5.2.5.2): above
-  0 a collision has to be avoided.
+- ``avoidable_by`` [s], with ``cut-in`` only: -10 until the state at which the near side of
+  *cutting_in* has come 0.3 m beyond the lane marking, |aside| - W / 2 <= w / 2 - 0.3, having been
+  short of that at the state before; from then on, with c its closing speed and g its gap there, g /
+  c - (c / (2 * 6 m/s^2) + 0.35 s), within +-10; 10 if c <= 0; -10 if its lateral movement was to be
+  seen for less than 0.72 s by then, t dt < ``cut_in_time`` + 0.72 s. That is the regulation's own
+  line (UN R157, 5.2.5.2): above 0 a collision has to be avoided.
 
 From contact on the last three stay what they were at the state before.
 

@@ -1,0 +1,77 @@
+"""How the ego drives by what it is told: set speed, time gap, hard braking.
+
+Arrays have a row for each other car, ``[K, N]``.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.config import EncounterConfig
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the controller is told of the other cars.
+
+    Attributes:
+        there: Whether it is told of the car at all, ``[K, N]``; the rest counts only where it is.
+        gap_m: Bumper to bumper, ``[K, N]`` [m].
+        aside_m: To the left, ``[K, N]`` [m].
+        closing_mps: By how much the ego is the faster one, ``[K, N]`` [m/s].
+    """
+
+    there: BoolArray
+    gap_m: FloatArray
+    aside_m: FloatArray
+    closing_mps: FloatArray
+
+
+def acceleration(
+    config: EncounterConfig, told: Told, *, ego_mps: FloatArray, set_mps: FloatArray
+) -> FloatArray:
+    """What the ego does for a step, ``[N]`` [m/s^2].
+
+    Args:
+        config: Its parameters.
+        told: What it is told.
+        ego_mps: Its speed ``[N]`` [m/s].
+        set_mps: The speed that it wants, ``[N]`` [m/s].
+    """
+    heeded = told.there & in_path(config, told.gap_m, told.aside_m)
+    follow = follow_acceleration(config, told.gap_m, told.closing_mps, ego_mps)
+    wanted = np.minimum(
+        config.speed_gain_per_s * (set_mps - ego_mps),
+        np.where(heeded, follow, np.inf).min(axis=0),
+    ).clip(-config.maximum_deceleration_mps2, config.maximum_acceleration_mps2)
+    hard = (heeded & is_urgent(config, told.gap_m, told.closing_mps)).any(axis=0)
+    braked = np.where(hard, -config.hard_deceleration_mps2, wanted)
+    return np.maximum(braked, -ego_mps / config.dt_s)
+
+
+def in_path(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> BoolArray:
+    """Whether cars at gaps and offsets ``[...]`` [m] are in the ego's path."""
+    return is_beside(config, aside_m) & (gap_m + config.car_length_m > 0.0)
+
+
+def is_beside(
+    config: EncounterConfig, aside_m: FloatArray, *, wider_m: FloatArray | float = 0.0
+) -> BoolArray:
+    """Whether cars at offsets ``[...]`` [m] are in the path, ahead or not, if ``wider_m`` wider."""
+    reach_m = config.path_half_width_m + config.car_width_m / 2 + wider_m
+    return np.abs(aside_m) < reach_m
+
+
+def follow_acceleration(
+    config: EncounterConfig, gap_m: FloatArray, closing_mps: FloatArray, ego_mps: FloatArray
+) -> FloatArray:
+    """What keeping the time gap to a car asks for, ``[...]`` [m/s^2]."""
+    kept_m = config.standstill_gap_m + config.time_gap_s * ego_mps
+    return config.gap_gain_per_s2 * (gap_m - kept_m) - config.closing_gain_per_s * closing_mps
+
+
+def is_urgent(config: EncounterConfig, gap_m: FloatArray, closing_mps: FloatArray) -> BoolArray:
+    """Whether the time to collision is too small, ``[...]``."""
+    needed_s = closing_mps / (2.0 * config.hard_deceleration_mps2) + config.hard_reserve_s
+    return (closing_mps > 0.0) & (gap_m < closing_mps * needed_s)
