@@ -9,7 +9,7 @@ from typing import Any, cast
 import tomli_w
 
 from pemviz.config import ExperimentConfig
-from pemviz.config.encounters import NO_FAMILY, StartChoice
+from pemviz.config.encounters import FAMILIES, NO_FAMILY, StartChoice
 from pemviz.config.records import read_record, read_value
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import ConfigError
@@ -21,9 +21,14 @@ DEEPEST_KEY = 200
 """Dots in a key; tomllib's time grows with the square of their number."""
 
 
-def preset_names() -> tuple[str, ...]:
-    """Names of the shipped presets."""
-    return tuple(sorted(path.stem for path in asset_path("presets").glob("*.toml")))
+def preset_names(*, families: bool = True) -> tuple[str, ...]:
+    """Names of the shipped presets, those of families of encounters after the others.
+
+    Args:
+        families: Whether to name those.
+    """
+    names = {path.stem for path in asset_path("presets").glob("*.toml")}
+    return (*sorted(names - set(FAMILIES)), *(FAMILIES if families else ()))
 
 
 def load_preset(name: str) -> ExperimentConfig:

@@ -22,7 +22,11 @@ from pemviz.runs.experiment import build_experiment
 
 def test_presets_are_the_designs():
     paper, town = load_preset("paper"), load_preset("town01")
-    assert preset_names() == ("paper", "paper-algorithm", "town01")
+    assert preset_names(families=False) == ("paper", "paper-algorithm", "town01")
+    for family in set(preset_names()) - set(preset_names(families=False)):
+        config = load_preset(family)
+        assert (config.encounter.family, config.memory_s) == (family, 0.25)
+        assert f"always[0,{config.encounter.states - 1}]" in config.rules[0].formula
     assert load_preset("paper-algorithm") == ExperimentConfig(method="adaptive")
     assert paper == ExperimentConfig(plan=True)
     assert paper.method == "mixture"

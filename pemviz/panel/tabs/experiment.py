@@ -149,7 +149,7 @@ class ExperimentTab:
     def _add_choices(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
         self.preset = gui.add_dropdown(
-            "Preset", preset_names(), initial_value=FIRST_PRESET, hint=PRESET_HINT
+            "Preset", preset_names(families=False), initial_value=FIRST_PRESET, hint=PRESET_HINT
         )
         self.method = gui.add_dropdown("Method", METHODS.names(), hint=hint("method"))
         self.metric = gui.add_dropdown("Metric", get_args(MetricName), hint=hint("metric"))

@@ -9,7 +9,6 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import EncounterConfig
-from pemviz.pem import SALIENT_COLUMNS
 
 NEAREST_M = 0.5
 """Ahead of the camera: what is nearer is taken for as near as that, or not seen at all."""
@@ -74,7 +73,7 @@ def seen(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> Sig
 
 
 def salient(config: EncounterConfig, sight: Sight, heading_rad: FloatArray) -> FloatArray:
-    """Cars as KITTI would label them, ``[K, ..., 11]`` in the order of ``SALIENT_COLUMNS``.
+    """Cars as KITTI would label them, ``[K, ..., 11]``, ordered as ``pemviz.pem.SALIENT_COLUMNS``.
 
     Args:
         config: The encounter.
@@ -82,7 +81,6 @@ def salient(config: EncounterConfig, sight: Sight, heading_rad: FloatArray) -> F
         heading_rad: ``[K, ...]``, counterclockwise from the road.
     """
     rotation = HEADING_AWAY_RAD - heading_rad
-    result = np.empty((*np.shape(heading_rad), len(SALIENT_COLUMNS)))
     columns = (
         CAR_CLASS,
         sight.truncated,
@@ -96,6 +94,7 @@ def salient(config: EncounterConfig, sight: Sight, heading_rad: FloatArray) -> F
         sight.z_m,
         rotation,
     )
+    result = np.empty((*np.shape(heading_rad), len(columns)))
     for place, column in enumerate(columns):
         result[..., place] = column
     return result
