@@ -80,7 +80,7 @@ def carry_out(task: RunTask, *, scratch: Path | None = None) -> RunOutcome:
         scratch: Where the temporary folder is made; without it, where the system has them.
     """
     try:
-        # networks draw their first weights from a generator that a process has once
+        # limits on threads are those of a process
         with (
             ONE_RUN_AT_A_TIME,
             tempfile.TemporaryDirectory(prefix=SCRATCH_PREFIX, dir=scratch) as temporary,

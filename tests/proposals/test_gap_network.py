@@ -12,6 +12,7 @@ from pemviz.proposals.gap_network_fit import (
     initial_gap_network,
     pool_outcomes,
 )
+from pemviz.proposals.gap_network_gradient import GapLoss, Parameters
 
 
 def as_torch(network: GapNetwork) -> torch.nn.Module:
@@ -88,8 +89,49 @@ def test_pooling_keeps_the_cross_entropy(rollouts, steps, seed):
     assert table.detected_weight.sum() + table.missed_weight.sum() == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2**32 + 7, 2**63 - 1, 3_141_592_653_589])
+def test_the_first_network_is_torchs_own_to_the_last_bit(seed):
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        layers = [torch.nn.Linear(*sizes) for sizes in ((1, 32), (32, 32), (32, 2))]
+    ours = initial_gap_network(seed=seed)
+    for layer, weight, bias in zip(layers, ours.weights, ours.biases, strict=True):
+        np.testing.assert_array_equal(weight, layer.weight.detach().double().numpy())
+        np.testing.assert_array_equal(bias, layer.bias.detach().double().numpy())
+
+
+@given(st.integers(1, 400), st.integers(0, 10_000), st.sampled_from((0.0, 0.3, 3.0)))
+def test_closed_gradients_are_those_that_torch_derives(places, seed, scatter):
+    """Also of units that see no input, and of those that turn far outside or between neighbours."""
+    random = np.random.default_rng(seed)
+    inputs = np.sort(random.normal(size=places)) if seed % 2 else np.linspace(-0.2, 1.3, places)
+    detected, missed = random.random((2, places)) / places
+    at, gradient = Parameters(), Parameters()
+    at.flat[:] = random.normal(size=at.flat.size) * scatter
+    at.layer_1[:, :3] *= np.array([[0.0, 1.0, 0.0], [1.0, 1e-9, 0.0]])
+    loss = GapLoss(inputs, detected_weight=detected, missed_weight=missed)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        loss.gradient(at, into=gradient)
+        value = loss.value(at)
+    names = ("layer_1", "weight_2", "bias_2", "weight_3", "bias_3")
+    first, second, bias_2, third, bias_3 = (
+        torch.tensor(getattr(at, name), requires_grad=True) for name in names
+    )
+    hidden = torch.relu(torch.from_numpy(inputs)[:, None] * first[0] + first[1])
+    logit = torch.relu(hidden @ second.T + bias_2) @ third + bias_3
+    logs = torch.nn.functional.logsigmoid  # softplus is linear beyond 20
+    expected = -(logs(logit) @ torch.from_numpy(detected) + logs(-logit) @ torch.from_numpy(missed))
+    expected.backward()
+    assert value == pytest.approx(expected.item(), rel=1e-12)
+    derived = np.concatenate([tensor.grad.numpy().ravel() for tensor in
+                              (first, second, bias_2, third, bias_3)])  # fmt: skip
+    np.testing.assert_allclose(
+        gradient.flat, derived, rtol=0, atol=1e-12 * (1 + abs(derived).max())
+    )
+
+
 def test_fit_follows_plain_adam_on_the_unpooled_data():
-    """Ten steps of a naive loop over every outcome, in double precision, end alike."""
+    """A naive loop over every outcome, in double precision, ends with the same parameters."""
     generator = np.random.default_rng(0)
     gap_m = generator.choice(np.linspace(2, 15, 12), size=(8, 20))
     detected = generator.random((8, 20)) < 0.8
@@ -99,18 +141,19 @@ def test_fit_follows_plain_adam_on_the_unpooled_data():
     optimiser = torch.optim.Adam(layers.parameters(), lr=1e-3)
     inputs = torch.from_numpy(gap_m.reshape(-1, 1) / 12.0)
     hit = torch.from_numpy(detected.ravel())
-    for _ in range(10):
+    for _ in range(60):
         optimiser.zero_grad()
         both = layers(inputs)
         loss = -torch.where(hit, both[:, 1], both[:, 0]).mean()
         loss.backward()
         optimiser.step()
     table = pool_outcomes(gap_m=gap_m, detected=detected, rollout_weight=weight)
-    fitted, _ = fit_gap_network(start, table, epochs=10, learning_rate=1e-3)
-    grid = np.linspace(0, 16, 50)
+    fitted, last = fit_gap_network(start, table, epochs=60, learning_rate=1e-3)
+    for name, array in fitted.arrays().items():
+        np.testing.assert_allclose(array, layers.state_dict()[name].numpy(), rtol=0, atol=1e-10)
     with torch.no_grad():
-        expected = layers(torch.from_numpy(grid[:, None] / 12.0)).numpy()
-    np.testing.assert_allclose(fitted.logit_at(grid), expected[:, 1] - expected[:, 0], atol=1e-4)
+        both = layers(inputs)
+        assert last == pytest.approx(-torch.where(hit, both[:, 1], both[:, 0]).mean().item())
 
 
 def test_fit_lowers_the_loss_and_leaves_its_start_alone():

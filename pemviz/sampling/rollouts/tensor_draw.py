@@ -13,7 +13,6 @@ import torch
 
 from pemviz.arrays import AnyArray, FloatArray, Move, moved, to_numpy
 from pemviz.pem.models.own_detector import DetectorModel
-from pemviz.proposals.gap_network_fit import one_thread
 from pemviz.sampling.rollouts.draw import roll_out
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
@@ -76,3 +75,14 @@ class _ProposalHere:
 
     def arrays(self) -> Any:
         return self.proposal.arrays()
+
+
+class one_thread:  # noqa: N801  reads as a statement
+    """Small layers on the CPU: a second thread of torch's costs more than it brings."""
+
+    def __enter__(self) -> None:
+        self._threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+
+    def __exit__(self, *_: object) -> None:
+        torch.set_num_threads(self._threads)
