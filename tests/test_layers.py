@@ -94,9 +94,10 @@ def test_some_libraries_are_imported_in_one_place(path):
         assert homes is None or part_of(path) in homes, f"{name} belongs in {homes}"
 
 
-def test_one_simulator_module_imports_highway_env():
-    users = [p for p in modules() if any(n.split(".")[0] == "highway_env" for n in imported(p))]
-    assert len(users) == 1
+def test_modules_named_for_it_import_highway_env_and_no_others():
+    users = {p for p in modules() if any(n.split(".")[0] == "highway_env" for n in imported(p))}
+    assert users == {p for p in modules() if p.stem.startswith("highway_env_")}
+    assert users
 
 
 def module_name(path: Path) -> str:

@@ -36,7 +36,7 @@ def simulator_figures(
     vectorized = _replaying(VectorizedSimulator(config), vectorized_rollouts)
     highway = _replaying(HighwaySimulator(config), highway_rollouts)
     bare = _bare_vehicles(config, highway_rollouts)
-    turns = [[_time_s(work) for work in (vectorized, highway, bare)] for _ in range(repeats + 1)]
+    turns = [[elapsed_s(work) for work in (vectorized, highway, bare)] for _ in range(repeats + 1)]
     batch_s, slow_s, bare_s = zip(*turns[1:], strict=True)
     vectorized_s = [spent_s / vectorized_rollouts for spent_s in batch_s]
     highway_s = [spent_s / highway_rollouts for spent_s in slow_s]
@@ -84,7 +84,8 @@ def _bare_vehicles(config: ScenarioConfig, rollouts: int) -> Callable[[], object
     return work
 
 
-def _time_s(work: Callable[[], object]) -> float:
+def elapsed_s(work: Callable[[], object]) -> float:
+    """How long some work takes [s]."""
     began = time.perf_counter()
     work()
     return time.perf_counter() - began

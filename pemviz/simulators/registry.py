@@ -67,12 +67,17 @@ def build_family_simulator(config: ExperimentConfig) -> "FamilyScenario":
     Raises:
         ConfigError: It has none of that name, or a start value's distribution cannot be.
     """
+    own = (config.encounter, config.start, config.scenario.tracker)
+    if config.simulator == "highway-env":
+        from pemviz.simulators.families.highway import HighwayFamily  # noqa: PLC0415  as below
+
+        return HighwayFamily(*own)
     from pemviz.simulators.families.vectorized import VectorizedFamily  # noqa: PLC0415  scipy
 
     if config.simulator != "vectorized":
-        message = f"simulator = {config.simulator!r}: must be vectorized with a family"
+        message = f"simulator = {config.simulator!r}: must be {' or '.join(SHIPPED)} with a family"
         raise ConfigError(message)
-    return VectorizedFamily(config.encounter, config.start, config.scenario.tracker)
+    return VectorizedFamily(*own)
 
 
 def _called(factory: Callable[..., Any], scenario: ScenarioConfig) -> Any:

@@ -1,5 +1,6 @@
 import math
 
+from pemviz.bench.families import family_figures
 from pemviz.bench.simulators import simulator_figures
 from pemviz.config import ScenarioConfig
 
@@ -15,3 +16,11 @@ def test_rates_and_ratios_belong_together() -> None:
     assert math.isclose(10 / vectorized, batch / 1e3)
     assert math.isclose(gain, vectorized / highway)
     assert math.isclose(cost, bare / highway)
+
+
+def test_families_have_rates_and_a_ratio_each() -> None:
+    fast, slow, gain = family_figures(
+        vectorized_rollouts=10, highway_rollouts=2, repeats=1, states=5, families=("cut-in",)
+    )
+    assert min(fast.value, slow.value) > 0
+    assert math.isclose(gain.value, fast.value / slow.value)

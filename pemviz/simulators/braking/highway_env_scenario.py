@@ -1,4 +1,4 @@
-"""The braking scenario as a highway-env environment; the only module that imports highway-env.
+"""The braking scenario as a highway-env environment; imports highway-env.
 
 Importing this module registers the environment with gymnasium, so either of these makes one::
 
@@ -263,7 +263,7 @@ class BrakingEnv(AbstractEnv):
     def render(self) -> Any:
         """A frame, uint8 ``[160, 640, 3]``; ``None`` if no render mode was chosen."""
         if self.viewer is None and self.render_mode is not None:
-            with _no_display():
+            with no_display():
                 self.viewer = EnvViewer(self)
             self.viewer.enabled = True  # with the dummy driver it leaves frames black
         return super().render()
@@ -346,7 +346,7 @@ def _view(scenario: ScenarioConfig) -> dict[str, Any]:
 
 
 @contextmanager
-def _no_display() -> Generator[None]:
+def no_display() -> Generator[None]:
     """Have SDL look for no display: frames need none, and it complains where there is none."""
     chosen = os.environ.get(SDL_DRIVER_VARIABLE)
     os.environ[SDL_DRIVER_VARIABLE] = "dummy"

@@ -1,0 +1,133 @@
+"""Encounters of a family on highway-env, and films of them.
+
+highway-env itself is imported when the first scene is built, not with this module.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from threading import get_ident
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.config import EncounterConfig, StartChoice
+from pemviz.simulators.families.scenario import FamilyScenario
+from pemviz.types import StateBatch
+
+if TYPE_CHECKING:
+    from pemviz.simulators.families.highway_env_encounters import EncounterEnv
+
+SCENES_KEPT = 8
+NUMBER = "environment_"
+
+
+@dataclass(frozen=True)
+class HighwayFamily(FamilyScenario):
+    """Each rollout of a batch in turn is loaded into a highway-env scene, stepped, read back."""
+
+    @property
+    def name(self) -> str:
+        """Back end's name."""
+        return "highway-env"
+
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
+        """The states s_0, arrays ``[count]``, for standard normals ``[count, S]`` or medians."""
+        given = np.zeros((count, self.latents.start)) if start is None else start
+        scene, rows = self._scene, list[list[float]]()
+        for normals in given:
+            scene.begin(normals)
+            rows.append([*scene.numbers(), *scene.signals.values().values()])
+        tracks: dict[str, AnyArray] = {}
+        if self.tracker is not None:
+            tracks = self.tracker.memory(self.tracker.start(count, slots=len(self.slots)))
+        return self._states(rows, step=0, tracks=tracks)
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The next states, given perception's outcomes ``[N, K]``."""
+        hits = np.asarray(detected, dtype=np.bool_) & self.present(states.signals)
+        numbers = [name for name in states.memory if name.startswith(NUMBER)]
+        table = np.stack([states.memory[name] for name in numbers], axis=-1).tolist()
+        told, kept = self._told(states, hits)
+        scene, rows = self._scene, list[list[float]]()
+        for row, before in enumerate(table):
+            scene.load(before)
+            scene.move(hits[row], *(None if one is None else one[row] for one in told))
+            rows.append([*scene.numbers(), *scene.signals.values().values()])
+        return self._states(rows, step=int(states.step) + 1, tracks=kept)
+
+    @property
+    def _scene(self) -> "EncounterEnv":
+        return _scene(self.config, self.chosen, self.tracker_text, get_ident())
+
+    def _told(
+        self, states: StateBatch, hits: BoolArray
+    ) -> tuple[Sequence[AnyArray | None], dict[str, AnyArray]]:
+        """Which tracks there are, where, and how fast, ``[N, K, ...]``; and what states keep."""
+        tracker = self.tracker
+        if tracker is None:
+            return (None, None, None), {}
+        measured = [
+            np.stack([states.signals[f"{what}_{car}"] for car in self.cars], axis=-1)
+            for what in ("gap", "aside")
+        ]
+        before = tracker.state(states.memory, slots=len(self.slots))
+        tracks = tracker.update(before, hits, np.stack(measured, axis=-1))
+        speeds = tracks.speed_mps if "speed_mps" in tracker.filter.keeps else None
+        return (tracks.confirmed, tracks.position_m, speeds), tracker.memory(tracks)
+
+    def _states(
+        self, rows: list[list[float]], *, step: int, tracks: Mapping[str, AnyArray]
+    ) -> StateBatch:
+        count = len(self.signals)
+        table = np.array(rows, dtype=np.float64).reshape(len(rows), -1).T
+        numbers, values = table[:-count], table[-count:]
+        signals = {signal.name: row for signal, row in zip(self.signals, values, strict=True)}
+        memory = {f"{NUMBER}{place}": row for place, row in enumerate(numbers)}
+        return StateBatch(
+            step=np.array(step, dtype=np.int64), signals=signals, memory={**memory, **tracks}
+        )
+
+
+def encounter_frames(
+    simulator: FamilyScenario, *, detected: BoolArray, start: FloatArray | None = None
+) -> Iterator[NDArray[np.uint8]]:
+    """Film a rollout with given outcomes and start; needs no display.
+
+    Args:
+        simulator: The family, on whichever back end.
+        detected: Perception's outcomes ``[T-1, K]``.
+        start: Standard normals of the start ``[S]``; ``None``: medians.
+
+    Returns:
+        T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, the ego blue.
+    """
+    from pemviz.simulators.families.highway_env_encounters import EncounterEnv  # noqa: PLC0415  pygame
+
+    environment = EncounterEnv(
+        simulator.config, simulator.chosen, simulator.tracker_text, render_mode="rgb_array"
+    )
+    try:
+        if start is not None:
+            environment.begin(start)
+        yield environment.render()
+        for outcomes in detected:
+            environment.advance(outcomes)
+            yield environment.render()
+    finally:
+        environment.close()
+
+
+@lru_cache(maxsize=SCENES_KEPT)
+def _scene(
+    config: EncounterConfig,
+    chosen: tuple[StartChoice, ...],
+    tracker: str,
+    thread: int,  # noqa: ARG001
+) -> "EncounterEnv":
+    """A scene to work in. Its content outlives no call, so sharing is safe within a thread."""
+    from pemviz.simulators.families.highway_env_encounters import EncounterEnv  # noqa: PLC0415  pygame
+
+    return EncounterEnv(config, chosen, tracker)
