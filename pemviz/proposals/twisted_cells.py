@@ -10,6 +10,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 # cells are shifted by a fraction that no lattice shares, so that states do not lie on edges
 SHIFT = 0.381966011250105
 MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+BLOCK = 8192
 
 
 @dataclass(frozen=True)
@@ -38,15 +39,23 @@ def cell_keys(columns: Sequence[FloatArray], cells: Sequence[float]) -> IntArray
 
     Sixty-four bits: two of a million cells collide with probability 3e-8.
     """
-    key = np.zeros(columns[0].size, dtype=np.uint64)
-    for column, cell in zip(columns, cells, strict=True):
-        number = np.floor(column / cell + SHIFT).astype(np.int64).view(np.uint64)
-        key = _mixed(key * MULTIPLIER + number)
-    return key.view(np.int64)
+    keys = np.empty(columns[0].size, dtype=np.uint64)
+    for start in range(0, keys.size, BLOCK):  # in place, in what the processor's cache holds
+        key = keys[start : start + BLOCK]
+        key[:] = 0
+        scratch = np.empty_like(key)
+        for column, cell in zip(columns, cells, strict=True):
+            number = column[start : start + BLOCK] / cell
+            number += SHIFT
+            key *= MULTIPLIER
+            key += np.floor(number, out=number).astype(np.int64).view(np.uint64)
+            _mix(key, scratch)
+    return keys.view(np.int64)
 
 
-def _mixed(key: AnyArray) -> AnyArray:
-    """The finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
-    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return key ^ (key >> np.uint64(31))
+def _mix(key: AnyArray, scratch: AnyArray) -> None:
+    """The finaliser of splitmix64 (Steele, Lea, Flood 2014), in place."""
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
+        np.right_shift(key, np.uint64(shift), out=scratch)
+        np.bitwise_xor(key, scratch, out=key)
+        key *= np.uint64(factor)
