@@ -32,7 +32,6 @@ from pemviz.runs.result_file import RESULT_FILE
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.same_run import read_whole_run
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from pemviz.simulators.registry import SHIPPED
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.types import Simulator, StageKind
 
@@ -112,10 +111,9 @@ def _own_scenario(config: ExperimentConfig) -> Simulator | SlotSimulator | None:
     Raises:
         InputError: There is none of that name here, or nothing to draw.
     """
-    if config.encounter.family == NO_FAMILY:
-        if config.simulator in SHIPPED:
-            return None
-    else:  # the same states on every back end, and this one is there
+    if config.is_braking_scenario:
+        return None
+    if config.encounter.family != NO_FAMILY:  # the same states on every back end
         config = replace(config, simulator=DRAWN_BACK_END)
     found = build_back_end(config).simulator
     return own_scenario(found.scenario if isinstance(found, UnrolledSimulator) else found, config)

@@ -12,6 +12,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
+from pemviz.latents import Latents
 from pemviz.runs.result import RunResult, StageSummary
 from pemviz.runs.rollout_files import BROKEN, latents_of, log_weights
 from pemviz.runs.slot_outcomes import slots_of
@@ -171,6 +172,11 @@ def signals_of(run: RunData) -> dict[str, FloatArray]:
         signal.name: np.asarray(run.rollouts[signal.key], dtype=np.float64)
         for signal in run.simulator.signals
     }
+
+
+def latents_of_run(run: RunData) -> Latents | None:
+    """The latents of the kept rollouts; ``None`` if there are none."""
+    return run.memo.get("latents", lambda: latents_of(run.rollouts) if run.parts else None)
 
 
 def thinned(

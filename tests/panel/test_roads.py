@@ -1,21 +1,28 @@
 """Runs of a scenario that tells where its cars are, in the panel."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import pemviz
+from pemviz.config import StartChoice
+from pemviz.config.toml_files import load_preset
 from pemviz.errors import InputError
+from pemviz.latents import Latents
 from pemviz.panel import loading
 from pemviz.panel.ranking import rank, row
 from pemviz.panel.run_data import check_table, own_scenario
 from pemviz.panel.run_observer import Watcher
 from pemviz.panel.scene_page import scene_html
+from pemviz.panel.tabs.encounters import asked_simulator, check_encounter
 from pemviz.panel.views.compare import metric_curves, metrics_page
+from pemviz.panel.views.details import details, rule_robustness
 from pemviz.panel.views.learning import learning
 from pemviz.panel.views.ranking_table import ranking_table
 from pemviz.panel.views.road_rollout import road_plots, road_plots_at, road_track, step_words
+from pemviz.panel.views.scenario import scenario_text
 from pemviz.panel.views.weights import heaviest_curves, weights_page
 from pemviz.panel.views.why import failures_of, why
 from pemviz.runs.drawn_rollout import WRONG
@@ -114,3 +121,40 @@ def test_tables_of_another_shape_and_simulators_without_cars_are_refused(ran):
         check_table(table, ran.run.config, where="here", simulator=CutIn())
     with pytest.raises(InputError, match=r"tells where its cars are \(pemviz.DrawsScene\)"):
         own_scenario(ToySimulator(), CONFIG)
+
+
+RULES = {"touch": "always[0,40] (collided <= 0.5)", "slow": "always[0,40] (ego_speed <= 25)"}
+
+
+def test_the_rollout_shown_has_the_robustness_of_each_rule_and_its_start_in_words(ran):
+    config = ran.run.config.with_rules(RULES)
+    table = {**ran.run.rollouts, "broken.touch": ran.run.rollouts["violated"]}
+    table["broken.slow"] = np.zeros(60, dtype=np.bool_)
+    shown = replace(ran.run, result=replace(ran.run.result, config=config), parts=(table,))
+    entry = first(shown)
+    fastest = float(np.max(ran.rollouts.signals["ego_speed"][entry.rollout]))
+    assert rule_robustness(shown, entry.index) == {"touch": -0.5, "slow": 25.0 - fastest}
+    page = details(shown, entry, contact="contact at 1.00 s")
+    assert page.index("broken</b>") < page.index("slow") < page.index("kept")
+    assert "Contact at 1.00 s." in page
+    start = np.array([[0.5]] * 60)
+    noise = np.zeros((60, 40, 1))
+    latents = Latents(start, 0.0 * start, noise, noise, noise[..., 0])
+    with_latents = replace(shown, parts=(table,))
+    with_latents.memo.get("latents", lambda: latents)
+    page = details(with_latents, entry)
+    assert "Standard normals at its start: 0.5." in page
+    assert "Standard normals of its steps" in page
+
+
+def test_the_experiment_tab_says_of_a_family_what_it_draws_and_what_it_refuses():
+    config = load_preset("cut-in")
+    page = scenario_text(replace(config, start=(StartChoice("gap", "uniform(9, 10)"),)))
+    assert "a car cuts in ahead of the ego" in page
+    assert "uniform(9, 10)" in page
+    assert {s.name for s in asked_simulator(config).signals} >= {"clearance", "gap_lead"}
+    check_encounter(config)
+    with pytest.raises(InputError, match=r"value-twisted.*has latents"):
+        check_encounter(replace(config, method="value-twisted"))
+    with pytest.raises(InputError, match="start"):
+        check_encounter(replace(config, start=(StartChoice("gap", "normal(1"),)))

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import cast, get_args
 
 import viser
@@ -11,15 +10,19 @@ import viser
 from pemviz.config import METHODS, ExperimentConfig, MetricName
 from pemviz.config.rule_words import read_rules, rules_text
 from pemviz.config.toml_files import load_preset, preset_names
-from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.fields import hint, limits
+from pemviz.panel.tabs.encounters import (
+    EncounterControls,
+    asked_simulator,
+    check_encounter,
+)
 from pemviz.panel.tabs.perception import PerceptionControls, check_measured
+from pemviz.panel.views.scenario import scenario_text
 from pemviz.pem import shipped_pems
 from pemviz.reports.pictures.html import block, good, quiet, warning
-from pemviz.runs.experiment import build_simulator
 from pemviz.runs.specification import build_formula
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.registry import simulator_names
@@ -27,8 +30,8 @@ from pemviz.simulators.registry import simulator_names
 FIRST_PRESET = "paper"
 PRESET_HINT = (
     "Shipped configuration that fills in all controls and the scenario: paper (70 km/h, lead car "
-    "brakes at 0.3 g), town01 (30 km/h, lead car brakes hard), or paper-algorithm (paper, with the "
-    "paper's own method)."
+    "brakes at 0.3 g), town01 (30 km/h, lead car brakes hard), paper-algorithm (paper, with the "
+    "paper's own method), or a family of encounters with random starts: braking, cut-in, cut-out."
 )
 RUN_HINT = "Run what is set up below. One experiment runs at a time; all browsers see it."
 STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
@@ -95,7 +98,8 @@ class ExperimentTab:
             spec=self.spec.value,
             rules=(),
         )
-        return self.perception.into(settings).with_rules(self._rules())
+        settings = self.encounter.into(self.perception.into(settings))
+        return settings.with_rules(self._rules())
 
     def _rules(self) -> Mapping[str, str]:
         """The rules typed, name to formula.
@@ -149,7 +153,7 @@ class ExperimentTab:
     def _add_choices(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
         self.preset = gui.add_dropdown(
-            "Preset", preset_names(families=False), initial_value=FIRST_PRESET, hint=PRESET_HINT
+            "Preset", preset_names(), initial_value=FIRST_PRESET, hint=PRESET_HINT
         )
         self.method = gui.add_dropdown("Method", METHODS.names(), hint=hint("method"))
         self.metric = gui.add_dropdown("Metric", get_args(MetricName), hint=hint("metric"))
@@ -181,6 +185,7 @@ class ExperimentTab:
         )
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
         self.perception = PerceptionControls(gui, browser.on(self._choose_parts))
+        self.encounter = EncounterControls(gui, browser.on(self._check))
         self.memory_curve = gui.add_checkbox("Memory curve", False, hint=hint("memory_curve"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
         self.target = gui.add_text("Target", "", hint=hint("target") + TARGET_WORDS)
@@ -245,6 +250,7 @@ class ExperimentTab:
         self.target.value = "" if config.target is None else f"{config.target:g}"
         encounters = config.encounters_per_hour
         self.encounters.value = "" if encounters is None else f"{encounters:g}"
+        self.encounter.fill(config)
         self.perception.fill(config)
         self._choose_parts()
 
@@ -271,7 +277,11 @@ class ExperimentTab:
         ):
             if control.visible != shown:
                 control.visible = shown
-        self.perception.offer(self.simulator.value)
+        family = self.encounter.chosen
+        self.perception.offer(self.simulator.value, errors=not family)
+        for control in (self.frailty, self.memory_curve, self.reference):
+            if control.visible == family:  # not with several obstacles, nor without a twin
+                control.visible = not family
         for name, control in (
             ("stages", self.stages),
             ("rollouts", self.rollouts),
@@ -315,6 +325,7 @@ class ExperimentTab:
             try:
                 self.config.validate()
                 check_measured(self.config)
+                check_encounter(self.config)
             except InputError as error:
                 yield str(error)
 
@@ -324,8 +335,12 @@ class ExperimentTab:
             rules = self._rules()
         except InputError:  # told with the rest
             return
-        plain = replace(self._base, rules=(), simulator="vectorized")
-        simulator = build_simulator(plain)
+        try:
+            plain = replace(self.encounter.into(self._base), rules=())
+            simulator = asked_simulator(plain)
+        except InputError as error:
+            yield str(error)
+            return
         for name, formula in rules.items() if rules else (("", self.spec.value),):
             try:
                 build_formula(replace(plain, spec=formula), simulator)
@@ -341,24 +356,6 @@ class ExperimentTab:
             browser.tell("Not started", "Another experiment is running; stop it first.")
             return
         browser.look_at(None)
-
-
-def scenario_text(config: ExperimentConfig) -> str:
-    """The scenario in a sentence."""
-    scenario, errors = config.scenario, config.position_errors
-    end_s = (scenario.states - 1) * scenario.dt_s
-    measured = "" if errors is None else f", measured with errors of {Path(errors).name},"
-    follows = "" if scenario.tracker == NO_TRACKER else f", by a tracker ({scenario.tracker}),"
-    return block(
-        quiet(
-            f"Scenario: both cars drive {scenario.initial_speed_kmh:g} km/h, "
-            f"{scenario.initial_gap_m:g} m apart, when the lead car brakes at "
-            f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
-            f"A detection{follows} below {scenario.emergency_gap_m:g} m{measured} makes the ego "
-            f"brake at {scenario.emergency_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
-            f"{scenario.states} states, {scenario.dt_s:g} s apart ({end_s:.2f} s)."
-        )
-    )
 
 
 def read_number(typed: str, *, name: str, most: float = 1.0) -> float | None:

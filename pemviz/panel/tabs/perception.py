@@ -47,6 +47,7 @@ class PerceptionControls:
             changed: Called when a person has changed one.
         """
         self._base = ScenarioConfig()
+        self._takes_errors = True
         self._folder = gui.add_folder(FOLDER, expand_by_default=False)
         with self._folder:
             self._add_tracker(gui)
@@ -72,15 +73,22 @@ class PerceptionControls:
         self.errors.value = NONE if named is None else named if shipped else FROM_FILE
         self.file.value = "" if named is None or shipped else named
 
-    def offer(self, simulator: str) -> None:
-        """Show what a simulator takes, and what the present choices need."""
+    def offer(self, simulator: str, *, errors: bool = True) -> None:
+        """Show what a simulator takes, and what the present choices need.
+
+        Args:
+            simulator: Its name.
+            errors: Whether it measures with errors, if it is a shipped one.
+        """
+        self._takes_errors = errors
         counted = self.kind.value == COUNTED
         filtered = counted and self.filter.value != NO_TRACKER
         for control, shown in (
             (self._folder, simulator in SHIPPED_SIMULATORS),
             *((control, counted) for control in self._counted),
             (self.options, filtered),
-            (self.file, self.errors.value == FROM_FILE),
+            (self.errors, errors),
+            (self.file, errors and self.errors.value == FROM_FILE),
         ):
             if control.visible != shown:
                 control.visible = shown
@@ -90,6 +98,7 @@ class PerceptionControls:
         if config.simulator not in SHIPPED_SIMULATORS:
             return replace(config, position_errors=None)
         chosen = self.errors.value
+        chosen = chosen if self._takes_errors else NONE
         named = {NONE: None, FROM_FILE: self.file.value.strip()}.get(chosen, chosen)
         scenario = replace(config.scenario, tracker=self._tracker())
         return replace(config, position_errors=named, scenario=scenario)

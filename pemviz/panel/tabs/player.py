@@ -90,6 +90,14 @@ class Player:
         position, target = (ROAD_VIEWS if self._on_roads else GAP_VIEWS)[view]
         camera.position, camera.look_at = position, target
 
+    @property
+    def contact_words(self) -> str:
+        """When and how fast the cars of the rollout shown touch, where its plots do not tell."""
+        chosen = self.track
+        if isinstance(chosen, RoadTrack):
+            return chosen.drawn.contact_words
+        return ""
+
     def advance(self) -> None:
         """Move on with the time that has passed, while playing."""
         chosen = self.track

@@ -12,6 +12,7 @@ from pemviz.panel.browser import Browser, element_id, set_html
 from pemviz.panel.ranking import Among, RankedRow, Ranking, rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tabs.player import FROM_ABOVE, FROM_BEHIND, Player
+from pemviz.panel.views.details import details
 from pemviz.panel.views.ranking_table import ranking_table
 from pemviz.reports.pictures.html import block, quiet
 
@@ -52,9 +53,10 @@ class TrajectoriesTab:
         self.first = gui.add_dropdown("First", tuple(BY_SHARE), hint=ORDER_HINT)
         self.rule = gui.add_dropdown("Rule", (EVERY_RULE,), visible=False, hint=RULE_HINT)
         self.place = gui.add_number("Rank", 1, min=1, max=1_000_000, step=1, hint=RANK_HINT)
-        self._table = gui.add_html("")
         self.view = gui.add_dropdown("View", (FROM_BEHIND, FROM_ABOVE), hint=VIEW_HINT)
         self.view.on_update(browser.on(lambda: player.look_from(self._view())))
+        self._table = gui.add_html("")
+        self._details = gui.add_html("")
         self.follow = gui.add_checkbox("Follow ego", True, hint=FOLLOW_HINT)
         self.follow.on_update(browser.on(lambda: player.follow(self.follow.value)))
         for control in (self.metric, self.among, self.first, self.rule):
@@ -145,6 +147,7 @@ class TrajectoriesTab:
             ranking_table(run, ranking, selected=place, target=element_id(self.place)),
         )
         self._player.show(run, entry)
+        set_html(self._details, details(run, entry, contact=self._player.contact_words))
         before, self.shown = self.shown, entry
         if before is None or before.index != entry.index:
             for listener in self._listeners:

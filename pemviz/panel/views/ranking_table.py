@@ -11,6 +11,7 @@ from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 PAGE_ROWS = 12
+LONG_NAMES = 18
 BRAKING_SCENE = (
     "flat blue marks on the road say where the camera detected the car ahead, upright crosses "
     "where it missed; in the blue strip a detection brakes hard. The gap is measured from the "
@@ -83,6 +84,9 @@ def _verdict(run: RunData, entry: RankedRow) -> str:
     if not run.config.rules:
         return VIOLATED if entry.violated else "no"
     names = escape(", ".join(entry.broken))
+    if len(names) > LONG_NAMES:  # which they are is told below, of the rollout shown
+        count = f"{len(entry.broken)} of {len(run.config.rules)}"
+        names = f"<span title='{names}'>{count} rules</span>"
     return f"<b style='color:{MISSED}'>\N{MULTIPLICATION X}</b> {names}" if names else "none"
 
 

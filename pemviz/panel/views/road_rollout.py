@@ -8,7 +8,7 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.colors import BLUE, DETECTED, GREY, MISSED, car_color
 from pemviz.panel.ranking import RankedRow
-from pemviz.panel.run_data import RunData
+from pemviz.panel.run_data import RunData, latents_of_run
 from pemviz.panel.views.page import PLOTS, SPEEDS
 from pemviz.panel.views.rollout import CURSOR, HEIGHT, PLOT_WIDTH, row_title
 from pemviz.reports.pictures.svg import Axis, Plot, svg, text
@@ -21,12 +21,11 @@ from pemviz.runs.drawn_rollout import (
     drawn_rollout,
     remembered,
 )
-from pemviz.runs.rollout_files import latents_of
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.scene import drawn_tracks
 from pemviz.types import Signal
 
-NAME_CHARACTERS = 11
+NAME_CHARACTERS = 16
 SHADES = {NOT_ASKED: GREY, RIGHT: DETECTED, WRONG: MISSED}
 
 
@@ -82,7 +81,7 @@ def road_track(run: RunData, entry: RankedRow) -> RoadTrack | None:
     detected = np.asarray(table["detected"][index], dtype=np.bool_)
     memory = {}
     if drawn_tracks(simulator) is not None and episodic(simulator) is None:
-        latents = run.memo.get("latents", lambda: latents_of(table))
+        latents = latents_of_run(run)
         start = None if latents is None else latents.start[index]
         noise = None if latents is None else latents.noise[index]
         memory = remembered(simulator, detected=detected, start=start, noise=noise)
@@ -164,7 +163,7 @@ def _axes(chosen: RoadTrack) -> tuple[Plot, Plot, Plot]:
             **size,
         ),
         Plot(title="Speeds", x=time, y=Axis(0.0, fastest * 1.08, "speed [m/s]"), **size),
-        Plot(title="Perception", x=time, y=rows, **(size | {"left": 78})),
+        Plot(title="Perception", x=time, y=rows, **(size | {"left": 100})),
     )  # fmt: skip
 
 
