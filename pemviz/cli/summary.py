@@ -115,7 +115,7 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
         f"{what}; took {result.timings_s.get('total', math.nan):.1f} s"
     )
     if caveats:
-        yield f"  try next: {remedy(estimate.method)}"
+        yield f"  try next: {remedy(estimate.method, latents=result.latents is not None)}"
     if rate := rate_line(result):
         yield f"  {rate}"
     if result.reference is not None:

@@ -57,13 +57,14 @@ def _sampling(result: RunResult) -> Rung:
     estimate, caveats = result.estimate, run_interval_caveats(result)
     assert estimate is not None  # noqa: S101  asked before
     level = f"{100.0 * estimate.confidence:g} %"
+    better = remedy(estimate.method, latents=result.latents is not None)
     return Rung(
         kind="sampling",
         name=f"sampling, {'not a ' if caveats else ''}{level} interval",
         low=estimate.ci_low,
         high=estimate.ci_high,
         note=caveats[0] if caveats else "",
-        narrowed_by=remedy(estimate.method) if caveats else "four times the rollouts",
+        narrowed_by=better if caveats else "four times the rollouts",
     )
 
 

@@ -55,6 +55,7 @@ class MethodDescription:
         interval_caveat: Why the method's intervals, even those that no diagnostic speaks against,
             are none at their level; ``None`` where they are.
         remedy: What to try where an answer is not to be trusted, in words.
+        remedy_with_latents: The same where the scenario has latents; ``None``: no other.
         stages: What the stages of a repetition are: one ``learning`` from the other, independent
             ``runs``, or ``parts`` of one batch.
         stage_interval: Of a stage's own estimate: ``log-normal`` from its weights, ``binomial``,
@@ -80,6 +81,7 @@ class MethodDescription:
     interval_basis: IntervalBasis = "weights"
     interval_caveat: str | None = None
     remedy: str = "more rollouts"
+    remedy_with_latents: str | None = None
     stages: StageMeaning = "learning"
     stage_interval: StageInterval = "log-normal"
     counting: Counting = "rollouts"

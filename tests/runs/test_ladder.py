@@ -9,6 +9,7 @@ import pytest
 from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.cli.summary import MOST_WARNINGS, print_summary
 from pemviz.config import METHODS
+from pemviz.latents import LatentCounts
 from pemviz.recording.text import answer_text
 from pemviz.reports.ladder_text import ladder_rows
 from pemviz.reports.markdown import summary_markdown
@@ -93,6 +94,16 @@ def test_an_interval_that_does_not_hold_comes_with_what_to_try(method, capsys):
     assert "not a 95 % interval" in sampling.name
     print_summary(one, Path("run"))
     assert f"try next: {sampling.narrowed_by}" in capsys.readouterr().out
+
+
+def test_no_method_that_runs_through_states_is_recommended_where_latents_leave_none(capsys):
+    wrong = warned("the weights' tail is too heavy", kind="died-out")
+    one = estimate(method="mixture", diagnostics=(wrong,))
+    doubted = result(one, latents=LatentCounts(noise=1))
+    assert rungs(doubted)["sampling"].narrowed_by == "more rollouts; --method splitting beside it"
+    print_summary(doubted, Path("run"))
+    assert "value-twisted" not in capsys.readouterr().out
+    assert "value-twisted" in rungs(replace(doubted, latents=None))["sampling"].narrowed_by
 
 
 @pytest.mark.parametrize("tell", [summary_markdown, lambda one: answer_text(one, running=False)])

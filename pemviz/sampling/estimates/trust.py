@@ -38,10 +38,17 @@ def interval_caveats(
     return caveats(wrong, method=estimate.method)
 
 
-def remedy(method: str) -> str:
-    """What to try where an answer of ``method`` is not to be trusted, in words."""
+def remedy(method: str, *, latents: bool = False) -> str:
+    """What to try where an answer of ``method`` is not to be trusted, in words.
+
+    Args:
+        method: By name.
+        latents: Whether the scenario has latents, so that no method runs through its states.
+    """
     described = _description(method)
-    return "another method" if described is None else described.remedy
+    if described is None:
+        return "another method"
+    return (described.remedy_with_latents if latents else None) or described.remedy
 
 
 def rests_on_weights(method: str) -> bool:

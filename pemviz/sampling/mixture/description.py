@@ -35,6 +35,7 @@ MIXTURE = MethodDescription(
     summary="generalised linear proposals around the error model, all stages' rollouts kept",
     build=_build,
     remedy="more rollouts; --method value-twisted or splitting beside it",
+    remedy_with_latents="more rollouts; --method splitting beside it",
     settings=frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts"}),
     budget=learning_budget,
     with_budget=with_learning_budget,
