@@ -80,6 +80,9 @@ def ladder(*, result: RunResult) -> RunFigure:
     return figure
 
 
+NOT_KNOWN = "#e9ecef"
+
+
 def robustness_distribution(*, stages: Sequence[StageResult], unit: str = "m") -> RunFigure:
     """Robustness of all rollouts of some stages, those that violate apart.
 
@@ -188,6 +191,50 @@ def causes(*, result: RunResult) -> RunFigure:
         bar = None if error is None else 2.0 * error
         axes[1].errorbar([middle], [elasticity], yerr=bar, fmt="o", color=BLUE, capsize=3.0)
     axes[1].set(xlabel="gap [m]", ylabel="% fewer violations\nby 1 % fewer misses")
+    return figure
+
+
+def starts(*, result: RunResult, rule: str | None = None) -> RunFigure:
+    """P(violation) in the plane of two start values, with the violating rollouts.
+
+    Args:
+        result: Of a simulator that names its random starts.
+        rule: Whose violations; left out, all.
+
+    Raises:
+        InputError: The run has no such picture.
+    """
+    found = next((one for one in result.starts if one.rule == rule), None)
+    plane = None if found is None else found.plane
+    if found is None or plane is None:
+        message = "starts: the run does not tell which starts are dangerous"
+        raise InputError(message)
+    figure, axes = _figure(4.2)
+    rows = [[np.nan if v is None else v for v in row] for row in plane.log10_probability]
+    ends = (
+        (plane.across_low, plane.across_high, len(rows[0])),
+        (plane.up_low, plane.up_high, len(rows)),
+    )
+    axes.set_facecolor(NOT_KNOWN)
+    drawn = axes.pcolormesh(
+        *(np.linspace(*end) for end in ends), np.array(rows), cmap="YlOrBr", shading="nearest"
+    )
+    axes.plot(
+        [point.across for point in found.points],
+        [point.up for point in found.points],
+        ".",
+        color=BLACK,
+        markersize=3.0,
+    )
+    units = {one.name: f" [{one.unit}]" if one.unit else "" for one in found.values}
+    axes.set(
+        xlabel=f"{plane.across}{units[plane.across]}",
+        ylabel=f"{plane.up}{units[plane.up]}",
+        xlim=ends[0][:2],
+        ylim=ends[1][:2],
+    )
+    axes.set_title("Which starts are dangerous (grey: not known)", loc="left")
+    figure.colorbar(drawn, ax=axes, label="log10 P(violation)")
     return figure
 
 

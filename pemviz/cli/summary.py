@@ -55,6 +55,13 @@ from pemviz.reports.memory_curve import (
 )
 from pemviz.reports.rates_text import RATE_COLUMNS, RATES_TITLE, rate_line, rate_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
+from pemviz.reports.starts_text import (
+    START_COLUMNS,
+    STARTS_TITLE,
+    start_rows,
+    starts_lines,
+    starts_title,
+)
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -95,6 +102,7 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
         elif result.explanation is not None:
             for line in (causes_line(result.explanation), *burst_lines(result.explanation)):
                 console.print(line, markup=False, soft_wrap=True)
+        _print_starts(console, result, verbose=verbose)
         for line in warning_lines(result, verbose=verbose):
             console.print(line, style="yellow", markup=False, soft_wrap=not verbose)
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
@@ -165,6 +173,15 @@ def _print_plan(console: Console, result: RunResult, plan: DataPlan, *, verbose:
         for row in band_rows(plan.labels):
             table.add_row(*row)
         console.print(table)
+
+
+def _print_starts(console: Console, result: RunResult, *, verbose: bool) -> None:
+    """A sentence on the starts of violations, and with ``verbose`` the figures."""
+    for line in starts_lines(result)[: None if verbose else 1]:
+        console.print(line, markup=False, soft_wrap=True)
+    for found in result.starts if verbose else ():
+        title = f"{STARTS_TITLE}: {starts_title(found)}"
+        console.print(_rows(title, START_COLUMNS, start_rows(found)))
 
 
 def warning_lines(result: RunResult, *, verbose: bool) -> list[str]:

@@ -28,6 +28,13 @@ from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
 from pemviz.reports.rates_text import RATE_COLUMNS, RATES_TITLE, rate_note, rate_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
+from pemviz.reports.starts_text import (
+    START_COLUMNS,
+    STARTS_TITLE,
+    start_rows,
+    starts_line,
+    starts_title,
+)
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -55,7 +62,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         parts += _next(result)
         parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
         parts += [*_memory(result), _model_range(result.pem_interval)]
-        parts += [*_causes(result), _diagnostics(estimate), *_plan(result)]
+        parts += [*_causes(result), *_starts(result), _diagnostics(estimate), *_plan(result)]
     parts.append(_question(result))
     parts.append(
         "## How to read on\n"
@@ -103,6 +110,15 @@ def _rates(result: RunResult) -> list[str]:
     if not rows:
         return []
     return [f"## {RATES_TITLE}\n\n{markdown_table(RATE_COLUMNS, rows)}", rate_note(result)]
+
+
+def _starts(result: RunResult) -> list[str]:
+    """Which starts are dangerous, where the simulator names them."""
+    return [
+        f"## {STARTS_TITLE}: {starts_title(found)}\n\n"
+        f"{markdown_table(START_COLUMNS, start_rows(found))}\n\n{starts_line(found)}."
+        for found in result.starts
+    ]
 
 
 def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:

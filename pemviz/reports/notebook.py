@@ -18,8 +18,10 @@ from pemviz.reports.estimate_text import (
 from pemviz.reports.pictures.html import STYLE, quiet, warning
 from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curve
+from pemviz.reports.pictures.starts import start_plane
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.reports.rates_text import rate_line
+from pemviz.reports.starts_text import map_words, starts_line
 from pemviz.runs.least_robust import Rollout
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -48,6 +50,7 @@ def result_html(result: RunResult) -> str:
         memory_curve(result.memory),
         *_next(result),
         *_causes(result),
+        *_starts(result),
         *_minded(data_warnings(result)),
     ]
     return _box(parts)
@@ -107,6 +110,13 @@ def _causes(result: RunResult) -> list[str]:
     return [
         _line(line) for line in (causes_line(result.explanation), *burst_lines(result.explanation))
     ]
+
+
+def _starts(result: RunResult) -> list[str]:
+    parts: list[str] = []
+    for found in result.starts[:1]:
+        parts += [_line(starts_line(found)), start_plane(found), quiet(map_words(found))]
+    return parts
 
 
 def _minded(warnings: Sequence[str]) -> list[str]:

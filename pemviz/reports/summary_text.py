@@ -13,6 +13,7 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.memory_curve import assumption_lines
 from pemviz.reports.rates_text import rate_line
+from pemviz.reports.starts_text import starts_lines
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 
@@ -42,6 +43,7 @@ def summary_text(result: RunResult) -> str:
         lines.append(f"  misses: {memory_text(result.memory)}")
     if result.explanation is not None and result.explanation.slots:
         lines.append(f"  {causes_line(result.explanation)}")
+    lines += [f"  {line}" for line in starts_lines(result)[:1]]
     lines += [f"  {assumed}" for assumed in assumption_lines(result.memory)]
     if result.reference is not None:
         lines.append(f"  reference: {reference_text(result.reference, estimate)}")

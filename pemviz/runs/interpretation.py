@@ -19,11 +19,18 @@ from pemviz.analysis.model_uncertainty import (
     member_estimates,
     model_interval,
 )
+from pemviz.analysis.starts import Violations
 from pemviz.arrays import FloatArray
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult, StageSummary
+from pemviz.runs.starts import (
+    StageStarts,
+    repetition_starts,
+    stage_starts,
+    starts_of_run,
+)
 from pemviz.runs.trust import reference_diagnostics, run_interval_caveats
 from pemviz.sampling.bursts.curve import (
     MEASURED_FRAILTY,
@@ -74,12 +81,16 @@ class Interpreted:
             repetition ended, with the stages' own log weights ``[N]``.
         of_repetitions: The same of each repetition that is done, with the log weights that its
             estimate averages.
+        stage_starts: What violations of the stages since the last repetition ended started from.
+        starts: The same of each repetition that is done, with parts of its estimate.
     """
 
     result: RunResult
     members: tuple[MemberEstimates, ...] = ()
     of_repetition: tuple[_Weighed, ...] = ()
     of_repetitions: tuple[_Weighed, ...] = ()
+    stage_starts: tuple[StageStarts, ...] = ()
+    starts: tuple[Violations, ...] = ()
 
 
 def interpret(
@@ -95,7 +106,9 @@ def interpret(
         experiment: What is run; its problem's ``pause`` may raise to stop.
         stage: The stage with its rollouts.
     """
+    interpreted = _with_starts(interpreted, experiment, stage)
     if not experiment.has_likelihood_ratios:
+        yield interpreted
         return
     pools = isinstance(experiment.method, PoolsStages)
     if stage.kind == "final" or pools:
@@ -107,6 +120,17 @@ def interpret(
     for step in (_explained, _asked_of_members, _compared_with_data):
         interpreted = step(interpreted, experiment, stage)
         yield interpreted
+
+
+def _with_starts(
+    interpreted: Interpreted, experiment: Experiment, stage: StageResult
+) -> Interpreted:
+    """What the violations started from, of stages that the estimate averages."""
+    averaged = stage.kind == "final" or isinstance(experiment.method, PoolsStages)
+    found = stage_starts(experiment, stage) if averaged else None
+    if found is None:
+        return interpreted
+    return replace(interpreted, stage_starts=(*interpreted.stage_starts, found))
 
 
 def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageResult) -> Interpreted:
@@ -162,13 +186,14 @@ def _asked_of_families(
 def interpret_repetition(
     interpreted: Interpreted, *, experiment: Experiment, state: Any
 ) -> Interpreted:
-    """The answers of other families of models, once a repetition is done.
+    """Which starts are dangerous, and what other families answer, once a repetition is done.
 
     Args:
         interpreted: All before, with every stage of the repetition.
         experiment: What is run.
         state: The method's, after its last stage.
     """
+    interpreted = _starts_told(interpreted, experiment, state)
     if not interpreted.of_repetition:
         return interpreted
     weighed, method = _Weighed.concatenate(interpreted.of_repetition), experiment.method
@@ -185,6 +210,20 @@ def interpret_repetition(
         of_repetition=(),
         of_repetitions=of_repetitions,
     )
+
+
+def _starts_told(interpreted: Interpreted, experiment: Experiment, state: Any) -> Interpreted:
+    if not interpreted.stage_starts:
+        return interpreted
+    method = experiment.method
+    done = repetition_starts(
+        interpreted.stage_starts,
+        log_weight=method.pooled_log_weight(state) if isinstance(method, PoolsStages) else None,
+        weighted=experiment.has_likelihood_ratios,
+    )
+    starts = (*interpreted.starts, done)
+    told = replace(interpreted.result, starts=starts_of_run(experiment, starts))
+    return replace(interpreted, result=told, stage_starts=(), starts=starts)
 
 
 def _compared_with_data(

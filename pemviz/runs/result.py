@@ -16,6 +16,7 @@ from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
+from pemviz.analysis.starts import DangerousStarts
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Share
@@ -131,6 +132,8 @@ class RunResult(ShownInNotebooks):
         position_errors: By which the scenario measured; ``None``: it measured exactly.
         reference: The answer by the value-twisted reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
+        starts: Which starts are dangerous, where the simulator names random ones: of violations
+            in all, then of each rule's.
         families: The answer under other families of models that learnt from the same data.
         data_bound: What the model's training data alone allow.
         plan: What to measure next, if it was asked for.
@@ -156,6 +159,7 @@ class RunResult(ShownInNotebooks):
     position_errors: PemInfo | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
+    starts: tuple[DangerousStarts, ...] = ()
     families: tuple[FamilyAnswer, ...] = ()
     data_bound: DataBound | None = None
     plan: DataPlan | None = None

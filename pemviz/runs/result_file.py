@@ -15,6 +15,7 @@ What a result.json may hold (schema 1):
 - The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
   ``sensitivity``, and its other fields under ``causes``.
 - ``rules``, and ``broken`` in ``least_robust``, only where there are rules.
+- ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
 - ``per_hour``, only where encounters an hour are told (:mod:`pemviz.runs.rates`), follows from
   the estimates too.
 - ``ladder``, what leaves the answer open (:class:`pemviz.runs.ladder.Rung`): it follows from the
@@ -115,6 +116,7 @@ def result_document(result: RunResult) -> Table:
         "memory": None if result.memory is None else asdict(result.memory),
         **({} if result.latents is None else {"latents": asdict(result.latents)}),
         **_position_errors(result),
+        **({"starts": [asdict(one) for one in result.starts]} if result.starts else {}),
         "reference": None if result.reference is None else asdict(result.reference),
         "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
         "families": [asdict(answer) for answer in result.families],

@@ -1,5 +1,6 @@
 """What hardly asks: the head above all tabs, and the tabs Learning and Why."""
 
+from pemviz.analysis.starts import MOST_POINTS
 from pemviz.panel.browser import Browser, element_id, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.page_layout import Window
@@ -17,6 +18,10 @@ CHAIN_HINT = (
     "below, in the scene; or click the chain there."
 )
 
+START_HINT = (
+    "Show the violating rollout of this number in the plane of starts below, in the scene; or "
+    "click its dot there."
+)
 NUMBER_HINT = (
     "Show a rollout in the scene and below: its place in the run's rollouts.npz, counted from 0; "
     "or click a point."
@@ -111,13 +116,34 @@ class WhyTab:
         self.chain = gui.add_number(
             "Show chain", 0, min=0, max=SHOWN_CHAINS, step=1, hint=CHAIN_HINT
         )
+        self.start = gui.add_number(
+            "Show start", 0, min=0, max=MOST_POINTS, step=1, hint=START_HINT, visible=False
+        )
         self._page = gui.add_html("")
         self.chain.on_update(browser.on(self._show_chain))
+        self.start.on_update(browser.on(self._show_start))
 
     def refresh(self, run: RunData | None) -> None:
         """Show a run."""
         self._run = run
-        set_html(self._page, why(run, target=element_id(self.chain)))
+        named = run is not None and bool(run.result.starts)
+        if self.start.visible != named:
+            self.start.visible = named
+        targets = {"target": element_id(self.chain), "start_target": element_id(self.start)}
+        set_html(self._page, why(run, **targets))
+
+    def _show_start(self) -> None:
+        place = int(self.start.value)
+        starts = () if self._run is None else self._run.result.starts
+        points = starts[0].points if starts else ()
+        if place < 1 or not points:
+            return
+        point = points[min(place, len(points)) - 1]
+        self.start.value = 0  # so that the same one can be asked for again
+        self._trajectories.pick(
+            repetition=point.repetition, stage=point.stage, rollout=point.rollout
+        )
+        self._window.panel.minimize()  # the scene is what was asked for
 
     def _show_chain(self) -> None:
         place = int(self.chain.value)

@@ -17,7 +17,17 @@ from pemviz.reports.pictures.causes import cause_sections
 from pemviz.reports.pictures.data_plan import plan_part
 from pemviz.reports.pictures.html import good, grid, heading, number, percent, quiet, warning
 from pemviz.reports.pictures.memory import memory_curves
+from pemviz.reports.pictures.starts import start_plane
 from pemviz.reports.pictures.svg import Axis, Plot
+from pemviz.reports.starts_text import (
+    START_COLUMNS,
+    STARTS_TITLE,
+    map_words,
+    start_rows,
+    starts_line,
+    starts_title,
+)
+from pemviz.runs.result import RunResult
 from pemviz.runs.slot_outcomes import faultless, slots_of
 from pemviz.runs.trust import data_warnings, run_diagnostics
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
@@ -33,25 +43,28 @@ UNWEIGHTED = (
 MOST_BANDS = 250
 
 
-def why(run: RunData | None, *, target: str = "") -> str:
+def why(run: RunData | None, *, target: str = "", start_target: str = "") -> str:
     """The whole tab.
 
     Args:
         run: The run shown.
         target: Element id of the input that a click on a chain writes its place into.
+        start_target: The same of a click on a rollout in the plane of starts.
     """
     if run is None:
         return page(wide(quiet("Nothing has run yet.")))
     if run.running:
         return page(wide(quiet("Explained when the run under way is done.")))
-    return run.memo.get(("why", target), lambda: _why(run, target=target))
+    key = ("why", target, start_target)
+    return run.memo.get(key, lambda: _why(run, target=target, start_target=start_target))
 
 
-def _why(run: RunData, *, target: str) -> str:
+def _why(run: RunData, *, target: str, start_target: str) -> str:
     result = run.result
     return page(
         *map(cell, _misses(run)),
         *map(cell, cause_sections(result, target=target)),
+        *map(cell, _starts(result, target=start_target)),
         cell(plan_part(result)),
         cell(_trust(run)),
         cell(models_part(result)),
@@ -59,6 +72,23 @@ def _why(run: RunData, *, target: str) -> str:
         cell(_assumptions(run)),
         wide(_data(run)),
     )
+
+
+def _starts(result: RunResult, *, target: str) -> list[str]:
+    """Which starts are dangerous, of violations in all and of each rule's; a cell each."""
+    cells: list[str] = []
+    for found in result.starts:
+        rows = [tuple(map(escape, row)) for row in start_rows(found)]
+        picture = start_plane(found, target=target if found.points else "")
+        words = f"{map_words(found)} Click a dot: that rollout shows." if found.points else ""
+        cells.append(
+            heading(f"{STARTS_TITLE}: {starts_title(found)}")
+            + quiet(f"{starts_line(found)}.")
+            + picture
+            + quiet(words if picture else "")
+            + grid(START_COLUMNS, rows, name=STARTS_TITLE)
+        )
+    return cells
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from pemviz.reports.pictures.answers import AnswerRow, answers_plot
 from pemviz.reports.pictures.causes import band_table, chain_table
 from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curves
+from pemviz.reports.pictures.starts import start_plane
 from pemviz.reports.pictures.violations import gap_plot, misses_over_time
 from pemviz.reports.rates_text import RATE_COLUMNS, rate_line, rate_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
@@ -29,6 +30,14 @@ from pemviz.reports.safety_case.html import (
     table,
     warnings,
     words,
+)
+from pemviz.reports.starts_text import (
+    START_COLUMNS,
+    STARTS_TITLE,
+    map_words,
+    start_rows,
+    starts_line,
+    starts_title,
 )
 from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.result import RunResult
@@ -189,13 +198,14 @@ def _memory(result: RunResult) -> str:
 def _causes(run: CaseRun) -> str:
     explanation, config = run.result.explanation, run.result.config
     if explanation is None:
-        return paragraph("No weighted violation was seen that tells where misses matter.")
+        none = "No weighted violation was seen that tells where misses matter."
+        return paragraph(none) + _starts(run.result)
     dt_s = config.scenario.dt_s
     found = run.violations
     gaps = "" if found is None else gap_plot(found.gap_m, found.missed, found.share, dt_s=dt_s)
     over_time = explanation.miss_probability_by_step
     times = misses_over_time(over_time, dt_s=dt_s) if any(over_time) else ""
-    parts = [paragraph(f"{causes_line(explanation)}."), pair(gaps, times)]
+    parts = [paragraph(f"{causes_line(explanation)}."), pair(gaps, times), _starts(run.result)]
     if explanation.misses_by_distance:
         parts.append(band_table(explanation, target=config.target))
         parts.append(paragraph(SENSITIVITY, kind="quiet"))
@@ -206,6 +216,16 @@ def _causes(run: CaseRun) -> str:
         caption = "The likeliest chains of misses that matter, each with its share."
         chains = figure(chain_table(explanation.chains, dt_s=dt_s), caption)
         parts.append(f"<div class='half'>{chains}</div>")
+    return "".join(parts)
+
+
+def _starts(result: RunResult) -> str:
+    """Which starts are dangerous, where the simulator names them."""
+    parts = [f"<h4>{words(STARTS_TITLE)}</h4>"] if result.starts else []
+    for found in result.starts:
+        parts += [paragraph(f"{starts_title(found)}. {starts_line(found)}.")]
+        parts.append(table(START_COLUMNS, start_rows(found)))
+        parts.append(f"<div class='half wide'>{figure(start_plane(found), map_words(found))}</div>")
     return "".join(parts)
 
 

@@ -1,0 +1,298 @@
+"""Which starts are dangerous: those of violations against all that the scenario draws.
+
+How all starts are distributed is known, for latents are standard normal. Those of violations come
+from the rollouts that the answer rests on, each with its part c_i of the probability p. In the
+plane of two start values, with a kernel k (Epanechnikov 1969) around a point x,
+
+    P(violation | start near x) = sum_i c_i k(x_i - x) / E k(X - x)
+
+where X are all starts: the average of P(violation | start) over the starts within the kernel's
+reach, which shrinks as violations grow in number; nothing beyond counts. It is told where at least
+ten effective violations lie within it, so that its standard error stays below a third.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.analysis.start_sample import (
+    WeightedStarts,
+    all_starts,
+    deviations,
+    violating_starts,
+)
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.config.ranges import AtLeastZero, Count, Log10
+from pemviz.simulators.starts import NamesStarts
+
+SHARES = (0.1, 0.5, 0.9)
+"""Of what lies at or below the quantiles that are told."""
+FEWEST = 10.0
+"""Effective violations below which nothing is told."""
+GRID = 32
+OUTER = 0.005
+"""Share of all starts that may lie beyond either side of the plane."""
+REACH = 5.0**0.5
+"""Of the kernel, in standard deviations of it."""
+MOST_POINTS = 200
+
+
+@dataclass(frozen=True)
+class QuantileRange:
+    """A quantile with its 95 % interval, in the value's unit."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class StartValue:
+    """One start value, of all starts and of those that violate.
+
+    Attributes:
+        name: As the scenario names it.
+        unit: Its unit.
+        all_starts: Quantiles at :data:`SHARES`.
+        violations: The same of violations; empty where these are too few.
+        shift: Where the violations' median lies among all starts, in standard deviations of a
+            normal: 0 in the middle, above 0 where violations start with more of it.
+    """
+
+    name: str
+    unit: str
+    all_starts: tuple[float, ...]
+    violations: tuple[QuantileRange, ...]
+    shift: float | None
+
+
+@dataclass(frozen=True)
+class StartMap:
+    """P(violation | start) over the plane of two start values.
+
+    Attributes:
+        across: The value to the right, by name.
+        up: The value upwards.
+        across_low: Centre of the first column, in its unit.
+        across_high: Of the last.
+        up_low: Centre of the first row.
+        up_high: Of the last.
+        across_reach: How far the kernel reaches to either side.
+        up_reach: Likewise.
+        log10_probability: Rows from below, of columns from the left; ``None`` where the violations
+            are too few to tell.
+    """
+
+    across: str
+    up: str
+    across_low: float
+    across_high: float
+    up_low: float
+    up_high: float
+    across_reach: AtLeastZero
+    up_reach: AtLeastZero
+    log10_probability: tuple[tuple[Log10 | None, ...], ...]
+
+
+@dataclass(frozen=True)
+class StartPoint:
+    """A violating rollout in the plane; the likelier, the more points a part of the plane has.
+
+    Attributes:
+        repetition: Zero-based.
+        stage: Its stage.
+        rollout: Its index in the stage.
+        across: Its value to the right.
+        up: Its value upwards.
+    """
+
+    repetition: Count
+    stage: Count
+    rollout: Count
+    across: float
+    up: float
+
+
+@dataclass(frozen=True)
+class DangerousStarts:
+    """The starts of violations against all starts.
+
+    Attributes:
+        rule: Whose violations; ``None``: of the specification, or of any rule.
+        violations: Rollouts that violate.
+        effective: How many equally likely violations with different starts they are worth.
+        log10_probability: Of a violation, on average over all starts.
+        values: Each start value.
+        plane: ``None`` where violations are too few, or one of its values is always the same.
+        points: Violating rollouts, drawn by what they contribute.
+    """
+
+    rule: str | None
+    violations: Count
+    effective: AtLeastZero
+    log10_probability: Log10
+    values: tuple[StartValue, ...]
+    plane: StartMap | None = None
+    points: tuple[StartPoint, ...] = ()
+
+    def shifted(self, *, least: float = 0.25) -> tuple[StartValue, ...]:
+        """Values by how far violations lie from all starts, the farthest first."""
+        far = [one for one in self.values if one.shift is not None and abs(one.shift) >= least]
+        return tuple(sorted(far, key=lambda one: -abs(one.shift or 0.0)))
+
+
+@dataclass(frozen=True)
+class Violations:
+    """Violating rollouts, with what they start from and contribute.
+
+    Attributes:
+        latents: Their start latents, ``[V, S]``.
+        log_part: Log of each one's part of the probability, ``[V]``.
+        place: Repetition, stage and rollout, ``[V, 3]``.
+        broken: Which rules each breaks, ``[V]`` by name, where there are rules.
+    """
+
+    latents: FloatArray
+    log_part: FloatArray
+    place: IntArray
+    broken: Mapping[str, BoolArray]
+
+    def under_rule(self, rule: str) -> "Violations":
+        """Those that break one rule."""
+        rows = self.broken[rule]
+        return Violations(self.latents[rows], self.log_part[rows], self.place[rows], {})
+
+
+def dangerous_starts(
+    simulator: NamesStarts, violations: Violations, *, rules: Sequence[str] = ()
+) -> tuple[DangerousStarts, ...]:
+    """Of violations in all, then of each rule's; none where no violation was seen.
+
+    Args:
+        simulator: What the rollouts come from.
+        violations: Of all rollouts that the estimate averages.
+        rules: Names.
+    """
+    drawn = all_starts(simulator)
+    kinds = [(None, violations), *((rule, violations.under_rule(rule)) for rule in rules)]
+    return tuple(
+        _of_violations(simulator, drawn, kind, rule=rule)
+        for rule, kind in kinds
+        if np.any(np.isfinite(kind.log_part))
+    )
+
+
+def _of_violations(
+    simulator: NamesStarts, drawn: WeightedStarts, violations: Violations, *, rule: str | None
+) -> DangerousStarts:
+    log_part = violations.log_part
+    sample = violating_starts(simulator, latents=violations.latents, log_share=log_part)
+    largest = float(np.max(log_part))
+    log_probability = largest + float(np.log(np.sum(np.exp(log_part - largest))))
+    log10 = log_probability / float(np.log(10.0))
+    enough = sample.effective >= FEWEST
+    return DangerousStarts(
+        rule=rule,
+        violations=int(log_part.size),
+        effective=sample.effective,
+        log10_probability=log10,
+        values=tuple(
+            _start_value(signal.name, signal.unit, drawn, sample, told=enough)
+            for signal in simulator.starts
+        ),
+        plane=start_map(simulator, drawn, sample, log10_probability=log10) if enough else None,
+        points=_points(simulator, violations) if rule is None else (),
+    )
+
+
+def _start_value(
+    name: str, unit: str, drawn: WeightedStarts, sample: WeightedStarts, *, told: bool
+) -> StartValue:
+    ranges: list[QuantileRange] = []
+    for share in SHARES if told else ():
+        low, high = sample.interval(name, share)
+        ranges.append(QuantileRange(sample.quantile(name, share), low, high))
+    shift = deviations(drawn.below(name, sample.quantile(name, 0.5))) if told else None
+    every = tuple(float(value) for value in drawn.quantiles(name, SHARES))
+    return StartValue(name, unit, every, tuple(ranges), shift)
+
+
+def start_map(
+    simulator: NamesStarts,
+    drawn: WeightedStarts,
+    sample: WeightedStarts,
+    *,
+    log10_probability: float,
+) -> StartMap | None:
+    """The plane's map, see :mod:`pemviz.analysis.starts`; ``None`` without a plane.
+
+    Args:
+        simulator: That names the plane.
+        drawn: All starts.
+        sample: Those of violations.
+        log10_probability: Of a violation, over all starts.
+    """
+    axes = [_axis(name, drawn, sample) for name in simulator.start_plane]
+    if any(reach == 0.0 for _, reach in axes):
+        return None
+    kernels = [
+        tuple(_kernel(places, one.values[name], reach) for one in (drawn, sample))
+        for (places, reach), name in zip(axes, simulator.start_plane, strict=True)
+    ]
+    (across_drawn, across_sample), (up_drawn, up_sample) = kernels
+    every = (up_drawn * drawn.share) @ across_drawn.T
+    parts = (up_sample * sample.share) @ across_sample.T
+    squares = ((up_sample * sample.share) ** 2) @ (across_sample**2).T
+    of_all = ((up_drawn * drawn.share) ** 2) @ (across_drawn**2).T
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
+        told = (parts**2 >= FEWEST * squares) & (every**2 >= FEWEST * of_all) & (squares > 0.0)
+        log10 = np.minimum(log10_probability + np.log10(parts) - np.log10(every), 0.0)
+    (across, across_reach), (up, up_reach) = axes
+    return StartMap(
+        *simulator.start_plane,
+        across_low=float(across[0]),
+        across_high=float(across[-1]),
+        up_low=float(up[0]),
+        up_high=float(up[-1]),
+        across_reach=across_reach,
+        up_reach=up_reach,
+        log10_probability=tuple(
+            tuple(round(float(v), 3) if t else None for v, t in zip(row, known, strict=True))
+            for row, known in zip(log10, told, strict=True)
+        ),
+    )
+
+
+def _axis(name: str, drawn: WeightedStarts, sample: WeightedStarts) -> tuple[FloatArray, float]:
+    """Centres ``[GRID]``, and the kernel's reach: Scott's (1992) for two dimensions."""
+    values = sample.values[name]
+    spread = float(np.sqrt(np.sum(sample.share * (values - np.sum(sample.share * values)) ** 2)))
+    all_low, all_high = drawn.quantiles(name, (OUTER, 1.0 - OUTER))
+    low, high = sample.quantiles(name, (OUTER, 1.0 - OUTER))
+    low, high = min(float(all_low), float(low)), max(float(all_high), float(high))
+    if not high > low or spread <= 1e-9 * (high - low):
+        return np.array([low, high]), 0.0
+    return np.linspace(low, high, GRID), REACH * spread * sample.effective ** (-1.0 / 6.0)
+
+
+def _kernel(places: FloatArray, values: FloatArray, reach: float) -> FloatArray:
+    """The kernel at ``places [G]`` of values ``[N]``, ``[G, N]``; 0 beyond its reach."""
+    return np.maximum(1.0 - ((places[:, None] - values) / reach) ** 2, 0.0)
+
+
+def _points(simulator: NamesStarts, violations: Violations) -> tuple[StartPoint, ...]:
+    """At most so many as are drawn: evenly along their parts of the probability."""
+    log_part = violations.log_part
+    share = np.exp(log_part - np.max(log_part))
+    passed = np.cumsum(share)
+    marks = (np.arange(MOST_POINTS) + 0.5) / MOST_POINTS * passed[-1]
+    rows = np.unique(np.searchsorted(passed, marks))
+    values = simulator.start_values(violations.latents[rows])
+    across, up = (values[name] for name in simulator.start_plane)
+    return tuple(
+        StartPoint(int(repetition), int(stage), int(rollout), float(x), float(y))
+        for (repetition, stage, rollout), x, y in zip(
+            violations.place[rows], across, up, strict=True
+        )
+    )
