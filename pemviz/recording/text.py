@@ -26,15 +26,9 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
-from pemviz.reports.rates_text import RATE_COLUMNS, RATES_TITLE, rate_note, rate_rows
+from pemviz.reports.rates_text import rates_markdown
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
-from pemviz.reports.starts_text import (
-    START_COLUMNS,
-    STARTS_TITLE,
-    start_rows,
-    starts_line,
-    starts_title,
-)
+from pemviz.reports.starts_text import starts_markdown
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -58,11 +52,16 @@ def answer_text(result: RunResult, *, running: bool) -> str:
         *_status(result, running=running),
     ]
     if estimate is not None:
-        parts += [*_rules(result), *_rates(result)]
+        parts += [*_rules(result), *rates_markdown(result, level="##")]
         parts += _next(result)
         parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
         parts += [*_memory(result), _model_range(result.pem_interval)]
-        parts += [*_causes(result), *_starts(result), _diagnostics(estimate), *_plan(result)]
+        parts += [
+            *_causes(result),
+            *starts_markdown(result, level="##"),
+            _diagnostics(estimate),
+            *_plan(result),
+        ]
     parts.append(_question(result))
     parts.append(
         "## How to read on\n"
@@ -102,23 +101,6 @@ def _rules(result: RunResult) -> list[str]:
     rows = markdown_table(RULE_COLUMNS, rule_rows(result))
     title = f"## {RULES_TITLE}\n\nThe probability above is of any of them being broken."
     return [f"{title}\n\n{rows}", *(["\n".join(lines)] if lines else [])]
-
-
-def _rates(result: RunResult) -> list[str]:
-    """Violations an hour of driving, where encounters an hour are told."""
-    rows = rate_rows(result)
-    if not rows:
-        return []
-    return [f"## {RATES_TITLE}\n\n{markdown_table(RATE_COLUMNS, rows)}", rate_note(result)]
-
-
-def _starts(result: RunResult) -> list[str]:
-    """Which starts are dangerous, where the simulator names them."""
-    return [
-        f"## {STARTS_TITLE}: {starts_title(found)}\n\n"
-        f"{markdown_table(START_COLUMNS, start_rows(found))}\n\n{starts_line(found)}."
-        for found in result.starts
-    ]
 
 
 def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:

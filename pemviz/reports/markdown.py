@@ -32,16 +32,9 @@ from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
 from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
-from pemviz.reports.rates_text import RATE_COLUMNS, RATES_TITLE, rate_note, rate_rows
+from pemviz.reports.rates_text import rates_markdown
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
-from pemviz.reports.starts_text import (
-    START_COLUMNS,
-    START_NOTE,
-    STARTS_TITLE,
-    start_rows,
-    starts_lines,
-    starts_title,
-)
+from pemviz.reports.starts_text import starts_markdown
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.description import MethodDescription
@@ -67,10 +60,10 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     parts = [f"## pemviz: {_headline(result)}", *_status(result, gate)]
     if result.estimate is not None:
         parts += [*_memory(result), _answer(result, result.estimate), *_rules(result)]
-        parts += _rates(result)
+        parts += rates_markdown(result, level="###")
         parts += _plot(result, gate)
         parts += [*_ladder(result), *_plan(result), *_causes(result)]
-        parts += _starts(result)
+        parts += starts_markdown(result, level="###")
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
     parts.append(_details("Complete configuration", _config(result.config)))
     return "\n\n".join(parts) + "\n"
@@ -127,14 +120,6 @@ def _rules(result: RunResult) -> list[str]:
         markdown_table(RULE_COLUMNS, rows),
         *(["\n".join(lines)] if lines else []),
     ]
-
-
-def _rates(result: RunResult) -> list[str]:
-    """Violations an hour of driving, where encounters an hour are told."""
-    rows = [tuple(map(markdown_text, row)) for row in rate_rows(result)]
-    if not rows:
-        return []
-    return [f"### {RATES_TITLE}", markdown_table(RATE_COLUMNS, rows), rate_note(result)]
 
 
 def _memory(result: RunResult) -> list[str]:
@@ -228,17 +213,6 @@ def _causes(result: RunResult) -> list[str]:
     parts = ["### Misses that cause it", causes_line(explanation)]
     rows = burst_rows(explanation, target=result.config.target)
     return [*parts, f"{BURST_TITLE}.", markdown_table(BURST_COLUMNS, rows)] if rows else parts
-
-
-def _starts(result: RunResult) -> list[str]:
-    """Which starts are dangerous, where the simulator names them."""
-    if not result.starts:
-        return []
-    parts = [f"### {STARTS_TITLE}", START_NOTE]
-    for found in result.starts:
-        rows = [tuple(map(markdown_text, row)) for row in start_rows(found)]
-        parts += [f"{markdown_text(starts_title(found))}:", markdown_table(START_COLUMNS, rows)]
-    return [*parts, markdown_text(starts_lines(result)[0])]
 
 
 def _warnings(result: RunResult) -> list[str]:

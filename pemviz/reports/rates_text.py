@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from pemviz.reports.digits import digits_of, end_text
+from pemviz.reports.escape import markdown_table, markdown_text
 from pemviz.reports.estimate_text import level_text, no_interval_text
 from pemviz.runs.rates import ViolationRate, assumed_encounters, violation_rates
 from pemviz.runs.result import RunResult
@@ -50,6 +51,15 @@ def rate_rows(result: RunResult) -> list[tuple[str, ...]]:
         for rate, rule in zip(rates[1:], result.rules, strict=True)
     ]
     return rows
+
+
+def rates_markdown(result: RunResult, *, level: str) -> list[str]:
+    """The rates as markdown under a heading of that level; none without encounters an hour."""
+    rows = [tuple(map(markdown_text, row)) for row in rate_rows(result)]
+    if not rows:
+        return []
+    table = markdown_table(RATE_COLUMNS, rows)
+    return [f"{level} {RATES_TITLE}", table, rate_note(result)]
 
 
 def rate_note(result: RunResult) -> str:

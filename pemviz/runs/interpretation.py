@@ -106,9 +106,10 @@ def interpret(
         experiment: What is run; its problem's ``pause`` may raise to stop.
         stage: The stage with its rollouts.
     """
-    interpreted = _with_starts(interpreted, experiment, stage)
+    before, interpreted = interpreted, _with_starts(interpreted, experiment, stage)
     if not experiment.has_likelihood_ratios:
-        yield interpreted
+        if interpreted is not before:
+            yield interpreted
         return
     pools = isinstance(experiment.method, PoolsStages)
     if stage.kind == "final" or pools:
