@@ -63,9 +63,12 @@ class Latents(Batch):
     """The latents of N rollouts, and the means that they were drawn with.
 
     What is not declared has no columns: S or M is 0 there. Noise of a step is moved with a
-    probability c, its share, else not; of M together then, with z and m vectors,
+    probability c, its share, else not; of M together then, with z, m and s vectors,
 
-        q(z) = (1 - c) N(z; 0, 1) + c N(z; m, 1)
+        q(z) = (1 - c) N(z; 0, 1) + c (N(z; m, 1) + N(z; m, s^2)) / 2
+
+    An error that has to be above a limit far out is a little above it: the smaller s is, the more
+    of the moved noise lies there, while half of it has the model's own tail.
 
     Attributes:
         start: ``[N, S]``, standard normal under the model.
@@ -73,6 +76,7 @@ class Latents(Batch):
         noise: ``[N, T-1, M]``, likewise; steps are those of the scenario.
         noise_mean: ``[N, T-1, M]``.
         noise_share: ``[N, T-1]``, 1 unless a proposal says less.
+        noise_sd: ``[N, T-1, M]``, likewise.
     """
 
     start: FloatArray
@@ -80,14 +84,31 @@ class Latents(Batch):
     noise: FloatArray
     noise_mean: FloatArray
     noise_share: FloatArray
+    noise_sd: FloatArray
 
     @cached_property
     def log_weight(self) -> FloatArray:
         """Sum over all latents of log p - log q, ``[N]`` [nats]."""
         of_start = row_sums(self.start_mean * (0.5 * self.start_mean - self.start))
-        moved = np.sum(self.noise_mean * (self.noise - 0.5 * self.noise_mean), axis=-1)
+        moved = log_moved(self.noise, self.noise_mean, self.noise_sd)
         of_noise = row_sums(log_share_moved(moved, self.noise_share))
         return read_only(np.asarray(of_start - of_noise))
+
+
+def log_moved(noise: FloatArray, mean: FloatArray, sd: FloatArray) -> FloatArray:
+    """Log of moved over unmoved density of noise ``[..., M]`` with means and spreads, ``[...]``."""
+    wide, narrow = log_wide_and_narrow(noise, mean, sd)
+    as_wide = np.all(sd == 1.0, axis=-1)
+    return np.where(as_wide, wide, np.logaddexp(wide, narrow) - np.log(2.0))
+
+
+def log_wide_and_narrow(
+    noise: FloatArray, mean: FloatArray, sd: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Logs of N(z; m, 1) and of N(z; m, s^2) over N(z; 0, 1), of M together, ``[...]`` each."""
+    wide = np.sum(mean * (noise - 0.5 * mean), axis=-1)
+    narrow = 0.5 * noise**2 - 0.5 * ((noise - mean) / sd) ** 2 - np.log(sd)
+    return wide, np.sum(narrow, axis=-1)
 
 
 def log_share_moved(log_ratio: FloatArray, share: FloatArray | float) -> FloatArray:

@@ -73,11 +73,12 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
     columns = {n: np.atleast_1d(found[n]).shape[-1] for n in ("start", "noise") if n in found}
     start, noise = (count, columns.get("start", 0)), (count, steps, columns.get("noise", 0))
     shapes = {"start": start, "start_mean": start, "noise": noise, "noise_mean": noise}
-    shapes["noise_share"] = noise[:2]
+    shapes |= {"noise_share": noise[:2], "noise_sd": noise}
     kept: dict[str, AnyArray] = {}
     for name, shape in shapes.items():
         declared = columns.get(name.partition("_")[0], 0) > 0
-        values = found.get(name, np.empty(0)) if declared else np.ones(shape)
+        absent = np.ones(shape) if name == "noise_sd" else np.empty(0)  # not in older files
+        values = found.get(name, absent) if declared else np.ones(shape)
         if values.shape != shape or values.dtype != np.float64 or not _is_bounded(values):
             message = f"{LATENTS}{name} must be finite numbers of shape {shape}"
             raise ValueError(message)

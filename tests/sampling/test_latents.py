@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import expit
 
 import pemviz
 from pemviz.errors import ConfigError
@@ -12,6 +13,7 @@ from pemviz.latents import LatentCounts
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.latent_means import LatentDecisions, LatentMeans, fit_means, scores
 from pemviz.proposals.latent_pilots import LatentFamily
+from pemviz.proposals.single_moves import even_logit
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import latents_of, load_rollouts
 from pemviz.sampling.problem import sample
@@ -256,23 +258,24 @@ def test_latents_that_change_nothing_are_warned_of(ignored):
 
 
 RARE = {
-    "noise and a start": (FAR, ERRS, 7.0),
-    "one error of a step": (LargestError(), ERRS, 5.5),
+    "noise and a start": (FAR, ERRS, 7.0, 0.25),
+    "one error of a step": (LargestError(), ERRS, 6.0, 0.1),
+    "one error, missed": (LargestError(needs_miss=True), ERRS, 5.5, 0.2),
 }
 
 
 @pytest.mark.parametrize("case", RARE)
 def test_mixture_moves_latents_to_the_tail(case):
     """1e-9 to 1e-7, within four standard errors: a false alarm with probability 6e-5 each."""
-    simulator, pem, limit = RARE[case]
+    simulator, pem, limit, error = RARE[case]
     exact = simulator.probability(limit, miss=0.1)
     assert 1e-9 < exact < 1e-6
-    settings = {"method": "mixture", "rollouts": 150, "stages": 5, "final_rollouts": 500, "seed": 5}
+    settings = {"method": "mixture", "rollouts": 150, "stages": 6, "final_rollouts": 500, "seed": 5}
     found = pemviz.run(
         experiment_of(simulator, simulator.spec(limit), pem=pem, **settings)
     ).estimate
     assert abs(found.probability - exact) < 4.0 * found.std_error, (found, exact)
-    assert found.std_error < 0.25 * exact
+    assert found.std_error < error * exact
 
 
 def latents_of_walkers(generator, *, count=400, steps=6):
@@ -283,6 +286,7 @@ def latents_of_walkers(generator, *, count=400, steps=6):
         rollout=np.repeat(np.arange(count), steps),
         basis=np.stack([np.ones(place.size), place], axis=1),
         noise=generator.standard_normal((place.size, 1)),
+        even=even_logit(np.tile(np.arange(steps), count), steps=steps),
     )
 
 
@@ -307,23 +311,51 @@ def test_densities_are_densities():
     mild = replace(family, start=0.2 * family.start, mean=0.2 * family.mean)
     ratio = np.exp(mild.log_ratio(start, noise, np.ones((20_000, 3), dtype=np.bool_)))
     assert ratio.mean() == pytest.approx(1.0, abs=5.0 * ratio.std() / np.sqrt(20_000))
-    means = LatentMeans(np.array([0.5]), np.array([[0.4]]), np.array([0.3]))
+    fitted = np.array([0.5]), np.array([[0.4]]), np.array([0.3]), np.array([0.7])
     rollout, basis = np.repeat(np.arange(20_000), 3), np.ones((60_000, 1))
-    decisions = LatentDecisions(start, rollout, basis, noise.reshape(-1, 1))
-    ratio = np.exp(means.log_ratio(decisions))
-    assert ratio.mean() == pytest.approx(1.0, abs=5.0 * ratio.std() / np.sqrt(20_000))
-    gradient = scores(means, decisions)[:5]
-    for place, moved in enumerate(("start", "noise")):
-        nudged = replace(means, **{moved: getattr(means, moved) + 1e-6})
-        slope = (nudged.log_ratio(decisions) - means.log_ratio(decisions))[:5] / 1e-6
-        np.testing.assert_allclose(gradient[:, place], slope, rtol=1e-4, atol=1e-5)
+    even = even_logit(np.tile(np.arange(3), 20_000), steps=3)
+    decisions = LatentDecisions(start, rollout, basis, noise.reshape(-1, 1), even)
+    for means in (LatentMeans(*fitted), LatentMeans(*fitted, once=True)):
+        ratio = np.exp(means.log_ratio(decisions))
+        assert ratio.mean() == pytest.approx(1.0, abs=5.0 * ratio.std() / np.sqrt(20_000))
+        gradient = scores(means, decisions)[:5]
+        for place, moved in enumerate(("start", "noise")):
+            nudged = replace(means, **{moved: getattr(means, moved) + 1e-6})
+            slope = (nudged.log_ratio(decisions) - means.log_ratio(decisions))[:5] / 1e-6
+            np.testing.assert_allclose(gradient[:, place], slope, rtol=1e-4, atol=1e-5)
 
 
-def test_what_is_drawn_is_what_is_weighed():
-    """The weight that a rollout's file tells is that under the proposal of its stage's pool."""
+def test_one_step_at_most_is_moved():
+    """Found where rollouts have one far error each, at any step; steps are as likely as others."""
+    generator = np.random.default_rng(6)
+    latents = latents_of_walkers(generator)
+    which = generator.integers(0, 6, size=latents.count)
+    far = np.zeros((latents.count, 6))
+    far[np.arange(latents.count), which] = 5.0 + 0.3 * generator.standard_normal(latents.count)
+    noise = np.where(far > 0.0, far, latents.noise.reshape(-1, 6)).reshape(-1, 1)
+    basis = latents.basis[:, :1]
+    drawn_with = replace(latents, noise=noise, basis=basis)
+    found = fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01])).means
+    assert found.once
+    assert found.noise[0] == pytest.approx([5.0], abs=0.1)
+    assert found.sd == pytest.approx([0.3], abs=0.07)
+    logit = even_logit(np.arange(6), steps=6)
+    share = expit(logit) * np.cumprod(np.append(1.0, expit(-logit[:-1])))
+    np.testing.assert_allclose(share, share[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("simulator", "limit", "once"), [(SLOTS, 3.0, False), (LargestError(), 4.0, True)]
+)
+def test_what_is_drawn_is_what_is_weighed(simulator, limit, once):
+    """The weight that a rollout's file tells is that under the proposal of its stage's pool.
+
+    That of one step moved at most is a sum over steps, and drawn a step at a time.
+    """
     experiment = experiment_of(
-        SLOTS, SLOTS.spec(3.0), method="mixture", rollouts=40, stages=2, final_rollouts=40
-    )
+        simulator, simulator.spec(limit), method="mixture",
+        rollouts=80, stages=3, final_rollouts=40,
+    )  # fmt: skip
     method, problem = experiment.method, experiment.problem
     state = method.init(problem, repetition=0)
     while not method.is_done(state):
@@ -333,5 +365,7 @@ def test_what_is_drawn_is_what_is_weighed():
     own = pool.log_ratio[-count:][rows, pool.component[-count:]]
     fitted = pool.component[-count:] > 0
     assert fitted.any()
+    assert state.fits[0].means.once == once
+    assert (stage.scored.rollouts.latents.noise_sd[fitted] < 1.0).any() == once
     log_weight = stage.scored.rollouts.log_weight
     np.testing.assert_allclose(-own[fitted], log_weight[fitted], rtol=1e-9, atol=1e-9)

@@ -61,6 +61,22 @@ class DividedProposal:
         """
         return self._of_latents().noise_mean(states, detected)
 
+    def once(self, count: int) -> BoolArray:  # noqa: ARG002  that of all is known
+        """Which rollouts have one step's noise moved at most, ``[N]``.
+
+        Raises:
+            TypeError: The scenario has no latents.
+        """
+        return self._of_latents().once
+
+    def noise_sd(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
+        """Of half of the noise that is moved, ``[N, M]``.
+
+        Raises:
+            TypeError: The scenario has no latents.
+        """
+        return self._of_latents().noise_sd
+
     def _of_latents(self) -> DividedLatents:
         if self.latents is None:
             message = "the proposal is for a scenario without latents"

@@ -7,10 +7,11 @@ from typing import cast
 import numpy as np
 from scipy.optimize import brentq
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, IntArray
 from pemviz.proposals.latent_means import LatentMeans, fit_means
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import (
+    LogisticFit,
     WeightedOutcomes,
     fit_offset_logistic,
     leave_one_out_loss,
@@ -27,6 +28,12 @@ NOISE_RIDGE = {"constant": 0.01, "outcome": 0.5, "state": 50.0}
 """Penalties of coefficients of noise, relative to those of outcomes: of the constant, of the step's
 own outcome, and of the state, each further degree twice as much. A few violations at some steps say
 little of noise at the others: what they suggest must not keep later rollouts away from those."""
+LEVERAGE_RIDGE = 0.1
+"""Beside the weights of rollouts, so that no fit rests on one alone."""
+STATE_RIDGES = (1.0, 7.0, 50.0)
+"""Times the penalties of outcomes' coefficients of the state where steps have noise. Which steps a
+few violations had their error at says little of the others; the likelihood of rollouts that were
+left out chooses."""
 EXPLORING_SHARE = 0.25
 """Of the rollouts that are not pilots, for a level above 0, and for hidden ways of failing."""
 
@@ -157,14 +164,19 @@ def fitted(
         offset=decisions.offset[kept],
         weight=weight[group],
     )
-    penalty = ridge_by_degree(basis, settings.ridge)
     if start is None:
-        start = pool.coefficients[-1] if pool.coefficients else np.zeros(penalty.size)
-    found = fit_offset_logistic(outcomes, ridge=penalty, start=start)
-    optimism, means = leave_one_out_loss(outcomes, found, group=group, count=pool.count), None
+        start = pool.coefficients[-1] if pool.coefficients else np.zeros(len(basis.exponents))
+    noisy = pool.latents is not None and pool.latents.noise.shape[1] > 0
+    tried = [
+        _with_optimism(outcomes, start, penalty, group=group, weight=weight)
+        for penalty in _penalties(basis, settings, noisy=noisy)
+    ]
+    found, optimism, _ = max(tried, key=lambda one: one[2])
+    means = None
     if pool.latents is not None:
         moved = fit_means(pool.latents, weight, ridge=noise_ridge(basis, settings))
-        optimism, means = optimism + moved.optimism, moved.means
+        means = moved.means
+        optimism = (optimism + moved.optimism) * _beyond_first_order(weight)
     return Fit(
         coefficients=found.coefficients,
         optimism=optimism,
@@ -173,6 +185,39 @@ def fitted(
         elites=elites.count,
         loss=found.loss,
     )
+
+
+def _penalties(basis: PolynomialBasis, settings: FitSettings, *, noisy: bool) -> list[FloatArray]:
+    """Of outcomes' coefficients, ``[B]`` each: where steps have noise, several to choose from."""
+    plain = ridge_by_degree(basis, settings.ridge)
+    of_state = np.array([len(chosen) > 0 for chosen in basis.exponents])
+    return [np.where(of_state, times * plain, plain) for times in (STATE_RIDGES if noisy else (1,))]
+
+
+def _with_optimism(
+    outcomes: WeightedOutcomes,
+    start: FloatArray,
+    penalty: FloatArray,
+    *,
+    group: IntArray,
+    weight: FloatArray,
+) -> tuple[LogisticFit, FloatArray, float]:
+    """A fit, its optimism ``[N]``, and the likelihood of rollouts each left out of it."""
+    found = fit_offset_logistic(outcomes, ridge=penalty, start=start)
+    optimism = leave_one_out_loss(outcomes, found, group=group, count=weight.size)
+    penalised = 0.5 * float(penalty @ found.coefficients**2)
+    likelihood = penalised - found.loss * float(outcomes.weight.sum())
+    return found, optimism, likelihood - float(weight @ optimism)
+
+
+def _beyond_first_order(weight: FloatArray) -> FloatArray:
+    """What optimism to first order is multiplied by where few rollouts carry the fit, ``[N]``.
+
+    Of a mean fitted by least squares in which a rollout has the share h: its residual e is
+    e / (1 - h) without it, so that the square grows by (2 h - h^2) / (1 - h)^2, not by 2 h.
+    """
+    share = weight / (weight.sum() + LEVERAGE_RIDGE)
+    return (1.0 - 0.5 * share) / (1.0 - share) ** 2
 
 
 def weights_of(pool: Pool, elites: Elites, *, exponent: float) -> FloatArray:

@@ -17,6 +17,7 @@ from pemviz.proposals.latent_means import (
 )
 from pemviz.proposals.latent_pilots import LatentFamily, LatentPilots
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures
+from pemviz.proposals.single_moves import even_logit
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, StateBatch
 
@@ -33,9 +34,12 @@ class DividedLatents:
         start: Fitted means at the start, ``[N, S]``, 0 for pilots.
         noise: Fitted coefficients, ``[N, M, B]``, likewise.
         choice: Fitted coefficients of how often it is moved, ``[N, B]``.
+        noise_sd: Spreads of half of the noise that is moved, ``[N, M]``, 1 for pilots.
+        once: Which move one step's noise at most, ``[N]``.
         piloted: Which are pilots, ``[N]``: what they move, they move always.
         features: What fitted proposals look at, beside the step's last outcome.
         basis: Monomials of it all; ``None`` if all rollouts are pilots.
+        steps: Of a rollout.
         turns: Outcomes of a step.
     """
 
@@ -43,9 +47,12 @@ class DividedLatents:
     start: FloatArray
     noise: FloatArray
     choice: FloatArray
+    noise_sd: FloatArray
+    once: BoolArray
     piloted: BoolArray
     features: StateFeatures
     basis: PolynomialBasis | None
+    steps: int
     turns: int
 
     def start_mean(self) -> FloatArray:
@@ -54,12 +61,16 @@ class DividedLatents:
 
     def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Of a step's noise: means ``[N, M]``, 0 after a violation, and shares ``[N]``."""
-        mean = self.pilots.noise_mean(int(states.step) // self.turns)
+        step = int(states.step) // self.turns
+        mean = self.pilots.noise_mean(step)
         share = np.ones(len(mean))
         if self.basis is not None:
             basis = self.basis.evaluate(_looked_at(self.features, states, detected))
             mean = mean + noise_means(basis, self.noise)
-            share = np.where(self.piloted, 1.0, expit(choice_logit(basis, self.choice)))
+            logit = choice_logit(basis, self.choice)
+            even = even_logit(np.array(step), steps=self.steps)
+            share = expit(np.where(self.once, logit + even, logit))
+            share = np.where(self.piloted, 1.0, share)
         over = states.memory.get(VIOLATED, np.zeros(len(mean), dtype=np.bool_))
         return np.where(over[:, None], 0.0, mean), share
 
@@ -71,6 +82,8 @@ class DividedLatents:
             start=self.start[rows],
             noise=self.noise[rows],
             choice=self.choice[rows],
+            noise_sd=self.noise_sd[rows],
+            once=self.once[rows],
             piloted=self.piloted[rows],
         )
 
@@ -82,6 +95,7 @@ def divided_latents(
     *,
     features: StateFeatures,
     basis: PolynomialBasis | None,
+    steps: int,
     turns: int,
 ) -> DividedLatents:
     """Of N rollouts.
@@ -92,6 +106,7 @@ def divided_latents(
         counts: Latents of a rollout.
         features: What fitted proposals look at.
         basis: Monomials of it, for outcomes.
+        steps: Of a rollout.
         turns: Outcomes of a step.
     """
     basis = None if basis is None else noise_basis(basis)
@@ -103,9 +118,12 @@ def divided_latents(
         start=np.stack([each.start for each in own]),
         noise=np.stack([each.noise for each in own]),
         choice=np.stack([each.choice for each in own]),
+        noise_sd=np.stack([each.sd for each in own]),
+        once=np.array([each.once for each in own]),
         piloted=np.array([each is None for each in means]),
         features=features,
         basis=basis,
+        steps=steps,
         turns=turns,
     )
 
@@ -149,6 +167,7 @@ def fresh_latents(
             rollout=np.nonzero(acts)[0].astype(np.int64),
             basis=noise_basis(basis).evaluate(values),
             noise=latents.noise[acts],
+            even=even_logit(np.nonzero(acts)[1], steps=acts.shape[1]),
         ),
         by_pilots=family.log_ratio(latents.start, latents.noise, acts),
         means=tuple(each for each in means if each is not None),

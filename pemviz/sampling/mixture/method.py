@@ -21,7 +21,9 @@ rules each has proposals of its own, drawn from alike, that go on until all rule
 
 Latents, where the scenario takes any, are moved beside outcomes: pilots move one at a time up or
 down (:mod:`pemviz.proposals.latent_pilots`), each fitted proposal has means of its own, fitted with
-the same weights (:mod:`pemviz.proposals.latent_means`), and q_k is the density of both.
+the same weights (:mod:`pemviz.proposals.latent_means`), and q_k is the density of both. Noise is
+moved at all steps, at some, or at one step of each rollout that nobody knows
+(:mod:`pemviz.proposals.single_moves`), whichever is likeliest.
 
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
@@ -324,6 +326,7 @@ def _drawn(
             counts,
             features=state.features,
             basis=state.basis,
+            steps=steps // state.turns,
             turns=state.turns,
         )
         proposal = replace(proposal, latents=latents)

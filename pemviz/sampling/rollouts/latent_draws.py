@@ -6,8 +6,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.latents import LatentCounts, Latents, StandardNormals
-from pemviz.types import MovesLatents, Proposal, StateBatch
+from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved
+from pemviz.proposals.single_moves import log_waiting
+from pemviz.types import MovesLatents, Proposal, ShapesNoise, StateBatch
 
 SPAWN_KEY = 2**32 - 1
 """Of the child of a stage's seeds that latents come from; others count from 0."""
@@ -56,11 +57,15 @@ class LatentTrack:
         normals: Without their means.
         latents: As far as they are drawn; written to.
         turns: Outcomes of a step: noise comes with the last of them.
+        once: In which rollouts one step's noise is moved at most, ``[N]``.
+        log_waits: Log of how likely it is that none was yet, ``[N]``; written to.
     """
 
     normals: StandardNormals
     latents: Latents
     turns: int
+    once: BoolArray
+    log_waits: FloatArray
 
     @staticmethod
     def begun(normals: StandardNormals, proposal: Proposal, *, outcomes: int) -> "LatentTrack":
@@ -72,13 +77,17 @@ class LatentTrack:
             outcomes: Of a rollout.
         """
         count, steps, _ = normals.noise.shape
-        mean = np.zeros(normals.start.shape)
+        mean, once = np.zeros(normals.start.shape), np.zeros(count, dtype=np.bool_)
         if isinstance(proposal, MovesLatents):
             mean = mean + proposal.start_mean(count)
         none = np.zeros(normals.noise.shape)
-        latents = Latents(normals.start + mean, mean, none, none, np.ones((count, steps)))
+        shares, one = np.ones((count, steps)), np.ones(none.shape)
+        latents = Latents(normals.start + mean, mean, none, none, shares, one)
         blank = latents.map(lambda values: np.array(values, order="F"))
-        return LatentTrack(normals, blank, outcomes // steps)
+        if isinstance(proposal, ShapesNoise):
+            once, sd = proposal.once(count), proposal.noise_sd(count)
+            blank.noise_sd[:] = sd[:, None, :]
+        return LatentTrack(normals, blank, outcomes // steps, once, np.zeros(count))
 
     def noise(
         self, step: int, states: StateBatch, detected: BoolArray, proposal: Proposal
@@ -97,8 +106,17 @@ class LatentTrack:
         noise = normals.noise[:, of_step]
         if noise.shape[1] and isinstance(proposal, MovesLatents):
             mean, share = proposal.noise_mean(states, detected)
-            latents.noise_mean[:, of_step], latents.noise_share[:, of_step] = mean, share
-            moves = ndtr(normals.choice[:, of_step]) < share
-            noise = noise + np.where(moves[:, None], mean, 0.0)
+            due = np.where(self.once, share * np.exp(self.log_waits), share)
+            latents.noise_mean[:, of_step], latents.noise_share[:, of_step] = mean, due
+            chance, sd = ndtr(normals.choice[:, of_step]), latents.noise_sd[:, of_step]
+            noise = np.where((chance < 0.5 * due)[:, None], sd * noise, noise)
+            noise = noise + np.where((chance < due)[:, None], mean, 0.0)
+            self._wait(share, log_moved(noise, mean, sd))
         latents.noise[:, of_step] = noise
         return latents.noise[:, of_step]
+
+    def _wait(self, share: FloatArray, moved: FloatArray) -> None:
+        """After a step that was moved with a share, given none before, whose log ratio is known."""
+        if self.once.any():
+            after = log_waiting(self.log_waits, np.where(self.once, share, 0.0), moved)
+            self.log_waits[:] = after

@@ -111,7 +111,8 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
 
 
 def _unmoved(start: FloatArray, noise: FloatArray) -> Latents:
-    return Latents(start, 0.0 * start, noise, 0.0 * noise, np.ones(noise.shape[:2]))
+    still, one = np.ones(noise.shape[:2]), np.ones(noise.shape)
+    return Latents(start, 0.0 * start, noise, 0.0 * noise, still, one)
 
 
 def restart(
