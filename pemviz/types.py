@@ -175,22 +175,6 @@ class MovesLatents(Proposal, Protocol):
         ...
 
 
-@runtime_checkable
-class ShapesNoise(MovesLatents, Protocol):
-    """A proposal that says more of how it moves noise."""
-
-    def noise_sd(self, count: int) -> FloatArray:
-        """Spreads of half of the noise that is moved, ``[N, M]``; 1 is that of the model."""
-        ...
-
-    def once(self, count: int) -> BoolArray:
-        """Which of ``count`` rollouts have one step's noise moved at most, ``[N]``.
-
-        Their shares are given that none was moved before.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class RolloutBatch(Batch):
     """N rollouts of T states and T - 1 outcomes.

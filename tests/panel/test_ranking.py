@@ -211,9 +211,11 @@ def test_weights_and_shares_count_latents(controller):
     run = wait_until(controller).run
     table = run.rollouts
     of_outcomes = (table["log_p"] - table["log_q"]).sum(axis=1)
-    # noise is drawn from (1 - c) N(0, 1) + c N(mean, 1)
-    z, mean, share = (table[f"latents.{n}"] for n in ("noise", "noise_mean", "noise_share"))
-    moved = np.exp((mean * (z - 0.5 * mean)).sum(axis=2))
+    # noise is drawn from (1 - c) N(0, 1) + c (N(mean, 1) + N(mean, sd^2)) / 2
+    names = ("noise", "noise_mean", "noise_share", "noise_sd")
+    z, mean, share, sd = (table[f"latents.{n}"] for n in names)
+    narrow = np.exp((0.5 * z**2 - 0.5 * ((z - mean) / sd) ** 2).sum(axis=2)) / sd.prod(axis=2)
+    moved = 0.5 * narrow + 0.5 * np.exp((mean * (z - 0.5 * mean)).sum(axis=2))
     of_latents = -np.log1p(share * (moved - 1.0)).sum(axis=1)
     begun, moved_by = table["latents.start"], table["latents.start_mean"]
     of_latents = of_latents - (moved_by * (begun - 0.5 * moved_by)).sum(axis=1)

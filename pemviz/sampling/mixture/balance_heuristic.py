@@ -74,6 +74,11 @@ class Pool:
         """Number of rollouts N."""
         return int(self.violated.size)
 
+    @property
+    def noisy(self) -> bool:
+        """Whether steps have noise."""
+        return self.latents is not None and self.latents.noise.shape[1] > 0
+
     def under_rule(self, rule: str) -> "Pool":
         """The same rollouts with the robustness and the verdict of one rule."""
         return replace(self, robustness=self.rule_robustness[rule], violated=self.broken[rule])

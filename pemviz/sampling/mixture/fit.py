@@ -34,6 +34,8 @@ STATE_RIDGES = (1.0, 7.0, 50.0)
 """Times the penalties of outcomes' coefficients of the state where steps have noise. Which steps a
 few violations had their error at says little of the others; the likelihood of rollouts that were
 left out chooses."""
+BLIND = 1e6
+"""Times these penalties where a proposal is not to look at the state."""
 EXPLORING_SHARE = 0.25
 """Of the rollouts that are not pilots, for a level above 0, and for hidden ways of failing."""
 
@@ -87,11 +89,7 @@ def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -
 
     One for each way of failing that the rollouts tell apart, the largest share first.
     """
-    elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
-    exponent = settings.alpha
-    if exponent is None:
-        aim = min(max(settings.elites, settings.ess_share * elites.count), elites.count / 2)
-        exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))
+    elites, exponent = _failing(pool, settings)
     weight = weights_of(pool, elites, exponent=exponent)
     first = fitted(pool, basis, elites, weight, settings)
     learned = learned_from(pool, weight)
@@ -115,6 +113,29 @@ def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -
             parts, ways.coefficients, shares_of_draws(ways.share), strict=True
         )
     )
+
+
+def _failing(pool: Pool, settings: FitSettings) -> tuple[Elites, float]:
+    """The violating rollouts, and the exponent that their weights are smoothed by."""
+    elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
+    exponent = settings.alpha
+    if exponent is None:
+        aim = min(max(settings.elites, settings.ess_share * elites.count), elites.count / 2)
+        exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))
+    return elites, exponent
+
+
+def fit_blindly(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
+    """The same, blind to the state, where steps have noise; else empty.
+
+    Where one error decides, the steps that the few first violations had theirs at are all that the
+    others are fitted to. Steps that these would hardly move, and do not know of, this one moves.
+    """
+    if not pool.noisy:
+        return ()
+    elites, exponent = _failing(pool, settings)
+    weight = weights_of(pool, elites, exponent=exponent)
+    return (fitted(pool, basis, elites, weight, settings, blind=True),)
 
 
 def fit_to_level(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
@@ -153,28 +174,22 @@ def fitted(
     settings: FitSettings,
     *,
     start: FloatArray | None = None,
+    blind: bool = False,
 ) -> Fit:
-    """The proposal fitted to the pool's rollouts by their weights ``[N]``."""
-    decisions = pool.decisions
-    kept = weight[decisions.rollout] > 0.0
-    group = decisions.rollout[kept]
-    outcomes = WeightedOutcomes(
-        basis=decisions.basis[kept],
-        missed=decisions.missed[kept],
-        offset=decisions.offset[kept],
-        weight=weight[group],
-    )
+    """The proposal fitted to the pool's rollouts by their weights ``[N]``, ``blind`` to states."""
+    outcomes, group = _outcomes(pool, weight)
     if start is None:
         start = pool.coefficients[-1] if pool.coefficients else np.zeros(len(basis.exponents))
-    noisy = pool.latents is not None and pool.latents.noise.shape[1] > 0
+    times = (BLIND,) if blind else STATE_RIDGES if pool.noisy else (1.0,)
     tried = [
         _with_optimism(outcomes, start, penalty, group=group, weight=weight)
-        for penalty in _penalties(basis, settings, noisy=noisy)
+        for penalty in _penalties(basis, settings, times=times)
     ]
     found, optimism, _ = max(tried, key=lambda one: one[2])
     means = None
     if pool.latents is not None:
-        moved = fit_means(pool.latents, weight, ridge=noise_ridge(basis, settings))
+        of_noise = noise_ridge(basis, settings, of_state=BLIND if blind else 1.0)
+        moved = fit_means(pool.latents, weight, ridge=of_noise)
         means = moved.means
         optimism = (optimism + moved.optimism) * _beyond_first_order(weight)
     return Fit(
@@ -187,11 +202,27 @@ def fitted(
     )
 
 
-def _penalties(basis: PolynomialBasis, settings: FitSettings, *, noisy: bool) -> list[FloatArray]:
-    """Of outcomes' coefficients, ``[B]`` each: where steps have noise, several to choose from."""
+def _outcomes(pool: Pool, weight: FloatArray) -> tuple[WeightedOutcomes, IntArray]:
+    """Those of rollouts whose weight ``[N]`` is not 0, and the rollout of each."""
+    decisions = pool.decisions
+    kept = weight[decisions.rollout] > 0.0
+    group = decisions.rollout[kept]
+    outcomes = WeightedOutcomes(
+        basis=decisions.basis[kept],
+        missed=decisions.missed[kept],
+        offset=decisions.offset[kept],
+        weight=weight[group],
+    )
+    return outcomes, group
+
+
+def _penalties(
+    basis: PolynomialBasis, settings: FitSettings, *, times: Sequence[float]
+) -> list[FloatArray]:
+    """Of outcomes' coefficients, ``[B]`` each: those of the state by so many ``times``."""
     plain = ridge_by_degree(basis, settings.ridge)
     of_state = np.array([len(chosen) > 0 for chosen in basis.exponents])
-    return [np.where(of_state, times * plain, plain) for times in (STATE_RIDGES if noisy else (1,))]
+    return [np.where(of_state, each * plain, plain) for each in times]
 
 
 def _with_optimism(
@@ -284,15 +315,17 @@ def smoothing_exponent(log_weight: FloatArray, *, least_ess: float) -> float:
     return float(cast(float, brentq(excess, 0.0, 1.0, xtol=1e-6)))
 
 
-def noise_ridge(basis: PolynomialBasis, settings: FitSettings) -> FloatArray:
-    """Penalties of the coefficients of noise, ``[B']``."""
+def noise_ridge(
+    basis: PolynomialBasis, settings: FitSettings, *, of_state: float = 1.0
+) -> FloatArray:
+    """Penalties of the coefficients of noise, ``[B']``; those of the state times ``of_state``."""
     outcome = (basis.mean.size,)
     alone: dict[tuple[int, ...], float] = {
         (): NOISE_RIDGE["constant"],
         outcome: NOISE_RIDGE["outcome"],
     }
     relative = [
-        alone.get(chosen, NOISE_RIDGE["state"] * 2.0 ** (len(chosen) - 1))
+        alone.get(chosen, of_state * NOISE_RIDGE["state"] * 2.0 ** (len(chosen) - 1))
         for chosen in noise_basis(basis).exponents
     ]
     return settings.ridge * np.array(relative)

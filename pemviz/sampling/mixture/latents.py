@@ -60,7 +60,7 @@ class DividedLatents:
         return self.pilots.start + self.start
 
     def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Of a step's noise: means ``[N, M]``, 0 after a violation, and shares ``[N]``."""
+        """Of a step's noise: means ``[N, M]`` and shares ``[N]``, 0 after a violation."""
         step = int(states.step) // self.turns
         mean = self.pilots.noise_mean(step)
         share = np.ones(len(mean))
@@ -72,7 +72,7 @@ class DividedLatents:
             share = expit(np.where(self.once, logit + even, logit))
             share = np.where(self.piloted, 1.0, share)
         over = states.memory.get(VIOLATED, np.zeros(len(mean), dtype=np.bool_))
-        return np.where(over[:, None], 0.0, mean), share
+        return np.where(over[:, None], 0.0, mean), np.where(over, 0.0, share)
 
     def rows(self, rows: slice) -> "DividedLatents":
         """Of some of the rollouts."""

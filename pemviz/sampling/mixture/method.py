@@ -23,7 +23,8 @@ Latents, where the scenario takes any, are moved beside outcomes: pilots move on
 down (:mod:`pemviz.proposals.latent_pilots`), each fitted proposal has means of its own, fitted with
 the same weights (:mod:`pemviz.proposals.latent_means`), and q_k is the density of both. Noise is
 moved at all steps, at some, or at one step of each rollout that nobody knows
-(:mod:`pemviz.proposals.single_moves`), whichever is likeliest.
+(:mod:`pemviz.proposals.single_moves`), whichever is likeliest. A quarter of the rollouts come from
+a proposal that is fitted blind to the state, so that no step is left out where few are known.
 
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
@@ -58,6 +59,7 @@ from pemviz.sampling.mixture.draws import PILOTS, components, divided
 from pemviz.sampling.mixture.fit import (
     Fit,
     FitSettings,
+    fit_blindly,
     fit_to_failures,
     fit_to_level,
     with_exploring,
@@ -266,7 +268,8 @@ class MixtureSampling:
         level = [
             fit for one in pools if explores for fit in fit_to_level(one, basis, self.settings)
         ]
-        fits = with_exploring(fits, hidden, level)
+        blind = [fit for one in pools for fit in fit_blindly(one, basis, self.settings)]
+        fits = with_exploring(fits, hidden, blind, level)
         fitted = replace(state, fits=fits)
         return fitted, replace(
             result,

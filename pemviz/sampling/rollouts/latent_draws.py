@@ -1,6 +1,7 @@
 """Latents of rollouts: standard normals from a source of their own, and the means they get."""
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.special import ndtr
@@ -8,10 +9,26 @@ from scipy.special import ndtr
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved
 from pemviz.proposals.single_moves import log_waiting
-from pemviz.types import MovesLatents, Proposal, ShapesNoise, StateBatch
+from pemviz.types import MovesLatents, Proposal, StateBatch
 
 SPAWN_KEY = 2**32 - 1
 """Of the child of a stage's seeds that latents come from; others count from 0."""
+
+
+@runtime_checkable
+class ShapesNoise(MovesLatents, Protocol):
+    """A proposal that says more of how it moves noise."""
+
+    def noise_sd(self, count: int) -> FloatArray:
+        """Spreads of half of the noise that is moved, ``[N, M]``; 1 is that of the model."""
+        ...
+
+    def once(self, count: int) -> BoolArray:
+        """Which of ``count`` rollouts have one step's noise moved at most, ``[N]``.
+
+        Their shares are given that none was moved before.
+        """
+        ...
 
 
 class NormalSource:
