@@ -12,7 +12,7 @@ from pemviz.config import ExperimentConfig, StartChoice
 from pemviz.config.gate_limits import GateLimits, read_limits
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.rule_words import read_rules, read_starts
-from pemviz.config.toml_files import load_config, load_preset
+from pemviz.config.toml_files import load_config, load_preset, with_own_rules
 from pemviz.errors import ConfigError
 from pemviz.sampling.registry import SHIPPED
 
@@ -120,6 +120,7 @@ def parse(words: Sequence[str]) -> RecordArguments:
             "the options that differ from it"
         )
         raise ConfigError(message)
+    arguments = replace(arguments, experiment=with_own_rules(arguments.experiment))
     arguments.experiment.validate()  # before anything slow is imported
     _ = arguments.limits
     return arguments

@@ -2,6 +2,7 @@
 
 from pemviz.config.encounters import FAMILIES, EncounterConfig, StartChoice
 from pemviz.config.settings import (
+    BLACK_BOXES,
     DEVICES,
     METHODS,
     SHIPPED_SIMULATORS,
@@ -13,6 +14,7 @@ from pemviz.config.settings import (
 )
 
 __all__ = [
+    "BLACK_BOXES",
     "DEVICES",
     "FAMILIES",
     "METHODS",

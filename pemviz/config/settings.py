@@ -20,6 +20,9 @@ METHODS = NamedPart(
 MethodName = Annotated[str, METHODS]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
 SHIPPED_SIMULATORS = ("vectorized", "highway-env")
+"""Back ends of the shipped scenarios."""
+BLACK_BOXES = ("merge",)
+"""Environments of others that pemviz ships an adapter for; a preset of the same name has rules."""
 
 DEVICES = re.compile(r"cpu|torch-cpu|cuda(:[0-9]{1,3})?")
 Positive = Range(low=0.0, low_open=True, high=1e6)

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import tomli_w
 
-from pemviz.config import ExperimentConfig
+from pemviz.config import BLACK_BOXES, ExperimentConfig
 from pemviz.config.encounters import FAMILIES, NO_FAMILY, StartChoice
 from pemviz.config.records import read_record, read_value
 from pemviz.config.tracker_text import NO_TRACKER
@@ -22,13 +22,23 @@ DEEPEST_KEY = 200
 
 
 def preset_names(*, families: bool = True) -> tuple[str, ...]:
-    """Names of the shipped presets, those of families of encounters after the others.
+    """Names of the shipped presets, those of other scenarios than the braking one after the others.
 
     Args:
-        families: Whether to name those.
+        families: Whether to name those, of families of encounters and of black boxes.
     """
     names = {path.stem for path in asset_path("presets").glob("*.toml")}
-    return (*sorted(names - set(FAMILIES)), *(FAMILIES if families else ()))
+    others = (*FAMILIES, *BLACK_BOXES)
+    return (*sorted(names - set(others)), *(others if families else ()))
+
+
+def with_own_rules(config: ExperimentConfig) -> ExperimentConfig:
+    """A black box that is asked by the braking scenario's specification has its preset's rules."""
+    is_asked = config.rules or config.spec != ExperimentConfig().spec
+    if config.simulator not in BLACK_BOXES or is_asked:
+        return config
+    rules = {rule.name: rule.formula for rule in load_preset(config.simulator).rules}
+    return config.with_rules(rules)
 
 
 def load_preset(name: str) -> ExperimentConfig:

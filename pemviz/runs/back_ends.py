@@ -23,6 +23,8 @@ from pemviz.simulators.check import check_simulator
 from pemviz.simulators.episodic import EpisodicSimulator, episodic, side_by_side
 from pemviz.simulators.families.features import FamilyFeatures
 from pemviz.simulators.latents import LatentSimulator, latent_counts
+from pemviz.simulators.merge.features import MergeFeatures
+from pemviz.simulators.merge.scenario import MergeSimulator
 from pemviz.simulators.registry import SHIPPED, build_family_simulator, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.simulators.tracking.tracker import tracker_of
@@ -44,6 +46,10 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         return _family_back_end(config)
     errors = _position_errors(config)
     simulator = build_named_simulator(config.simulator, config.scenario, errors=errors)
+    if isinstance(simulator, MergeSimulator):
+        back_end = own_back_end(simulator)
+        turns = cast(UnrolledSimulator, back_end.simulator)
+        return replace(back_end, features=MergeFeatures(turns, simulator))
     if config.simulator not in SHIPPED:
         return own_back_end(simulator)
     if errors is not None and isinstance(simulator, BrakingScenario):

@@ -7,6 +7,7 @@ from typing import Any
 from pemviz import stl
 from pemviz.analysis.model_families import families_beside
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
+from pemviz.config.toml_files import with_own_rules
 from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
 from pemviz.pem.models.memory import Memory
@@ -219,6 +220,7 @@ def _named_parts(
         config = replace(config, simulator=own.simulator.name)
     if own_pem is not None:
         config = replace(config, pem=_name_of(own_pem))
+    config = config if own is not None else with_own_rules(config)
     config.validate()
     check_device(config.device)
     model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem

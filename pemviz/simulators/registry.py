@@ -13,7 +13,7 @@ import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
+from pemviz.config import BLACK_BOXES, SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
 from pemviz.config.entry_points import NamedPart
 from pemviz.errors import ConfigError
 from pemviz.simulators.braking.measured_gap import RangeErrors
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from pemviz.simulators.families.scenario import FamilyScenario
 
 SHIPPED = SHIPPED_SIMULATORS
-SIMULATORS = NamedPart(kind="simulator", group="pemviz.simulators", shipped=SHIPPED)
+SIMULATORS = NamedPart(
+    kind="simulator", group="pemviz.simulators", shipped=(*SHIPPED, *BLACK_BOXES)
+)
 
 
 def simulator_names() -> tuple[str, ...]:
@@ -49,6 +51,10 @@ def build_named_simulator(
         from pemviz.simulators.braking.highway import HighwaySimulator  # noqa: PLC0415  pulls in pygame
 
         return HighwaySimulator(scenario, errors)
+    if name == "merge":
+        from pemviz.simulators.merge.scenario import MergeSimulator  # noqa: PLC0415  as above
+
+        return MergeSimulator(scenario)
     if name == "vectorized":
         from pemviz.simulators.braking.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
 

@@ -1,0 +1,210 @@
+"""The merge with a tracker and a controller in front of it: a simulator with slots.
+
+highway-env is imported when an environment is made.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.config import ScenarioConfig
+from pemviz.latents import LatentCounts
+from pemviz.simulators.braking.scenario import (
+    CAR_CLASS,
+    CAR_HEIGHT_M,
+    CAR_WIDTH_M,
+    HEADING_AWAY_RAD,
+    NOT_OCCLUDED,
+    NOT_TRUNCATED,
+)
+from pemviz.simulators.episodic import SideBySide
+from pemviz.simulators.merge.facts import (
+    BESIDE_M,
+    CAR_LENGTH_M,
+    CAR_WIDTH_ROAD_M,
+    CARS,
+    DT_S,
+    LATENTS,
+    OWN_SIGNALS,
+    STATES,
+    merge_signals,
+)
+from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
+from pemviz.simulators.slots import Slot
+from pemviz.simulators.tracking.named import tracker_of_text
+from pemviz.simulators.tracking.tracker import Tracker
+from pemviz.types import Signal, StateBatch
+
+if TYPE_CHECKING:
+    from pemviz.simulators.merge.highway_env_merge import MergeEpisodes
+
+ENVIRONMENTS = 20
+SIGHT_M = 100.0
+VIEW_SLOPE = np.tan(np.radians(60.0))
+SIDEWAYS_MPS = 2.5
+"""No car comes nearer by the side faster."""
+ANTICIPATION_S = 1.0
+STANDSTILL_M, BRAKE_S, KEEP_S = 10.0, 1.2, 1.6
+SLOWER, IDLE, FASTER = 0, 1, 2
+"""The environment's actions."""
+LANE_EDGES_M = (-10.0, -6.0, -2.0, 2.0)
+"""The lane of the ramp, the ego's, and the left one."""
+EGO_LANE_M = -4.0
+
+
+def make_environment() -> "MergeEpisodes":
+    """An environment of its own."""
+    from pemviz.simulators.merge.highway_env_merge import MergeEpisodes  # noqa: PLC0415  pygame
+
+    return MergeEpisodes()
+
+
+@dataclass(frozen=True)
+class MergeSimulator:
+    """Environments side by side behind one tracker; a :class:`pemviz.SlotSimulator` with latents.
+
+    Attributes:
+        config: Gives the tracker and the camera's height; the rest is the braking scenario's.
+        scenario: The environments, which are told the ego's action.
+    """
+
+    config: ScenarioConfig
+    scenario: SideBySide = field(
+        default_factory=lambda: SideBySide(make=make_environment, count=ENVIRONMENTS)
+    )
+    name: str = "merge"
+    states: int = STATES
+    dt_s: float = DT_S
+    signals: tuple[Signal, ...] = field(default_factory=merge_signals)
+    slots: tuple[Slot, ...] = tuple(
+        Slot(car, signals=tuple(f"{name}_{car}" for name in OWN_SIGNALS)) for car in CARS
+    )
+    latents: LatentCounts = field(default_factory=lambda: LatentCounts(start=LATENTS))
+
+    @cached_property
+    def tracker(self) -> Tracker:
+        """Of places relative to the ego, ahead and to the left; without one chosen, of one step."""
+        chosen = tracker_of_text(self.config.tracker, dt_s=self.dt_s, axes=2)
+        return Tracker(dt_s=self.dt_s, hits=1, window=1, axes=2) if chosen is None else chosen
+
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
+        """The environments' own starts for standard normals ``[count, 6]``; no tracks."""
+        given = np.zeros((count, LATENTS)) if start is None else start
+        states = self.scenario.initial(count=count, start=given)
+        return self._with(states, self.tracker.start(count, slots=len(CARS)))
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """One environment step each, with the ego acting on what it tracks after ``[N, 4]``."""
+        signals = states.signals
+        hits = detected & self.present(signals)
+        gap_m, aside_m, _, _ = own_signals(signals)
+        before = self.tracker.state(states.memory, slots=len(CARS))
+        tracks = self.tracker.update(before, hits, np.stack([gap_m, aside_m], axis=-1))
+        action = ego_action(
+            tracks.confirmed, tracks.position_m, tracks.speed_mps, signals["ego_speed"]
+        )
+        return self._with(self.scenario.step(states, cast(Any, action)), tracks)
+
+    def _with(self, states: StateBatch, tracks: Any) -> StateBatch:
+        memory = {**states.memory, **self.tracker.memory(tracks)}
+        return StateBatch(step=states.step, signals=states.signals, memory=memory)
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Each car as KITTI would label it, all unoccluded, ``[..., 4, 11]``."""
+        gap_m, aside_m, _, heading_rad = own_signals(signals)
+        x_m, z_m = -aside_m, gap_m + CAR_LENGTH_M / 2
+        rotation_rad = HEADING_AWAY_RAD - heading_rad
+        columns = (
+            *(CAR_CLASS, NOT_TRUNCATED, NOT_OCCLUDED, rotation_rad - np.arctan2(x_m, z_m)),
+            *(CAR_HEIGHT_M, CAR_WIDTH_M, CAR_LENGTH_M),
+            *(x_m, self.config.camera_height_m, z_m, rotation_rad),
+        )
+        return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+    def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where a car is in the camera's view, ``[..., 4]``."""
+        gap_m, aside_m, _, _ = own_signals(signals)
+        seen_m = VIEW_SLOPE * (gap_m + CAR_LENGTH_M / 2)
+        return (gap_m > 0.0) & (gap_m < SIGHT_M) & (np.abs(aside_m) < seen_m)
+
+    def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where a detection may matter, at once or while the tracker knows of it, ``[..., 4]``."""
+        gap_m, aside_m, _, _ = own_signals(signals)
+        known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * self.dt_s
+        ego_mps = signals["ego_speed"][..., None]
+        near = gap_m < STANDSTILL_M + (KEEP_S + known_s) * ego_mps
+        beside = np.abs(aside_m) < BESIDE_M + SIDEWAYS_MPS * (known_s + (known_s > 0.0))
+        return self.present(signals) & near & beside & (signals["collided"][..., None] < 0.5)
+
+    @property
+    def scene_cars(self) -> tuple[SceneCar, ...]:
+        """The ego and the other cars, all of highway-env's size."""
+        size = (CAR_LENGTH_M, CAR_WIDTH_ROAD_M)
+        return (SceneCar("ego", *size), *(SceneCar(car, *size, slot=car) for car in CARS))
+
+    @property
+    def road(self) -> Road:
+        """The road's two lanes and that of the ramp; before that the ramp lies farther right."""
+        return Road(LANE_EDGES_M)
+
+    def scene(self, signals: Mapping[str, FloatArray]) -> SceneStates:
+        """Where the cars are, for signals ``[...]``; the ego keeps its lane."""
+        gap_m, aside_m, speed_mps, heading_rad = own_signals(signals)
+        ego_m, ego_mps = signals["ego_x"][..., None], signals["ego_speed"][..., None]
+        none = np.zeros_like(ego_m)
+        x_m = np.concatenate([ego_m, ego_m + gap_m + CAR_LENGTH_M], axis=-1)
+        return SceneStates(
+            x_m=x_m,
+            y_m=np.concatenate([none, aside_m], axis=-1) + EGO_LANE_M,
+            heading_rad=np.concatenate([none, heading_rad], axis=-1),
+            speed_mps=np.concatenate([ego_mps, speed_mps], axis=-1),
+            present=np.ones(x_m.shape, dtype=np.bool_),
+            collided=signals["collided"] > 0.0,
+        )
+
+    def scene_tracks(self, states: StateBatch) -> SceneTracks:
+        """Where the ego believes the cars to be, predicted to states ``[...]``."""
+        tracks = self.tracker.state(states.memory, slots=len(CARS))
+        motion = self.tracker.filter.predicted(tracks.motion, dt_s=self.dt_s)
+        sd_m = np.sqrt(motion.variances[..., 0])
+        return SceneTracks(
+            x_m=states.signals["ego_x"][..., None] + CAR_LENGTH_M + motion.position_m[..., 0],
+            y_m=motion.position_m[..., 1] + EGO_LANE_M,
+            x_sd_m=sd_m,
+            y_sd_m=sd_m,
+            confirmed=tracks.confirmed,
+        )
+
+
+def own_signals(
+    signals: Mapping[str, FloatArray],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Gaps, offsets to the left [m], speeds [m/s] and headings [rad] of the cars, ``[..., 4]``."""
+    gap_m, aside_m, speed_mps, heading_rad = (
+        np.stack([signals[f"{name}_{car}"] for car in CARS], axis=-1) for name in OWN_SIGNALS
+    )
+    return gap_m, aside_m, speed_mps, heading_rad
+
+
+def ego_action(
+    tracked: BoolArray, position_m: FloatArray, speed_mps: FloatArray, ego_speed_mps: FloatArray
+) -> IntArray:
+    """The environment's action ``[N]``.
+
+    Args:
+        tracked: ``[N, K]``.
+        position_m: Of the tracks: gap, and offset to the left, ``[N, K, 2]``.
+        speed_mps: How these change, ``[N, K, 2]``.
+        ego_speed_mps: ``[N]``.
+    """
+    gap_m, aside_m = position_m[..., 0], position_m[..., 1]
+    later_m = aside_m + ANTICIPATION_S * speed_mps[..., 1]
+    in_path = tracked & (np.minimum(np.abs(aside_m), np.abs(later_m)) < BESIDE_M)
+    ego_mps = ego_speed_mps[..., None]
+    brakes = np.any(in_path & (gap_m < STANDSTILL_M + BRAKE_S * ego_mps), axis=-1)
+    keeps = np.any(in_path & (gap_m < STANDSTILL_M + KEEP_S * ego_mps), axis=-1)
+    return np.where(brakes, SLOWER, np.where(keeps, IDLE, FASTER))
