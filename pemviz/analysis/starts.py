@@ -30,6 +30,8 @@ SHARES = (0.1, 0.5, 0.9)
 """Of what lies at or below the quantiles that are told."""
 FEWEST = 10.0
 """Effective violations below which nothing is told."""
+FEWEST_OF_MAP = 25.0
+"""The same for the plane: from fewer, single weights would draw its outline."""
 GRID = 32
 OUTER = 0.005
 """Share of all starts that may lie beyond either side of the plane."""
@@ -201,7 +203,11 @@ def _of_violations(
             _start_value(signal.name, signal.unit, drawn, sample, told=enough)
             for signal in simulator.starts
         ),
-        plane=start_map(simulator, drawn, sample, log10_probability=log10) if enough else None,
+        plane=(
+            start_map(simulator, drawn, sample, log10_probability=log10)
+            if sample.effective >= FEWEST_OF_MAP
+            else None
+        ),
         points=_points(simulator, violations) if rule is None else (),
     )
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from pemviz.analysis.starts import FEWEST, DangerousStarts, StartValue
+from pemviz.analysis.starts import FEWEST, FEWEST_OF_MAP, DangerousStarts, StartValue
 from pemviz.reports.digits import end_text
 from pemviz.reports.escape import markdown_table, markdown_text
 from pemviz.runs.result import RunResult
@@ -80,7 +80,7 @@ def map_words(found: DangerousStarts) -> str:
     """What the picture of the plane shows, and how far it can be trusted."""
     plane = found.plane
     if plane is None:
-        return ""
+        return f"The plane of two start values is drawn from {FEWEST_OF_MAP:g} effective ones on."
     units = {one.name: one.unit for one in found.values}
     reach = " and ".join(
         _with_unit(end_text(width), units[name])
@@ -100,13 +100,13 @@ def _against(one: StartValue) -> str:
     low, middle, high = (end_text(q.value, digits=DIGITS) for q in one.violations)
     every_low, every, every_high = (end_text(v, digits=DIGITS) for v in one.all_starts)
     return (
-        f"{one.name} {_with_unit(middle, one.unit)} (80 % from {low} to {high}), all with "
+        f"{_spoken(one.name)} {_with_unit(middle, one.unit)} (80 % from {low} to {high}), all with "
         f"{_with_unit(every, one.unit)} ({every_low} to {every_high})"
     )
 
 
 def _row(one: StartValue) -> tuple[str, ...]:
-    name = f"{one.name} [{one.unit}]" if one.unit else one.name
+    name = f"{_spoken(one.name)} [{one.unit}]" if one.unit else _spoken(one.name)
     every = [end_text(value, digits=DIGITS) for value in one.all_starts]
     own: Sequence[str] = ("-", "-", "-")
     if one.violations:
@@ -117,6 +117,10 @@ def _row(one: StartValue) -> tuple[str, ...]:
             _range(low.value, high.value),
         )
     return (name, every[MIDDLE], f"{every[LOW]} to {every[HIGH]}", *own)
+
+
+def _spoken(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _range(low: float, high: float) -> str:

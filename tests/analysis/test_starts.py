@@ -155,6 +155,12 @@ def test_each_rule_has_its_own_and_a_file_keeps_them():
     document = json.loads(json.dumps(result_document(result)))
     assert result_from_document(document).starts == result.starts
     assert start_plane(wide).startswith("<svg")
+    first = result.starts[0]
+    picture = start_plane(first, target="number")
+    assert picture.count("data-number=") > 0.9 * len(first.points)
+    assert "data-target='number'" in picture
+    point = first.points[0]
+    assert (point.stage, point.repetition) == (0, 0)
 
 
 def test_too_few_violations_tell_nothing():

@@ -85,7 +85,7 @@ def _starts(result: RunResult, *, target: str) -> list[str]:
             heading(f"{STARTS_TITLE}: {starts_title(found)}")
             + quiet(f"{starts_line(found)}.")
             + picture
-            + quiet(words if picture else "")
+            + quiet(words if picture else map_words(found))
             + grid(START_COLUMNS, rows, name=STARTS_TITLE)
         )
     return cells
