@@ -7,8 +7,9 @@ simulators); each signal under its key; the outcome at that step, ``detected``, 
 likelihoods ``log_p`` under the error model and ``log_q`` under what it was drawn from [nats]. Of
 several slots each has these three, ``detected.NAME``. Of a scenario with latents each one,
 ``latents.start.0``, and the mean that it was drawn with, ``latents.start_mean.0``; those at the
-start are the same in all rows. At the last state perception does not act: what belongs to a step is
-empty there.
+start are the same in all rows; of noise also how likely it was to be moved,
+``latents.noise_share``, and its spread then. At the last state perception does not act: what
+belongs to a step is empty there.
 """
 
 import csv
@@ -22,6 +23,7 @@ import numpy as np
 from pemviz.arrays import AnyArray
 from pemviz.export.rollout import PER_OUTCOME, RankedRollout
 
+SHARE = "noise_share"
 Column = list[Any]
 METADATA = b"pemviz"
 """Key of a Parquet file's metadata under which the run's settings stand as JSON."""
@@ -50,6 +52,9 @@ def columns(rollout: RankedRollout) -> dict[str, Column]:
             values: Mapping[str, AnyArray] = getattr(rollout, name)
             table[f"{name}.{slot}" if slot else name] = [*values[slot].tolist(), None]
     for name, latents in rollout.latents.items():
+        if name == SHARE:  # one for all latents of a step
+            table[f"latents.{name}"] = [*latents.tolist(), None]
+            continue
         for place in range(latents.shape[-1]):
             drawn: Any = latents[..., place].tolist()
             cells = [drawn] * states if latents.ndim == 1 else [*drawn, None]
