@@ -243,7 +243,8 @@ class Recorder:
         file.markdown(paths.WARNINGS, text.warnings_text(result))
         file.markdown(paths.PROVENANCE, text.provenance_text(result))
         if self._tracks:
-            file.markdown(paths.WORST_SUMMARY, text.worst_table(self._tracks))
+            table = text.worst_table(self._tracks, result.least_robust_by_rule)
+            file.markdown(paths.WORST_SUMMARY, table)
 
     def _finish(self, file: RecordingFile, run: _Run, result: RunResult) -> None:
         self._write_repetitions(file, result)

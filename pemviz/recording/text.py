@@ -1,7 +1,7 @@
 """The texts of a recording, as markdown."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pemviz.analysis.contribution import CARRIED
 from pemviz.analysis.model_uncertainty import ModelInterval
@@ -9,7 +9,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
-from pemviz.recording.worst import Track
+from pemviz.recording.worst import Track, rules_table
 from pemviz.reports.causes_text import BURST_COLUMNS, BURST_TITLE, burst_rows, causes_line
 from pemviz.reports.data_plan_text import PLAN_TITLE, plan_heading, plan_sentences, short_rows
 from pemviz.reports.digits import digits_of, end_text
@@ -29,7 +29,7 @@ from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_colu
 from pemviz.reports.rates_text import rates_markdown
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.starts_text import starts_markdown
-from pemviz.runs.result import RunResult
+from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.simulators.slots import Slot
@@ -289,8 +289,10 @@ ROADS_TEXT = (
 )
 
 
-def worst_table(tracks: Sequence[Track]) -> str:
-    """The least robust rollouts."""
+def worst_table(
+    tracks: Sequence[Track], by_rule: Mapping[str, Sequence[RankedRollout]] | None = None
+) -> str:
+    """The least robust rollouts and, where there are rules, the first of each of them."""
     header = ("rank", "robustness", "share", "misses", "in a row", "NLL [nats]", "which")
     rows = [
         (
@@ -308,7 +310,7 @@ def worst_table(tracks: Sequence[Track]) -> str:
         "# Least robust rollouts\n\nFirst those that carry the estimate: with the largest "
         f"weights, {100 * CARRIED:g} % of it, each with its share. Misses: all of a rollout, also "
         "those that do not matter. NLL: how unlikely its outcomes are under the perception error "
-        "model.\n\n" + _table(header, rows)
+        "model.\n\n" + _table(header, rows) + rules_table(by_rule or {})
     )
 
 

@@ -15,6 +15,8 @@ from pemviz.recording import paths
 from pemviz.recording.outcomes import log_outcomes
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.reports.escape import markdown_table, markdown_text
+from pemviz.reports.estimate_text import share_text
 from pemviz.runs.drawn_rollout import DrawnRollout, drawn_rollout
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.slot_outcomes import faultless, faultless_probability, right_by_slot, slots_of
@@ -22,6 +24,7 @@ from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Signal, Simulator, StageResult
 
 JPEG_QUALITY = 85
+RANKED_BY_RULE = 3
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,24 @@ def _track(
             memory={name: values[row].copy() for name, values in rollouts.memory.items()},
         ),
     )
+
+
+def rules_table(by_rule: Mapping[str, Sequence[RankedRollout]]) -> str:
+    """The least robust rollouts of each rule as markdown; nothing without rules."""
+    if not by_rule:
+        return ""
+    rows = [
+        (
+            markdown_text(name),
+            f"{one.robustness:.3g}{'' if one.violated else ' (holds)'}",
+            share_text(one.share),
+            f"repetition {one.repetition}, stage {one.stage}, rollout {one.rollout}",
+        )
+        for name, ranked in by_rule.items()
+        for one in ranked[:RANKED_BY_RULE]
+    ]
+    words = "\n\n## Of each rule\n\nShares are of the answer to the rule.\n\n"
+    return words + markdown_table(("rule", "robustness", "share", "which"), rows)
 
 
 def log_worst_plots(

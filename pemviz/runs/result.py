@@ -126,6 +126,8 @@ class RunResult(ShownInNotebooks):
         stages: Every stage that is done.
         least_robust: The least robust of the rollouts that carry the estimate, least robust
             first, then the least robust of the others; of all as long as nothing carries one.
+        least_robust_by_rule: Likewise of each rule by name, where there are rules: ranked by the
+            robustness in that rule, shares of the answer to it.
         memory: What was assumed of how misses hang together, and what the model's own data say
             of it; ``None`` in results of versions that knew no memory.
         latents: How many standard normals the simulator took; ``None`` if none.
@@ -154,6 +156,9 @@ class RunResult(ShownInNotebooks):
     rules: tuple[RuleAnswer, ...] = ()
     stages: tuple[StageSummary, ...] = ()
     least_robust: tuple[RankedRollout, ...] = ()
+    least_robust_by_rule: Mapping[str, tuple[RankedRollout, ...]] = field(
+        default_factory=dict[str, tuple[RankedRollout, ...]]
+    )
     memory: RunMemory | None = None
     latents: LatentCounts | None = None
     position_errors: PemInfo | None = None
@@ -197,18 +202,30 @@ def with_stage(result: RunResult, stage: StageResult) -> RunResult:
         timings_s[part] = timings_s.get(part, 0.0) + seconds
     stages = (*result.stages, summarise_stage(stage))
     weighty = weighty_stages(stages)
-    ranked = sorted(
-        (*result.least_robust, *rank_rollouts(stage)),
-        key=lambda r: (
-            r.share is None or (r.repetition, r.stage) not in weighty,
-            r.robustness,
-            r.repetition,
-            r.stage,
-            r.rollout,
-        ),
-    )
+
+    def least(before: Sequence[RankedRollout], rule: str | None) -> tuple[RankedRollout, ...]:
+        ranked = sorted(
+            (*before, *rank_rollouts(stage, rule=rule)),
+            key=lambda r: (
+                r.share is None or (r.repetition, r.stage) not in weighty,
+                r.robustness,
+                r.repetition,
+                r.stage,
+                r.rollout,
+            ),
+        )
+        return tuple(ranked[:LEAST_ROBUST])
+
+    by_rule = {
+        rule: least(result.least_robust_by_rule.get(rule, ()), rule)
+        for rule in stage.scored.rule_robustness
+    }
     return replace(
-        result, stages=stages, least_robust=tuple(ranked[:LEAST_ROBUST]), timings_s=timings_s
+        result,
+        stages=stages,
+        least_robust=least(result.least_robust, None),
+        least_robust_by_rule=by_rule,
+        timings_s=timings_s,
     )
 
 
@@ -223,23 +240,33 @@ def weighty_stages(stages: Sequence[StageSummary]) -> set[tuple[int, int]]:
     return {(stage.repetition, stage.stage) for stage, log10 in final if log10 >= least}
 
 
-def rank_rollouts(stage: StageResult, *, count: int = LEAST_ROBUST) -> Sequence[RankedRollout]:
-    """The stage's ``count`` rollouts that :attr:`RunResult.least_robust` would list first."""
+def rank_rollouts(
+    stage: StageResult, *, count: int = LEAST_ROBUST, rule: str | None = None
+) -> Sequence[RankedRollout]:
+    """The stage's ``count`` rollouts that :attr:`RunResult.least_robust` would list first.
+
+    Args:
+        stage: The stage.
+        count: How many.
+        rule: The rule that they are ranked by; ``None``: the specification.
+    """
     scored = stage.scored
     chosen = scored.rollouts
+    robustness = scored.robustness if rule is None else scored.rule_robustness[rule]
+    violated = scored.violated if rule is None else scored.broken[rule]
     share = np.zeros(chosen.count)
     if stage.kind == "final":
-        share = contributions(chosen.log_weight, violated=scored.violated)
+        share = contributions(chosen.log_weight, violated=violated)
     carries = carrying(share)
-    order = np.lexsort((scored.robustness, ~carries))[:count]
+    order = np.lexsort((robustness, ~carries))[:count]
     nll = -row_sums(chosen.log_p[order])
     return [
         RankedRollout(
             repetition=stage.repetition,
             stage=stage.stage,
             rollout=int(index),
-            robustness=float(scored.robustness[index]),
-            violated=bool(scored.violated[index]),
+            robustness=float(robustness[index]),
+            violated=bool(violated[index]),
             nll=float(nll[place]),
             log_weight=float(chosen.log_weight[index]),
             misses=int(np.count_nonzero(~chosen.detected[index])),

@@ -14,7 +14,8 @@ What a result.json may hold (schema 1):
   document and are not kept when it is read.
 - The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
   ``sensitivity``, and its other fields under ``causes``.
-- ``rules``, and ``broken`` in ``least_robust``, only where there are rules.
+- ``rules``, ``least_robust_by_rule``, and ``broken`` in ``least_robust``, only where there are
+  rules.
 - ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
 - ``per_hour``, only where encounters an hour are told (:mod:`pemviz.runs.rates`), follows from
   the estimates too.
@@ -130,6 +131,7 @@ def result_document(result: RunResult) -> Table:
         ],
         "stages": [asdict(stage) for stage in result.stages],
         "least_robust": [_ranked_table(rollout) for rollout in result.least_robust],
+        **_ranked_by_rule(result),
         "assumptions": list(result.assumptions),
         "warnings": list(result.warnings),
         "timings_s": dict(result.timings_s),
@@ -173,6 +175,7 @@ def result_from_document(document: object) -> RunResult:
         "least_robust": _each(
             table.get("least_robust", []), lambda entry, _: _with_robustness(entry)
         ),
+        "least_robust_by_rule": _each_by_name(table.get("least_robust_by_rule", {})),
     }
     return read_record(RunResult, fields, ignore_unknown=True)
 
@@ -256,6 +259,25 @@ def _ranked_table(rollout: RankedRollout) -> Table:
     if not rollout.broken:
         del table["broken"]
     return table
+
+
+def _ranked_by_rule(result: RunResult) -> Table:
+    """The least robust rollouts of each rule; nothing where there are none."""
+    tables = {
+        rule: [_ranked_table(rollout) for rollout in ranked]
+        for rule, ranked in result.least_robust_by_rule.items()
+    }
+    return {"least_robust_by_rule": tables} if tables else {}
+
+
+def _each_by_name(entries: object) -> object:
+    """Ranked rollouts by rule, infinite robustness put back; what is no table is left as it is."""
+    if not isinstance(entries, dict):
+        return entries
+    return {
+        name: _each(ranked, lambda entry, _: _with_robustness(entry))
+        for name, ranked in cast(Table, entries).items()
+    }
 
 
 def _rule(entry: object, index: int) -> object:

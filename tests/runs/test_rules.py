@@ -115,6 +115,19 @@ def test_what_a_run_keeps_of_rules_comes_back(tmp_path):
     np.testing.assert_array_equal(np.any(columns, axis=0), rollouts["violated"])
     worst = result.least_robust[0]
     assert worst.broken == tuple(n for n in RULES if rollouts[f"broken.{n}"][worst.rollout])
+    ranked = read_result(folder).least_robust_by_rule
+    assert ranked == result.least_robust_by_rule
+    for name, formula in RULES.items():
+        first = [one.rollout for one in ranked[name] if one.violated]
+        assert first
+        assert all(rollouts[f"broken.{name}"][rollout] for rollout in first)
+        robustness = [one.robustness for one in ranked[name] if one.share is not None]
+        assert robustness == sorted(robustness)
+        alone = replace(config, rules=(), spec=formula)
+        expected = run(experiment_of(alone)).least_robust
+        assert [(one.rollout, one.robustness, one.share) for one in ranked[name]] == [
+            (one.rollout, one.robustness, one.share) for one in expected
+        ]
 
     stopped = create_run_folder(tmp_path, label="stopped")
     carry_out(
@@ -125,6 +138,7 @@ def test_what_a_run_keeps_of_rules_comes_back(tmp_path):
     again = carry_out(experiment_of(replace(config, repetitions=2)), stopped)
     whole = run(experiment_of(replace(config, repetitions=2)))
     assert again.rules == whole.rules
+    assert again.least_robust_by_rule == whole.least_robust_by_rule
     assert whole.rules[0].estimate.rollouts_simulated == 800
 
 
