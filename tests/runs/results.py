@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from pemviz.analysis.explanation import Explanation
 from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.config.encounters import EncounterConfig
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range
 from pemviz.config.settings import RULE_NAME
@@ -67,7 +68,7 @@ def configurations():
     scenarios = plainly(ScenarioConfig, tracker=trackers)
     alone = plainly(
         ExperimentConfig, pem=named, simulator=named, device=devices, rules=st.just(()),
-        scenario=scenarios,
+        scenario=scenarios, encounter=st.just(EncounterConfig()), start=st.just(()),
     )  # fmt: skip
     names = st.from_regex(RULE_NAME, fullmatch=True)
     rules = st.dictionaries(names, TEXTS, max_size=2)
