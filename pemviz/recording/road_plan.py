@@ -33,7 +33,7 @@ Bounds = tuple[tuple[float, float], tuple[float, float]]
 CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]) / 2
 ANGLES = np.linspace(0.0, 2 * np.pi, 33)
 CROSS = ((0, 2), (1, 3))
-FIRST_WORDS_M, WORDS_SPACING_M = 38.0, 15.0
+FIRST_WORDS_M, WORDS_SPACING_M = 37.0, 23.0
 LAPS = 8
 """Lines side by side that fill a rectangle."""
 HALO_M = 0.7
