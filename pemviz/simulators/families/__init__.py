@@ -12,7 +12,8 @@ centres -w, 0, w. Cars are rectangles along the road, L by W, whatever their hea
 
 **Start values** are drawn once: ``pemviz/config/encounters.py`` names them by family with their
 default distributions. One with a fixed number takes no latent; the others take one each, in that
-order, mapped by their quantile function.
+order, mapped by their quantile function. Speeds and decelerations below 0 are taken as 0, a
+``duration`` below dt as dt.
 
 **Other cars**, each a slot, in this order. A gap is from bumper to bumper along the road: gap_k =
 x_k - x_ego - L; aside_k = y_k. At the start, with V = ``ego_speed``, and speeds at least 0:

@@ -80,7 +80,7 @@ def begun_cars(config: EncounterConfig, values: Values) -> Begun:
         gaps_m.append(gap_m + config.car_length_m + values["lead_gap"])
         speeds_mps.append(ego_mps)
     elif config.family == "cut-out":
-        revealed_mps = np.maximum(values["revealed_speed"], 0.0)
+        revealed_mps = values["revealed_speed"]
         clear_s = values["cut_out_time"] + clear_share(config) * values["duration"]
         until_touch_s = clear_s + values["margin"]
         approached_m = np.maximum(slower_mps - revealed_mps, 0.0) * until_touch_s

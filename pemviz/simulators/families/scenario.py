@@ -141,10 +141,12 @@ class FamilyScenario:
     def start_values(self, start: FloatArray) -> Mapping[str, FloatArray]:
         """Latents ``[N, S]`` to start values ``[N]`` by name."""
         columns = iter(np.asarray(start).T)
-        return {
+        values = {
             name: one.of(np.zeros(len(start)) if one.fixed else next(columns))
             for name, one in self.distributions.items()
         }
+        least = dict.fromkeys(NEVER_NEGATIVE, 0.0) | {"duration": self.config.dt_s}
+        return {name: one.clip(least.get(name, -np.inf)) for name, one in values.items()}
 
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The states s_0, arrays ``[count]``.
@@ -159,7 +161,7 @@ class FamilyScenario:
         next_m = lateral_places(config, values, time_s=config.dt_s)
         still = np.zeros_like(begun.gap_m)
         heading = headings(begun.aside_m, next_m, begun.speed_mps, still, config.dt_s)
-        ego_mps = np.maximum(values["ego_speed"], 0.0)
+        ego_mps = values["ego_speed"]
         cars = Cars(ego_mps, begun.gap_m, begun.aside_m, begun.speed_mps * np.cos(heading))
         states_ahead = margins.nearest_ahead(config, cars).astype(np.int64)
         found = {
@@ -283,5 +285,7 @@ class FamilyScenario:
         return gap_m, aside_m, speed_mps, heading_rad
 
 
+NEVER_NEGATIVE = ("ego_speed", "revealed_speed", "deceleration")
+"""Start values of which no distribution brings one below 0."""
 FASTEST_ASIDE_MPS = 5.0
 """No car changes lanes faster."""

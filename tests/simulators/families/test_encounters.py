@@ -173,3 +173,16 @@ def test_slots_take_turns_and_features_are_the_slots_own():
     np.testing.assert_array_equal(first[:, 0], states.signals["gap_cutting_in"].clip(max=80.0))
     np.testing.assert_array_equal(second[:, 0], states.signals["gap_lead"].clip(max=80.0))
     assert first.shape == (3, 7)
+
+
+def test_start_values_are_what_cars_can_have_and_as_many_latents_as_are_random():
+    wild = chosen(ego_speed="normal(0, 1)", duration=-1, gap="empirical(20, 30)")
+    simulator = VectorizedFamily(EncounterConfig(family="cut-out"), wild)
+    assert simulator.latents.start == len(simulator.starts) - 1
+    values = simulator.start_values(latents(simulator, 50))
+    assert set(values) == {signal.name for signal in simulator.starts}
+    assert values["ego_speed"].min() == 0.0
+    assert np.all(values["duration"] == simulator.dt_s)
+    states = rolled_out(simulator, latents(simulator, 50), outcomes(simulator, 50, 0.5))
+    for state in states:
+        assert all(np.isfinite(values).all() for values in state.signals.values())
