@@ -50,7 +50,8 @@ class SweepArguments:
     config: tyro.conf.Positional[Path | None] = None
     """Configuration file (TOML) that every run starts from."""
     preset: str | None = None
-    """Shipped configuration to start from instead: paper, paper-algorithm or town01."""
+    """Shipped configuration to start from instead: paper, paper-algorithm, town01, braking, cut-in
+    or cut-out."""
     vary: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """FIELD=VALUE,VALUE,... with any field of the configuration, such as alpha=0.05,0.1 or
     scenario.initial_gap_m=12,15; may be given several times."""

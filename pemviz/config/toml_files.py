@@ -129,6 +129,9 @@ def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
     if given is None:
         return {}
     place = f"{name}.{key}" if name else key
+    if key == "start" and isinstance(given, Mapping):  # a number fixes a start value
+        named = cast(Mapping[str, object], given)
+        given = {name: str(v) if type(v) in (int, float) else v for name, v in named.items()}
     texts: Mapping[str, str] = read_value(Mapping[str, str], given, name=place)
     if not texts:
         one = "rule" if key == "rules" else "start value"

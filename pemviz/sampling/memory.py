@@ -6,6 +6,9 @@ on a back end like any other, so that a method needs to know nothing of it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
 from pemviz.pem import Pem, PemEnsemble
@@ -58,6 +61,15 @@ class RememberingEnsemble:
     members: Sequence[Pem]
 
 
+@runtime_checkable
+class ForeseesReactions(Protocol):
+    """Features of a scenario that can tell where an outcome will matter a few steps later."""
+
+    def reacts_within(self, states: StateBatch, *, steps: int) -> BoolArray:
+        """Whether the scenario may react at states ``[...]``, or so many steps of it later."""
+        ...
+
+
 @dataclass(frozen=True)
 class RememberingFeatures:
     """What a scenario offers to look at, and the last outcome.
@@ -68,11 +80,13 @@ class RememberingFeatures:
         features: The scenario's own.
         rho: Correlation of one outcome with the next.
         ignores: Whether outcomes to which the scenario does not react pass for indifferent.
+        within_steps: Likewise those to which it will not within so many steps, where it can tell.
     """
 
     features: StateFeatures
     rho: float
     ignores: bool = False
+    within_steps: int | None = None
 
     def values(self, states: StateBatch) -> FloatArray:
         """The scenario's features and the last outcome, ``[..., D + 1]``."""
@@ -84,12 +98,17 @@ class RememberingFeatures:
         """True everywhere, unless it ``ignores`` what the scenario does."""
         if self.ignores:
             return self.features.reacts(states)
+        if self.within_steps is not None and isinstance(self.features, ForeseesReactions):
+            return self.features.reacts_within(states, steps=self.within_steps)
         last = states.signals[LAST_OUTCOME.name]
         return namespace(last).ones_like(last, dtype=namespace(last).bool)
 
     def for_proposals(self) -> "RememberingFeatures":
         """The same to a proposal, which leaves the model where that is worth its price."""
-        return replace(self, ignores=self.rho < SHORT_RHO)
+        if self.rho < SHORT_RHO:
+            return replace(self, ignores=True)
+        steps = None if self.rho >= 1.0 else int(np.ceil(np.log(SHORT_RHO) / np.log(self.rho)))
+        return replace(self, within_steps=steps)
 
     def moved(self, move: Move) -> "RememberingFeatures | None":
         """The same for tensors, if the scenario's features can."""

@@ -43,7 +43,7 @@ def _annotations(kind: Any, *, prefix: str) -> dict[str, object]:
         annotation = hints[field.name]
         if is_dataclass(annotation):
             found |= _annotations(annotation, prefix=f"{prefix}{field.name}.")
-        else:
+        elif get_origin(annotation) is not tuple:  # rules and start values have names
             found[f"{prefix}{field.name}"] = annotation
     return found
 

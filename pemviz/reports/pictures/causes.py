@@ -48,7 +48,7 @@ def cause_sections(result: RunResult, *, target: str = "") -> list[str]:
     )
     sections = ["".join(by_distance), bursts_part(explanation, target=result.config.target)]
     if explanation.chains:
-        dt_s = result.config.scenario.dt_s
+        dt_s = result.config.dt_s
         chains = (
             heading("Likeliest chains of misses"),
             chain_table(explanation.chains, dt_s=dt_s, target=target),

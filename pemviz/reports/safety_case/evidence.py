@@ -200,7 +200,7 @@ def _causes(run: CaseRun) -> str:
     if explanation is None:
         none = "No weighted violation was seen that tells where misses matter."
         return paragraph(none) + _starts(run.result)
-    dt_s = config.scenario.dt_s
+    dt_s = config.dt_s
     found = run.violations
     gaps = "" if found is None else gap_plot(found.gap_m, found.missed, found.share, dt_s=dt_s)
     over_time = explanation.miss_probability_by_step

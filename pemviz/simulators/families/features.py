@@ -1,5 +1,6 @@
 """What a proposal may know of an encounter's states, in the turn of each slot."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,3 +51,22 @@ class FamilyFeatures:
     def reacts(self, states: StateBatch) -> BoolArray:
         """Where the ego might do otherwise for the slot's outcome, ``[...]``."""
         return self.unrolled.reacts(states.signals)
+
+    def reacts_within(self, states: StateBatch, *, steps: int) -> BoolArray:
+        """Where it might, or would a few steps on if all cars went on as they are, ``[...]``."""
+        found = self.reacts(states)
+        for share in (0.5, 1.0):
+            later_s = share * steps * self.scenario.dt_s
+            found = found | self.unrolled.reacts(self._later(states.signals, later_s))
+        return found
+
+    def _later(self, signals: Mapping[str, FloatArray], later_s: float) -> dict[str, FloatArray]:
+        """Signals when all cars have gone on with their speeds and headings."""
+        moved = dict(signals)
+        for car in self.scenario.cars:
+            speed_mps, heading_rad = signals[f"{SPEED}_{car}"], signals[f"{HEADING}_{car}"]
+            closing_mps = signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
+            moved[f"{GAP}_{car}"] = signals[f"{GAP}_{car}"] - closing_mps * later_s
+            aside_mps = speed_mps * np.sin(heading_rad)
+            moved[f"{ASIDE}_{car}"] = signals[f"{ASIDE}_{car}"] + aside_mps * later_s
+        return moved

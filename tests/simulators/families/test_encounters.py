@@ -186,3 +186,20 @@ def test_start_values_are_what_cars_can_have_and_as_many_latents_as_are_random()
     states = rolled_out(simulator, latents(simulator, 50), outcomes(simulator, 50, 0.5))
     for state in states:
         assert all(np.isfinite(values).all() for values in state.signals.values())
+
+
+def test_features_foresee_that_a_car_comes_into_the_path():
+    """Of a car that cuts in, within the steps before it matters; of what lies beyond, nothing."""
+    fixed = chosen(gap=20, closing_speed=5, cut_in_time=1, duration=4, lead_gap=100, ego_speed=30)
+    unrolled = UnrolledSimulator(VectorizedFamily(EncounterConfig(family="cut-in"), fixed))
+    features = FamilyFeatures(unrolled, unrolled.scenario)
+    states, matters, foreseen = unrolled.initial(count=1), [], []
+    for _ in range(unrolled.states - 1):
+        if int(states.step) % 2 == 0:  # the turn of the car that cuts in
+            matters.append(bool(features.reacts(states)[0]))
+            foreseen.append(bool(features.reacts_within(states, steps=6)[0]))
+        states = unrolled.step(states, np.zeros(1, dtype=bool))
+    first = matters.index(True)
+    assert 20 < first < 35
+    assert not any(foreseen[: first - 12])
+    assert all(foreseen[first - 5 : first + 1])
