@@ -296,6 +296,7 @@ DiagnosticKind = Literal[
     "called-safe",
     "parts-disagree",
     "pilots-alone",
+    "narrow-interval",
     "reference-disagrees",
     "reference-unreliable",
     "unclassified",

@@ -21,8 +21,8 @@ from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.errors import PemError
 from pemviz.pem import Pem, load_pem, shipped_pems
 from pemviz.pem.models.protocol import chain_log_likelihood
-from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
+from pemviz.sampling.estimates.meanings import SMALL_ESS
 from pemviz.types import ScoredRollouts, Simulator
 
 MOST_VIOLATIONS = 2_000

@@ -21,9 +21,9 @@ from pemviz.pem import (
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import log_sum
+from pemviz.sampling.estimates.meanings import SMALL_ESS
 from pemviz.sampling.memory import (
     memory_of_pem,
     problem_under,

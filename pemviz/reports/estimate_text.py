@@ -9,7 +9,7 @@ from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.digits import digits_of, end_text
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import PemInfo, RunResult
-from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K
+from pemviz.sampling.estimates.meanings import RELIABLE_PARETO_K
 from pemviz.sampling.estimates.trust import rests_on_weights
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate

@@ -10,7 +10,8 @@ from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_U
 from pemviz.reports.estimate_text import bound_text
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_diagnostics
-from pemviz.sampling.estimates.diagnostics import MEANINGS, IntervalBasis
+from pemviz.sampling.estimates.diagnostics import IntervalBasis
+from pemviz.sampling.estimates.meanings import MEANINGS
 from pemviz.sampling.estimates.trust import interval_caveats, unreliable_because
 from pemviz.sampling.registry import by_name
 from pemviz.types import Diagnostic, DiagnosticKind, Estimate

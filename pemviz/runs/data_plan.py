@@ -17,7 +17,7 @@ from pemviz.pem.models.memory import Memory
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.memory import own_memory
 from pemviz.runs.result import RunResult
-from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+from pemviz.sampling.estimates.meanings import SMALL_ESS
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model
 
 EXAMPLE = "rrc"

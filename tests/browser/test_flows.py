@@ -84,7 +84,7 @@ def fits(page):
         ),
         (
             "paper-algorithm",
-            "86 of 100 rollouts, drawn to miss more often, violate always[0,99] (gap >= 2.0), 1200 "
+            "84 of 100 rollouts, drawn to miss more often, violate always[0,99] (gap >= 2.0), 1200 "
             "simulated",
         ),
     ],

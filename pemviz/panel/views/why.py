@@ -30,7 +30,7 @@ from pemviz.reports.starts_text import (
 from pemviz.runs.result import RunResult
 from pemviz.runs.slot_outcomes import faultless, slots_of
 from pemviz.runs.trust import data_warnings, run_diagnostics
-from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
+from pemviz.sampling.estimates.meanings import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import Slot
 from pemviz.types import Estimate

@@ -42,7 +42,7 @@ from pemviz.reports.starts_text import (
 from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
-from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
+from pemviz.sampling.estimates.meanings import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.types import Estimate
 
 MOST_REPETITIONS = 10

@@ -5,138 +5,25 @@ But for those of splitting's runs, which stand beside it.
 
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from pemviz.sampling.description import IntervalBasis
 from pemviz.sampling.estimates.importance_weights import WeightFigures
+from pemviz.sampling.estimates.meanings import (
+    LARGE_SHARE,
+    MEANINGS,
+    RELIABLE_PARETO_K,
+    SMALL_ESS,
+)
 from pemviz.types import Diagnostic, DiagnosticKind, Estimate
 
 LARGEST_RATIO = 1e150
 """Of an error to what it is the error of: its square is a float64."""
-RELIABLE_PARETO_K = 0.7
-"""Above it an average of weights is not to be trusted (Vehtari et al. 2024)."""
-LARGE_SHARE = 0.2
-SMALL_ESS = 10.0
 FEW_FAILURES = 10
 SMALLEST_LOG10 = math.log10(sys.float_info.min)
 AGREEMENT_ERRORS = 3.0
 """Joint standard errors within which two estimates of the same agree."""
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """What a kind of diagnostic means.
-
-    Attributes:
-        phrase: In every text of this kind and in none of another.
-        undermines: The intervals that it makes unreliable.
-        in_repetitions: What is told of how many repetitions; ``None`` where it does not concern
-            their mean.
-        reason: Why nothing may be decided by the estimate, with its ``value``; ``None``: the text.
-        worst: The least favourable of several values.
-    """
-
-    phrase: str
-    undermines: frozenset[IntervalBasis]
-    in_repetitions: str | None = None
-    reason: str | None = None
-    worst: Callable[[Iterable[float]], float] = max
-
-
-NOTHING: frozenset[IntervalBasis] = frozenset()
-ALL: frozenset[IntervalBasis] = frozenset(("counts", "weights", "runs"))
-# a count's interval is exact, however few were counted
-ALL_BUT_COUNTS = ALL - {"counts"}
-
-MEANINGS: Mapping[DiagnosticKind, Meaning] = {
-    "no-failure": Meaning(
-        phrase="no failure",
-        undermines=ALL_BUT_COUNTS,
-        in_repetitions="no failure was seen",
-        worst=min,
-    ),
-    "few-failures": Meaning(
-        phrase="failures were seen: the interval is wide", undermines=NOTHING, worst=min
-    ),
-    "large-weight": Meaning(
-        phrase="one rollout carries",
-        undermines=ALL_BUT_COUNTS,
-        in_repetitions=f"one rollout carries over {LARGE_SHARE:.0%} of the weight",
-        reason="one rollout carries {:.0%} of the weight",
-    ),
-    "few-effective-samples": Meaning(
-        phrase="a few weights carry the estimate",
-        undermines=ALL_BUT_COUNTS,
-        in_repetitions=(
-            f"a few weights carry the estimate (effective sample size below {SMALL_ESS:g})"
-        ),
-        reason="the effective sample size is {:.1f}",
-        worst=min,
-    ),
-    "heavy-tail": Meaning(
-        phrase="the weights' tail is too heavy",
-        undermines=ALL_BUT_COUNTS,
-        in_repetitions=f"the weights' tail is too heavy (Pareto k-hat above {RELIABLE_PARETO_K})",
-        reason="Pareto k-hat is {:.2f}",
-    ),
-    "died-out": Meaning(
-        phrase="no particle reached a violation",
-        undermines=ALL,
-        in_repetitions="there was a run in which no particle reached a violation",
-    ),
-    "unlatched": Meaning(
-        phrase="nothing tells during a rollout whether it has violated",
-        undermines=ALL,
-        in_repetitions="nothing tells during a rollout whether it has violated",
-    ),
-    "few-runs": Meaning(
-        phrase="of splitting are too few",
-        undermines=ALL,
-        in_repetitions="there were too few runs for an interval",
-        worst=min,
-    ),
-    "runs-differ": Meaning(
-        phrase="the runs differ too much",
-        undermines=ALL,
-        in_repetitions="the runs differed too much for an interval",
-    ),
-    "few-ancestors": Meaning(
-        phrase="have a common ancestor",
-        undermines=ALL,
-        in_repetitions="violating particles descended from very few ancestors",
-    ),
-    "wide-interval": Meaning(
-        phrase="it tells only the order of magnitude",
-        undermines=NOTHING,
-        in_repetitions="the answer gave only the order of magnitude",
-    ),
-    # the logarithm is as good as any
-    "below-doubles": Meaning(
-        phrase="too small for a floating-point number", undermines=NOTHING, worst=min
-    ),
-    "called-safe": Meaning(
-        phrase="value function calls safe",
-        undermines=ALL,
-        in_repetitions="states that the value function calls safe may carry more than its error",
-    ),
-    "parts-disagree": Meaning(
-        phrase="parts of the rollouts disagree",
-        undermines=ALL_BUT_COUNTS,
-        in_repetitions="parts of the rollouts disagree",
-        reason="parts of the rollouts are {:.1f} standard errors apart",
-    ),
-    "pilots-alone": Meaning(
-        phrase="no proposal but the pilots",
-        undermines=ALL_BUT_COUNTS,
-        in_repetitions="a way of failing was met by hardly any proposal but the pilots",
-    ),
-    "reference-disagrees": Meaning(phrase="times the reference", undermines=ALL),
-    # the estimate may be right all the same
-    "reference-unreliable": Meaning(phrase="the reference itself is", undermines=NOTHING),
-    # of a file that an older version wrote: what is not known may be serious
-    "unclassified": Meaning(phrase="", undermines=ALL),
-}
 
 
 def count_diagnostics(
@@ -259,6 +146,20 @@ def pilots_alone(share: float) -> Sequence[Diagnostic]:
         "readily draw: a way of failing is not learned"
     )
     return (Diagnostic("pilots-alone", share, LARGE_SHARE, text),)
+
+
+def narrow_interval() -> Diagnostic:
+    """Of ``mixture`` where several obstacles meet several random start values.
+
+    Measured on the families ``cut-in`` and ``cut-out``, 50 runs each, beside five million plain
+    rollouts.
+    """
+    text = (
+        "intervals of such runs are too narrow: with several obstacles and random starts 2400 "
+        "rollouts were measured 10 to 20 % too low on average, and over a third too low at times; "
+        "splitting or monte-carlo beside it tells"
+    )
+    return Diagnostic("narrow-interval", None, None, text)
 
 
 def reference_disagreement(

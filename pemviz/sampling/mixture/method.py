@@ -50,7 +50,7 @@ from pemviz.proposals.offset_logistic import (
     acting,
 )
 from pemviz.proposals.pilots import PilotFamily
-from pemviz.sampling.estimates.diagnostics import unlatched
+from pemviz.sampling.estimates.diagnostics import narrow_interval, unlatched
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.agreement import disagreements
@@ -95,6 +95,7 @@ class MixtureState:
         frozen: How many rollouts each part of the final batch has, as far as it is drawn.
         latched: Whether rollouts know when they have violated.
         turns: Outcomes of a step of the scenario.
+        starts: Random values at the start of a rollout.
     """
 
     repetition: int
@@ -106,6 +107,7 @@ class MixtureState:
     frozen: tuple[int, ...] = ()
     latched: bool = True
     turns: int = 1
+    starts: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +150,7 @@ class MixtureSampling:
             features=features,
             latched=latched,
             turns=problem.turns,
+            starts=latent_counts(problem.simulator).start,
         )
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
@@ -215,7 +218,10 @@ class MixtureSampling:
             frozen_log_weight=balance_weights(pool.log_ratio[final], component),
             frozen=final,
         )
-        found = replace(found, diagnostics=(*found.diagnostics, *disagreements(pool, final=final)))
+        wrong = [*found.diagnostics, *disagreements(pool, final=final)]
+        if found.failures and state.turns > 1 and state.starts > 1:
+            wrong.append(narrow_interval())
+        found = replace(found, diagnostics=tuple(wrong))
         if state.latched:
             return found
         return replace(found, diagnostics=(*found.diagnostics, unlatched()))
