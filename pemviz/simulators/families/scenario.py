@@ -1,5 +1,6 @@
-"""What all back ends of the families share: all but how cars are moved over a step."""
+"""What all back ends of the families share: all but how they begin and step."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,53 +13,33 @@ from pemviz.config.distribution_text import Distribution, read_distribution
 from pemviz.config.encounters import start_values
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.latents import LatentCounts
-from pemviz.simulators.families import ego, margins
-from pemviz.simulators.families.arrival import Left, Moved, arrive
+from pemviz.simulators.families import ego
 from pemviz.simulators.families.cars import (
-    KEPT,
     START_PLANES,
-    begun_cars,
     car_names,
     changes_lane,
-    decelerations,
-    headings,
-    lateral_places,
 )
 from pemviz.simulators.families.drawing import encounter_cars, lanes, scene_states, scene_tracks
-from pemviz.simulators.families.ego import Told
-from pemviz.simulators.families.margins import Cars
 from pemviz.simulators.families.names import (
-    AVOIDABLE_BY,
-    CLEARANCE,
     COLLIDED,
-    EGO_ACCELERATION,
     EGO_SPEED,
-    EGO_X,
-    IMPACT_SPEED,
-    NEEDLESS,
     OF_EACH,
-    SAFE_DISTANCE,
-    by_car,
     encounter_signals,
     of_cars,
     slot_signals,
     slot_title,
 )
 from pemviz.simulators.families.sight import salient, seen
-from pemviz.simulators.families.told import nothing_told, told_after
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot
 from pemviz.simulators.tracking.named import tracker_of_text
 from pemviz.simulators.tracking.tracker import Tracker
 from pemviz.types import Signal, StateBatch
 
-KEPT_START = "start_"
-STATES_AHEAD = "states_ahead"
-
 
 @dataclass(frozen=True)
-class FamilyScenario:
-    """Encounters of a family; a back end adds ``name`` and :meth:`moved_cars`.
+class FamilyScenario(ABC):
+    """Encounters of a family; a back end adds ``name``, ``initial`` and ``step``.
 
     Attributes:
         config: The encounters' parameters.
@@ -86,9 +67,9 @@ class FamilyScenario:
         return car_names(self.config)
 
     @property
+    @abstractmethod
     def name(self) -> str:
-        """Back end's name: its own."""
-        raise NotImplementedError
+        """Back end's name."""
 
     @property
     def signals(self) -> tuple[Signal, ...]:
@@ -148,6 +129,7 @@ class FamilyScenario:
         least = dict.fromkeys(NEVER_NEGATIVE, 0.0) | {"duration": self.config.dt_s}
         return {name: one.clip(least.get(name, -np.inf)) for name, one in values.items()}
 
+    @abstractmethod
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The states s_0, arrays ``[count]``.
 
@@ -155,79 +137,20 @@ class FamilyScenario:
             count: Number of rollouts N.
             start: Standard normals ``[N, S]``; ``None``: 0, the medians.
         """
-        given = np.zeros((count, self.latents.start)) if start is None else start
-        config, values, none = self.config, self.start_values(given), np.zeros(count)
-        begun = begun_cars(config, values)
-        next_m = lateral_places(config, values, time_s=config.dt_s)
-        still = np.zeros_like(begun.gap_m)
-        heading = headings(begun.aside_m, next_m, begun.speed_mps, still, config.dt_s)
-        ego_mps = values["ego_speed"]
-        cars = Cars(ego_mps, begun.gap_m, begun.aside_m, begun.speed_mps * np.cos(heading))
-        states_ahead = margins.nearest_ahead(config, cars).astype(np.int64)
-        found = {
-            EGO_X: none,
-            EGO_SPEED: ego_mps,
-            EGO_ACCELERATION: none,
-            CLEARANCE: margins.clearance(config, cars),
-            SAFE_DISTANCE: margins.settled_distance(config, cars, states_ahead),
-            NEEDLESS: none,
-            AVOIDABLE_BY: np.full(count, margins.UNAVOIDABLE_S),
-            COLLIDED: none,
-            IMPACT_SPEED: none,
-        }
-        each = (begun.gap_m, begun.aside_m, begun.speed_mps, heading)
-        for what, of_each in zip(OF_EACH, each, strict=True):
-            found |= by_car(what, self.cars, of_each)
-        return StateBatch(
-            step=np.zeros((), dtype=np.int64),
-            signals={signal.name: found[signal.name] for signal in self.signals},
-            memory={
-                **{f"{KEPT_START}{name}": values[name] for name in KEPT[config.family]},
-                **by_car(STATES_AHEAD, self.cars, states_ahead),
-                **nothing_told(self.tracker, self.cars, count),
-            },
-        )
 
+    @abstractmethod
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
         """The next states, given perception's outcomes ``[N, K]``."""
-        config, memory, signals = self.config, states.memory, states.signals
-        hits = (np.asarray(detected) & self.present(signals)).T
-        told, remembered = told_after(self.tracker, self.cars, memory, hits, self._measured(states))
-        values = {name: memory[f"{KEPT_START}{name}"] for name in KEPT[config.family]}
-        wanted_mps2 = ego.acceleration(
-            config, told, ego_mps=signals[EGO_SPEED], set_mps=values["ego_speed"]
-        )
-        time_s = float(states.step) * config.dt_s
-        left = Left(
-            config=config,
-            cars=self.cars,
-            states=states,
-            values=values,
-            ego_mps2=np.where(signals[COLLIDED] > 0.0, 0.0, wanted_mps2),
-            others_mps2=decelerations(config, values, time_s=time_s),
-            states_ahead=of_cars(STATES_AHEAD, self.cars, memory),
-        )
-        arrived, states_ahead = arrive(left, self.moved_cars(left))
-        kept = {name: values for name, values in memory.items() if name.startswith(KEPT_START)}
-        return StateBatch(
-            step=states.step + 1,
-            signals=arrived,
-            memory={**kept, **by_car(STATES_AHEAD, self.cars, states_ahead), **remembered},
-        )
-
-    def moved_cars(self, left: Left) -> Moved:
-        """Where all cars are a step on if none touches another: a back end's own."""
-        raise NotImplementedError
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The other cars' salient variables ``[..., K, 11]``."""
-        gap_m, aside_m, _, heading_rad = self._of_each(signals)
+        gap_m, aside_m, _, heading_rad = self.of_each(signals)
         found = salient(self.config, seen(self.config, gap_m, aside_m), heading_rad)
         return np.moveaxis(found, 0, -2)
 
     def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Whether each is to be seen, ``[..., K]``."""
-        gap_m, aside_m, _, _ = self._of_each(signals)
+        gap_m, aside_m, _, _ = self.of_each(signals)
         return np.moveaxis(seen(self.config, gap_m, aside_m).present, 0, -1)
 
     def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
@@ -236,7 +159,7 @@ class FamilyScenario:
         Without a tracker: the car is in the path, and to keep a gap to it slows the ego down.
         """
         config = self.config
-        gap_m, aside_m, speed_mps, heading_rad = self._of_each(signals)
+        gap_m, aside_m, speed_mps, heading_rad = self.of_each(signals)
         free = signals[COLLIDED] == 0.0
         if self.tracker is not None:
             known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * config.dt_s
@@ -269,13 +192,7 @@ class FamilyScenario:
         """Where the controller believes cars to be, from the tracks in states ``[...]``."""
         return scene_tracks(self.config, self.cars, self.tracker, states)
 
-    def _measured(self, states: StateBatch) -> Told:
-        """What perception measures of each car that it reports, ``[K, N]``."""
-        gap_m, aside_m, speed_mps, heading_rad = self._of_each(states.signals)
-        closing_mps = states.signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
-        return Told(np.ones(gap_m.shape, dtype=np.bool_), gap_m, aside_m, closing_mps)
-
-    def _of_each(
+    def of_each(
         self, signals: Mapping[str, FloatArray]
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Gaps, offsets, speeds and headings of the other cars, ``[K, ...]`` each."""

@@ -4,9 +4,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.simulators.families.arrival import Left, Moved
-from pemviz.simulators.families.names import EGO_SPEED, EGO_X, OF_EACH
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.simulators.families import ego, margins
+from pemviz.simulators.families.arrival import Left, Moved, arrive
+from pemviz.simulators.families.cars import (
+    KEPT,
+    begun_cars,
+    decelerations,
+    headings,
+    lateral_places,
+)
+from pemviz.simulators.families.ego import Told
+from pemviz.simulators.families.margins import Cars
+from pemviz.simulators.families.names import (
+    AVOIDABLE_BY,
+    CLEARANCE,
+    COLLIDED,
+    EGO_ACCELERATION,
+    EGO_SPEED,
+    EGO_X,
+    IMPACT_SPEED,
+    NEEDLESS,
+    OF_EACH,
+    SAFE_DISTANCE,
+    by_car,
+    of_cars,
+)
 from pemviz.simulators.families.scenario import FamilyScenario
+from pemviz.simulators.families.told import nothing_told, told_after
+from pemviz.types import StateBatch
+
+KEPT_START = "start_"
+STATES_AHEAD = "states_ahead"
 
 
 @dataclass(frozen=True)
@@ -18,7 +47,80 @@ class VectorizedFamily(FamilyScenario):
         """Back end's name."""
         return "vectorized"
 
-    def moved_cars(self, left: Left) -> Moved:
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
+        """The states s_0, arrays ``[count]``.
+
+        Args:
+            count: Number of rollouts N.
+            start: Standard normals ``[N, S]``; ``None``: 0, the medians.
+        """
+        given = np.zeros((count, self.latents.start)) if start is None else start
+        config, values, none = self.config, self.start_values(given), np.zeros(count)
+        begun = begun_cars(config, values)
+        next_m = lateral_places(config, values, time_s=config.dt_s)
+        still = np.zeros_like(begun.gap_m)
+        heading = headings(begun.aside_m, next_m, begun.speed_mps, still, config.dt_s)
+        ego_mps = values["ego_speed"]
+        cars = Cars(ego_mps, begun.gap_m, begun.aside_m, begun.speed_mps * np.cos(heading))
+        states_ahead = margins.nearest_ahead(config, cars).astype(np.int64)
+        found = {
+            EGO_X: none,
+            EGO_SPEED: ego_mps,
+            EGO_ACCELERATION: none,
+            CLEARANCE: margins.clearance(config, cars),
+            SAFE_DISTANCE: margins.settled_distance(config, cars, states_ahead),
+            NEEDLESS: none,
+            AVOIDABLE_BY: np.full(count, margins.UNAVOIDABLE_S),
+            COLLIDED: none,
+            IMPACT_SPEED: none,
+        }
+        each = (begun.gap_m, begun.aside_m, begun.speed_mps, heading)
+        for what, of_each in zip(OF_EACH, each, strict=True):
+            found |= by_car(what, self.cars, of_each)
+        return StateBatch(
+            step=np.zeros((), dtype=np.int64),
+            signals={signal.name: found[signal.name] for signal in self.signals},
+            memory={
+                **{f"{KEPT_START}{name}": values[name] for name in KEPT[config.family]},
+                **by_car(STATES_AHEAD, self.cars, states_ahead),
+                **nothing_told(self.tracker, self.cars, count),
+            },
+        )
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """The next states, given perception's outcomes ``[N, K]``."""
+        config, memory, signals = self.config, states.memory, states.signals
+        hits = (np.asarray(detected) & self.present(signals)).T
+        told, remembered = told_after(self.tracker, self.cars, memory, hits, self._measured(states))
+        values = {name: memory[f"{KEPT_START}{name}"] for name in KEPT[config.family]}
+        wanted_mps2 = ego.acceleration(
+            config, told, ego_mps=signals[EGO_SPEED], set_mps=values["ego_speed"]
+        )
+        time_s = float(states.step) * config.dt_s
+        left = Left(
+            config=config,
+            cars=self.cars,
+            states=states,
+            values=values,
+            ego_mps2=np.where(signals[COLLIDED] > 0.0, 0.0, wanted_mps2),
+            others_mps2=decelerations(config, values, time_s=time_s),
+            states_ahead=of_cars(STATES_AHEAD, self.cars, memory),
+        )
+        arrived, states_ahead = arrive(left, self._moved(left))
+        kept = {name: values for name, values in memory.items() if name.startswith(KEPT_START)}
+        return StateBatch(
+            step=states.step + 1,
+            signals=arrived,
+            memory={**kept, **by_car(STATES_AHEAD, self.cars, states_ahead), **remembered},
+        )
+
+    def _measured(self, states: StateBatch) -> Told:
+        """What perception measures of each car that it reports, ``[K, N]``."""
+        gap_m, aside_m, speed_mps, heading_rad = self.of_each(states.signals)
+        closing_mps = states.signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
+        return Told(np.ones(gap_m.shape, dtype=np.bool_), gap_m, aside_m, closing_mps)
+
+    def _moved(self, left: Left) -> Moved:
         """Where all cars are a step on if none touches another."""
         dt_s, signals = self.config.dt_s, left.states.signals
         gap_m, aside_m, speed_mps, heading_rad = (left.of_cars(what) for what in OF_EACH)
