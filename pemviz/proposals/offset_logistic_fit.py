@@ -1,6 +1,8 @@
 """Weighted logistic regression with an offset and a ridge: convex, a few Newton steps."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import cast
 
 import numpy as np
 from scipy.special import expit
@@ -32,17 +34,55 @@ class WeightedOutcomes:
 
 @dataclass(frozen=True)
 class LogisticFit:
-    """A fitted model.
+    """A model of outcomes, fitted to them or on the way there.
+
+    What follows from the coefficients is computed when first asked for: second derivatives take
+    most of a fit's time, and many a fit's last ones nobody asks for.
 
     Attributes:
         coefficients: ``[B]``.
-        loss: Mean loss, penalty included [nats a decision].
-        curvature: Second derivatives of the loss's sum, ``[B, B]``.
+        outcomes: What is learned from.
+        ridge: Penalty of each coefficient, ``[B]``.
     """
 
     coefficients: FloatArray
-    loss: float
-    curvature: FloatArray
+    outcomes: WeightedOutcomes = field(repr=False)
+    ridge: FloatArray = field(repr=False)
+
+    @property
+    def loss(self) -> float:
+        """Mean loss, penalty included [nats a decision]."""
+        total = float(self.outcomes.weight.sum())
+        return self.summed_loss / max(total, np.finfo(np.float64).tiny)
+
+    @cached_property
+    def logit(self) -> FloatArray:
+        """Of each miss, ``[M]``."""
+        return self.outcomes.offset + self.outcomes.basis @ self.coefficients
+
+    @cached_property
+    def miss(self) -> FloatArray:
+        """Probability of each miss, ``[M]``."""
+        return cast(FloatArray, expit(self.logit))
+
+    @cached_property
+    def summed_loss(self) -> float:
+        """Weighted cross-entropy plus ``ridge . coefficients^2 / 2`` [nats]."""
+        entropy = np.logaddexp(0.0, np.where(self.outcomes.missed, -self.logit, self.logit))
+        return float(self.outcomes.weight @ entropy + 0.5 * self.ridge @ self.coefficients**2)
+
+    @cached_property
+    def curvature(self) -> FloatArray:
+        """Second derivatives of the summed loss, ``[B, B]``."""
+        outcomes, miss = self.outcomes, self.miss
+        scaled = outcomes.basis * (outcomes.weight * miss * (1.0 - miss))[:, None]
+        return scaled.T @ outcomes.basis + np.diag(self.ridge)
+
+    def descent(self) -> FloatArray:
+        """The summed loss's derivatives, downwards, ``[B]``."""
+        outcomes = self.outcomes
+        gradient = outcomes.basis.T @ (outcomes.weight * (outcomes.missed - self.miss))
+        return gradient - self.ridge * self.coefficients
 
 
 def fit_offset_logistic(
@@ -58,50 +98,48 @@ def fit_offset_logistic(
         start: Coefficients to start from, ``[B]``.
         steps: At most so many of Newton's steps.
     """
-    coefficients = start.copy()
-    total = max(float(outcomes.weight.sum()), np.finfo(np.float64).tiny)
-    loss = _loss(outcomes, coefficients, ridge)
+    fit = LogisticFit(start.copy(), outcomes, ridge)
     for _ in range(steps):
-        miss = expit(outcomes.offset + outcomes.basis @ coefficients)
-        gradient = outcomes.basis.T @ (outcomes.weight * (outcomes.missed - miss))
-        gradient -= ridge * coefficients
-        direction = np.linalg.solve(_curvature(outcomes, miss, ridge), gradient)
+        gradient = fit.descent()
+        direction = np.linalg.solve(fit.curvature, gradient)
         decrease = float(gradient @ direction)
         if decrease < GOOD_ENOUGH:
             break
-        length, tried = 1.0, np.inf
-        while length > SHORTEST_STEP:
-            tried = _loss(outcomes, coefficients + length * direction, ridge)
-            if tried <= loss - SUFFICIENT_DECREASE * length * decrease:
-                break
-            length /= 2.0
-        if tried >= loss:
+        lower = _lower(fit, direction, decrease)
+        if lower is None:
             break
-        coefficients, loss = coefficients + length * direction, tried
-    miss = expit(outcomes.offset + outcomes.basis @ coefficients)
-    return LogisticFit(coefficients, loss / total, _curvature(outcomes, miss, ridge))
+        fit = lower
+    return fit
 
 
-def leave_one_out_loss(
-    outcomes: WeightedOutcomes, fit: LogisticFit, *, group: IntArray, count: int
-) -> FloatArray:
+def _lower(fit: LogisticFit, direction: FloatArray, decrease: float) -> LogisticFit | None:
+    """Along ``direction [B]`` to where the loss is lower by enough; ``None`` if nowhere lower."""
+    length, tried = 1.0, fit
+    while length > SHORTEST_STEP:
+        tried = replace(fit, coefficients=fit.coefficients + length * direction)
+        if tried.summed_loss <= fit.summed_loss - SUFFICIENT_DECREASE * length * decrease:
+            break
+        length /= 2.0
+    return None if tried.summed_loss >= fit.summed_loss else tried
+
+
+def leave_one_out_loss(fit: LogisticFit, *, group: IntArray, count: int) -> FloatArray:
     """By how much each group's log likelihood falls if the model is fitted without it.
 
     To first order, weight * score' curvature^-1 score (infinitesimal jackknife: Cook &
     Weisberg 1982). A model likes what it was fitted to; importance weights must not.
 
     Args:
-        outcomes: What was learned from.
         fit: The model.
-        group: Which of ``count`` groups each outcome belongs to, ``[M]``; weights are equal
+        group: Which of ``count`` groups each of its outcomes belongs to, ``[M]``; weights are equal
             within a group.
         count: Number of groups.
 
     Returns:
         ``[count]`` [nats]; 0 for groups that were not learned from.
     """
-    miss = expit(outcomes.offset + outcomes.basis @ fit.coefficients)
-    residual = outcomes.missed - miss
+    outcomes = fit.outcomes
+    residual = outcomes.missed - fit.miss
     score = np.stack(
         [
             np.bincount(group, weights=column * residual, minlength=count)
@@ -112,14 +150,3 @@ def leave_one_out_loss(
     weight = np.zeros(count)
     weight[group] = outcomes.weight
     return weight * np.einsum("nb,nb->n", score, np.linalg.solve(fit.curvature, score.T).T)
-
-
-def _curvature(outcomes: WeightedOutcomes, miss: FloatArray, ridge: FloatArray) -> FloatArray:
-    scaled = outcomes.basis * (outcomes.weight * miss * (1.0 - miss))[:, None]
-    return scaled.T @ outcomes.basis + np.diag(ridge)
-
-
-def _loss(outcomes: WeightedOutcomes, coefficients: FloatArray, ridge: FloatArray) -> float:
-    logit = outcomes.offset + outcomes.basis @ coefficients
-    entropy = np.logaddexp(0.0, np.where(outcomes.missed, -logit, logit))
-    return float(outcomes.weight @ entropy + 0.5 * ridge @ coefficients**2)

@@ -235,7 +235,7 @@ def _with_optimism(
 ) -> tuple[LogisticFit, FloatArray, float]:
     """A fit, its optimism ``[N]``, and the likelihood of rollouts each left out of it."""
     found = fit_offset_logistic(outcomes, ridge=penalty, start=start)
-    optimism = leave_one_out_loss(outcomes, found, group=group, count=weight.size)
+    optimism = leave_one_out_loss(found, group=group, count=weight.size)
     penalised = 0.5 * float(penalty @ found.coefficients**2)
     likelihood = penalised - found.loss * float(outcomes.weight.sum())
     return found, optimism, likelihood - float(weight @ optimism)
