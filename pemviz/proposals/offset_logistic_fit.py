@@ -101,7 +101,7 @@ def fit_offset_logistic(
     fit = LogisticFit(start.copy(), outcomes, ridge)
     for _ in range(steps):
         gradient = fit.descent()
-        direction = np.linalg.solve(fit.curvature, gradient)
+        direction = cast(FloatArray, np.linalg.solve(fit.curvature, gradient))
         decrease = float(gradient @ direction)
         if decrease < GOOD_ENOUGH:
             break
