@@ -1,19 +1,18 @@
-"""``pemviz reproduce``: the paper's tables and figures beside the published numbers."""
+"""``pemviz reproduce``: the paper's tables and figures beside the published numbers, and more."""
 
-import contextlib
 import sys
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import parse_arguments
-from pemviz.errors import EXIT_DONE, ConfigError, RunError
+from pemviz.cli.reproduce_families import run as reproduce_families
+from pemviz.cli.reproduce_progress import make_folder, reproduction_progress
+from pemviz.errors import EXIT_DONE, RunError
 from pemviz.files.atomic import write_bytes
 from pemviz.reproduce.carry_out import Reproduction, reproduce
 from pemviz.reproduce.settings import PARTS, Part, Settings
@@ -22,8 +21,10 @@ Chosen = Literal["table1", "table2", "table3", "figures", "all"]
 
 DESCRIPTION = (
     "Compute the paper's tables and figures anew and set them beside the published numbers: "
-    "markdown, CSV, PNG and one recording."
+    "markdown, CSV, PNG and one recording. 'pemviz reproduce families' is a study of its own, "
+    "what memory and tracker are worth in each family of encounters: see its --help."
 )
+FAMILIES_WORD = "families"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,12 +52,14 @@ class ReproduceArguments:
 
 
 def run(words: Sequence[str]) -> int:
-    """Carry out the command; all files are written at its end, or none.
+    """Carry out the command; of the paper all files are written at its end, or none.
 
     Raises:
         InputError: The arguments are wrong.
         RunError: Interrupted, or a file cannot be written.
     """
+    if words and words[0] == FAMILIES_WORD:
+        return reproduce_families(words[1:])
     arguments = parse_arguments(
         ReproduceArguments,
         words,
@@ -65,8 +68,8 @@ def run(words: Sequence[str]) -> int:
         description=DESCRIPTION,
     )
     settings = _settings(arguments)
-    _check_place(arguments.out)
-    with stop_on_signals() as should_stop, _progress() as on_progress:
+    make_folder(arguments.out)
+    with stop_on_signals() as should_stop, reproduction_progress() as on_progress:
         made = reproduce(settings, on_progress=on_progress, should_stop=should_stop)
     _write(made, arguments.out, recording=not arguments.no_recording)
     print(made.page)
@@ -87,14 +90,6 @@ def _settings(arguments: ReproduceArguments) -> Settings:
     )
 
 
-def _check_place(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        message = f"out = {out}: no folder can be made there ({error.strerror or error})"
-        raise ConfigError(message) from error
-
-
 def _write(made: Reproduction, out: Path, *, recording: bool) -> None:
     try:
         for name, content in made.files().items():
@@ -106,28 +101,3 @@ def _write(made: Reproduction, out: Path, *, recording: bool) -> None:
     except OSError as error:
         message = f"out = {out}: cannot be written ({error})"
         raise RunError(message) from error
-
-
-@contextlib.contextmanager
-def _progress() -> Generator[Callable[[int, int, str], None], None, None]:
-    """A bar on a terminal, a line a job elsewhere, on standard error."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda done, total, label: console.print(
-            f"{done} of {total}: {label}", highlight=False, markup=False, soft_wrap=True
-        )
-        return
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("left"),
-    )
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("starting", total=None)
-
-        def show(done: int, total: int, label: str) -> None:
-            progress.update(task, completed=done, total=total, description=label)
-
-        yield show

@@ -40,6 +40,7 @@ def run_jobs(
     workers: int,
     on_progress: OnProgress,
     should_stop: Callable[[], bool],
+    when_stopped: str = "nothing was written",
 ) -> dict[Any, Any]:
     """Results by the jobs' keys, whatever the number of processes.
 
@@ -56,7 +57,7 @@ def run_jobs(
 
     def check_stop() -> None:
         if should_stop():
-            message = "interrupted; nothing was written"
+            message = f"interrupted; {when_stopped}"
             raise RunError(message)
 
     results = map_in_processes(

@@ -1,0 +1,87 @@
+"""``pemviz reproduce families``: what memory and tracker are worth in each family of encounters."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pemviz.cli.interrupt import stop_on_signals
+from pemviz.cli.parsing import Processes, parse_arguments
+from pemviz.cli.reproduce_progress import make_folder, reproduction_progress
+from pemviz.config.encounters import FAMILIES
+from pemviz.errors import EXIT_DONE, RunError
+from pemviz.files.atomic import write_bytes
+from pemviz.reproduce.families import FamilySettings, study_families
+
+DESCRIPTION = (
+    "Run every family of encounters with every memory time and every tracker, by mixture and by "
+    "plain Monte Carlo, and tell how likely each rule is broken and how much memory and tracker "
+    "change that: markdown, CSV and PNG. What is done is kept: the same command goes on."
+)
+CELLS = "cells"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FamiliesArguments:
+    """Options of ``pemviz reproduce families``."""
+
+    out: Path = Path("families")
+    """Folder for the files; made if need be, files of the same name are replaced."""
+    families: tuple[str, ...] = FAMILIES
+    """Which: braking, cut-in, cut-out."""
+    memories_s: tuple[float, ...] = (0.0, 0.15, 0.25)
+    """Memory times of misses [s]; 0 to 60."""
+    trackers: tuple[str, ...] = ("none", "2/3", "3/5")
+    """Trackers, each as --tracker of 'pemviz record'; others are compared with the first."""
+    rollouts: int = 2400
+    """Rollouts of mixture in each cell; at least 200."""
+    plain_rollouts: int = 100_000
+    """Rollouts of plain Monte Carlo in each cell; at least 100."""
+    seed: int = 0
+    """Root of all randomness; 0 or more."""
+    pem: str = "ml-nn"
+    """Perception error model: a shipped name or a file."""
+    workers: Processes = 2
+    """Processes; the results do not depend on it; 1 to 1024."""
+
+
+def run(words: Sequence[str]) -> int:
+    """Carry out the command.
+
+    Raises:
+        InputError: The arguments are wrong; nothing was simulated.
+        RunError: Interrupted, or a file cannot be written.
+    """
+    arguments = parse_arguments(
+        FamiliesArguments,
+        words,
+        command="reproduce families",
+        default=FamiliesArguments(),
+        description=DESCRIPTION,
+    )
+    settings = FamilySettings(
+        families=arguments.families,
+        memories_s=arguments.memories_s,
+        trackers=arguments.trackers,
+        rollouts=arguments.rollouts,
+        plain_rollouts=arguments.plain_rollouts,
+        seed=arguments.seed,
+        pem=arguments.pem,
+        workers=arguments.workers,
+    )
+    settings.validate()
+    out = arguments.out
+    make_folder(out / CELLS)
+    with stop_on_signals() as should_stop, reproduction_progress() as on_progress:
+        made = study_families(
+            settings, out / CELLS, on_progress=on_progress, should_stop=should_stop
+        )
+    try:
+        for name, content in made.files().items():
+            write_bytes(out / name, content)
+    except OSError as error:
+        message = f"out = {out}: cannot be written ({error})"
+        raise RunError(message) from error
+    print(made.page)
+    print(f"pemviz: written to {out}", file=sys.stderr)
+    return EXIT_DONE
