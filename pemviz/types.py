@@ -213,6 +213,8 @@ class RolloutBatch(Batch):
     @cached_property
     def log_q(self) -> FloatArray:
         """Log likelihood ``[N, T-1]`` of each outcome under the proposal [nats]."""
+        if np.array_equal(self.proposal_logit, self.pem_logit):  # plain simulation
+            return self.log_p
         return read_only(outcome_log_likelihood(self.proposal_logit, self.detected))
 
     @cached_property

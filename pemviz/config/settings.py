@@ -19,6 +19,7 @@ METHODS = NamedPart(
 """What each of them is: ``pemviz.sampling.registry``."""
 MethodName = Annotated[str, METHODS]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
+KeepName = Literal["all", "violations"]
 SHIPPED_SIMULATORS = ("vectorized", "highway-env")
 """Back ends of the shipped scenarios."""
 BLACK_BOXES = ("merge",)
@@ -182,6 +183,10 @@ class ExperimentConfig:
     """Also tell what to measure next: the cheapest labels that would show the target (without one,
     a failure probability halfway to what the labels at hand allow), labels that would halve the
     range over refits, tracked sequences that would fix the memory time; a few seconds."""
+    keep: KeepName = "all"
+    """Which rollouts the run folder keeps: all, or violations: of the final rollouts those that
+    violate and the twenty least robust of each stage; learning stages are kept whole. Results are
+    the same; a stage that is not kept whole is simulated again when a stopped run goes on."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
     encounter: EncounterConfig = field(default_factory=EncounterConfig)

@@ -143,7 +143,8 @@ def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
-    Without rules, position errors, tracker, family and encounters an hour where there are none.
+    Without rules, position errors, tracker, family and encounters an hour where there are none, and
+    without ``keep`` where all is kept.
     """
     table = every_setting(config)
     if config.scenario.tracker == NO_TRACKER:
@@ -158,6 +159,8 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
         table["scenario"] = {"tracker": config.scenario.tracker}
     if config.encounters_per_hour is None:
         del table["encounters_per_hour"]
+    if config.keep == "all":
+        del table["keep"]
     return table
 
 

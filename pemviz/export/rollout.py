@@ -12,7 +12,7 @@ from pemviz.config import ScenarioConfig
 from pemviz.errors import InputError
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.result import RunResult
-from pemviz.runs.rollout_files import BROKEN, LATENTS, load_rollouts
+from pemviz.runs.rollout_files import BROKEN, LATENTS, ROLLOUT, load_rollouts
 from pemviz.runs.same_run import read_whole_run
 
 PER_ROLLOUT = ("repetition", "stage", "robustness", "violated")
@@ -102,7 +102,7 @@ def read_ranked_rollout(folder: Path, *, rank: int) -> RankedRollout:
         message = f"rollouts {folder}: {error}"
         raise InputError(message) from error
     if not 1 <= rank <= order.size:
-        message = f"rank = {rank}: must be from 1 to {order.size}, the rollouts of {folder}"
+        message = f"rank = {rank}: must be from 1 to {order.size}, the rollouts kept in {folder}"
         raise InputError(message)
     return _chosen(table, int(order[rank - 1]), result=result, rank=rank)
 
@@ -119,7 +119,7 @@ def _chosen(
         rank=rank,
         repetition=int(one["repetition"]),
         stage=int(one["stage"]),
-        rollout=int(np.count_nonzero(of_stage[:row])),
+        rollout=int(one.get(ROLLOUT, np.count_nonzero(of_stage[:row]))),
         robustness=float(one["robustness"]),
         violated=bool(one["violated"]),
         broken={n.removeprefix(BROKEN): bool(v) for n, v in one.items() if n.startswith(BROKEN)},
@@ -132,7 +132,7 @@ def _chosen(
 
 
 def _signal_keys(table: Mapping[str, AnyArray]) -> list[str]:
-    known = (*PER_ROLLOUT, *PER_OUTCOME)
+    known = (*PER_ROLLOUT, ROLLOUT, *PER_OUTCOME)
     return [n for n in table if n not in known and not n.startswith((BROKEN, LATENTS))]
 
 
@@ -175,7 +175,7 @@ def _check(table: Mapping[str, AnyArray], *, where: Path) -> None:
         shape = (count, steps + 1)
         if name in PER_OUTCOME:
             shape = outcomes
-        elif name in PER_ROLLOUT or name.startswith(BROKEN):
+        elif name in (*PER_ROLLOUT, ROLLOUT) or name.startswith(BROKEN):
             shape = (count,)
         if values.shape != shape:
             message = f"rollouts {where}: {name} has shape {values.shape}, must have {shape}"

@@ -77,7 +77,8 @@ def load_run(folder: Path) -> RunData:
     own = _own_scenario(config)
     table = _rollouts(folder, config, own)
     parts = thinned((numbered(table),), stages=result.stages) if table else ()
-    simulated = int(table["violated"].size) if table else 0
+    drawn = sum(stage.rollouts for stage in result.stages)
+    simulated = max(drawn, table["violated"].size) if table else 0  # a folder may keep fewer
     if own is not None:  # no gap to draw curves against
         return RunData(
             result=result, gap_m=np.empty(0), pem_detection=np.empty(0), parts=parts,

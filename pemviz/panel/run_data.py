@@ -14,7 +14,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.latents import Latents
 from pemviz.runs.result import RunResult, StageSummary
-from pemviz.runs.rollout_files import BROKEN, latents_of, log_weights
+from pemviz.runs.rollout_files import BROKEN, ROLLOUT, latents_of, log_weights
 from pemviz.runs.slot_outcomes import slots_of
 from pemviz.runs.specification import asked_signals
 from pemviz.simulators.braking.scenario import GAP, scenario_signals
@@ -225,7 +225,7 @@ def verdicts(table: Mapping[str, AnyArray], *, rule: str | None) -> BoolArray:
 
 def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     """The table with each rollout's index in its stage under ``rollout``."""
-    if "rollout" in part:
+    if ROLLOUT in part:
         return dict(part)
     key = part["repetition"].astype(np.int64) * (1 << 32) + part["stage"].astype(np.int64)
     order = np.argsort(key, kind="stable")
@@ -234,7 +234,7 @@ def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     lengths = np.diff(np.r_[starts, key.size])
     index = np.empty(key.size, dtype=np.int64)
     index[order] = np.arange(key.size) - np.repeat(starts, lengths)
-    return {**part, "rollout": index}
+    return {**part, ROLLOUT: index}
 
 
 def own_scenario(
@@ -280,7 +280,8 @@ def check_table(
     shapes |= dict.fromkeys(("detected", "log_p", "log_q"), acted)
     count = table["violated"].size if "violated" in table else 0
     broken = [f"{BROKEN}{rule.name}" for rule in config.rules]
-    for name in (*PER_ROLLOUT, *broken, *shapes):
+    numbers = [ROLLOUT] if ROLLOUT in table else []
+    for name in (*PER_ROLLOUT, *numbers, *broken, *shapes):
         shape = (count, *shapes.get(name, ()))
         if name not in table or table[name].shape != shape:
             state = "is absent" if name not in table else f"has shape {table[name].shape}"
@@ -313,5 +314,5 @@ def _fault(name: str, values: AnyArray) -> str | None:
     return None
 
 
-_KINDS = {"detected": "b", "violated": "b", "repetition": "i", "stage": "i"}
+_KINDS = {"detected": "b", "violated": "b", "repetition": "i", "stage": "i", ROLLOUT: "i"}
 _KIND_WORDS = {"b": "truth values", "i": "whole numbers", "f": "floating-point numbers"}

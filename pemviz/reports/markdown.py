@@ -35,7 +35,7 @@ from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_colu
 from pemviz.reports.rates_text import rates_markdown
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.starts_text import starts_markdown
-from pemviz.runs.result import RunResult
+from pemviz.runs.result import LEAST_ROBUST, RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.estimates.trust import interval_caveats
@@ -270,6 +270,9 @@ def _provenance(result: RunResult) -> list[str]:
         ("versions", markdown_text(", ".join(f"{n} {v}" for n, v in result.versions.items()))),
         ("wall time", f"{result.timings_s.get('total', math.nan):.1f} s"),
     ]
+    if config.keep == "violations":
+        kept = f"violations, and the {LEAST_ROBUST} least robust of each final stage"
+        rows.insert(-2, ("rollouts in its files", f"{kept}; learning stages whole"))
     return ["### Provenance", markdown_table(("what", "value"), rows)]
 
 

@@ -40,6 +40,8 @@ class Archive:
         except InputError as error:
             LOG.warning("%s; it is computed again", error)
             return None
+        if finished is None:  # its other rollouts were not to be kept
+            return None
         self.restored.add(key)
         self._last = key, finished
         return finished

@@ -2,14 +2,14 @@
 
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
 from numpy.lib import format as npy
 
-from pemviz.arrays import LARGEST_NUMBER, AnyArray, FloatArray, row_sums
+from pemviz.arrays import LARGEST_NUMBER, AnyArray, FloatArray, IntArray, row_sums
 from pemviz.errors import InputError
 from pemviz.files.array_files import read_arrays
 from pemviz.files.atomic import write_atomically
@@ -29,22 +29,32 @@ BROKEN = "broken."
 """Before a rule's name: whether a rollout breaks it."""
 LATENTS = "latents."
 """Before the names of :class:`pemviz.latents.Latents`' arrays, of those that have columns."""
+ROLLOUT = "rollout"
+"""Each rollout's index in its stage, in files that do not hold all of them."""
+DRAWN = "drawn"
+"""How many rollouts a stage drew, in its file if that does not hold all of them."""
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are asked for."""
 
 
 def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:
     """A stage's rollouts under the keys of ``rollouts.npz``."""
-    scored = stage.scored
-    rollouts = scored.rollouts
+    rollouts = stage.scored.rollouts
+    likelihoods = {"log_p": rollouts.log_p, "log_q": rollouts.log_q}
+    return _stage_columns(stage, signals, likelihoods)
+
+
+def _stage_columns(
+    stage: StageResult, signals: Sequence[Signal], likelihoods: Mapping[str, FloatArray]
+) -> dict[str, AnyArray]:
+    scored, rollouts = stage.scored, stage.scored.rollouts
     count = rollouts.count
     return {
         "repetition": np.full(count, stage.repetition, dtype=np.int64),
         "stage": np.full(count, stage.stage, dtype=np.int64),
         **{signal.key: rollouts.signals[signal.name] for signal in signals},
         "detected": rollouts.detected,
-        "log_p": rollouts.log_p,
-        "log_q": rollouts.log_q,
+        **likelihoods,
         **_latent_arrays(rollouts.latents),
         "robustness": scored.robustness,
         "violated": scored.violated,
@@ -99,12 +109,22 @@ def log_weights(arrays: Mapping[str, AnyArray]) -> FloatArray:
     return of_outcomes if latents is None else of_outcomes + latents.log_weight
 
 
-def part_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:
-    """All that a stage's file holds: enough to go on from it in another process."""
+def part_arrays(
+    stage: StageResult, signals: Sequence[Signal], *, rows: IntArray | None = None
+) -> dict[str, AnyArray]:
+    """All that a stage's file holds: whole, enough to go on from it in another process.
+
+    Args:
+        stage: The stage.
+        signals: The scenario's.
+        rows: Which of its rollouts the file holds, ascending; ``None``: all, unnumbered.
+    """
+    if rows is not None:
+        drawn = stage.scored.rollouts.count
+        chosen = replace(stage, scored=stage.scored.take(rows))
+        return {**part_arrays(chosen, signals), ROLLOUT: rows, DRAWN: np.array(drawn)}
     rollouts = stage.scored.rollouts
-    arrays = stage_arrays(stage, signals)
-    for name in LOGITS:
-        del arrays[name]
+    arrays = _stage_columns(stage, signals, {})
     arrays["pem_logit"] = rollouts.pem_logit
     arrays["proposal_logit"] = rollouts.proposal_logit
     for name, values in rollouts.memory.items():
@@ -114,13 +134,16 @@ def part_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyA
     return arrays
 
 
-def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage:
-    """A stage's file as the stage.
+def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | None:
+    """A stage's file as the stage; ``None`` if it does not hold all of its rollouts.
 
     Raises:
         InputError: It is damaged.
     """
     arrays = read_arrays(path)
+    held = arrays["violated"].size if "violated" in arrays else 0
+    if DRAWN in arrays and not np.array_equal(arrays[DRAWN], held):
+        return None
     try:
         rollouts = RolloutBatch(
             signals={signal.name: arrays[signal.key] for signal in signals},
@@ -220,7 +243,8 @@ def join_parts(parts: Sequence[Path], target: Path) -> None:
 
 def _documented(names: Sequence[str]) -> list[str]:
     """Of a stage's file, what stands in ``rollouts.npz``, in its order."""
-    columns = [n for n in names if not n.startswith((MEMORY, KEPT)) and n not in LOGITS.values()]
+    left_out = {DRAWN, *LOGITS.values()}
+    columns = [n for n in names if not n.startswith((MEMORY, KEPT)) and n not in left_out]
     if "log_p" in columns:
         return columns
     after = columns.index("detected") + 1
@@ -285,5 +309,5 @@ def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[in
     return {
         name: (array.dtype.str, array.ndim, array.shape[1:])
         for name, array in table.items()
-        if not name.startswith((MEMORY, KEPT))
+        if not name.startswith((MEMORY, KEPT)) and name != DRAWN
     }

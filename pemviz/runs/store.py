@@ -9,11 +9,13 @@ import numpy as np
 from safetensors.numpy import save as save_tensors
 
 from pemviz.arrays import AnyArray
+from pemviz.config import KeepName
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_bytes, write_text
 from pemviz.runs.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
 from pemviz.runs.finished_stages import Archive
+from pemviz.runs.kept_rollouts import kept_rows
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import has_result, write_result
 from pemviz.runs.rollout_files import (
@@ -53,9 +55,10 @@ def create_run_folder(parent: Path, *, label: str) -> Path:
 class RunStore:
     """Observer that keeps a run folder up to date.
 
-    After every stage ``result.json`` is rewritten and the stage's rollouts are in a file of
-    their own; the end of the run joins these into ``rollouts.npz``. The stages' files of a run
-    that was stopped or failed stay, so that it can be resumed.
+    After every stage ``result.json`` is rewritten, and the stage's rollouts, those that the
+    configuration keeps, are in a file of their own; the end of the run joins these into
+    ``rollouts.npz``. The stages' files of a run that was stopped or failed stay, so that it can
+    be resumed.
 
     Attributes:
         folder: The run folder; it exists already.
@@ -71,6 +74,7 @@ class RunStore:
         self.folder = folder
         self._archive = archive
         self._signals: tuple[Signal, ...] = ()
+        self._keep: KeepName = "all"
         self._parts: list[Path] = []
         self._proposals: dict[str, AnyArray] = {}
 
@@ -82,7 +86,7 @@ class RunStore:
         """
         match event:
             case RunStarted():
-                self._signals = event.signals
+                self._signals, self._keep = event.signals, event.config.keep
                 write_text(self.folder / "config.toml", config_text(event.config))
                 if not has_result(self.folder):
                     write_result(self.folder, event.result)
@@ -125,7 +129,7 @@ class RunStore:
                 self._proposals[f"{prefix}.{name}"] = np.ascontiguousarray(array)
         if self._archive is not None and (stage.repetition, stage.stage) in self._archive.restored:
             return
-        write_part(part, part_arrays(stage, self._signals))
+        write_part(part, part_arrays(stage, self._signals, rows=kept_rows(stage, self._keep)))
         if stage.learned is not None:
             self._write_proposals()
         write_result(self.folder, result)

@@ -1,0 +1,90 @@
+"""A folder that keeps violations alone tells the same as one that keeps all rollouts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.errors import InputError
+from pemviz.export.rollout import read_ranked_rollout
+from pemviz.panel.loading import load_run
+from pemviz.reports.markdown import summary_markdown
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.resume import carry_out
+from pemviz.runs.rollout_files import load_rollouts
+from tests.faults.test_resume import StopAfter, contents, folder_of
+
+ALL = ExperimentConfig(stages=1, rollouts=60, final_rollouts=240, seed=4, memory_s=0.2)
+CONFIGS = {"all": ALL, "violations": replace(ALL, keep="violations")}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Of both; where few are kept, of a run that was stopped once its final stage was in a file."""
+    root = tmp_path_factory.mktemp("kept")
+    found = {name: folder_of(root, name) for name in CONFIGS}
+    carry_out(build_experiment(CONFIGS["all"]), found["all"])
+    experiment, stop = build_experiment(CONFIGS["violations"]), StopAfter(3)
+    stopped = carry_out(experiment, found["violations"], observers=[stop], should_stop=stop)
+    assert (stopped.status, len(stopped.stages)) == ("stopped", 3)
+    carry_out(experiment, found["violations"])
+    return found
+
+
+def test_results_do_not_depend_on_what_is_kept(folders):
+    every, few = (contents(folder)["result"] for folder in folders.values())
+    assert few["config"].pop("keep") == "violations"
+    assert every == few
+    assert not (folders["violations"] / "stages").exists()
+
+
+def test_violations_and_the_least_robust_are_kept_as_they_were(folders):
+    every, few = (load_rollouts(folder) for folder in folders.values())
+    result = contents(folders["violations"])["result"]
+    final = [s["stage"] for s in result["stages"] if s["kind"] == "final"]
+    is_final = np.isin(every["stage"], final)
+    index = np.concatenate([np.arange(s["rollouts"]) for s in result["stages"]])
+    few_final = np.isin(few["stage"], final)
+    assert few_final.sum() >= every["violated"][is_final].sum() > 20
+    assert few_final.sum() < is_final.sum()
+    np.testing.assert_array_equal(few["rollout"][~few_final], index[~is_final])
+    rows = {key: row for row, key in enumerate(zip(every["stage"], index, strict=True))}
+    kept = [rows[key] for key in zip(few["stage"], few["rollout"], strict=True)]
+    for name, values in every.items():
+        np.testing.assert_array_equal(few[name], values[kept], err_msg=name)
+    left_out = np.setdiff1d(np.arange(index.size), kept)
+    assert not every["violated"][left_out].any()
+    listed = {(one["stage"], one["rollout"]) for one in result["least_robust"]}
+    assert listed <= set(zip(few["stage"].tolist(), few["rollout"].tolist(), strict=True))
+
+
+def test_a_rank_names_the_same_rollout(folders):
+    for rank in (1, 7, 20):
+        every, few = (read_ranked_rollout(folder, rank=rank) for folder in folders.values())
+        assert (every.stage, every.rollout) == (few.stage, few.rollout)
+        np.testing.assert_array_equal(every.signals["gap_m"], few.signals["gap_m"])
+    with pytest.raises(InputError, match=r"rank = 360: must be from 1 to \d+, .* kept in"):
+        read_ranked_rollout(folders["violations"], rank=360)
+
+
+def test_the_panel_and_the_report_say_that_others_are_left_out(folders):
+    every, few = (load_run(folder) for folder in folders.values())
+    assert every.kept == every.simulated == few.simulated == 360
+    assert few.kept < few.simulated
+    listed = few.rollouts["rollout"][few.rollouts["stage"] == few.result.stages[-1].stage]
+    assert listed[-1] > listed.size  # counted in the stage, not in what is kept of it
+    assert "rollouts in its files" in summary_markdown(few.result)
+    assert "rollouts in its files" not in summary_markdown(every.result)
+
+
+def test_a_table_whose_numbers_are_none_is_refused(folders, tmp_path):
+    folder = folder_of(tmp_path, "damaged")
+    for name in ("config.toml", "result.json"):
+        (folder / name).write_bytes((folders["violations"] / name).read_bytes())
+    table = load_rollouts(folders["violations"])
+    np.savez(folder / "rollouts.npz", **table | {"rollout": table["rollout"][1:]})
+    with pytest.raises(InputError, match="rollout has shape"):
+        load_run(folder)
+    with pytest.raises(InputError, match="rollout has shape"):
+        read_ranked_rollout(folder, rank=1)
