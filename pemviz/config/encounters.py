@@ -44,6 +44,9 @@ class EncounterConfig:
     """Lane from which a car cuts in, or into which one cuts out."""
     neighbour: bool = False
     """Also a car that keeps to the lane on the other side."""
+    ghost_probability: Annotated[float, Range(low=0.0, high=0.5)] = 0.0
+    """How likely perception reports, at a step, a standing car at a place in the ego's lane where
+    none is, which lies ghost_gap ahead at the start; 0 to 0.5. 0: there is no such place."""
     dt_s: Annotated[float, Range(low=0.001, high=1.0)] = 0.1
     """Time step [s]; 0.001 to 1."""
     states: Annotated[int, Range(low=2, high=100_000)] = 91
@@ -159,9 +162,13 @@ START_VALUES: Mapping[str, tuple[StartValue, ...]] = {
 }
 """By family; where they come from stands in ``pemviz.simulators.families``."""
 NEIGHBOUR_GAP = _start("neighbour_gap", "m", (-50.0, 100.0), "uniform(5, 60)")
+GHOST_GAP = _start("ghost_gap", "m", (0.0, 250.0), "uniform(20, 200)")
 
 
 def start_values(config: EncounterConfig) -> tuple[StartValue, ...]:
     """What an encounter draws at its start, in the order of its latents; nothing without family."""
     own = START_VALUES.get(config.family, ())
-    return (*own, NEIGHBOUR_GAP) if own and config.neighbour else own
+    if not own:
+        return ()
+    neighbour = (NEIGHBOUR_GAP,) if config.neighbour else ()
+    return (*own, *neighbour, *((GHOST_GAP,) if config.ghost_probability else ()))

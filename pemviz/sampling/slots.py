@@ -15,7 +15,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, PemError, as_pem
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.simulators.slots import ERROR, Slot, UnrolledSimulator
+from pemviz.simulators.slots import ERROR, BringsSlotModels, Slot, UnrolledSimulator
 from pemviz.types import Simulator, StateBatch
 
 CERTAIN_LOGIT = 1000.0
@@ -213,6 +213,15 @@ def with_slots(
     members = None
     if ensemble is not None:
         members = SlotEnsemble(
-            ensemble.name, [slot_pem(member, scenario.slots) for member in ensemble.members]
+            ensemble.name, [_with_own(member, scenario) for member in ensemble.members]
         )
-    return slot_pem(pem, scenario.slots), members
+    return _with_own(pem, scenario), members
+
+
+def _with_own(pem: Pem | Mapping[str, Pem], scenario: UnrolledSimulator) -> SlotPem:
+    """The error model, but for slots whose model the scenario brings; one by name goes first."""
+    own = scenario.scenario
+    if isinstance(pem, Mapping) or not isinstance(own, BringsSlotModels) or not own.slot_models:
+        return slot_pem(pem, scenario.slots)
+    by_name = {slot.name: own.slot_models.get(slot.name, pem) for slot in scenario.slots}
+    return slot_pem(by_name, scenario.slots)

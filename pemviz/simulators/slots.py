@@ -109,6 +109,16 @@ class SaysWhereItReacts(Protocol):
         ...
 
 
+@runtime_checkable
+class BringsSlotModels(Protocol):
+    """A scenario that itself says how likely some of its slots are reported, as of a ghost."""
+
+    @property
+    def slot_models(self) -> Mapping[str, Any]:
+        """Detector models, each with ``logit(salient)``, by the slot's name."""
+        ...
+
+
 @dataclass(frozen=True)
 class UnrolledSimulator:
     """A scenario with slots as one with a single outcome a step.

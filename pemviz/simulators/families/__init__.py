@@ -34,6 +34,14 @@ x_k - x_ego - L; aside_k = y_k. At the start, with V = ``ego_speed``, and speeds
 
 They do not react to each other; the default distributions keep them apart.
 
+**A ghost**, with ``ghost_probability`` above 0: a place that perception may take for a standing car
+although nothing is there, such as a bridge's shadow or a manhole cover. It lies in the ego's lane,
+its gap ``ghost_gap`` at s_0 and ``ghost_gap`` - x_ego from then on, y = 0, speed and heading 0. It
+is a slot, *ghost*, after those of all cars, whose nominal outcome is False: nothing is reported.
+The error model says nothing of it: where it may appear it is reported with ``ghost_probability`` at
+a step, which with a memory hangs together as misses do, its share in all being the same. No car
+touches it, it hides none, and rules know nothing of it.
+
 **Lateral profile.** Y(time) = y_from + (y_to - y_from) S((time - begin) / duration), with the
 minimum jerk S(u) = 10 u^3 - 15 u^4 + 6 u^5, 0 below u = 0 and 1 above 1 (Flash & Hogan 1985).
 
@@ -42,8 +50,9 @@ The ego starts at x = 0 with speed V, its set speed.
 
 **One step**, from s_t and its outcomes to s_{t+1}:
 
-1. *Perception.* Slot k is a hit if it is present (below) and detected. A hit measures gap_k,
-   aside_k and closing_k = v_ego - v_k cos(heading_k), without error.
+1. *Perception.* Slot k is a hit if it is present (below) and detected; the ghost, if it is present
+   and reported. A hit measures gap_k, aside_k and closing_k = v_ego - v_k cos(heading_k), without
+   error; of the ghost that is ``ghost_gap`` - x_ego, 0 and v_ego.
 2. *Tracker* (``scenario.tracker``; ``pemviz.simulators.tracking``), positions (gap, aside). Without
    one the ego is told of the hits alone. With one it is told of confirmed tracks: position the
    track's; closing speed by a filter that has speeds minus the track's along the first axis,
@@ -72,8 +81,9 @@ The ego starts at x = 0 with speed V, its set speed.
 
 **Signals.** ``ego_x`` [m], ``ego_speed`` [m/s], ``ego_acceleration`` [m/s^2] (a of the step that
 led here; 0 at s_0); of each other car ``gap_NAME``, ``aside_NAME`` [m], ``speed_NAME`` [m/s],
-``heading_NAME`` [rad], which are its slot's; ``collided``, ``impact_speed`` [m/s]; ``clearance``
-[m], the least over the other cars of max(|dx| - L, |dy| - W), 0 at contact; and what rules ask for:
+``heading_NAME`` [rad], which are its slot's, and the same four of the ghost, after all cars';
+``collided``, ``impact_speed`` [m/s]; ``clearance`` [m], the least over the other cars of max(|dx| -
+L, |dy| - W), 0 at contact; and what rules ask for:
 
 - A car is *ahead in lane* if |aside| < (w + W) / 2 and gap + L > 0; its *safe distance* is
   max(0, (v_ego^2 - u^2) / (2 B) + ``reaction_time_s`` v_ego), u = v_k cos(heading_k): what is left
@@ -102,17 +112,19 @@ least to the greatest of (x +- W / 2) / z over its two ends, z_1 taken as 0.5 m 
 is beyond +-tan(``camera_half_angle_deg``) is *truncated*; of the rest, what other cars whose z_1 is
 less (of equals: the one earlier in order) and whose z is above 0.5 m cover is *occluded*, from side
 to side: heights are left out. A slot is *present* if 0.5 m < z <= ``farthest_m``, its truncated
-share is below 1 and its occluded share is below 0.9.
+share is below 1 and its occluded share is below 0.9. The *ghost* is present, that is, may appear,
+if 0.5 m < z <= ``farthest_m`` and no car ahead in lane has a smaller gap.
 
-**Salient variables** of a slot, in the order of ``pemviz.pem.SALIENT_COLUMNS``: class Car;
-truncation the truncated share; occlusion 0 (none) for an occluded share below 0.1, 1 (partly) below
-0.5, else 2 (largely); alpha rotation_y - atan2(x, z); ``car_height_m``, W, L; x; y =
-``camera_height_m``; z; rotation_y -pi/2 - heading_k.
+**Salient variables** of a slot, of the ghost those of a car there that nothing covers, in the order
+of ``pemviz.pem.SALIENT_COLUMNS``: class Car; truncation the truncated share; occlusion 0 (none) for
+an occluded share below 0.1, 1 (partly) below 0.5, else 2 (largely); alpha rotation_y - atan2(x, z);
+``car_height_m``, W, L; x; y = ``camera_height_m``; z; rotation_y -pi/2 - heading_k.
 
 **Rules** of the presets: ``no-collision``, clearance - collided >= 0 at all states;
 ``safe-distance``, safe_distance >= 0 (Maierhofer et al. 2020, R_G1); ``no-unnecessary-braking``,
-needless_deceleration <= 4 m/s^2 (R_G2, for hard braking); ``avoidable-cut-in``, with ``cut-in``:
-at no state both avoidable_by > 0 and a contact.
+needless_deceleration <= 6 m/s^2 (R_G2, for hard braking; an ego that is told of nothing but cars
+that are there, where they are, keeps it); ``avoidable-cut-in``, with ``cut-in``: at no state both
+avoidable_by > 0 and a contact.
 
 **Where the numbers come from.** The mean of ``duration`` is 4.6 s and its standard deviation 2.2 s,
 as Toledo & Zohar 2007 found lane changes on a motorway; bounds of comfortable acceleration and
@@ -122,6 +134,6 @@ project's choice of what is ordinary on a motorway (cut-out: at its lower speeds
 so that an ego that misses nothing avoids a collision: not fitted to recorded traffic. Whoever has
 recordings gives their own distributions.
 
-**Limits:** other cars keep their speed and do not react; no ghosts, no position errors; the ego
-does not steer.
+**Limits:** other cars keep their speed and do not react; no position errors; one ghost at a fixed
+place; the ego does not steer.
 """

@@ -29,7 +29,7 @@ class FamilyFeatures:
 
     def values(self, states: StateBatch) -> FloatArray:
         """Numbers ``[..., D]``."""
-        signals, cars = states.signals, self.scenario.cars
+        signals, cars = states.signals, self.scenario.told_of
         slot = self.unrolled.slot_of(signals)
         along_mps = of_cars(SPEED, cars, signals) * np.cos(of_cars(HEADING, cars, signals))
         of_all = [
@@ -63,7 +63,7 @@ class FamilyFeatures:
     def _later(self, signals: Mapping[str, FloatArray], later_s: float) -> dict[str, FloatArray]:
         """Signals when all cars have gone on with their speeds and headings."""
         moved = dict(signals)
-        for car in self.scenario.cars:
+        for car in self.scenario.told_of:
             speed_mps, heading_rad = signals[f"{SPEED}_{car}"], signals[f"{HEADING}_{car}"]
             closing_mps = signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
             moved[f"{GAP}_{car}"] = signals[f"{GAP}_{car}"] - closing_mps * later_s

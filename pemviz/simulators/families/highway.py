@@ -70,7 +70,7 @@ class HighwayFamily(FamilyScenario):
         if tracker is None:
             return (None, None, None), {}
         measured = [
-            np.stack([states.signals[f"{what}_{car}"] for car in self.cars], axis=-1)
+            np.stack([states.signals[f"{what}_{name}"] for name in self.told_of], axis=-1)
             for what in ("gap", "aside")
         ]
         before = tracker.state(states.memory, slots=len(self.slots))

@@ -98,8 +98,8 @@ class PerceptionOutcomes(ActionType):
     env: "EncounterEnv"
 
     def space(self) -> spaces.MultiBinary:
-        """An outcome for each."""
-        return spaces.MultiBinary(len(self.env.courses))
+        """An outcome for each, and for the ghost."""
+        return spaces.MultiBinary(len(self.env.closing_mps))
 
     def act(self, action: Any) -> None:
         """Nothing: the environment tells the ego as it moves on."""
@@ -186,9 +186,9 @@ class EncounterEnv(AbstractEnv):
         self._head()
         self.signals = Signals(self.encounter, self.courses, self.values)
         self.signals.begin(self.ego.place, self.places)
-        self.closing_mps = [0.0] * len(self.others)
+        self.closing_mps = [0.0] * len(self.signals.reported_offsets)
         if self.tracker is not None:
-            self.tracks = self.tracker.start(1, slots=len(self.others))
+            self.tracks = self.tracker.start(1, slots=len(self.closing_mps))
 
     @property
     def places(self) -> list[Place]:
@@ -210,7 +210,7 @@ class EncounterEnv(AbstractEnv):
         self.set_speed_mps = max(self.values["ego_speed"], 0.0)
         for car in self.cars:
             car.place = Place(*(next(rest) for _ in Place._fields))
-        self.closing_mps = [next(rest) for _ in self.others]
+        self.closing_mps = [next(rest) for _ in self.closing_mps]
         self.signals.load(list(rest), self.courses, self.values)
         self.signals.look(self.ego.place, self.places)
 
@@ -220,7 +220,7 @@ class EncounterEnv(AbstractEnv):
         if self.tracker is None:
             self.move(hits)
             return
-        measured = [[(gap_m, aside_m) for gap_m, aside_m in self.signals.offsets]]
+        measured = [self.signals.reported_offsets]
         self.tracks = self.tracker.update(self.tracks, hits[None], np.array(measured))
         speeds_mps = self.tracks.speed_mps[0] if self.has_speeds else None
         self.move(hits, self.tracks.confirmed[0], self.tracks.position_m[0], speeds_mps)
@@ -240,20 +240,22 @@ class EncounterEnv(AbstractEnv):
         """Move one time step on, with the ego told of hits, or of tracks.
 
         Args:
-            hits: Cars that are present and detected ``[K]``.
+            hits: Slots that are present and reported ``[K]``.
             tracked: Of which the ego is told ``[K]``; ``None``: of the hits.
             position_m: Gaps and offsets of the tracks, ``[K, 2]``.
             speed_mps: How they change, where a filter knows it, ``[K, 2]``.
         """
-        ego_mps = self.ego.place.speed_mps
+        ego_mps, offsets_m = self.ego.place.speed_mps, self.signals.reported_offsets
+        along_mps = [place.along_mps for place in self.places]
+        along_mps += [0.0] * (len(offsets_m) - len(along_mps))
         self.closing_mps = [
-            ego_mps - place.along_mps if hit else held
-            for hit, place, held in zip(hits, self.places, self.closing_mps, strict=True)
+            ego_mps - along if hit else held
+            for hit, along, held in zip(hits, along_mps, self.closing_mps, strict=True)
         ]
         told: list[Told] = []
         for slot, is_told in enumerate(hits if tracked is None else tracked):
             if is_told:
-                offsets = self.signals.offsets[slot] if position_m is None else position_m[slot]
+                offsets = offsets_m[slot] if position_m is None else position_m[slot]
                 closing = self.closing_mps[slot] if speed_mps is None else -speed_mps[slot][0]
                 told.append(Told(float(offsets[0]), float(offsets[1]), float(closing)))
         self._step(told)

@@ -206,9 +206,27 @@ class Signals:
         """What the camera sees of each other car."""
         return sights(self.config, self.offsets, [car.heading_rad for car in self.others])
 
+    @property
+    def reported_offsets(self) -> list[tuple[float, float]]:
+        """Gap and offset of all that perception may report: the cars, and a ghost last."""
+        ghost_m = self.ghost_m
+        return self.offsets if ghost_m is None else [*self.offsets, (ghost_m, 0.0)]
+
+    @property
+    def ghost_m(self) -> float | None:
+        """From the ego's bumper to where a ghost may appear; ``None`` where none may."""
+        place_m = self.start.get("ghost_gap")
+        return None if place_m is None else place_m - self.ego.x_m
+
     def present(self) -> BoolArray:
-        """Whether each is to be seen ``[K]``."""
-        return np.array([sight.present for sight in self.sights()], dtype=np.bool_)
+        """Whether each is to be seen, or the ghost may appear, ``[K]``."""
+        found, ghost_m = [sight.present for sight in self.sights()], self.ghost_m
+        if ghost_m is not None:
+            config = self.config
+            z_m = ghost_m + config.camera_to_bumper_m + config.car_length_m / 2
+            hidden = any(self.offsets[car][0] < ghost_m for car in self._ahead())
+            found.append(0.5 < z_m <= config.farthest_m and not hidden)
+        return np.array(found, dtype=np.bool_)
 
     @property
     def names(self) -> list[str]:
@@ -229,6 +247,9 @@ class Signals:
             found[f"gap_{course.name}"], found[f"aside_{course.name}"] = gap_m, aside_m
             found[f"speed_{course.name}"] = car.speed_mps
             found[f"heading_{course.name}"] = car.heading_rad
+        if (ghost_m := self.ghost_m) is not None:
+            found["gap_ghost"] = ghost_m
+            found |= {"aside_ghost": 0.0, "speed_ghost": 0.0, "heading_ghost": 0.0}
         found["clearance"] = min(
             max(abs(gap_m + config.car_length_m) - config.car_length_m, abs(y) - config.car_width_m)
             for gap_m, y in self.offsets

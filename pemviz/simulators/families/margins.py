@@ -45,8 +45,13 @@ def clearance(config: EncounterConfig, cars: Cars) -> FloatArray:
 
 def ahead_in_lane(config: EncounterConfig, cars: Cars) -> BoolArray:
     """Which cars are, with any part of theirs, ``[K, N]``."""
+    return is_ahead_in_lane(config, cars.gap_m, cars.aside_m)
+
+
+def is_ahead_in_lane(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> BoolArray:
+    """Whether cars at gaps and offsets ``[...]`` [m] are ahead in the ego's lane."""
     reach_m = (config.lane_width_m + config.car_width_m) / 2
-    return (np.abs(cars.aside_m) < reach_m) & (cars.gap_m + config.car_length_m > 0.0)
+    return (np.abs(aside_m) < reach_m) & (gap_m + config.car_length_m > 0.0)
 
 
 def nearest_ahead(config: EncounterConfig, cars: Cars) -> BoolArray:

@@ -21,6 +21,8 @@ IMPACT_SPEED = "impact_speed"
 
 GAP, ASIDE, SPEED, HEADING = OF_EACH = ("gap", "aside", "speed", "heading")
 """What there is of every other car, as ``gap_NAME``."""
+GHOST = "ghost"
+"""A slot that is about no car."""
 LARGEST_MPS2 = 20.0
 WIDEST_M = 50.0
 TITLES = {
@@ -28,21 +30,22 @@ TITLES = {
     "cutting_in": "car that cuts in",
     "revealed": "revealed car",
     "neighbour": "neighbour",
+    GHOST: "ghost",
 }
 
 
-def slot_title(car: str) -> str:
-    """Name of the slot that is about a car."""
-    return TITLES[car]
+def slot_title(name: str) -> str:
+    """Name of the slot that is about a car, or about the ghost."""
+    return TITLES[name]
 
 
-def slot_signals(car: str) -> tuple[str, ...]:
-    """Names of the signals that are about a car alone."""
-    return tuple(f"{what}_{car}" for what in OF_EACH)
+def slot_signals(name: str) -> tuple[str, ...]:
+    """Names of the signals that are about a car, or the ghost, alone."""
+    return tuple(f"{what}_{name}" for what in OF_EACH)
 
 
-def encounter_signals(config: EncounterConfig, cars: Sequence[str]) -> tuple[Signal, ...]:
-    """All signals, with the bounds that the agm metric normalises by."""
+def encounter_signals(config: EncounterConfig, names: Sequence[str]) -> tuple[Signal, ...]:
+    """All signals of slots with these names, with the bounds that the agm metric normalises by."""
     gap_m, speed_mps = config.gap_bound_m, config.speed_bound_mps
     found = [
         Signal(EGO_X, "ego_x_m", "m", low=-gap_m, high=gap_m),
@@ -55,12 +58,12 @@ def encounter_signals(config: EncounterConfig, cars: Sequence[str]) -> tuple[Sig
             high=LARGEST_MPS2,
         ),
     ]
-    for car in cars:
+    for name in names:
         found += [
-            Signal(f"{GAP}_{car}", f"{GAP}_{car}_m", "m", low=-gap_m, high=gap_m),
-            Signal(f"{ASIDE}_{car}", f"{ASIDE}_{car}_m", "m", low=-WIDEST_M, high=WIDEST_M),
-            Signal(f"{SPEED}_{car}", f"{SPEED}_{car}_mps", "m/s", low=0.0, high=speed_mps),
-            Signal(f"{HEADING}_{car}", f"{HEADING}_{car}_rad", "rad", low=-1.0, high=1.0),
+            Signal(f"{GAP}_{name}", f"{GAP}_{name}_m", "m", low=-gap_m, high=gap_m),
+            Signal(f"{ASIDE}_{name}", f"{ASIDE}_{name}_m", "m", low=-WIDEST_M, high=WIDEST_M),
+            Signal(f"{SPEED}_{name}", f"{SPEED}_{name}_mps", "m/s", low=0.0, high=speed_mps),
+            Signal(f"{HEADING}_{name}", f"{HEADING}_{name}_rad", "rad", low=-1.0, high=1.0),
         ]
     found += [
         Signal(CLEARANCE, "clearance_m", "m", low=-gap_m, high=gap_m),

@@ -1,7 +1,7 @@
 """What all back ends of the families share: all but how they begin and step."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,9 +20,12 @@ from pemviz.simulators.families.cars import (
     changes_lane,
 )
 from pemviz.simulators.families.drawing import encounter_cars, lanes, scene_states, scene_tracks
+from pemviz.simulators.families.ghost import GhostReports, ghost_salient, may_appear
 from pemviz.simulators.families.names import (
     COLLIDED,
     EGO_SPEED,
+    GAP,
+    GHOST,
     OF_EACH,
     encounter_signals,
     of_cars,
@@ -63,8 +66,25 @@ class FamilyScenario(ABC):
 
     @cached_property
     def cars(self) -> tuple[str, ...]:
-        """Names of the K other cars, in the order of their slots."""
+        """Names of the other cars, in the order of their slots."""
         return car_names(self.config)
+
+    @cached_property
+    def told_of(self) -> tuple[str, ...]:
+        """Names of what perception may report, a slot each: the cars, and a ghost last."""
+        return (*self.cars, GHOST) if self.has_ghost else self.cars
+
+    @property
+    def has_ghost(self) -> bool:
+        """Whether there is a place where a ghost may appear."""
+        return self.config.ghost_probability > 0.0
+
+    @property
+    def slot_models(self) -> Mapping[str, GhostReports]:
+        """How likely the ghost is reported, by its slot's name; nothing without one."""
+        if not self.has_ghost:
+            return {}
+        return {slot_title(GHOST): GhostReports(self.config.ghost_probability)}
 
     @property
     @abstractmethod
@@ -78,16 +98,19 @@ class FamilyScenario(ABC):
 
     @cached_property
     def _signals(self) -> tuple[Signal, ...]:
-        return encounter_signals(self.config, self.cars)
+        return encounter_signals(self.config, self.told_of)
 
     @property
     def slots(self) -> tuple[Slot, ...]:
-        """One for each other car."""
+        """One for each other car, then the ghost's."""
         return self._slots
 
     @cached_property
     def _slots(self) -> tuple[Slot, ...]:
-        return tuple(Slot(slot_title(name), signals=slot_signals(name)) for name in self.cars)
+        return tuple(
+            Slot(slot_title(name), nominal=name != GHOST, signals=slot_signals(name))
+            for name in self.told_of
+        )
 
     @cached_property
     def tracker(self) -> Tracker | None:
@@ -143,15 +166,22 @@ class FamilyScenario(ABC):
         """The next states, given perception's outcomes ``[N, K]``."""
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """The other cars' salient variables ``[..., K, 11]``."""
+        """The slots' salient variables ``[..., K, 11]``."""
         gap_m, aside_m, _, heading_rad = self.of_each(signals)
         found = salient(self.config, seen(self.config, gap_m, aside_m), heading_rad)
+        if self.has_ghost:
+            own = ghost_salient(self.config, np.asarray(signals[GHOST_SIGNAL]))
+            found = np.concatenate([found, own])
         return np.moveaxis(found, 0, -2)
 
     def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
-        """Whether each is to be seen, ``[..., K]``."""
+        """Whether each is to be seen, or the ghost may appear, ``[..., K]``."""
         gap_m, aside_m, _, _ = self.of_each(signals)
-        return np.moveaxis(seen(self.config, gap_m, aside_m).present, 0, -1)
+        found = seen(self.config, gap_m, aside_m).present
+        if self.has_ghost:
+            own = may_appear(self.config, np.asarray(signals[GHOST_SIGNAL]), gap_m, aside_m)
+            found = np.concatenate([found, own[None]])
+        return np.moveaxis(found, 0, -1)
 
     def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Whether the ego might do otherwise for each outcome, at once or later, ``[..., K]``.
@@ -159,11 +189,12 @@ class FamilyScenario(ABC):
         Without a tracker: the car is in the path, and to keep a gap to it slows the ego down.
         """
         config = self.config
-        gap_m, aside_m, speed_mps, heading_rad = self.of_each(signals)
+        gap_m, aside_m, speed_mps, heading_rad = self.of_told(signals)
         free = signals[COLLIDED] == 0.0
         if self.tracker is not None:
             known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * config.dt_s
-            wider_m = np.where(changes_lane(config), FASTEST_ASIDE_MPS * known_s, 0.0)
+            moves = np.append(changes_lane(config), [False] * self.has_ghost)
+            wider_m = np.where(moves, FASTEST_ASIDE_MPS * known_s, 0.0)
             near = ego.is_beside(config, np.moveaxis(aside_m, 0, -1), wider_m=wider_m)
             return near & free[..., None]
         ego_mps = signals[EGO_SPEED]
@@ -190,18 +221,29 @@ class FamilyScenario(ABC):
 
     def scene_tracks(self, states: StateBatch) -> SceneTracks:
         """Where the controller believes cars to be, from the tracks in states ``[...]``."""
-        return scene_tracks(self.config, self.cars, self.tracker, states)
+        return scene_tracks(self.config, self.told_of, self.tracker, states)
 
     def of_each(
         self, signals: Mapping[str, FloatArray]
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Gaps, offsets, speeds and headings of the other cars, ``[K, ...]`` each."""
-        gap_m, aside_m, speed_mps, heading_rad = (
-            of_cars(what, self.cars, signals) for what in OF_EACH
-        )
-        return gap_m, aside_m, speed_mps, heading_rad
+        """Gaps, offsets, speeds and headings of the other cars, a row for each."""
+        return _rows(self.cars, signals)
+
+    def of_told(
+        self, signals: Mapping[str, FloatArray]
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The same of all slots, ``[K, ...]`` each."""
+        return _rows(self.told_of, signals)
 
 
+def _rows(
+    names: Sequence[str], signals: Mapping[str, FloatArray]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    gap_m, aside_m, speed_mps, heading_rad = (of_cars(what, names, signals) for what in OF_EACH)
+    return gap_m, aside_m, speed_mps, heading_rad
+
+
+GHOST_SIGNAL = f"{GAP}_{GHOST}"
 NEVER_NEGATIVE = ("ego_speed", "revealed_speed", "deceleration")
 """Start values of which no distribution brings one below 0."""
 FASTEST_ASIDE_MPS = 5.0

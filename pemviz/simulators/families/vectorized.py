@@ -15,6 +15,7 @@ from pemviz.simulators.families.cars import (
     lateral_places,
 )
 from pemviz.simulators.families.ego import Told
+from pemviz.simulators.families.ghost import GHOST_GAP, ghost_signals
 from pemviz.simulators.families.margins import Cars
 from pemviz.simulators.families.names import (
     AVOIDABLE_BY,
@@ -77,13 +78,15 @@ class VectorizedFamily(FamilyScenario):
         each = (begun.gap_m, begun.aside_m, begun.speed_mps, heading)
         for what, of_each in zip(OF_EACH, each, strict=True):
             found |= by_car(what, self.cars, of_each)
+        if self.has_ghost:
+            found |= ghost_signals(values[GHOST_GAP], none)
         return StateBatch(
             step=np.zeros((), dtype=np.int64),
             signals={signal.name: found[signal.name] for signal in self.signals},
             memory={
-                **{f"{KEPT_START}{name}": values[name] for name in KEPT[config.family]},
+                **{f"{KEPT_START}{name}": values[name] for name in self._kept},
                 **by_car(STATES_AHEAD, self.cars, states_ahead),
-                **nothing_told(self.tracker, self.cars, count),
+                **nothing_told(self.tracker, self.told_of, count),
             },
         )
 
@@ -91,8 +94,9 @@ class VectorizedFamily(FamilyScenario):
         """The next states, given perception's outcomes ``[N, K]``."""
         config, memory, signals = self.config, states.memory, states.signals
         hits = (np.asarray(detected) & self.present(signals)).T
-        told, remembered = told_after(self.tracker, self.cars, memory, hits, self._measured(states))
-        values = {name: memory[f"{KEPT_START}{name}"] for name in KEPT[config.family]}
+        measured = self._measured(states)
+        told, remembered = told_after(self.tracker, self.told_of, memory, hits, measured)
+        values = {name: memory[f"{KEPT_START}{name}"] for name in self._kept}
         wanted_mps2 = ego.acceleration(
             config, told, ego_mps=signals[EGO_SPEED], set_mps=values["ego_speed"]
         )
@@ -107,16 +111,24 @@ class VectorizedFamily(FamilyScenario):
             states_ahead=of_cars(STATES_AHEAD, self.cars, memory),
         )
         arrived, states_ahead = arrive(left, self._moved(left))
+        if self.has_ghost:
+            arrived = {**arrived, **ghost_signals(values[GHOST_GAP], arrived[EGO_X])}
         kept = {name: values for name, values in memory.items() if name.startswith(KEPT_START)}
         return StateBatch(
             step=states.step + 1,
-            signals=arrived,
+            signals={signal.name: arrived[signal.name] for signal in self.signals},
             memory={**kept, **by_car(STATES_AHEAD, self.cars, states_ahead), **remembered},
         )
 
+    @property
+    def _kept(self) -> tuple[str, ...]:
+        """Start values that steps need."""
+        own = KEPT[self.config.family]
+        return (*own, GHOST_GAP) if self.has_ghost else own
+
     def _measured(self, states: StateBatch) -> Told:
-        """What perception measures of each car that it reports, ``[K, N]``."""
-        gap_m, aside_m, speed_mps, heading_rad = self.of_each(states.signals)
+        """What perception measures of what it reports, ``[K, N]``."""
+        gap_m, aside_m, speed_mps, heading_rad = self.of_told(states.signals)
         closing_mps = states.signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
         return Told(np.ones(gap_m.shape, dtype=np.bool_), gap_m, aside_m, closing_mps)
 

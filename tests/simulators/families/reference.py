@@ -55,7 +55,11 @@ class Encounter:
         self.collided, self.avoidable = False, -10.0
         self.cut_in = start.get("cut_in_time", 0.0)
         self.cars = self.begin(start)
-        for car in self.cars:
+        self.ghost = None if "ghost_gap" not in start else Car(
+            self.length + start["ghost_gap"], 0.0, 0.0
+        )  # fmt: skip
+        self.reported = self.cars if self.ghost is None else [*self.cars, self.ghost]
+        for car in self.reported:
             car.heading = self.aimed(car)
             car.track = None if tracker is None else OneTrack(tracker)
         self.has_speeds = tracker is not None and "speed_mps" in tracker.filter.keeps
@@ -102,14 +106,14 @@ class Encounter:
 
     def images(self) -> list[tuple[float, float, float, float]]:
         """Near end, centre's distance, and left and right end in the image, by car."""
-        found = []
-        for car in self.cars:
-            near = self.gap(car) + self.config.camera_to_bumper_m
-            ends = [max(z, 0.5) for z in (near, near + self.length)]
-            sides = [-car.y - self.width / 2, -car.y + self.width / 2]
-            shares = [side / end for side in sides for end in ends]
-            found.append((near, near + self.length / 2, min(shares), max(shares)))
-        return found
+        return [self.image(car) for car in self.cars]
+
+    def image(self, car: Car) -> tuple[float, float, float, float]:
+        near = self.gap(car) + self.config.camera_to_bumper_m
+        ends = [max(z, 0.5) for z in (near, near + self.length)]
+        sides = [-car.y - self.width / 2, -car.y + self.width / 2]
+        shares = [side / end for side in sides for end in ends]
+        return near, near + self.length / 2, min(shares), max(shares)
 
     def seen(self) -> list[tuple[bool, list[float]]]:
         """Whether each car is present, and its salient variables."""
@@ -137,6 +141,15 @@ class Encounter:
                 config.car_height_m, self.width, self.length, -car.y, config.camera_height_m, z,
                 rotation,
             ]))  # fmt: skip
+        if self.ghost is not None:
+            _, z, left, right = self.image(self.ghost)
+            before = any(self.gap(car) < self.gap(self.ghost) for car in self.ahead())
+            cut_off = 1.0 - (min(right, edge) - max(left, -edge)) / (right - left)
+            alpha = -math.pi / 2 - math.atan2(-self.ghost.y, z)
+            found.append((0.5 < z <= config.farthest_m and not before, [
+                0.0, cut_off, 0.0, alpha, config.car_height_m, self.width, self.length, 0.0,
+                config.camera_height_m, z, -math.pi / 2,
+            ]))  # fmt: skip
         return found
 
     # -- driving
@@ -144,7 +157,7 @@ class Encounter:
     def told(self, detected: Sequence[bool]) -> list[tuple[float, float, float]]:
         """Gap, offset and closing speed of the cars that the controller is told of."""
         cars = []
-        for car, reported, (present, _) in zip(self.cars, detected, self.seen(), strict=True):
+        for car, reported, (present, _) in zip(self.reported, detected, self.seen(), strict=True):
             hit = reported and present
             gap, closing = self.gap(car), self.speed - car.along
             if car.track is None:

@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import expit
 
 from pemviz.config import FAMILIES, EncounterConfig, StartChoice
+from pemviz.pem import load_pem
+from pemviz.sampling.slots import with_slots
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.families.features import FamilyFeatures
 from pemviz.simulators.families.vectorized import VectorizedFamily
@@ -46,8 +49,11 @@ def test_encounters_are_those_of_one_written_out(family, tracker):
     config = EncounterConfig(
         family=family, neighbour=tracker != "none", side="left" if "kal" in tracker else "right",
         states=36, dt_s=0.2, camera_half_angle_deg=25.0, farthest_m=60.0, path_half_width_m=2.0,
+        ghost_probability=0.1 if "2/3" in tracker else 0.0,
     )  # fmt: skip
     wide = chosen(gap="uniform(3, 60)", closing_speed="uniform(-3, 15)")
+    if config.ghost_probability:
+        wide += chosen(ghost_gap="uniform(0, 60)")
     simulator = VectorizedFamily(config, wide, tracker)
     start, count = latents(simulator, 12), 12
     detected = outcomes(simulator, count, np.linspace(0.0, 1.0, count)[:, None])
@@ -65,7 +71,7 @@ def test_encounters_are_those_of_one_written_out(family, tracker):
             }  # fmt: skip
             if family == "cut-in":
                 expected["avoidable_by"] = one.avoidable
-            for name, car in zip(simulator.cars, one.cars, strict=True):
+            for name, car in zip(simulator.told_of, one.reported, strict=True):
                 of_car = (one.gap(car), car.y, car.speed, car.heading)
                 what = ("gap", "aside", "speed", "heading")
                 expected |= {f"{w}_{name}": v for w, v in zip(what, of_car, strict=True)}
@@ -129,7 +135,8 @@ def test_both_sides_are_alike():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_what_does_not_matter_changes_nothing(family, tracker):
     """Outcomes turned over where the scenario does not react: the same rollouts."""
-    simulator = VectorizedFamily(EncounterConfig(family=family, neighbour=True), (), tracker)
+    config = EncounterConfig(family=family, neighbour=True, ghost_probability=0.1)
+    simulator = VectorizedFamily(config, (), tracker)
     start, detected = latents(simulator, 200), outcomes(simulator, 200, 0.6)
     one = other = simulator.initial(count=200, start=start)
     turned = 0.0
@@ -145,7 +152,7 @@ def test_what_does_not_matter_changes_nothing(family, tracker):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_encounters_keep_to_what_simulators_must(family):
-    config = EncounterConfig(family=family, states=40)
+    config = EncounterConfig(family=family, states=40, ghost_probability=0.1)
     check_simulator(VectorizedFamily(config, (), "2/3,coast=0.3,filter=kalman"))
 
 
@@ -161,6 +168,35 @@ def test_a_revealed_car_is_hidden_until_the_lead_car_leaves():
     assert aside_m[seen].min() > 0.1
     assert set(occlusion[seen]) == {0.0, 1.0, 2.0}
     assert np.all(np.diff(occlusion[seen]) <= 0.0)
+
+
+def test_a_ghost_that_is_reported_brakes_the_ego_without_reason():
+    """At 30 m/s hard, and with nothing else ahead within its safe distance, until it is passed."""
+    fixed = chosen(ego_speed=30, gap=140, closing_speed=0, deceleration=0, ghost_gap=50)
+    config = EncounterConfig(family="braking", ghost_probability=0.01, farthest_m=100.0)
+    simulator = VectorizedFamily(config, fixed)
+    silent = np.tile(np.array([True, False]), (90, 1, 1))
+    at_once = silent.copy()
+    at_once[0, 0, 1] = True
+    quiet, braked = (rolled_out(simulator, np.zeros((1, 1)), one) for one in (silent, at_once))
+    assert float(braked[1].signals["needless_deceleration"][0]) == 8.0
+    assert float(braked[1].signals["ego_speed"][0]) == pytest.approx(30.0 - 0.8)
+    worst = max(float(state.signals["needless_deceleration"][0]) for state in quiet)
+    assert worst == 0.0
+    present = [bool(simulator.present(state.signals)[0, 1]) for state in quiet]
+    # the place is in view while its centre is over 0.5 m ahead of the camera, 2 m behind the bumper
+    assert present == [50.0 - 3.0 * t + 2.0 + 2.25 > 0.5 for t in range(91)]
+
+
+def test_a_ghost_is_answered_for_by_the_probability_that_was_chosen():
+    config = EncounterConfig(family="cut-in", ghost_probability=0.02)
+    unrolled = UnrolledSimulator(VectorizedFamily(config))
+    model, _ = with_slots(unrolled, load_pem("ml-nn"), None)
+    salient = np.zeros((1, 13))
+    salient[:, -2:] = 1.0, 2.0  # present, the third slot
+    assert expit(-model.logit(salient)) == pytest.approx([0.02])
+    assert model.name == "ml-nn+ghosts 0.02"
+    assert len(model.digest) == 64
 
 
 def test_slots_take_turns_and_features_are_the_slots_own():

@@ -41,7 +41,8 @@ def assert_equal(one, other, detected, start) -> float:
 
 @pytest.mark.parametrize(("family", "tracker"), list(zip(FAMILIES, TRACKERS, strict=True)))
 def test_back_ends_agree(family, tracker) -> None:
-    assert_equal(*both(family, draws=2, tracker=tracker, states=61, neighbour=True))
+    own = {"neighbour": True, "ghost_probability": 0.1}
+    assert_equal(*both(family, draws=2, tracker=tracker, states=61, **own))
 
 
 @pytest.mark.slow
@@ -51,7 +52,8 @@ def test_back_ends_agree_over_200_draws(family, tracker) -> None:
     side = "left" if tracker == "none" else "right"
     contacts = assert_equal(*both(family, draws=200, tracker=tracker, side=side))
     assert contacts > 5
-    assert_equal(*both(family, draws=50, tracker=tracker, neighbour=True, car_length_m=6.0))
+    own = {"neighbour": True, "car_length_m": 6.0, "ghost_probability": 0.1}
+    assert_equal(*both(family, draws=50, tracker=tracker, **own))
 
 
 @pytest.mark.parametrize("tracker", TRACKERS[:2])
