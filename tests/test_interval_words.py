@@ -24,10 +24,12 @@ from pemviz.recording.text import answer_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.rules_text import rule_rows, rule_warnings
 from pemviz.reports.summary_text import summary_text
 from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.failure_tables import table_2
 from pemviz.runs.result_file import result_document, write_result
+from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.sweep.carry_out import RunState
@@ -227,3 +229,26 @@ def test_the_range_over_refits_is_called_that_and_its_caveats_are_told(capsys, m
         words = plain(text)
         assert "refits of one architecture on the same data, not other model families" in words
         assert "error models" not in words
+
+
+def test_a_rule_tells_only_what_speaks_against_it_and_not_against_the_whole_answer():
+    own = replace(WRONG, kind="large-weight", text="one rollout carries 40% of the weight")
+    holds, doubted, worse = (
+        estimate(method="mixture", diagnostics=found) for found in ((), (WRONG,), (WRONG, own))
+    )
+    result = replace(
+        made_up(doubted),
+        reference=None,
+        rules=tuple(
+            RuleAnswer(name, "always[0,9] (x > 0)", one)
+            for name, one in zip("abc", (holds, doubted, worse), strict=True)
+        ),
+    )
+    intervals = [row[2] for row in rule_rows(result)]
+    assert [bool(DOUBT.search(words)) for words in intervals] == [False, True, True]
+    assert [WRONG.text in words for words in intervals] == [False] * 3
+    assert own.text in intervals[2]
+    assert rule_warnings(result) == [f"rule c: {own.text}"]
+    alone = replace(result, estimate=holds)
+    assert WRONG.text in rule_rows(alone)[1][2]
+    assert rule_warnings(alone)[0] == f"rules b, c: {WRONG.text}"

@@ -37,6 +37,7 @@ from pemviz.reports.estimate_text import (
     memory_text,
     model_range_text,
     number_text,
+    occasion_text,
     position_errors_text,
     probability_text,
     reference_text,
@@ -113,7 +114,8 @@ def headline(result: RunResult, estimate: Estimate) -> Iterator[str]:
     config, caveats = result.config, run_interval_caveats(result)
     repeated = f" in {len(result.repetitions)} repetitions" * (len(result.repetitions) > 1)
     likely = short_probability(estimate)
-    yield f"Failure probability {likely} in one run, if error model {result.pem.name} is right"
+    per = f"in one {occasion_text(config)}, if error model {result.pem.name} is right"
+    yield f"Failure probability {likely} {per}"
     called = interval_name(estimate, caveats=caveats)
     alone = "" if caveats else ", sampling alone; what else leaves it open is below"
     yield f"  {called} {interval_text(estimate, caveats=caveats)}{alone}"

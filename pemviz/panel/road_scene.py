@@ -4,6 +4,8 @@ Coordinates: x along the road, y to the left, z up, in metres; the ego's centre 
 the rollout begins.
 """
 
+from typing import Literal
+
 import numpy as np
 import viser
 
@@ -23,7 +25,7 @@ from pemviz.panel.views.road_rollout import RoadTrack
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
 from pemviz.simulators.scene import SceneCar
 
-ROOT = "/roads"
+ROOT, WORDS = "/roads", "/road-words-"
 ROAD_VIEW_POSITION = (-24.0, -14.0, 16.0)
 ROAD_VIEW_TARGET = (14.0, 0.5, -6.0)
 BEFORE_M, BEYOND_M = 70.0, 150.0
@@ -33,6 +35,8 @@ TRACKED = (255, 255, 255)
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)
 CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]) / 2
 MARK_SPACING_M = 1.3
+BALL_ABOVE_M, WORDS_ABOVE_M, WORDS_ASIDE_M = 0.8, 1.4, 0.4
+"""Of what tells of a car: over its roof, and beside it."""
 BALL_M = {NOT_ASKED: 0.12, RIGHT: 0.28, WRONG: 0.5}
 BALLS = {NOT_ASKED: AFTER_CONTACT, RIGHT: rgb(DETECTED), WRONG: rgb(MISSED)}
 
@@ -45,12 +49,14 @@ class RoadScene:
         self._track: RoadTrack | None = None
         self._follow = True
         self._cars: list[_Car] = []
+        self._words = _Words(api)
         self._tracks: list[viser.LineSegmentsHandle] = []
 
     def clear(self) -> None:
         """Nothing is drawn."""
         if self._track is not None:
             self._api.remove_by_name(ROOT)
+            self._words.hide()
         self._track, self._cars, self._tracks = None, [], []
 
     def show(self, track: RoadTrack) -> None:
@@ -61,9 +67,6 @@ class RoadScene:
         drawn = track.drawn
         self._ground(drawn)
         self._cars = [_Car(self._api, drawn, car) for car in range(len(drawn.cars))]
-        self._words = self._api.add_label(
-            f"{ROOT}/words", "", anchor="bottom-center", font_screen_scale=1.15
-        )
         if drawn.tracks is not None:
             self._tracks = [self._track_lines(slot) for slot in range(len(drawn.slots))]
         self._marks(drawn)
@@ -79,14 +82,12 @@ class RoadScene:
             return
         drawn = track.drawn
         ego_x_m = float(drawn.states.x_m[step, 0])
-        self._world.position = (-ego_x_m if self._follow else 0.0, 0.0, 0.0)
+        ahead_m = -ego_x_m if self._follow else 0.0
+        self._world.position = (ahead_m, 0.0, 0.0)
         after = drawn.contact_step is not None and step >= drawn.contact_step
         for car in self._cars:
             car.at(step, after=after)
-        self._words.text = drawn.contact_words
-        self._words.visible = after
-        ego_y_m = float(drawn.states.y_m[step, 0])
-        self._words.position = (ego_x_m, ego_y_m, drawn.cars[0].height_m + 2.6)
+        self._words.at(drawn, step, ahead_m=ahead_m, after=after)
         for slot, lines in enumerate(self._tracks):
             self._move_track(drawn, slot, lines, step, after=after)
 
@@ -208,14 +209,10 @@ class _Car:
             )
             for name, mesh, color in parts
         ]
-        above_m = shape.height_m + 0.8
         self._ball = api.add_icosphere(
-            f"{path}/answer", 1.0, BALLS[NOT_ASKED], position=(0.0, 0.0, above_m),
+            f"{path}/answer", 1.0, BALLS[NOT_ASKED],
+            position=(0.0, 0.0, shape.height_m + BALL_ABOVE_M),
             cast_shadow=False, visible=False,
-        )  # fmt: skip
-        self._label = api.add_label(
-            f"{path}/label", shape.name, position=(0.0, 0.0, above_m + 0.8),
-            anchor="bottom-center", font_screen_scale=0.95,
         )  # fmt: skip
         self._is_asked = drawn.slot_of_car[car] is not None
 
@@ -234,15 +231,61 @@ class _Car:
         answer = int(self._answers[step])
         self._ball.visible = self._is_asked and not after and step < self._drawn.count - 1
         self._ball.color, self._ball.scale = BALLS[answer], BALL_M[answer]
-        self._label.visible = not (after and car == 0)
-        self._label.text = self._words(step, after=after)
 
-    def _words(self, step: int, *, after: bool) -> str:
-        drawn, slot = self._drawn, self._drawn.slot_of_car[self._car]
-        name = drawn.cars[self._car].name
-        if slot is None or after or step >= len(drawn.answers):
-            return name
-        return f"{name}: {answer_words(drawn.slots[slot], int(drawn.answers[step, slot]))}"
+
+class _Words:
+    """What is written: a label for each car, and when and how fast the ego touched one.
+
+    The labels stay from one rollout to the next, and only move: of labels that are taken away and
+    put back at once, a browser may draw one at another one's place.
+    """
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._api = api
+        self._contact: viser.LabelHandle | None = None
+        self._names: list[viser.LabelHandle] = []
+
+    def hide(self) -> None:
+        for label in (self._contact, *self._names):
+            if label is not None:
+                label.visible = False
+
+    def at(self, drawn: DrawnRollout, step: int, *, ahead_m: float, after: bool) -> None:
+        """Beside each car its name and, of one that perception is asked about, the answer.
+
+        Names stand to the left of their cars and what contact was like to the right of the ego:
+        there they cover no car, seen from behind or from above.
+        """
+        if self._contact is None:
+            self._contact = self._label("contact", anchor="top-left", scale=1.15)
+        while len(self._names) < len(drawn.cars):
+            name = f"car{len(self._names)}"
+            self._names.append(self._label(name, anchor="bottom-center", scale=0.95))
+        x_m, y_m = drawn.states.x_m[step] + ahead_m, drawn.states.y_m[step]
+        for car, (label, shape) in enumerate(zip(self._names, drawn.cars, strict=False)):
+            label.visible = bool(drawn.states.present[step, car])
+            label.text = _car_words(drawn, car, step, after=after)
+            aside_m = shape.width_m / 2 + WORDS_ASIDE_M
+            above_m = shape.height_m + WORDS_ABOVE_M
+            label.position = (float(x_m[car]), float(y_m[car]) + aside_m, above_m)
+        self._contact.visible = after
+        self._contact.text = drawn.contact_words
+        right_m = float(y_m[0]) - drawn.cars[0].width_m / 2 - WORDS_ASIDE_M
+        self._contact.position = (float(x_m[0]), right_m, 0.0)
+
+    def _label(
+        self, name: str, *, anchor: Literal["bottom-center", "top-left"], scale: float
+    ) -> viser.LabelHandle:
+        return self._api.add_label(
+            f"{WORDS}{name}", "", anchor=anchor, font_screen_scale=scale, visible=False
+        )
+
+
+def _car_words(drawn: DrawnRollout, car: int, step: int, *, after: bool) -> str:
+    name, slot = drawn.cars[car].name, drawn.slot_of_car[car]
+    if slot is None or after or step >= len(drawn.answers):
+        return name
+    return f"{name}: {answer_words(drawn.slots[slot], int(drawn.answers[step, slot]))}"
 
 
 def _sized(vertices: FloatArray, car: SceneCar) -> FloatArray:

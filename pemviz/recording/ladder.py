@@ -62,7 +62,9 @@ def _bar(frame: Frame, row: int, rung: Rung) -> FloatArray:
 
 
 def _words(rung: Rung) -> str:
+    """A rung's name up to the reasons, which the table beside tells, and its ends."""
+    name = rung_name(rung).partition(";")[0]
     if rung.high is None:
-        return f"{rung_name(rung)}: not bounded"
+        return f"{name}: not bounded"
     low, high = ends_text(rung)
-    return f"{rung_name(rung)}: {low} to {high}"
+    return f"{name}: {low} to {high}"

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pemviz.analysis.contribution import CARRIED
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.config import ExperimentConfig
+from pemviz.config.encounters import NO_FAMILY
 from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
@@ -86,8 +87,10 @@ def _headline(result: RunResult, *, caveats: Sequence[str], running: bool) -> st
     probability = short_probability(estimate)
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
         probability = f"10^{estimate.log10_probability:.1f}"
+    family = result.config.encounter.family
+    per = "run of the scenario" if family == NO_FAMILY else f"encounter of the family {family}"
     granted = (
-        f"In one run of the scenario, if error model **{pem.name}** is right, which learnt from "
+        f"In one {per}, if error model **{pem.name}** is right, which learnt from "
         f"{data_text(pem)}, and misses are {memory_text(result.memory)}."
     )
     return f"# Probability of a violation: {probability}\n\n{granted}\n\n{interval}"

@@ -4,6 +4,8 @@ import re
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.config import ExperimentConfig
+from pemviz.config.encounters import NO_FAMILY
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.digits import digits_of, end_text
@@ -28,6 +30,11 @@ def probability_text(estimate: Estimate) -> str:
         return "0: no failure was seen"
     error = "" if estimate.std_error is None else f" +- {estimate.std_error:.2g}"
     return f"{estimate.probability:.3g}{error}"
+
+
+def occasion_text(config: ExperimentConfig) -> str:
+    """What a probability is per: a run of the scenario, or an encounter of a family."""
+    return "run" if config.encounter.family == NO_FAMILY else "encounter"
 
 
 def short_probability(estimate: Estimate) -> str:

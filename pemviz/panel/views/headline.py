@@ -14,6 +14,7 @@ from pemviz.reports.estimate_text import (
     interval_name,
     level_text,
     no_interval_text,
+    occasion_text,
 )
 from pemviz.reports.gate import decide_run
 from pemviz.reports.memory_curve import assumption_worth
@@ -56,15 +57,18 @@ def _answer(run: RunData) -> str:
         digits = digits_of(estimate.ci_low, estimate.ci_high)
         answer = f"P(violation) = {number(estimate.probability, digits)}"
     interval = _interval(estimate, run_interval_caveats(run.result))
+    rules = run.config.rules
+    what = f"any of {len(rules)} rules" if rules else run.config.spec
     counts = (
         f"{number(estimate.failures, 6)} of {number(estimate.rollouts_in_estimate, 6)} rollouts"
-        f"{aimed_text(estimate)} violate {run.config.spec}, "
+        f"{aimed_text(estimate)} violate {what}, "
         f"{number(estimate.rollouts_simulated, 6)} simulated"
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
     asked = beyond_default_text(run.result)
     given = f"; with {asked}" if asked else ""
-    lines += quiet(f"in one run, if error model {run.result.pem.name} is right{given}")
+    per = occasion_text(run.config)
+    lines += quiet(f"in one {per}, if error model {run.result.pem.name} is right{given}")
     lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
     worth = assumption_worth(run.result.memory)
     lines += warning(f"{worth} (more in Why)") if worth else ""

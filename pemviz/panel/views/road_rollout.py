@@ -163,7 +163,7 @@ def _axes(chosen: RoadTrack) -> tuple[Plot, Plot, Plot]:
             **size,
         ),
         Plot(title="Speeds", x=time, y=Axis(0.0, fastest * 1.08, "speed [m/s]"), **size),
-        Plot(title="Perception", x=time, y=rows, **(size | {"left": 100})),
+        Plot(title="Perception", x=time, y=rows, **(size | {"left": 100, "title_at": 4})),
     )  # fmt: skip
 
 
@@ -199,6 +199,8 @@ def _draw_answers(plot: Plot, chosen: RoadTrack) -> None:
         for answer, half in ((RIGHT, 0.35 * tall), (WRONG, tall)):
             at_s = chosen.time_s[:-1][answers == answer] + drawn.dt_s / 2
             plot.ticks_at(at_s, y_px=(middle - half, middle + half), color=SHADES[answer])
+        if not np.any(answers):
+            plot.note(answer_words(slot, NOT_ASKED), plot.left + 4, middle + 4)
         plot.note(_short(slot.name), plot.left - 4, middle + 4, anchor="end")
 
 

@@ -32,12 +32,15 @@ def start_plane(found: DangerousStarts, *, target: str = "") -> str:
     if plane is None:
         return ""
     values = {one.name: one for one in found.values}
-    plot = _axes(plane, values)
+    whose = "" if found.rule is None else f" of {found.rule}"
+    plot = _axes(plane, values, title=f"P(violation{whose}) by start")
     levels = level_ends(plane)
     shapes = _cells(plot, plane, levels) + _usual(plot, values[plane.across], values[plane.up])
     points = "".join(_point(plot, found, place) for place in range(len(found.points)))
     act = f" {clickable_points(target=target)} style='cursor:pointer'" if target else ""
-    return plot.text(extra=f"{shapes}<g{act}>{points}</g>{_legend(plot, levels)}")
+    return plot.text(
+        extra=f"{shapes}<g{act}>{points}</g>{_legend(plot, levels, with_points=bool(points))}"
+    )
 
 
 def level_ends(plane: StartMap) -> tuple[float, ...]:
@@ -61,12 +64,12 @@ def level_of(log10: float, levels: Sequence[float]) -> int:
     return next((i for i, end in enumerate(levels) if log10 >= end), len(levels) - 1)
 
 
-def _axes(plane: StartMap, values: dict[str, StartValue]) -> Plot:
+def _axes(plane: StartMap, values: dict[str, StartValue], *, title: str) -> Plot:
     columns = len(plane.log10_probability[0])
     half_across = (plane.across_high - plane.across_low) / (columns - 1) / 2.0
     half_up = (plane.up_high - plane.up_low) / (len(plane.log10_probability) - 1) / 2.0
     return Plot(
-        title="P(violation) by start",
+        title=title,
         x=Axis(
             plane.across_low - half_across, plane.across_high + half_across,
             _label(values[plane.across]),
@@ -125,7 +128,7 @@ def _point(plot: Plot, found: DangerousStarts, place: int) -> str:
     )
 
 
-def _legend(plot: Plot, levels: Sequence[float]) -> str:
+def _legend(plot: Plot, levels: Sequence[float], *, with_points: bool) -> str:
     """A swatch a level, the likeliest on top, and what grey means."""
     x, y = plot.right + 10, plot.top + 4
     words = [f"{_power(end)} and more" for end in levels[:1]]
@@ -145,7 +148,8 @@ def _legend(plot: Plot, levels: Sequence[float]) -> str:
     box = f"<path d='M{x} {y - 3}h13' stroke='{BLACK}' stroke-dasharray='4 3'/>"
     dot = f"<circle cx='{x + 6.5}' cy='{y + 13}' r='1.7' fill='{BLACK}'/>"
     parts += [box, text("80 % of all, each way", x + 17, y, size=9.5)]
-    parts += [dot, text("a violation drawn", x + 17, y + 16.5, size=9.5)]
+    if with_points:
+        parts += [dot, text("a violation drawn", x + 17, y + 16.5, size=9.5)]
     return "".join(parts)
 
 

@@ -77,12 +77,14 @@ class Plot:
         right: int = 10,
         top: int = 24,
         bottom: int = 34,
+        title_at: int | None = None,
     ) -> None:
         self.x, self.y = x, y
         self.width, self.height = width, height
         self.left, self.right = left, width - right
         self.top, self.bottom = top, height - bottom
         self._title = title
+        self._title_at = left if title_at is None else title_at
         self._parts: list[str] = []
         self._over: list[str] = []
 
@@ -269,7 +271,7 @@ class Plot:
 
     def _frame(self) -> str:
         parts = [
-            text(self._title, self.left, self.top - 9, color=INK, weight="600", size=11.5),
+            text(self._title, self._title_at, self.top - 9, color=INK, weight="600", size=11.5),
             f"<path d='M{self.left} {self.bottom}H{self.right}' stroke='{FAINT}'/>",
         ]
         for value in self.y.tick_values(count=max(3, (self.bottom - self.top) // 30)):

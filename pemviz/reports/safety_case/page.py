@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from pemviz._version import __version__
 from pemviz.colors import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
+from pemviz.config import ExperimentConfig
 from pemviz.reports.estimate_text import interval_text, probability_text
 from pemviz.reports.ladder_text import ends_text
 from pemviz.reports.pictures.answers import AnswerRow, answers_plot
@@ -52,7 +53,7 @@ def safety_case_page(runs: Sequence[CaseRun], *, below: float | None = None) -> 
         below: The failure probability that is to be claimed, if one is named.
     """
     if len(runs) == 1:
-        title = f"Safety case evidence: {runs[0].result.config.spec}"
+        title = f"Safety case evidence: {_asked(runs[0].result.config)}"
         body = _title(title, f"Run {runs[0].name}") + _sections(runs[0], below=below, prefix="")
     else:
         title = f"Safety case evidence: {len(runs)} runs"
@@ -72,10 +73,15 @@ def _title(title: str, below: str) -> str:
     return f"<h1>{words(title)}</h1>{paragraph(below, kind='quiet')}"
 
 
+def _asked(config: ExperimentConfig) -> str:
+    """The specification, or the names of the rules that make it up."""
+    return ", ".join(rule.name for rule in config.rules) or config.spec
+
+
 def _sections(run: CaseRun, *, below: float | None, prefix: str) -> str:
     result = run.result
     config = result.config
-    asked = f"{config.spec}; {scenario_text(config)}; error model {result.pem.name}; seed "
+    asked = f"{_asked(config)}; {scenario_text(config)}; error model {result.pem.name}; seed "
     parts = (
         ("Claim", claim_section(result, below=below)),
         ("Argument", argument(result)),

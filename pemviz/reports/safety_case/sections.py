@@ -18,6 +18,7 @@ from pemviz.reports.estimate_text import (
     interval_name,
     interval_text,
     memory_text,
+    occasion_text,
     short_probability,
 )
 from pemviz.reports.ladder_text import ends_text
@@ -61,7 +62,8 @@ def headline(run: CaseRun, *, below: float | None) -> str:
     left = (
         f"<p class='answer'>P(violation) = {words(short_probability(estimate))}</p>"
         + paragraph(
-            f"in one run, if error model {result.pem.name} is right, and misses are {assumed}."
+            f"in one {occasion_text(result.config)}, if error model {result.pem.name} is right, "
+            f"and misses are {assumed}."
         )
         + paragraph(f"Sampling alone: {interval_name(estimate, caveats=caveats)} {interval}.")
         + warnings([f"Do not quote it: {against}." for against in run_unreliable_because(result)])
@@ -106,7 +108,7 @@ def argument(result: RunResult) -> str:
     """Why the evidence carries the claim, step by step."""
     config, data = result.config, result.pem.data
     steps = [
-        f"What may go wrong is stated exactly: a run violates {config.spec!r}, decided by the "
+        f"What may go wrong is stated exactly: a run violates {_asked(config)}, decided by the "
         "classical semantics of Signal Temporal Logic.",
         f"The system is the scenario: {scenario_text(config)}. Everything but perception is "
         "deterministic in it (assumptions below).",
@@ -120,6 +122,11 @@ def argument(result: RunResult) -> str:
         "the chains are plausible: E4.",
     ]
     return f"<ol>{''.join(f'<li>{words(step)}</li>' for step in steps)}</ol>"
+
+
+def _asked(config: ExperimentConfig) -> str:
+    rules = [f"{rule.name} {rule.formula!r}" for rule in config.rules]
+    return f"one of the rules {'; '.join(rules)}" if rules else repr(config.spec)
 
 
 def assumptions(result: RunResult) -> str:
