@@ -37,6 +37,7 @@ ONLY_IN = {
     "pyarrow": {"sweep", "export"},
     "scenariogeneration": {"export"},
     "commonroad": {"export"},
+    "libsumo": {"simulators"},
     "multiprocessing": {"processes"},
 }
 

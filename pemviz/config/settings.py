@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pemviz.config.encounters import NO_FAMILY, EncounterConfig, StartChoice, start_values
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range, check_fields, shown
+from pemviz.config.sumo import SumoConfig
 from pemviz.config.tracker_text import NO_TRACKER, read_tracker
 from pemviz.errors import ConfigError
 
@@ -20,7 +21,7 @@ METHODS = NamedPart(
 MethodName = Annotated[str, METHODS]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
 KeepName = Literal["all", "violations"]
-SHIPPED_SIMULATORS = ("vectorized", "highway-env")
+SHIPPED_SIMULATORS = ("vectorized", "highway-env", "sumo")
 """Back ends of the shipped scenarios."""
 BLACK_BOXES = ("merge",)
 """Environments of others that pemviz ships an adapter for; a preset of the same name has rules."""
@@ -134,8 +135,8 @@ class ExperimentConfig:
     """Also tell the failure probability over memory times from 0 to 1 s and over frailties from 0
     to 1.2, from 2400 rollouts each of their own (on the fast twin where there is one)."""
     simulator: str = "vectorized"
-    """Back end that steps the scenario: vectorized, highway-env, or a name that an installed
-    package registers as an entry point of the group pemviz.simulators."""
+    """Back end that steps the scenario: vectorized, highway-env, sumo (needs pemviz[sumo]), or a
+    name that an installed package registers as an entry point of the group pemviz.simulators."""
     device: str = "cpu"
     """Where rollouts are computed: cpu (numpy), cuda or cuda:N (a GPU, in double precision; the
     same estimate to 1e-6), or torch-cpu (the GPU's code on the CPU). Splitting, highway-env and
@@ -193,6 +194,8 @@ class ExperimentConfig:
     """A family of encounters in place of the scenario, whose tracker it has."""
     start: tuple[StartChoice, ...] = ()
     """Start values of the encounter with other distributions than the family's."""
+    sumo: SumoConfig = field(default_factory=SumoConfig)
+    """Of simulator sumo."""
 
     @property
     def is_braking_scenario(self) -> bool:
@@ -241,6 +244,7 @@ class ExperimentConfig:
         read_tracker(self.scenario.tracker)
         self._validate_rules()
         self._validate_encounter()
+        self._validate_sumo()
         if not self.pem.strip():
             message = "pem = '': must be the name of a shipped model or a file"
             raise ConfigError(message)
@@ -248,7 +252,7 @@ class ExperimentConfig:
             message = f"device = {self.device!r}: must be cpu, torch-cpu, cuda or cuda:N"
             raise ConfigError(message)
         if not self.simulator.strip():
-            message = f"simulator = '': must be {' or '.join(SHIPPED_SIMULATORS)} or registered"
+            message = f"simulator = '': must be {', '.join(SHIPPED_SIMULATORS)} or registered"
             raise ConfigError(message)
 
     def _validate_rules(self) -> None:
@@ -265,6 +269,11 @@ class ExperimentConfig:
             message = f"spec = {self.spec!r}: must be left out where there are rules"
             raise ConfigError(message)
 
+    def _validate_sumo(self) -> None:
+        if self.sumo != SumoConfig() and (self.simulator != "sumo" or self.is_braking_scenario):
+            message = "sumo: must be left out without simulator sumo and a family of encounters"
+            raise ConfigError(message)
+
     def _validate_encounter(self) -> None:
         if self.encounter.family == NO_FAMILY:
             if self.encounter != EncounterConfig() or self.start:
@@ -276,7 +285,7 @@ class ExperimentConfig:
             message = f"scenario: must be left out but for its tracker with {self._family}"
             raise ConfigError(message)
         if self.simulator not in SHIPPED_SIMULATORS:
-            allowed = " or ".join(SHIPPED_SIMULATORS)
+            allowed = ", ".join(SHIPPED_SIMULATORS)
             message = f"simulator = {self.simulator!r}: must be {allowed} with {self._family}"
             raise ConfigError(message)
         known = [value.name for value in start_values(self.encounter)]

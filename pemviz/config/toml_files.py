@@ -11,6 +11,7 @@ import tomli_w
 from pemviz.config import BLACK_BOXES, ExperimentConfig
 from pemviz.config.encounters import FAMILIES, NO_FAMILY, StartChoice
 from pemviz.config.records import read_record, read_value
+from pemviz.config.sumo import SumoConfig
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import ConfigError
 from pemviz.files.shipped import asset_path
@@ -143,8 +144,8 @@ def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
-    Without rules, position errors, tracker, family and encounters an hour where there are none, and
-    without ``keep`` where all is kept.
+    Without rules, position errors, tracker, family, SUMO's model and encounters an hour where there
+    are none, and without ``keep`` where all is kept.
     """
     table = every_setting(config)
     if config.scenario.tracker == NO_TRACKER:
@@ -161,6 +162,9 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
         del table["encounters_per_hour"]
     if config.keep == "all":
         del table["keep"]
+    is_used = config.simulator == "sumo" and not config.is_braking_scenario
+    if not is_used and config.sumo == SumoConfig():
+        del table["sumo"]
     return table
 
 

@@ -31,6 +31,7 @@ from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Simulator
 
 SLOW_BATCH_ROLLOUTS = 50
+SUMO_BATCH_ROLLOUTS = 512
 OWN_BATCH_ROLLOUTS = 500
 FIT_ANYWHERE = "use mixture, with splitting as an independent check"
 
@@ -63,7 +64,7 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
     return BackEnd(
         simulator=simulator,
         features=BrakingFeatures(config.scenario),
-        twin=VectorizedSimulator(config.scenario),
+        twin=None if config.simulator == "sumo" else VectorizedSimulator(config.scenario),
         batch_rollouts=batch_rollouts(config),
     )
 
@@ -120,6 +121,8 @@ def batch_rollouts(config: ExperimentConfig) -> int:
     """How many rollouts are simulated at a time; the result does not depend on it."""
     if config.simulator == "highway-env":
         return SLOW_BATCH_ROLLOUTS
+    if config.simulator == "sumo":
+        return SUMO_BATCH_ROLLOUTS
     largest = largest_part(states=config.states)
     return largest if is_gpu(config.device) else min(BATCH_ROLLOUTS, largest)
 

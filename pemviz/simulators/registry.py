@@ -55,6 +55,12 @@ def build_named_simulator(
         from pemviz.simulators.merge.scenario import MergeSimulator  # noqa: PLC0415  as above
 
         return MergeSimulator(scenario)
+    if name == "sumo":
+        from pemviz.simulators.sumo.braking import SumoBraking  # noqa: PLC0415  as above
+        from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415
+
+        check_installed()
+        return SumoBraking(scenario, errors)
     if name == "vectorized":
         from pemviz.simulators.braking.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
 
@@ -80,8 +86,14 @@ def build_family_simulator(config: ExperimentConfig) -> "FamilyScenario":
         return HighwayFamily(*own)
     from pemviz.simulators.families.vectorized import VectorizedFamily  # noqa: PLC0415  scipy
 
+    if config.simulator == "sumo":
+        from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415  as below
+        from pemviz.simulators.sumo.families import SumoFamily  # noqa: PLC0415
+
+        check_installed()
+        return SumoFamily(*own, sumo=config.sumo)
     if config.simulator != "vectorized":
-        message = f"simulator = {config.simulator!r}: must be {' or '.join(SHIPPED)} with a family"
+        message = f"simulator = {config.simulator!r}: must be {', '.join(SHIPPED)} with a family"
         raise ConfigError(message)
     return VectorizedFamily(*own)
 

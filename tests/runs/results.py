@@ -14,6 +14,7 @@ from pemviz.config.encounters import EncounterConfig
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range
 from pemviz.config.settings import RULE_NAME
+from pemviz.config.sumo import SumoConfig
 from pemviz.runs.result import RankedRollout, RunResult
 
 TEXTS = st.text(max_size=8)
@@ -69,6 +70,7 @@ def configurations():
     alone = plainly(
         ExperimentConfig, pem=named, simulator=named, device=devices, rules=st.just(()),
         scenario=scenarios, encounter=st.just(EncounterConfig()), start=st.just(()),
+        sumo=st.just(SumoConfig()),
     )  # fmt: skip
     names = st.from_regex(RULE_NAME, fullmatch=True)
     rules = st.dictionaries(names, TEXTS, max_size=2)

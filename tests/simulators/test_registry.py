@@ -76,7 +76,7 @@ def third_party(tmp_path, monkeypatch):
 
 
 def test_without_packages_there_are_the_shipped_ones():
-    assert simulator_names()[: len(SHIPPED)] == SHIPPED == ("vectorized", "highway-env")
+    assert simulator_names()[: len(SHIPPED)] == SHIPPED == ("vectorized", "highway-env", "sumo")
     for name in SHIPPED:
         assert build_named_simulator(name, ScenarioConfig()).name == name
 

@@ -101,16 +101,18 @@ class VectorizedFamily(FamilyScenario):
             config, told, ego_mps=signals[EGO_SPEED], set_mps=values["ego_speed"]
         )
         time_s = float(states.step) * config.dt_s
-        left = Left(
-            config=config,
-            cars=self.cars,
-            states=states,
-            values=values,
-            ego_mps2=np.where(signals[COLLIDED] > 0.0, 0.0, wanted_mps2),
-            others_mps2=decelerations(config, values, time_s=time_s),
-            states_ahead=of_cars(STATES_AHEAD, self.cars, memory),
+        left, moved = self._driven(
+            Left(
+                config=config,
+                cars=self.cars,
+                states=states,
+                values=values,
+                ego_mps2=np.where(signals[COLLIDED] > 0.0, 0.0, wanted_mps2),
+                others_mps2=decelerations(config, values, time_s=time_s),
+                states_ahead=of_cars(STATES_AHEAD, self.cars, memory),
+            )
         )
-        arrived, states_ahead = arrive(left, self._moved(left))
+        arrived, states_ahead = arrive(left, moved)
         if self.has_ghost:
             arrived = {**arrived, **ghost_signals(values[GHOST_GAP], arrived[EGO_X])}
         kept = {name: values for name, values in memory.items() if name.startswith(KEPT_START)}
@@ -132,13 +134,13 @@ class VectorizedFamily(FamilyScenario):
         closing_mps = states.signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
         return Told(np.ones(gap_m.shape, dtype=np.bool_), gap_m, aside_m, closing_mps)
 
-    def _moved(self, left: Left) -> Moved:
-        """Where all cars are a step on if none touches another."""
+    def _driven(self, left: Left) -> tuple[Left, Moved]:
+        """What is done in the step, and where all cars then are if none touches another."""
         dt_s, signals = self.config.dt_s, left.states.signals
         gap_m, aside_m, speed_mps, heading_rad = (left.of_cars(what) for what in OF_EACH)
         ego_m, ego_mps = signals[EGO_X], signals[EGO_SPEED]
         x_m = ego_m + gap_m + self.config.car_length_m
-        return Moved(
+        return left, Moved(
             ego_x_m=ego_m + ego_mps * dt_s,
             ego_mps=(ego_mps + left.ego_mps2 * dt_s).clip(0.0),
             x_m=x_m + speed_mps * np.cos(heading_rad) * dt_s,
