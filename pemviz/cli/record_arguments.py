@@ -74,7 +74,8 @@ class RecordArguments:
     no_recording: bool = False
     """Leave out run.rrd."""
     no_frames: bool = False
-    """Leave highway-env's pictures of the least robust rollout out of run.rrd."""
+    """Leave highway-env's pictures of the least robust rollout out of run.rrd. Other simulators'
+    rollouts, and those with position errors, have none."""
     allow_python: bool = False
     """Allow --pem module:attribute, a model of your own in Python, whose code then runs."""
     workers: Processes | None = None

@@ -11,6 +11,7 @@ from pemviz.cli.progress import progress_observer
 from pemviz.cli.record_arguments import RecordArguments
 from pemviz.cli.summary import print_summary
 from pemviz.cli.workers import check_workers, with_workers
+from pemviz.config.encounters import NO_FAMILY
 from pemviz.config.gate_limits import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED
 from pemviz.reports.gate import decide_limits
@@ -91,8 +92,10 @@ def _recorders(
 
 
 def _has_film(experiment: Experiment) -> bool:
-    """Whether outcomes alone tell what highway-env draws: the shipped scenario, without errors."""
-    return not experiment.is_own_system and experiment.config.position_errors is None
+    """Whether outcomes and starts tell what highway-env draws: shipped scenarios without errors."""
+    config = experiment.config
+    shipped = not experiment.is_own_system or config.encounter.family != NO_FAMILY
+    return shipped and config.position_errors is None
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,16 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
 from pemviz.arrays import FloatArray
+from pemviz.config import ExperimentConfig
 from pemviz.recording import learning, paths, scene, text, worst
 from pemviz.recording.blueprint import blueprint, views_with_data
 from pemviz.recording.compact import compact
 from pemviz.recording.estimates import Answer, drawn_answer, drawn_repetitions, log_estimates
+from pemviz.recording.film import import_filming, log_film
 from pemviz.recording.ladder import log_ladder
 from pemviz.recording.road_plan import log_road_plan
 from pemviz.recording.road_scene import log_road_scene
@@ -133,7 +134,9 @@ class Recorder:
             frames=self._frames,
         )
         if self._frames:
-            threading.Thread(target=_import_filming, name="pemviz-filming").start()
+            threading.Thread(
+                target=_import_filming, args=(event.config,), name="pemviz-filming"
+            ).start()
         config = event.config
         file = self._file = RecordingFile(
             self.path,
@@ -271,9 +274,8 @@ class Recorder:
         if run.started.config.repetitions > 1:
             self._write_scene(file, run, stage=last)
         if self._frames:
-            worst.log_frames(
-                file, self._tracks[0], scenario=run.started.config.scenario, stage=last
-            )
+            config, simulator = run.started.config, run.started.simulator
+            log_film(file, self._tracks[0], config=config, simulator=simulator, stage=last)
 
     def _write_scene(self, file: RecordingFile, run: _Run, *, stage: int) -> None:
         """The least robust rollouts on their road, as far as their scenario tells of one."""
@@ -325,10 +327,10 @@ def _without_constants(run: _Run, stage: StageResult) -> _Run:
     return replace(run, views=without_signals(run.views, keys))
 
 
-def _import_filming() -> None:
+def _import_filming(config: ExperimentConfig) -> None:
     """Import what films the least robust rollout while the run goes on; it takes a second."""
     with suppress(ImportError):  # told when it is needed
-        import_module("pemviz.simulators.braking.highway_env_scenario")
+        import_filming(config)
 
 
 def robustness_unit(metric: str) -> str:

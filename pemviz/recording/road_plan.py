@@ -33,7 +33,7 @@ Bounds = tuple[tuple[float, float], tuple[float, float]]
 CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]) / 2
 ANGLES = np.linspace(0.0, 2 * np.pi, 33)
 CROSS = ((0, 2), (1, 3))
-FIRST_WORDS_M, WORDS_SPACING_M = 37.0, 23.0
+FIRST_WORDS_M, WORDS_SPACING_M = 38.0, 24.0
 LAPS = 8
 """Lines side by side that fill a rectangle."""
 HALO_M = 0.7
@@ -236,7 +236,7 @@ def _log_words(file: RecordingFile, row: _Row, *, title: str, times: StepTimes) 
         first = f"rank {row.rank}: {drawn.contact_words if after else title}"
         labels += [first, *(_slot_words(drawn, slot, step) for slot in range(len(names)))]
     others_m = [FIRST_WORDS_M + WORDS_SPACING_M * place for place in range(len(names))]
-    places = [(-BEHIND_M + x_m, row.words_m) for x_m in (13.0, *others_m)]
+    places = [(-BEHIND_M + x_m, row.words_m) for x_m in (11.0, *others_m)]
     path = paths.plan(row.rank, "words")
     file.static(
         path,

@@ -2,28 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 
 import numpy as np
-import PIL.Image
-import rerun as rr
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.colors import PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
-from pemviz.config import ScenarioConfig
 from pemviz.recording import paths
-from pemviz.recording.outcomes import log_outcomes
+from pemviz.recording.outcomes import OutcomeRow, log_outcomes
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.reports.escape import markdown_table, markdown_text
 from pemviz.reports.estimate_text import share_text
-from pemviz.runs.drawn_rollout import DrawnRollout, drawn_rollout
+from pemviz.runs.drawn_rollout import NOT_ASKED, DrawnRollout, drawn_rollout
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.slot_outcomes import faultless, faultless_probability, right_by_slot, slots_of
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Signal, Simulator, StageResult
 
-JPEG_QUALITY = 85
 RANKED_BY_RULE = 3
 
 
@@ -38,6 +33,8 @@ class Track:
         pem_probability: ``[T-1]`` P(detected) under the perception error model.
         proposal_probability: ``[T-1]`` P(detected) under the proposal.
         right_by_slot: ``[T-1]`` whether each of several slots does not err, by its name.
+        outcomes: Of perception, ``[T-1]``, with several slots ``[T-1, K]``.
+        start: Latents at the start ``[S]``; ``None``: the scenario has none.
         drawn: Where its cars are, of a scenario that tells.
     """
 
@@ -47,6 +44,8 @@ class Track:
     pem_probability: FloatArray
     proposal_probability: FloatArray
     right_by_slot: Mapping[str, BoolArray]
+    outcomes: BoolArray
+    start: FloatArray | None = None
     drawn: DrawnRollout | None = None
 
     @property
@@ -97,6 +96,8 @@ def _track(
         pem_probability=faultless_probability(rollouts.pem_logit[row], slots=slots),
         proposal_probability=faultless_probability(rollouts.proposal_logit[row], slots=slots),
         right_by_slot=right_by_slot(rollouts.detected[row], slots=slots),
+        outcomes=rollouts.detected[row].copy(),
+        start=None if rollouts.latents is None else rollouts.latents.start[row].copy(),
         drawn=drawn_rollout(
             simulator,
             signals=signals,
@@ -162,28 +163,13 @@ def log_worst_plots(
     log_outcomes(file, _rows(tracks), stage=stage, dt_s=dt_s)
 
 
-def _rows(tracks: Sequence[Track]) -> Sequence[tuple[str, BoolArray]]:
+def _rows(tracks: Sequence[Track]) -> Sequence[OutcomeRow]:
     """Outcomes by rank, with several slots a row for each of them."""
-    rows: list[tuple[str, BoolArray]] = []
+    rows: list[OutcomeRow] = []
     for rank, track in enumerate(tracks, start=1):
-        by_slot = track.right_by_slot.items()
-        rows += [(f"rank {rank}, {name}", right) for name, right in by_slot]
-        if not by_slot:
-            rows.append((f"rank {rank}", track.detected))
+        for slot, (name, right) in enumerate(track.right_by_slot.items()):
+            asked = None if track.drawn is None else track.drawn.answers[:, slot] != NOT_ASKED
+            rows.append(OutcomeRow(f"rank {rank}, {name}", right, asked))
+        if not track.right_by_slot:
+            rows.append(OutcomeRow(f"rank {rank}", track.detected))
     return rows
-
-
-def log_frames(file: RecordingFile, track: Track, *, scenario: ScenarioConfig, stage: int) -> None:
-    """The rollout filmed from above by highway-env, one JPEG picture for each state."""
-    from pemviz.simulators.braking.highway import frames  # noqa: PLC0415  pulls in pygame
-
-    encoded = [_jpeg(frame) for frame in frames(scenario, detected=track.detected)]
-    times = StepTimes(stage=stage, count=len(encoded), dt_s=scenario.dt_s)
-    file.static(paths.FRAMES, rr.EncodedImage.from_fields(media_type="image/jpeg"))
-    file.along(paths.FRAMES, rr.EncodedImage.columns(blob=encoded), times=times)
-
-
-def _jpeg(frame: AnyArray) -> bytes:
-    buffer = BytesIO()
-    PIL.Image.fromarray(np.ascontiguousarray(frame)).save(buffer, "JPEG", quality=JPEG_QUALITY)
-    return buffer.getvalue()

@@ -212,21 +212,24 @@ class GymnasiumSlotSimulator(GymnasiumSimulator):
 
     def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Where perception has something to answer, ``[..., K]``."""
-        return self._of_slots(self.present_of, signals)
+        return of_slots(self.present_of, signals, slots=self.slots)
 
     def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Where what is detected may matter, ``[..., K]``."""
-        return self._of_slots(self.reacts_of, signals)
+        return of_slots(self.reacts_of, signals, slots=self.slots)
 
-    def _of_slots(
-        self,
-        function: Callable[[Mapping[str, FloatArray]], BoolArray] | None,
-        signals: Mapping[str, FloatArray],
-    ) -> BoolArray:
-        if function is not None:
-            return function(signals)
-        shape = next(iter(signals.values())).shape
-        return np.ones((*shape, len(self.slots)), dtype=np.bool_)
+
+def of_slots(
+    function: Callable[[Mapping[str, FloatArray]], BoolArray] | None,
+    signals: Mapping[str, FloatArray],
+    *,
+    slots: Sequence[Slot],
+) -> BoolArray:
+    """What a function says of signals ``[...]`` and each slot, ``[..., K]``; without one, yes."""
+    if function is not None:
+        return function(signals)
+    shape = next(iter(signals.values())).shape
+    return np.ones((*shape, len(slots)), dtype=np.bool_)
 
 
 _Row = tuple[Mapping[str, float], Any, bool]

@@ -11,6 +11,7 @@ from pemviz.simulators.gymnasium_adapter import (
     Environment,
     detection_action,
     detections_action,
+    of_slots,
     signal_values,
 )
 from pemviz.simulators.slots import Slot
@@ -72,11 +73,14 @@ class GymnasiumSlotEpisodes(GymnasiumEpisodes):
             :func:`named_detections_action` for a dict.
         present_of: Signals ``[...]`` to where perception has something to answer, ``[..., K]``;
             ``None``: everywhere.
+        reacts_of: Signals ``[...]`` to where the environment reacts to what is detected,
+            ``[..., K]``; ``None``: it may everywhere.
     """
 
     slots: tuple[Slot, ...]
     action_of: Callable[[Any], Any] = detections_action
     present_of: Callable[[Mapping[str, FloatArray]], BoolArray] | None = None
+    reacts_of: Callable[[Mapping[str, FloatArray]], BoolArray] | None = None
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """Each slot's salient variables, ``[..., K, D]``."""
@@ -87,10 +91,11 @@ class GymnasiumSlotEpisodes(GymnasiumEpisodes):
 
     def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Where perception has something to answer, ``[..., K]``."""
-        if self.present_of is not None:
-            return self.present_of(signals)
-        shape = next(iter(signals.values())).shape
-        return np.ones((*shape, len(self.slots)), dtype=np.bool_)
+        return of_slots(self.present_of, signals, slots=self.slots)
+
+    def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where what is detected may matter, ``[..., K]``."""
+        return of_slots(self.reacts_of, signals, slots=self.slots)
 
 
 def named_detections_action(

@@ -6,11 +6,12 @@ import pytest
 import pemviz
 from pemviz.colors import DETECTED, GREY, MISSED, rgba
 from pemviz.recording import paths
+from pemviz.recording.outcomes import outcome_frame
 from pemviz.recording.road_layout import road_place
 from pemviz.recording.road_plan import row_m
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, drawn_rollout, remembered
 from tests.recording import read_back
-from tests.recording.conftest import record, texts
+from tests.recording.conftest import record, strips, texts, values_at
 from tests.scene_toys import SPREAD_M, CameraOfTwo, CutIn
 
 
@@ -140,3 +141,20 @@ def test_answers_are_none_where_nothing_is_in_view_and_of_a_ghost_the_other_way_
         scenario, signals=signals, detected=np.array([[True, True], [False, True]]), memory={}
     )
     assert drawn.answers.tolist() == [[RIGHT, NOT_ASKED], [WRONG, WRONG]]
+
+
+def test_a_row_of_outcomes_is_cut_where_its_car_comes_into_view_and_errors_are_those_in_view(
+    recorded, rollout
+):
+    frame = outcome_frame(["rank 1, cutter"] * 4, steps=40, dt_s=0.1)
+    present = CutIn().present(rollout.signals)[0, :-1]
+    wrong = ~rollout.detected[0] & present
+    assert not present.all()
+    for slot in range(2):
+        drawn = [values_at(frame, line) for line in strips(recorded.path, paths.outcomes(slot + 1))]
+        runs = [at_s for at_s, row in drawn if row[0] == row[1]]
+        turns_s = (np.flatnonzero(np.diff(present[:, slot])) + 1) * 0.1
+        np.testing.assert_allclose([end for _, end in runs], [*turns_s, 4.0], atol=1e-4)
+        strokes_s = [at_s[0] for at_s, row in drawn if row[0] != row[1]]
+        expected_s = (np.flatnonzero(wrong[:, slot]) + 0.5) * 0.1
+        np.testing.assert_allclose(strokes_s, expected_s, atol=1e-4)

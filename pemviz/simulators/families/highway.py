@@ -102,7 +102,8 @@ def encounter_frames(
         start: Standard normals of the start ``[S]``; ``None``: medians.
 
     Returns:
-        T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, the ego blue.
+        T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, its left side on
+        top, the ego blue.
     """
     from pemviz.simulators.families.highway_env_encounters import EncounterEnv  # noqa: PLC0415  pygame
 
