@@ -13,23 +13,27 @@ from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.families.highway import HighwayFamily
 from pemviz.simulators.families.scenario import FamilyScenario
 from pemviz.simulators.families.vectorized import VectorizedFamily
+from pemviz.simulators.sumo.engine import is_installed
+from pemviz.simulators.sumo.families import SumoFamily
 
 
 def family_figures(
     *,
     vectorized_rollouts: int = 1000,
     highway_rollouts: int = 4,
+    sumo_rollouts: int = 128,
     repeats: int = 5,
     states: int = 91,
     families: Sequence[FamilyName] = FAMILIES,
 ) -> Sequence[Figure]:
-    """Replay random starts and outcomes on both back ends, family by family.
+    """Replay random starts and outcomes on all back ends, family by family; SUMO if it is there.
 
-    The two take turns in every repeat; a ratio is formed within a repeat.
+    They take turns in every repeat; a ratio is formed within a repeat.
 
     Args:
         vectorized_rollouts: Size of the vectorized back end's batch.
         highway_rollouts: Rollouts of highway-env in a repeat.
+        sumo_rollouts: Size of SUMO's batch.
         repeats: Repeats that medians are taken over, after one that is not counted.
         states: States in a rollout.
         families: Which ones.
@@ -37,20 +41,33 @@ def family_figures(
     found: list[Figure] = []
     for family in families:
         config = EncounterConfig(family=family, states=states)
-        vectorized = _replaying(VectorizedFamily(config), vectorized_rollouts)
-        highway = _replaying(HighwayFamily(config), highway_rollouts)
-        turns = [(elapsed_s(vectorized), elapsed_s(highway)) for _ in range(repeats + 1)]
-        fast_s, slow_s = zip(*turns[1:], strict=True)
-        per_fast_s = [spent_s / vectorized_rollouts for spent_s in fast_s]
-        per_slow_s = [spent_s / highway_rollouts for spent_s in slow_s]
-        found += [
-            Figure(f"{family}, vectorized", 1 / statistics.median(per_fast_s), "rollouts/s"),
-            Figure(f"{family}, highway-env", 1 / statistics.median(per_slow_s), "rollouts/s"),
+        sizes = {"vectorized": vectorized_rollouts, "highway-env": highway_rollouts}
+        kinds: list[FamilyScenario] = [VectorizedFamily(config), HighwayFamily(config)]
+        if is_installed():
+            kinds.append(SumoFamily(config))
+            sizes["sumo"] = sumo_rollouts
+        works = [_replaying(one, sizes[one.name]) for one in kinds]
+        turns = [[elapsed_s(work) for work in works] for _ in range(repeats + 1)]
+        each_s = {
+            one.name: [spent_s / sizes[one.name] for spent_s in column]
+            for one, column in zip(kinds, zip(*turns[1:], strict=True), strict=True)
+        }
+        for name, per_rollout_s in each_s.items():
+            typical_s = statistics.median(per_rollout_s)
+            found += [
+                Figure(f"{family}, {name}", 1 / typical_s, "rollouts/s"),
+                Figure(
+                    f"{family}, {name}, all of its cars",
+                    (states - 1) / typical_s,
+                    "steps/s",
+                ),
+            ]
+        found.append(
             Figure(
                 f"{family}, vectorized, times faster than highway-env",
-                median_ratio(per_slow_s, per_fast_s),
-            ),
-        ]
+                median_ratio(each_s["highway-env"], each_s["vectorized"]),
+            )
+        )
     return tuple(found)
 
 

@@ -19,8 +19,16 @@ def test_rates_and_ratios_belong_together() -> None:
 
 
 def test_families_have_rates_and_a_ratio_each() -> None:
-    fast, slow, gain = family_figures(
-        vectorized_rollouts=10, highway_rollouts=2, repeats=1, states=5, families=("cut-in",)
+    fast, fast_steps, slow, _, sumo, sumo_steps, gain = family_figures(
+        vectorized_rollouts=10,
+        highway_rollouts=2,
+        sumo_rollouts=3,
+        repeats=1,
+        states=5,
+        families=("cut-in",),
     )
-    assert min(fast.value, slow.value) > 0
+    assert [fast.name, sumo.name] == ["cut-in, vectorized", "cut-in, sumo"]
+    assert min(fast.value, slow.value, sumo.value) > 0
     assert math.isclose(gain.value, fast.value / slow.value)
+    for rollouts, steps in ((fast, fast_steps), (sumo, sumo_steps)):
+        assert math.isclose(steps.value, 4 * rollouts.value)

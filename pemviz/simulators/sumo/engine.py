@@ -17,13 +17,18 @@ QUIET = "LIBSUMO_AS_TRACI"
 """Environment variable: with the value ``quiet`` libsumo prints nothing when it is imported."""
 
 
+def is_installed() -> bool:
+    """Whether libsumo is there."""
+    return find_spec("libsumo") is not None
+
+
 def check_installed() -> None:
     """Refuse SUMO where libsumo is not there.
 
     Raises:
         ConfigError: Says how to install it.
     """
-    if find_spec("libsumo") is None:
+    if not is_installed():
         message = f"simulator = 'sumo': needs libsumo; install it with {INSTALL}"
         raise ConfigError(message)
 
