@@ -128,9 +128,10 @@ class ExperimentConfig:
     of its own for as long as it is there, with this spread; how often the error model misses in
     all is as without; 0 to 5. 0: all are alike."""
     position_errors: str | None = None
-    """Errors of the lead car's measured distance, which the ego then brakes by: a shipped name
-    (pointpillars, pointrcnn) or a file of 'pemviz pem fit --position-errors'. Left out, it is
-    measured without error. Shipped back ends only; without method value-twisted and reference."""
+    """Errors of the lead car's measured distance, in families of the place of every car, which the
+    ego then brakes by: a shipped name (pointpillars, pointrcnn) or a file of 'pemviz pem fit
+    --position-errors'. Left out, it is measured without error. Shipped back ends only; without
+    method value-twisted and reference."""
     memory_curve: bool = False
     """Also tell the failure probability over memory times from 0 to 1 s and over frailties from 0
     to 1.2, from 2400 rollouts each of their own (on the fast twin where there is one)."""

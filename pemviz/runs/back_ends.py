@@ -73,10 +73,11 @@ def _family_back_end(config: ExperimentConfig) -> BackEnd:
     """Of a family of encounters, each slot of which takes its turn.
 
     Raises:
-        ConfigError: A start value's distribution cannot be, or it measures with errors.
+        ConfigError: A start value's distribution cannot be.
+        PemError: The model of position errors cannot be used.
     """
-    check_measures(config)
-    scenario = build_family_simulator(config)
+    errors = _position_errors(config)
+    scenario = build_family_simulator(config, errors=errors)
     unrolled = UnrolledSimulator(scenario)
     return BackEnd(
         simulator=unrolled,
@@ -84,6 +85,7 @@ def _family_back_end(config: ExperimentConfig) -> BackEnd:
         twin=None,
         batch_rollouts=batch_rollouts(config),
         is_own=True,
+        position_errors=errors,
     )
 
 
@@ -103,16 +105,14 @@ def check_measures(config: ExperimentConfig) -> None:
     """Refuse position errors for a simulator that takes none.
 
     Raises:
-        ConfigError: It is none of the shipped ones, or a family of encounters.
+        ConfigError: It is none of the shipped ones.
     """
-    if config.position_errors is None or config.is_braking_scenario:
+    is_family = config.encounter.family != NO_FAMILY
+    if config.position_errors is None or config.is_braking_scenario or is_family:
         return
-    by = f"simulator {config.simulator!r}"
-    if config.encounter.family != NO_FAMILY:
-        by = f"family {config.encounter.family!r}"
     message = (
-        f"position_errors = {config.position_errors!r}: {by} takes none, only the braking scenario "
-        f"on {' and '.join(SHIPPED)} does"
+        f"position_errors = {config.position_errors!r}: simulator {config.simulator!r} takes none, "
+        f"only the braking scenario and families of encounters on {' and '.join(SHIPPED)} do"
     )
     raise ConfigError(message)
 

@@ -263,7 +263,8 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     if experiment.config.encounters_per_hour is not None:
         others = [*others, assumed_encounters(experiment.config.encounters_per_hour)]
     if experiment.back_end.position_errors is not None:
-        others = [_measured_by(experiment.back_end.position_errors), *others]
+        errors = experiment.back_end.position_errors
+        others = [_measured_by(errors, several=experiment.is_own_system), *others]
     if experiment.config.metric == "agm" and may_leave_bounds(experiment.problem.simulator):
         others = [*others, BOUNDED]
     if experiment.folding is not None:
@@ -277,12 +278,13 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     return (first, bursts, *others)
 
 
-def _measured_by(model: PositionErrorModel) -> str:
-    """What is assumed of the lead car's measured distance."""
+def _measured_by(model: PositionErrorModel, *, several: bool) -> str:
+    """What is assumed of the lead car's measured distance, or of several slots' places."""
     report = model.card.report
     largest = f"{report['axes'][0]['largest']:.3g} m" if report else "not told"
+    measured = "measured places, each slot's on its own" if several else "the measured distance"
     return (
-        f"the ego brakes by the measured distance, off as position errors {model.name} say; the "
+        f"the ego brakes by {measured}, off as position errors {model.name} say; the "
         f"largest error in their data is {largest}, larger ones are the word of their tails"
     )
 

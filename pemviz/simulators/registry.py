@@ -20,6 +20,7 @@ from pemviz.simulators.braking.measured_gap import RangeErrors
 from pemviz.types import Simulator
 
 if TYPE_CHECKING:
+    from pemviz.simulators.families.measured import PlaneErrors
     from pemviz.simulators.families.scenario import FamilyScenario
 
 SHIPPED = SHIPPED_SIMULATORS
@@ -73,13 +74,19 @@ def build_named_simulator(
     )
 
 
-def build_family_simulator(config: ExperimentConfig) -> "FamilyScenario":
+def build_family_simulator(
+    config: ExperimentConfig, *, errors: "PlaneErrors | None" = None
+) -> "FamilyScenario":
     """The back end of the family of encounters that ``config`` names.
+
+    Args:
+        config: What is asked.
+        errors: Of the places that it measures.
 
     Raises:
         ConfigError: It has none of that name, or a start value's distribution cannot be.
     """
-    own = (config.encounter, config.start, config.scenario.tracker)
+    own = (config.encounter, config.start, config.scenario.tracker, errors)
     if config.simulator == "highway-env":
         from pemviz.simulators.families.highway import HighwayFamily  # noqa: PLC0415  as below
 

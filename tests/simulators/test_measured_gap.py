@@ -218,6 +218,6 @@ def test_a_run_goes_on_with_the_same_position_errors_alone(tmp_path):
     assert "other position errors of the name 'pointpillars'" in difference
     with pytest.raises(
         ConfigError,
-        match="takes none, only the braking scenario on vectorized and highway-env does",
+        match="takes none, only the braking scenario and families of encounters on vec",
     ):
         pemviz.build_experiment(config, simulator=MissCounter(states=7))

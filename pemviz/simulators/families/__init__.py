@@ -42,6 +42,16 @@ The error model says nothing of it: where it may appear it is reported with ``gh
 a step, which with a memory hangs together as misses do, its share in all being the same. No car
 touches it, it hides none, and rules know nothing of it.
 
+**Position errors** (``position_errors``; none by default) are those of
+``pemviz.pem.models.position_errors``, with salient variables as below, at the states s_0 to
+s_{T-2}, for every slot, the ghost too. With b = atan2(x, z) its bearing (below), e_r the error
+along the line of sight and e_c the one across it, to the right: gap_k + e_r cos b - e_c sin b and
+aside_k - e_r sin b - e_c cos b are measured. The noise u of an error is, with its memory's share c
+and time tau, sqrt(c) l + sqrt(1 - c) f_t: l is drawn once, f_0 is standard normal, f_t = r f_{t-1}
++ sqrt(1 - r^2) times a standard normal with r = exp(-dt / tau). Latents at every step: for each
+slot one for e_r, then one for e_c; at the start, after those of start values and only if the c of
+one kind is above 0, the l in the same order. A third kind of error, of speed, is not used.
+
 **Lateral profile.** Y(time) = y_from + (y_to - y_from) S((time - begin) / duration), with the
 minimum jerk S(u) = 10 u^3 - 15 u^4 + 6 u^5, 0 below u = 0 and 1 above 1 (Flash & Hogan 1985).
 
@@ -51,8 +61,9 @@ The ego starts at x = 0 with speed V, its set speed.
 **One step**, from s_t and its outcomes to s_{t+1}:
 
 1. *Perception.* Slot k is a hit if it is present (below) and detected; the ghost, if it is present
-   and reported. A hit measures gap_k, aside_k and closing_k = v_ego - v_k cos(heading_k), without
-   error; of the ghost that is ``ghost_gap`` - x_ego, 0 and v_ego.
+   and reported. A hit measures gap_k, aside_k and closing_k = v_ego - v_k cos(heading_k); of the
+   ghost that is ``ghost_gap`` - x_ego, 0 and v_ego. With position errors (below) gap_k and aside_k
+   are off, closing_k is not.
 2. *Tracker* (``scenario.tracker``; ``pemviz.simulators.tracking``), positions (gap, aside). Without
    one the ego is told of the hits alone. With one it is told of confirmed tracks: position the
    track's; closing speed by a filter that has speeds minus the track's along the first axis,
@@ -134,6 +145,6 @@ project's choice of what is ordinary on a motorway (cut-out: at its lower speeds
 so that an ego that misses nothing avoids a collision: not fitted to recorded traffic. Whoever has
 recordings gives their own distributions.
 
-**Limits:** other cars keep their speed and do not react; no position errors; one ghost at a fixed
-place; the ego does not steer.
+**Limits:** other cars keep their speed and do not react; one ghost at a fixed place; measured
+speeds have no errors; the ego does not steer.
 """

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import EncounterConfig, StartChoice
+from pemviz.errors import ConfigError
+from pemviz.simulators.families.highway_sight import measured_place
 from pemviz.simulators.families.scenario import FamilyScenario
 from pemviz.types import StateBatch
 
@@ -37,49 +39,62 @@ class HighwayFamily(FamilyScenario):
         """The states s_0, arrays ``[count]``, for standard normals ``[count, S]`` or medians."""
         given = np.zeros((count, self.latents.start)) if start is None else start
         scene, rows = self._scene, list[list[float]]()
-        for normals in given:
+        for normals in given[:, : self.random_values]:
             scene.begin(normals)
             rows.append([*scene.numbers(), *scene.signals.values().values()])
         tracks: dict[str, AnyArray] = {}
         if self.tracker is not None:
             tracks = self.tracker.memory(self.tracker.start(count, slots=len(self.slots)))
-        return self._states(rows, step=0, tracks=tracks)
+        return self._states(rows, step=0, kept={**tracks, **self.noise_begun(given)})
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
-        """The next states, given perception's outcomes ``[N, K]``."""
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
+        """The next states, for outcomes ``[N, K]`` and, with errors, noise ``[N, 2 K]``."""
         hits = np.asarray(detected, dtype=np.bool_) & self.present(states.signals)
         numbers = [name for name in states.memory if name.startswith(NUMBER)]
         table = np.stack([states.memory[name] for name in numbers], axis=-1).tolist()
-        told, kept = self._told(states, hits)
+        noises = {} if self.measured is None else self.measured.renewed(states, noise)
+        told, kept = self._told(states, hits, self._places_m(states, noises))
         scene, rows = self._scene, list[list[float]]()
         for row, before in enumerate(table):
             scene.load(before)
             scene.move(hits[row], *(None if one is None else one[row] for one in told))
             rows.append([*scene.numbers(), *scene.signals.values().values()])
-        return self._states(rows, step=int(states.step) + 1, tracks=kept)
+        return self._states(rows, step=int(states.step) + 1, kept={**kept, **noises})
 
     @property
     def _scene(self) -> "EncounterEnv":
         return _scene(self.config, self.chosen, self.tracker_text, get_ident())
 
+    def _places_m(self, states: StateBatch, noises: Mapping[str, AnyArray]) -> FloatArray:
+        """Gaps and offsets as perception measures them, ``[N, K, 2]``."""
+        true = [
+            np.stack([states.signals[f"{what}_{name}"] for name in self.told_of], axis=-1)
+            for what in ("gap", "aside")
+        ]
+        true_m = np.stack(true, axis=-1)
+        if self.measured is None:
+            return true_m
+        errors_m = self.measured.errors_m(self.salient(states.signals), noises)
+        pairs = zip(true_m.reshape(-1, 2).tolist(), errors_m.reshape(-1, 2).tolist(), strict=True)
+        places = [measured_place(self.config, *place, *error) for place, error in pairs]
+        return np.array(places, dtype=np.float64).reshape(true_m.shape)
+
     def _told(
-        self, states: StateBatch, hits: BoolArray
+        self, states: StateBatch, hits: BoolArray, places_m: FloatArray
     ) -> tuple[Sequence[AnyArray | None], dict[str, AnyArray]]:
         """Which tracks there are, where, and how fast, ``[N, K, ...]``; and what states keep."""
         tracker = self.tracker
         if tracker is None:
-            return (None, None, None), {}
-        measured = [
-            np.stack([states.signals[f"{what}_{name}"] for name in self.told_of], axis=-1)
-            for what in ("gap", "aside")
-        ]
+            return (None, places_m, None), {}
         before = tracker.state(states.memory, slots=len(self.slots))
-        tracks = tracker.update(before, hits, np.stack(measured, axis=-1))
+        tracks = tracker.update(before, hits, places_m)
         speeds = tracks.speed_mps if "speed_mps" in tracker.filter.keeps else None
         return (tracks.confirmed, tracks.position_m, speeds), tracker.memory(tracks)
 
     def _states(
-        self, rows: list[list[float]], *, step: int, tracks: Mapping[str, AnyArray]
+        self, rows: list[list[float]], *, step: int, kept: Mapping[str, AnyArray]
     ) -> StateBatch:
         count = len(self.signals)
         table = np.array(rows, dtype=np.float64).reshape(len(rows), -1).T
@@ -87,7 +102,7 @@ class HighwayFamily(FamilyScenario):
         signals = {signal.name: row for signal, row in zip(self.signals, values, strict=True)}
         memory = {f"{NUMBER}{place}": row for place, row in enumerate(numbers)}
         return StateBatch(
-            step=np.array(step, dtype=np.int64), signals=signals, memory={**memory, **tracks}
+            step=np.array(step, dtype=np.int64), signals=signals, memory={**memory, **kept}
         )
 
 
@@ -99,7 +114,10 @@ def encounter_frames(
     Args:
         simulator: The family, on whichever back end.
         detected: Perception's outcomes ``[T-1, K]``.
-        start: Standard normals of the start ``[S]``; ``None``: medians.
+        start: Standard normals of the start values ``[S]``; ``None``: medians.
+
+    Raises:
+        ConfigError: It measures with errors, whose noise no film is told of.
 
     Returns:
         T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, its left side on
@@ -107,6 +125,11 @@ def encounter_frames(
     """
     from pemviz.simulators.families.highway_env_encounters import EncounterEnv  # noqa: PLC0415  pygame
 
+    if simulator.errors is not None:
+        message = (
+            f"film of {simulator.config.family}: must be of encounters without position errors"
+        )
+        raise ConfigError(message)
     environment = EncounterEnv(
         simulator.config, simulator.chosen, simulator.tracker_text, render_mode="rgb_array"
     )

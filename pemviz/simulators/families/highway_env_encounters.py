@@ -242,7 +242,8 @@ class EncounterEnv(AbstractEnv):
         Args:
             hits: Slots that are present and reported ``[K]``.
             tracked: Of which the ego is told ``[K]``; ``None``: of the hits.
-            position_m: Gaps and offsets of the tracks, ``[K, 2]``.
+            position_m: Gaps and offsets of the tracks, or as measured, ``[K, 2]``; ``None``: as
+                they are.
             speed_mps: How they change, where a filter knows it, ``[K, 2]``.
         """
         ego_mps, offsets_m = self.ego.place.speed_mps, self.signals.reported_offsets

@@ -44,6 +44,25 @@ def sights(
     ]
 
 
+def measured_place(
+    config: EncounterConfig, gap_m: float, aside_m: float, along_m: float, across_m: float
+) -> tuple[float, float]:
+    """Gap and offset to the left [m] of a car whose centre is measured off.
+
+    Args:
+        config: The encounter.
+        gap_m: Its gap [m].
+        aside_m: Its offset to the left [m].
+        along_m: Error along the line of sight from the camera, away from it [m].
+        across_m: Error across it, to the right [m].
+    """
+    ahead_m = gap_m + config.camera_to_bumper_m + config.car_length_m / 2
+    bearing_rad = math.atan2(-aside_m, ahead_m)
+    farther_m = along_m * math.cos(bearing_rad) - across_m * math.sin(bearing_rad)
+    to_the_right_m = along_m * math.sin(bearing_rad) + across_m * math.cos(bearing_rad)
+    return gap_m + farther_m, aside_m - to_the_right_m
+
+
 def _outline(config: EncounterConfig, gap_m: float, aside_m: float) -> _Outline:
     near_m = gap_m + config.camera_to_bumper_m
     corners = [

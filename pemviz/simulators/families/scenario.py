@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import EncounterConfig, StartChoice
 from pemviz.config.distribution_text import Distribution, read_distribution
 from pemviz.config.encounters import start_values
 from pemviz.config.tracker_text import NO_TRACKER
-from pemviz.latents import LatentCounts
+from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.simulators.families import ego
 from pemviz.simulators.families.cars import (
     START_PLANES,
@@ -21,6 +21,7 @@ from pemviz.simulators.families.cars import (
 )
 from pemviz.simulators.families.drawing import encounter_cars, lanes, scene_states, scene_tracks
 from pemviz.simulators.families.ghost import GhostReports, ghost_salient, may_appear
+from pemviz.simulators.families.measured import FARTHEST_ASIDE_M, MeasuredPlaces, PlaneErrors
 from pemviz.simulators.families.names import (
     COLLIDED,
     EGO_SPEED,
@@ -48,11 +49,13 @@ class FamilyScenario(ABC):
         config: The encounters' parameters.
         chosen: Start values with other distributions than the family's.
         tracker_text: The tracker between perception and controller.
+        errors: Of measured places; ``None``: there are none.
     """
 
     config: EncounterConfig
     chosen: tuple[StartChoice, ...] = ()
     tracker_text: str = NO_TRACKER
+    errors: PlaneErrors | None = None
 
     @property
     def states(self) -> int:
@@ -126,8 +129,27 @@ class FamilyScenario(ABC):
 
     @property
     def latents(self) -> LatentCounts:
-        """One at the start for each start value that is not fixed."""
-        return LatentCounts(start=sum(not one.fixed for one in self.distributions.values()))
+        """One at the start for each start value that is not fixed, then those of errors."""
+        measured = NO_LATENTS if self.measured is None else self.measured.latents
+        return LatentCounts(start=self.random_values + measured.start, noise=measured.noise)
+
+    @cached_property
+    def random_values(self) -> int:
+        """How many start values are not fixed."""
+        return sum(not one.fixed for one in self.distributions.values())
+
+    @cached_property
+    def measured(self) -> MeasuredPlaces | None:
+        """What errors make of places; ``None`` without any."""
+        if self.errors is None:
+            return None
+        return MeasuredPlaces(self.errors, self.told_of, self.config.dt_s)
+
+    def noise_begun(self, given: FloatArray) -> dict[str, AnyArray]:
+        """What states remember of errors' noise at the start, for latents ``[N, S]``."""
+        if self.measured is None:
+            return {}
+        return self.measured.begin(len(given), given[:, self.random_values :])
 
     @property
     def starts(self) -> tuple[Signal, ...]:
@@ -162,8 +184,10 @@ class FamilyScenario(ABC):
         """
 
     @abstractmethod
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
-        """The next states, given perception's outcomes ``[N, K]``."""
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
+        """The next states, for outcomes ``[N, K]`` and, with errors, noise ``[N, 2 K]``."""
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The slots' salient variables ``[..., K, 11]``."""
@@ -186,15 +210,19 @@ class FamilyScenario(ABC):
     def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Whether the ego might do otherwise for each outcome, at once or later, ``[..., K]``.
 
-        Without a tracker: the car is in the path, and to keep a gap to it slows the ego down.
+        Without a tracker: the car is in the path, and to keep a gap to it slows the ego down. With
+        errors: it is not too far beside the path to be measured in it.
         """
         config = self.config
         gap_m, aside_m, speed_mps, heading_rad = self.of_told(signals)
         free = signals[COLLIDED] == 0.0
-        if self.tracker is not None:
-            known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * config.dt_s
+        if self.tracker is not None or self.errors is not None:
+            known_s = 0.0
+            if self.tracker is not None:
+                known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * config.dt_s
             moves = np.append(changes_lane(config), [False] * self.has_ghost)
             wider_m = np.where(moves, FASTEST_ASIDE_MPS * known_s, 0.0)
+            wider_m = wider_m + (0.0 if self.errors is None else FARTHEST_ASIDE_M)
             near = ego.is_beside(config, np.moveaxis(aside_m, 0, -1), wider_m=wider_m)
             return near & free[..., None]
         ego_mps = signals[EGO_SPEED]

@@ -1,10 +1,11 @@
 """Encounters of a family for a whole batch of rollouts at once."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.simulators.families import ego, margins
 from pemviz.simulators.families.arrival import Left, Moved, arrive
 from pemviz.simulators.families.cars import (
@@ -17,6 +18,7 @@ from pemviz.simulators.families.cars import (
 from pemviz.simulators.families.ego import Told
 from pemviz.simulators.families.ghost import GHOST_GAP, ghost_signals
 from pemviz.simulators.families.margins import Cars
+from pemviz.simulators.families.measured import displaced
 from pemviz.simulators.families.names import (
     AVOIDABLE_BY,
     CLEARANCE,
@@ -87,14 +89,18 @@ class VectorizedFamily(FamilyScenario):
                 **{f"{KEPT_START}{name}": values[name] for name in self._kept},
                 **by_car(STATES_AHEAD, self.cars, states_ahead),
                 **nothing_told(self.tracker, self.told_of, count),
+                **self.noise_begun(given),
             },
         )
 
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
-        """The next states, given perception's outcomes ``[N, K]``."""
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
+        """The next states, for outcomes ``[N, K]`` and, with errors, noise ``[N, 2 K]``."""
         config, memory, signals = self.config, states.memory, states.signals
         hits = (np.asarray(detected) & self.present(signals)).T
-        measured = self._measured(states)
+        noises = {} if self.measured is None else self.measured.renewed(states, noise)
+        measured = self._measured(states, noises)
         told, remembered = told_after(self.tracker, self.told_of, memory, hits, measured)
         values = {name: memory[f"{KEPT_START}{name}"] for name in self._kept}
         wanted_mps2 = ego.acceleration(
@@ -119,7 +125,12 @@ class VectorizedFamily(FamilyScenario):
         return StateBatch(
             step=states.step + 1,
             signals={signal.name: arrived[signal.name] for signal in self.signals},
-            memory={**kept, **by_car(STATES_AHEAD, self.cars, states_ahead), **remembered},
+            memory={
+                **kept,
+                **by_car(STATES_AHEAD, self.cars, states_ahead),
+                **remembered,
+                **noises,
+            },
         )
 
     @property
@@ -128,10 +139,14 @@ class VectorizedFamily(FamilyScenario):
         own = KEPT[self.config.family]
         return (*own, GHOST_GAP) if self.has_ghost else own
 
-    def _measured(self, states: StateBatch) -> Told:
+    def _measured(self, states: StateBatch, noises: Mapping[str, AnyArray]) -> Told:
         """What perception measures of what it reports, ``[K, N]``."""
         gap_m, aside_m, speed_mps, heading_rad = self.of_told(states.signals)
         closing_mps = states.signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
+        if self.measured is not None:
+            errors_m = self.measured.errors_m(self.salient(states.signals), noises)
+            off_m = np.moveaxis(errors_m, 1, 0)
+            gap_m, aside_m = displaced(self.config, gap_m, aside_m, off_m)
         return Told(np.ones(gap_m.shape, dtype=np.bool_), gap_m, aside_m, closing_mps)
 
     def _driven(self, left: Left) -> tuple[Left, Moved]:

@@ -7,6 +7,7 @@ from gymnasium.utils.env_checker import check_env
 from highway_env.envs.common.abstract import AbstractEnv
 
 from pemviz.config import FAMILIES, EncounterConfig, StartChoice
+from pemviz.pem import load_position_errors
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.families.highway import HighwayFamily, encounter_frames
 from pemviz.simulators.families.highway_env_encounters import EncounterEnv
@@ -18,10 +19,11 @@ SPREAD = 1.5
 """Starts are drawn so much wider than they are, for more contacts."""
 
 
-def both(family: str, *, draws: int, tracker: str, seed: int = 1, **fields):
+def both(family: str, *, draws: int, tracker: str, seed: int = 1, errors=None, **fields):
     """Both back ends with starts ``[draws, S]`` and outcomes ``[draws, T-1, K]``."""
     config = EncounterConfig(family=family, **fields)
-    one, other = (kind(config, (), tracker) for kind in (VectorizedFamily, HighwayFamily))
+    kinds = (VectorizedFamily, HighwayFamily)
+    one, other = (kind(config, (), tracker, errors) for kind in kinds)
     generator = np.random.default_rng(seed)
     start = SPREAD * generator.standard_normal((draws, one.latents.start))
     shares = generator.random((draws, 1, 1))
@@ -31,8 +33,10 @@ def both(family: str, *, draws: int, tracker: str, seed: int = 1, **fields):
 
 def assert_equal(one, other, detected, start) -> float:
     """Signals of both; how many encounters ended in contact."""
-    expected = replay(simulator=one, detected=detected, start=start)
-    got = replay(simulator=other, detected=detected, start=start)
+    size = (*detected.shape[:2], one.latents.noise)
+    noise = np.random.default_rng(2).standard_normal(size) if one.errors is not None else None
+    expected = replay(simulator=one, detected=detected, start=start, noise=noise)
+    got = replay(simulator=other, detected=detected, start=start, noise=noise)
     assert list(got) == list(expected)
     for name, values in expected.items():
         np.testing.assert_allclose(got[name], values, rtol=0.0, atol=TOLERANCE, err_msg=name)
@@ -41,7 +45,8 @@ def assert_equal(one, other, detected, start) -> float:
 
 @pytest.mark.parametrize(("family", "tracker"), list(zip(FAMILIES, TRACKERS, strict=True)))
 def test_back_ends_agree(family, tracker) -> None:
-    own = {"neighbour": True, "ghost_probability": 0.1}
+    errors = None if tracker == TRACKERS[1] else load_position_errors("pointpillars")
+    own = {"neighbour": True, "ghost_probability": 0.1, "errors": errors}
     assert_equal(*both(family, draws=2, tracker=tracker, states=61, **own))
 
 
@@ -53,6 +58,7 @@ def test_back_ends_agree_over_200_draws(family, tracker) -> None:
     contacts = assert_equal(*both(family, draws=200, tracker=tracker, side=side))
     assert contacts > 5
     own = {"neighbour": True, "car_length_m": 6.0, "ghost_probability": 0.1}
+    own["errors"] = load_position_errors("pointpillars")
     assert_equal(*both(family, draws=50, tracker=tracker, **own))
 
 
