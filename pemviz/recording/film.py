@@ -29,7 +29,10 @@ def log_film(
     simulator: Simulator | SlotSimulator,
     stage: int,
 ) -> None:
-    """One JPEG picture for each state of a rollout of the braking scenario or of a family."""
+    """One JPEG picture for each state of a rollout of the braking scenario or of a family.
+
+    Of a family that measures places with errors there is none: a film is not told of their noise.
+    """
     encoded = [_jpeg(frame) for frame in _frames(track, config, simulator)]
     times = StepTimes(stage=stage, count=len(encoded), dt_s=config.dt_s)
     file.static(paths.FRAMES, rr.EncodedImage.from_fields(media_type="image/jpeg"))
@@ -60,7 +63,7 @@ def _frames(
     from pemviz.simulators.families.scenario import FamilyScenario  # noqa: PLC0415
 
     family, drawn = drawn_scene(simulator), track.drawn
-    if not isinstance(family, FamilyScenario) or drawn is None:
+    if not isinstance(family, FamilyScenario) or drawn is None or family.errors is not None:
         return
     contact = drawn.count if drawn.contact_step is None else drawn.contact_step
     film = encounter_frames(family, detected=track.outcomes, start=track.start)
