@@ -220,7 +220,9 @@ class RolloutBatch(Batch):
     @cached_property
     def log_weight(self) -> FloatArray:
         """Log importance weight ``[N]``: sum over outcomes and latents of log p - log q [nats]."""
-        of_outcomes = row_sums(np.subtract(self.log_p, self.log_q, order="C"))
+        of_outcomes = np.zeros(self.count)
+        if self.log_q is not self.log_p:
+            of_outcomes = row_sums(np.subtract(self.log_p, self.log_q, order="C"))
         if self.latents is None:
             return read_only(of_outcomes)
         return read_only(of_outcomes + self.latents.log_weight)

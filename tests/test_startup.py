@@ -8,7 +8,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ("torch", "rerun", "viser", "pygame", "highway_env", "sklearn", "matplotlib", "gymnasium")
+HEAVY = (
+    "torch",
+    "rerun",
+    "viser",
+    "pygame",
+    "highway_env",
+    "sklearn",
+    "matplotlib",
+    "gymnasium",
+    "numba",
+)
 SLOW = ("scipy", "lark", "arviz_stats", "safetensors")
 NEITHER = (*HEAVY, *SLOW)
 

@@ -13,7 +13,7 @@ from pemviz.bench.scale import HEADER, ScaleRow, ScaleStudy, cells, reasons, run
 from pemviz.cli.parsing import parse_arguments
 from pemviz.errors import EXIT_DONE
 
-Part = Literal["paper", "simulators", "families", "stl", "recording", "scale"]
+Part = Literal["paper", "plain", "simulators", "families", "stl", "recording", "scale"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +25,10 @@ class BenchArguments:
     bench scale`` how time and memory grow; they have options of their own.
     """
 
-    part: tuple[Part, ...] = ("paper", "simulators", "families", "stl", "recording")
-    """What to measure: the paper's experiment, both back ends, those of the families, the
-    robustness metrics, size and cost of a recording; scale (a few minutes) how time and memory
-    grow."""
+    part: tuple[Part, ...] = ("paper", "plain", "simulators", "families", "stl", "recording")
+    """What to measure: the paper's experiment, plain rollouts (which loop this installation has),
+    both back ends, those of the families, the robustness metrics, size and cost of a recording;
+    scale (a few minutes) how time and memory grow."""
     json: bool = False
     """Print the figures as one JSON object and nothing else."""
 
@@ -124,6 +124,10 @@ def _measure(part: Part) -> Callable[[], Sequence[Figure]]:
         from pemviz.bench.simulators import simulator_figures  # noqa: PLC0415
 
         return simulator_figures
+    if part == "plain":
+        from pemviz.bench.plain_rollouts import plain_rollout_figures  # noqa: PLC0415
+
+        return plain_rollout_figures
     if part == "families":
         from pemviz.bench.families import family_figures  # noqa: PLC0415
 

@@ -170,8 +170,8 @@ class ExperimentConfig:
     repetitions: Annotated[int, Range(low=1, high=100_000)] = 1
     """Independent repetitions, summarised by their mean; 1 to 100000."""
     batch_time_limit_s: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] = 600.0
-    """A batch of rollouts (4096; 50 with a slow simulator) that takes longer fails the run [s];
-    above 0, at most 1e6."""
+    """A batch of rollouts (4096, in large runs 20,000; 50 with a slow simulator) that takes longer
+    fails the run [s]; above 0, at most 1e6."""
     reference: bool = False
     """Also compute the answer by the value-twisted reference, to compare with."""
     target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None

@@ -12,7 +12,7 @@ from pemviz.sampling.back_end import GAP, BackEnd
 from pemviz.sampling.description import Need
 from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.sampling.registry import by_name
-from pemviz.sampling.rollouts.devices import is_gpu
+from pemviz.sampling.rollouts.devices import NUMPY, is_gpu
 from pemviz.sampling.rollouts.final_batch import largest_part
 from pemviz.sampling.slots import SlotFeatures, StepFeatures, turns_of
 from pemviz.sampling.tracks import TrackFeatures
@@ -124,7 +124,10 @@ def batch_rollouts(config: ExperimentConfig) -> int:
     if config.simulator == "sumo":
         return SUMO_BATCH_ROLLOUTS
     largest = largest_part(states=config.states)
-    return largest if is_gpu(config.device) else min(BATCH_ROLLOUTS, largest)
+    # parts of a large final batch are not joined from smaller batches, which costs as much as they
+    at_once = config.is_braking_scenario and config.device == NUMPY
+    at_once = is_gpu(config.device) or (at_once and config.final_rollouts > largest)
+    return largest if at_once else min(BATCH_ROLLOUTS, largest)
 
 
 def own_back_end(

@@ -41,7 +41,7 @@ from pemviz.runs.specification import may_leave_bounds
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.slots import Slot
-from pemviz.types import Estimate, StageResult
+from pemviz.types import Estimate, ScoredRollouts, StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
 
@@ -225,7 +225,7 @@ class _Runner:
         result = self._keep(with_stage(self._interpreted.result, stage))
         folding = self._experiment.folding
         scored = stage.scored if folding is None else folding.scored(stage.scored)
-        frozen = replace(stage, scored=scored.map(read_only))
+        frozen = replace(stage, scored=_frozen(scored))
         notify_all(self._observers, StageDone(stage=frozen, result=result))
 
     def _keep(self, result: RunResult) -> RunResult:
@@ -237,6 +237,14 @@ class _Runner:
     def _timed(self, result: RunResult) -> RunResult:
         total_s = time.perf_counter() - self._began
         return replace(result, timings_s={**result.timings_s, "total": total_s})
+
+
+def _frozen(scored: ScoredRollouts) -> ScoredRollouts:
+    """What cannot be written to; likelihoods that are computed, read-only as they are, stay so."""
+    frozen = scored.map(read_only)
+    computed = {n: v for n, v in vars(scored.rollouts).items() if n.startswith("log_")}
+    vars(frozen.rollouts).update(computed)
+    return frozen
 
 
 def _empty_result(experiment: Experiment, run_id: str) -> RunResult:

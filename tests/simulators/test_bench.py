@@ -1,5 +1,8 @@
 import math
 
+import pytest
+
+from pemviz.bench import plain_rollouts
 from pemviz.bench.families import family_figures
 from pemviz.bench.simulators import simulator_figures
 from pemviz.config import ScenarioConfig
@@ -16,6 +19,21 @@ def test_rates_and_ratios_belong_together() -> None:
     assert math.isclose(10 / vectorized, batch / 1e3)
     assert math.isclose(gain, vectorized / highway)
     assert math.isclose(cost, bare / highway)
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_plain_rollouts_say_which_loop_there_is(installed, monkeypatch) -> None:
+    if installed:
+        pytest.importorskip("numba")
+    else:
+        monkeypatch.setattr(plain_rollouts, "compiled_loops", lambda: None)
+    figures = plain_rollouts.plain_rollout_figures(rollouts=20, repeats=1)
+    assert min(figure.value for figure in figures) > 0
+    if not installed:
+        assert [figure.name for figure in figures if "numba, pemviz[fast]" in figure.name]
+        return
+    by_numpy, by_loop, gain = (figure.value for figure in figures)
+    assert math.isclose(gain, by_loop / by_numpy)
 
 
 def test_families_have_rates_and_a_ratio_each() -> None:

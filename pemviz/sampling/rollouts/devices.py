@@ -8,7 +8,8 @@ from pemviz.arrays import FloatArray, moved
 from pemviz.errors import ConfigError
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.protocol import Pem
-from pemviz.sampling.rollouts.batches import BatchRunner, BatchTask, run_here
+from pemviz.sampling.rollouts.batches import BatchRunner, BatchTask
+from pemviz.sampling.rollouts.compiled import CompiledRunner
 from pemviz.sampling.rollouts.draw import simulate
 from pemviz.types import Proposal, RolloutBatch, Simulator
 
@@ -39,7 +40,7 @@ class DeviceRunner:
 
 def batch_runner(device: str) -> BatchRunner:
     """Who simulates batches on ``device``."""
-    return run_here if device == NUMPY else DeviceRunner(device)
+    return CompiledRunner() if device == NUMPY else DeviceRunner(device)
 
 
 def is_gpu(device: str) -> bool:

@@ -1,0 +1,204 @@
+"""Plain rollouts of the braking scenario by a compiled loop, where numba is installed.
+
+The scenario without tracker, memory of misses or position errors, a shipped error model, outcomes
+drawn from that model: what takes a million rollouts to tell anything. What comes out is what numpy
+gives, to the last bit. The error model's answers are kept by gap; rollouts that come to a gap not
+met before, some in a hundred, are simulated by numpy, and so is everything else.
+"""
+
+import importlib
+import importlib.util
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.special import expit
+
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.chunks import distinct
+from pemviz.pem.models.card import Carded
+from pemviz.pem.models.protocol import Pem
+from pemviz.proposals.fixed import PemProposal
+from pemviz.sampling.rollouts.batches import BatchTask, run_here
+from pemviz.sampling.rollouts.draw import simulate
+from pemviz.simulators.braking import loops
+from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED, SPEED_ERROR_INTEGRAL
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from pemviz.types import Proposal, RolloutBatch, Simulator
+
+LOG = logging.getLogger(__name__)
+FIRST_BY_NUMPY = 20_000
+"""Rollouts after which loading the compiled loop, about half a second, begins to pay."""
+FEWEST_PLACES, MOST_PLACES = 1 << 14, 1 << 22
+"""Of a table of answers, at most half of them taken; a full one is begun anew (96 MB)."""
+
+
+@dataclass(frozen=True)
+class Loops:
+    """The functions of :mod:`pemviz.simulators.braking.loops`, compiled or not."""
+
+    advance: Callable[..., None] = loops.advance
+    insert: Callable[..., int] = loops.insert
+
+
+@cache
+def compiled_loops() -> Loops | None:
+    """The compiled functions; ``None`` without numba, or with one that fails here.
+
+    What is compiled is kept on disk: beside the source, else in the user's cache folder, and
+    where neither can be written to each process compiles for itself.
+    """
+    if not is_installed():
+        return None
+    try:
+        numba = importlib.import_module("numba")
+        try:
+            kept = numba.njit(cache=True)
+            return Loops(kept(loops.advance), kept(loops.insert))
+        except RuntimeError:  # no folder to keep it in
+            return Loops(numba.njit(loops.advance), numba.njit(loops.insert))
+    except Exception as error:  # an installation of others may raise anything
+        LOG.warning("numba cannot be used (%s); numpy simulates", error)
+        return None
+
+
+def is_installed() -> bool:
+    """Whether numba is there; asked without importing it."""
+    return importlib.util.find_spec("numba") is not None
+
+
+def is_served(simulator: Simulator, pem: Pem, proposal: Proposal) -> bool:
+    """Whether the compiled loop knows the scenario, and whom outcomes are drawn from."""
+    return (
+        type(simulator) is VectorizedSimulator
+        and simulator.errors is None
+        and simulator.tracker is None
+        and isinstance(pem, Carded)  # its answer to a state depends on that state alone
+        and type(proposal) is PemProposal
+    )
+
+
+class CompiledRollouts:
+    """Plain rollouts of one scenario with one error model, whose answers it keeps."""
+
+    def __init__(self, simulator: VectorizedSimulator, pem: Pem, kernels: Loops) -> None:
+        self.simulator, self.pem = simulator, pem
+        self._kernels, self._lead_mps = kernels, lead_speeds(simulator)
+        self._clear(FEWEST_PLACES)
+
+    def _clear(self, places: int) -> None:
+        self._held = 0
+        self._answers = loops.Answers(
+            bits=np.full(places, loops.EMPTY),
+            logit=np.empty(places),
+            miss=np.empty(places),
+            shift=np.uint64(65 - places.bit_length()),
+        )
+
+    def simulate(self, uniforms: FloatArray) -> RolloutBatch:
+        """As :func:`pemviz.sampling.rollouts.draw.simulate`, for ``uniforms [N, T-1]``."""
+        count, steps = uniforms.shape
+        signals = np.empty((3, steps + 1, count))
+        gap_m, ego_mps, lead_mps = signals
+        first = self.simulator.initial(count=count)
+        tracks = loops.Tracks(
+            gap_m=gap_m,
+            gap_bits=gap_m.view(np.uint64),
+            ego_mps=ego_mps,
+            integral_m=np.empty((steps + 1, count)),
+            detected=np.empty((steps, count), dtype=np.bool_),
+            logit=np.empty((steps, count)),
+            reached=np.zeros(count, dtype=np.int64),
+        )
+        gap_m[0], ego_mps[0] = first.signals[GAP], first.signals[EGO_SPEED]
+        tracks.integral_m[0] = first.memory[SPEED_ERROR_INTEGRAL]
+        lead_mps[:] = self._lead_mps[:, None]
+        numbers = loops.numbers_of(self.simulator.config)
+        self._kernels.advance(tracks, self._answers, uniforms, self._lead_mps, numbers)
+        waiting = np.flatnonzero(tracks.reached < steps)
+        if waiting.size:
+            self._by_numpy(tracks, waiting, uniforms)
+        return RolloutBatch(
+            signals={GAP: gap_m.T, EGO_SPEED: ego_mps.T, LEAD_SPEED: lead_mps.T},
+            memory={SPEED_ERROR_INTEGRAL: tracks.integral_m.T},
+            detected=tracks.detected.T,
+            pem_logit=tracks.logit.T,
+            proposal_logit=tracks.logit.T,
+        )
+
+    def _by_numpy(self, tracks: loops.Tracks, rows: IntArray, uniforms: FloatArray) -> None:
+        """The rollouts that came to a gap without an answer; their answers are kept."""
+        found = simulate(
+            simulator=self.simulator, pem=self.pem, proposal=PemProposal(), uniforms=uniforms[rows]
+        )
+        gap_m = found.signals[GAP]
+        tracks.gap_m[:, rows], tracks.ego_mps[:, rows] = gap_m.T, found.signals[EGO_SPEED].T
+        tracks.integral_m[:, rows] = found.memory[SPEED_ERROR_INTEGRAL].T
+        tracks.detected[:, rows], tracks.logit[:, rows] = found.detected.T, found.pem_logit.T
+        bits = np.ascontiguousarray(gap_m[:, :-1].T).view(np.uint64).ravel()
+        first, _ = distinct(bits.view(np.int64))
+        logit = np.ascontiguousarray(found.pem_logit.T).ravel()[first]
+        self._keep(bits[first], logit, np.asarray(expit(-logit)))
+
+    def _keep(self, bits: Any, logit: FloatArray, miss: FloatArray) -> None:
+        before = self._answers
+        places = max(FEWEST_PLACES, 1 << (2 * (self._held + bits.size)).bit_length())
+        if places > MOST_PLACES:  # states that hardly ever come again
+            self._clear(1 << (2 * bits.size).bit_length())
+        elif places > before.bits.size:
+            self._clear(places)
+            filled = before.bits != loops.EMPTY
+            self._put(before.bits[filled], before.logit[filled], before.miss[filled])
+        self._put(bits, logit, miss)
+
+    def _put(self, bits: Any, logit: FloatArray, miss: FloatArray) -> None:
+        self._held += self._kernels.insert(self._answers, bits, logit, miss)
+
+
+def lead_speeds(simulator: VectorizedSimulator) -> FloatArray:
+    """The lead car's speeds ``[T]`` [m/s], which no outcome changes."""
+    states, found = simulator.initial(count=1), np.empty(simulator.states)
+    for step in range(simulator.states):
+        found[step] = states.signals[LEAD_SPEED][0]
+        states = simulator.step(states, np.ones(1, dtype=np.bool_))
+    return found
+
+
+@dataclass
+class CompiledRunner:
+    """Simulates batches here, most of many by the compiled loop; a ``BatchRunner``.
+
+    Attributes:
+        first_by_numpy: Rollouts that numpy simulates before the loop is compiled or loaded.
+    """
+
+    first_by_numpy: int = FIRST_BY_NUMPY
+    _done: int = field(default=0, init=False)
+    _rollouts: CompiledRollouts | None = field(default=None, init=False, repr=False)
+
+    def __call__(
+        self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
+    ) -> Iterator[RolloutBatch]:
+        """The batches of ``tasks``, in order."""
+        for task in tasks:
+            compiled = self._compiled(simulator, pem, task)
+            if compiled is None:
+                yield from run_here(simulator, pem, [task])
+            else:
+                yield compiled.simulate(task.uniforms)
+
+    def _compiled(self, simulator: Simulator, pem: Pem, task: BatchTask) -> CompiledRollouts | None:
+        if not is_served(simulator, pem, task.proposal):
+            return None
+        self._done += len(task.uniforms)
+        kernels = compiled_loops() if self._done > self.first_by_numpy else None
+        if kernels is None:
+            return None
+        known = self._rollouts
+        if known is None or known.simulator is not simulator or known.pem is not pem:
+            assert isinstance(simulator, VectorizedSimulator)  # noqa: S101  it is served
+            self._rollouts = known = CompiledRollouts(simulator, pem, kernels)
+        return known
