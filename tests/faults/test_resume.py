@@ -9,7 +9,7 @@ import pytest
 from pemviz.cli import record
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.gate_limits import GateLimits
-from pemviz.config.toml_files import config_text
+from pemviz.config.toml_files import config_text, load_preset
 from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError, RunError
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import RunDone, StageDone
@@ -71,6 +71,25 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
     carry_out(experiment, parts)
     assert contents(parts) == contents(whole)
     assert not (parts / "stages").exists()
+
+
+def test_a_stopped_run_of_a_family_goes_on_to_the_same_bytes(tmp_path):
+    """With all that its states remember: tracks, a ghost, errors of places, memory of misses."""
+    preset = load_preset("cut-in")
+    config = replace(
+        preset, rules=(), spec="always[0,11] (clearance >= 12.0)", stages=2, rollouts=12,
+        final_rollouts=12, position_errors="pointpillars",
+        scenario=replace(preset.scenario, tracker="2/3,coast=0.2,filter=kalman"),
+        encounter=replace(preset.encounter, states=12, dt_s=0.3, ghost_probability=0.05),
+    )  # fmt: skip
+    experiment = build_experiment(config)
+    whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
+    carry_out(experiment, whole)
+    assert contents(whole)["result"]["estimate"]["failures"] > 0
+    stop = StopAfter(2)
+    assert carry_out(experiment, parts, observers=[stop], should_stop=stop).status == "stopped"
+    carry_out(experiment, parts)
+    assert contents(parts) == contents(whole)
 
 
 @pytest.mark.parametrize("stop_after", [1, 6])

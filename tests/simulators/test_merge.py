@@ -20,6 +20,7 @@ from pemviz.simulators.merge.scenario import (
     MergeSimulator,
     ego_action,
 )
+from pemviz.simulators.starts import check_starts
 
 SIMULATOR = MergeSimulator(ScenarioConfig())
 STEPS = 20
@@ -51,6 +52,16 @@ def test_the_environment_does_with_the_ego_s_actions_what_it_does_alone() -> Non
         action = ego_action(seen, position_m, np.zeros((1, 4, 2)), np.array([ego.speed]))
         bare.step(int(action[0]))
         states = SIMULATOR.step(states, detected[:, step])
+
+
+def test_start_values_are_where_and_how_fast_the_environment_s_cars_begin() -> None:
+    start = np.random.default_rng(7).standard_normal((3, 6))
+    values, states = SIMULATOR.start_values(start), SIMULATOR.initial(count=3, start=start)
+    for car in CARS[:3]:
+        for what in ("gap", "speed"):
+            got = states.signals[f"{what}_{car}"]
+            np.testing.assert_allclose(values[f"{car}_{what}"], got, rtol=0.0, atol=1e-9)
+    check_starts(SIMULATOR, "merge")
 
 
 def test_a_car_missed_all_along_is_driven_into_and_one_detected_is_not() -> None:

@@ -10,11 +10,36 @@ LANES = (0, 1, 0)
 """Of the cars on the road; merge-v0 draws each anew, 0 the left one and 1 the ego's."""
 LATENTS = 6
 """Place and speed of each of the cars on the road."""
+ON_THE_ROAD = (("front", 90.0, 29.0), ("middle", 70.0, 31.0), ("rear", 5.0, 31.5))
+"""Where merge-v0 has each on average, along the road [m], and how fast [m/s]."""
+EGO_START_M = 30.0
+PLACE_SPREAD_M, SPEED_SPREAD_MPS = 5.0, 1.0
+"""Uniformly so much to either side."""
 
 CAR_LENGTH_M, CAR_WIDTH_ROAD_M = 5.0, 2.0
 """highway-env's cars, by which they collide."""
 BESIDE_M = 6.0
 OWN_SIGNALS = ("gap", "aside", "speed", "heading")
+
+
+def merge_starts() -> tuple[Signal, ...]:
+    """What is drawn: gap to each car on the road, below 0 behind the ego, and its speed."""
+    found: list[Signal] = []
+    for car, along_m, speed_mps in ON_THE_ROAD:
+        gap_m = along_m - EGO_START_M - CAR_LENGTH_M
+        least_m, most_m = gap_m - PLACE_SPREAD_M, gap_m + PLACE_SPREAD_M
+        least_mps, most_mps = speed_mps - SPEED_SPREAD_MPS, speed_mps + SPEED_SPREAD_MPS
+        found += [
+            Signal(name=f"{car}_gap", key=f"{car}_gap_m", unit="m", low=least_m, high=most_m),
+            Signal(
+                name=f"{car}_speed",
+                key=f"{car}_speed_mps",
+                unit="m/s",
+                low=least_mps,
+                high=most_mps,
+            ),
+        ]
+    return tuple(found)
 
 
 def merge_signals() -> tuple[Signal, ...]:

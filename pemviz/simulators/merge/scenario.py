@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from scipy.special import ndtr
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import ScenarioConfig
@@ -32,6 +33,7 @@ from pemviz.simulators.merge.facts import (
     OWN_SIGNALS,
     STATES,
     merge_signals,
+    merge_starts,
 )
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot
@@ -90,6 +92,24 @@ class MergeSimulator:
         """Of places relative to the ego, ahead and to the left; without one chosen, of one step."""
         chosen = tracker_of_text(self.config.tracker, dt_s=self.dt_s, axes=2)
         return Tracker(dt_s=self.dt_s, hits=1, window=1, axes=2) if chosen is None else chosen
+
+    @property
+    def starts(self) -> tuple[Signal, ...]:
+        """Gaps and speeds of the cars on the road."""
+        return merge_starts()
+
+    @property
+    def start_plane(self) -> tuple[str, str]:
+        """Those of the car ahead in the ego's lane."""
+        return "middle_gap", "middle_speed"
+
+    def start_values(self, start: FloatArray) -> Mapping[str, FloatArray]:
+        """Standard normals ``[N, 6]`` to gaps [m] and speeds [m/s] by name, ``[N]``."""
+        shares = ndtr(np.asarray(start, dtype=np.float64)).T
+        return {
+            one.name: one.low + (one.high - one.low) * share
+            for one, share in zip(self.starts, shares, strict=True)
+        }
 
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The environments' own starts for standard normals ``[count, 6]``; no tracks."""
