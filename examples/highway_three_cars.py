@@ -14,7 +14,6 @@ CONFIG = {
 }  # fmt: skip
 SLOTS = tuple(pemviz.Slot(f"car {n}", signals=(f"ahead_{n}", f"aside_{n}")) for n in (1, 2, 3))
 NAMES = ("ego_speed", "clearance", *(name for slot in SLOTS for name in slot.signals))
-KEPT = ("heading", "speed", "target_speed", "timer", "speed_index", "crashed")  # of each vehicle
 
 
 def in_the_way(signals: Any) -> Any:  # the cars for which the ego brakes, if it perceives them
@@ -37,19 +36,6 @@ class PerceivingEgo(gym.Wrapper):  # wants to go fast; its action: which of the 
         clearance = np.max(np.abs(away) - (5.0, 2.0), axis=1).min()  # less a car's size
         return dict(zip(NAMES, (ego.speed, clearance, *away.ravel()), strict=True))
 
-    def get_state(self) -> pemviz.FloatArray:
-        return np.array([(*v.position, *(v.impact if v.impact is not None else (0.0, 0.0)),
-                          v.target_lane_index[2], *(getattr(v, name, 0.0) for name in KEPT))
-                         for v in vars(self.unwrapped)["road"].vehicles]).ravel()  # fmt: skip
-
-    def set_state(self, numbers: pemviz.FloatArray) -> None:
-        vehicles = vars(self.unwrapped)["road"].vehicles
-        for v, row in zip(vehicles, numbers.reshape(4, -1), strict=True):
-            v.position, v.target_lane_index = row[:2].copy(), ("0", "1", int(row[4]))
-            v.impact = row[2:4].copy() if row[2:4].any() else None
-            vars(v).update(zip(KEPT, (*row[5:9], int(row[9]), bool(row[10])), strict=True))
-            v.on_state_update()
-
 
 class Camera:
     def logit(self, salient: pemviz.FloatArray) -> pemviz.FloatArray:
@@ -57,13 +43,18 @@ class Camera:
 
 
 if __name__ == "__main__":
-    simulator = pemviz.GymnasiumSlotSimulator(
+    cars = pemviz.GymnasiumSlotEpisodes(
         environment=PerceivingEgo(gym.make("highway_env:highway-v0", config=CONFIG).unwrapped),
-        signals=tuple(pemviz.Signal(name, name, "", -100.0, 100.0) for name in NAMES), slots=SLOTS,
-        observe=dict, reacts_of=in_the_way, states=31, dt_s=0.2, seed=31, name="highway-v0",
-        get_state=PerceivingEgo.get_state, set_state=PerceivingEgo.set_state,
-    )  # fmt: skip
+        signals=tuple(pemviz.Signal(name, name, "", -100.0, 100.0) for name in NAMES),
+        slots=SLOTS,
+        observe=dict,
+        reacts_of=in_the_way,
+        states=31,
+        dt_s=0.2,
+        seed=31,
+        name="highway-v0",
+    )  # reset and stepped: nothing of highway-v0 need be saved
     config = pemviz.ExperimentConfig(spec="always[0,30] (clearance >= 1.0)", method="mixture")
-    experiment = pemviz.build_experiment(config, simulator=simulator, pem=Camera())
+    experiment = pemviz.build_experiment(config, simulator=cars, pem=Camera())
     worst = pemviz.LeastRobust()
     print(pemviz.summary_text(pemviz.run(experiment, observers=[worst])), worst, sep="\n")

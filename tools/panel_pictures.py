@@ -1,11 +1,11 @@
-"""Pictures of every tab of the panel, for the README.
+"""Pictures of every tab of the panel, and of each family of encounters, for the README.
 
     python tools/panel_pictures.py --out FOLDER [--recordings recordings]
 
 Needs Chromium (``apt-get install chromium``), playwright and Pillow. The pictures show the newest
 run of ``mixture`` in the recordings folder, beside the newest ones of the paper's method and of
-``value-twisted``, whose curve over memory times another one shows; a run that is not there is made
-first.
+``value-twisted``, whose curve over memory times another one shows, and those of the families in
+folders of their own; a run that is not there is made first.
 """
 
 import argparse
@@ -27,12 +27,20 @@ from panel_timings import (
     server,
     tab,
 )
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import FloatRect, Page, sync_playwright
+
+from pemviz.config.encounters import FAMILIES
 
 VIEWPORT = {"width": 1400, "height": 920}
 PIXELS_A_POINT = 1
+NOWHERE = (700, 120)
 COLORS = 256
 SHOWN_STEP = 50
+STEPS_BEFORE = 10
+"""How long before contact a family's first picture is taken."""
+SCENE = {"x": 424, "y": 44, "width": 976, "height": 876}
+ROAD = {"x": 424, "y": 180, "width": 976, "height": 250}
+"""Parts of the page: the scene with the rollout's plots, and the road seen from above."""
 
 
 def main() -> int:
@@ -60,7 +68,38 @@ def main() -> int:
         show(page, "img", "P(violation) if misses come in bursts")
         keep(page, arguments.out / "panel-memory.png")
         browser.close()
+    for family in FAMILIES:
+        picture_family(family, arguments.recordings / family, arguments)
     return 0
+
+
+def picture_family(family: str, recordings: Path, arguments: argparse.Namespace) -> None:
+    """The likeliest contact of a family: before it from behind, and from above as it happens."""
+    run = newest(recordings, "mixture", "--preset", family)
+    with sync_playwright() as playwright, server(recordings) as address:
+        browser = playwright.chromium.launch(executable_path=arguments.browser, args=ARGUMENTS)
+        page = browser.new_page(viewport=VIEWPORT)
+        page.set_default_timeout(WAIT_MS)
+        open_panel(page, address)
+        close_notices(page)
+        load(page, run)
+        tab(page, "Trajectories")
+        choose(page, "Rule", "no-collision")
+        choose(page, "First", "largest contribution")
+        page.get_by_text("the largest contribution first").wait_for()
+        page.get_by_text("after contact").wait_for()
+        page.wait_for_timeout(4 * SETTLE_MS)
+        contact = int(page.locator("g[data-cursor]").get_attribute("data-cursor") or 0)
+        play_to(page, contact - STEPS_BEFORE)
+        before = shot(page, SCENE)
+        play_to(page, contact)
+        choose(page, "View", "from above")
+        road = shot(page, ROAD)
+        browser.close()
+    both = PIL.Image.new("RGB", (before.width, before.height + road.height))
+    both.paste(before, (0, 0))
+    both.paste(road, (0, before.height))
+    save(both, arguments.out / f"family-{family}.png")
 
 
 def newest(recordings: Path, method: str, *options: str) -> str:
@@ -78,7 +117,7 @@ def close_notices(page: Page) -> None:
     notices = page.locator(".mantine-Notification-closeButton")
     page.wait_for_timeout(SETTLE_MS)
     while notices.count():
-        notices.first.click()
+        notices.first.click(force=True)  # the page may be too busy to hold still
         page.wait_for_timeout(SETTLE_MS)
 
 
@@ -130,8 +169,18 @@ def play_to(page: Page, step: int) -> None:
 
 def keep(page: Page, path: Path) -> None:
     """Keep a picture of the page in few colours, which a README loads quickly."""
+    save(shot(page), path)
+
+
+def shot(page: Page, clip: FloatRect | None = None) -> PIL.Image.Image:
+    """A picture of the page or a part of it, once it has settled."""
+    page.mouse.move(*NOWHERE)  # or what the pointer is over tells what it is
     page.wait_for_timeout(SETTLE_MS)
-    picture = PIL.Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    return PIL.Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")
+
+
+def save(picture: PIL.Image.Image, path: Path) -> None:
+    """Write a picture in few colours."""
     few = picture.quantize(
         COLORS,
         method=PIL.Image.Quantize.FASTOCTREE,  # keeps the colours of small marks apart

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 import pemviz
+from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+from tests.examples.highway_twin import saving_twin
 
 ROOT = Path(__file__).resolve().parents[2]
 HIGHWAY = ROOT / "examples" / "highway_three_cars.py"
 RANDOM_START = ROOT / "examples" / "random_start.py"
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-LONGEST = {HIGHWAY: 70, ROOT / "examples" / "tracker.py": 70, RANDOM_START: 70}
+LONGEST = {ROOT / "examples" / "tracker.py": 70, RANDOM_START: 70}
 """Lines, of those that have a reason; others stay below 60."""
 SPEC = "always[0,60] (distance >= 0.3)"
 
@@ -128,3 +130,29 @@ def test_highway_env_tells_of_three_cars(monkeypatch):
     assert found.estimate.failures > 0
     assert list(worst.rollout.right_by_slot) == ["car 1", "car 2", "car 3"]
     assert found.explanation.slots[1].errors > found.explanation.slots[2].errors
+
+
+def test_highway_env_does_the_same_where_its_states_are_saved(monkeypatch):
+    cars = parts_of(HIGHWAY, monkeypatch)["simulator"]
+    twin = saving_twin(runpy.run_path(str(HIGHWAY)), cars)
+    detected = np.random.default_rng(5).random((3, 30, 3)) < np.array([[[0.9]], [[0.5]], [[0.0]]])
+    episodes, saved = (
+        replay(simulator=one, detected=detected) for one in (pemviz.side_by_side(cars), twin)
+    )
+    assert np.ptp(saved["clearance"], axis=0).max() > 1.0
+    for name, values in saved.items():
+        np.testing.assert_allclose(episodes[name], values, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_highway_env_answers_as_splitting_does_where_its_states_are_saved(monkeypatch):
+    """3.5 joint standard errors: a false alarm with probability 5e-4."""
+    parts = parts_of(HIGHWAY, monkeypatch)
+    config = parts.pop("config")
+    mixture = pemviz.run(pemviz.build_experiment(config, **parts)).estimate
+    assert mixture.ess > 100.0
+    assert mixture.pareto_k < 0.7
+    twin = saving_twin(runpy.run_path(str(HIGHWAY)), parts["simulator"])
+    config = dataclasses.replace(config, method="splitting", repetitions=5, rollouts=300)
+    check = pemviz.build_experiment(config, **{**parts, "simulator": twin})
+    agree(mixture, pemviz.run(check).estimate, errors=3.5)

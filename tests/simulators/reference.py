@@ -9,9 +9,12 @@ from tests.simulators.one_track import OneTrack
 
 
 def reference_rollout(
-    config: ScenarioConfig, detected: Sequence[bool], tracker=None
+    config: ScenarioConfig, detected: Sequence[bool], tracker=None, measure=None
 ) -> dict[str, list[float]]:
-    """T values for each signal and for the controller's memory; T - 1 gaps that it is told."""
+    """T values for each signal and for the controller's memory; T - 1 gaps that it is told.
+
+    With ``measure`` a step and its gap give the gap that perception measures there.
+    """
     follows = None if tracker is None else OneTrack(tracker)
     target = config.initial_speed_kmh * 1000 / 3600
     gap, ego, lead, integral = config.initial_gap_m, target, target, 0.0
@@ -19,9 +22,9 @@ def reference_rollout(
     told = []
     for step, is_detected in enumerate(detected):
         seen = is_detected
-        told.append(gap)
+        told.append(gap if measure is None else measure(step, gap))
         if follows is not None:
-            follows.update(is_detected, np.array([gap]))
+            follows.update(is_detected, np.array([told[-1]]))
             seen = follows.confirmed
             told[-1] = float(follows.x[0, 0]) if seen else gap
         if seen and told[-1] < config.emergency_gap_m:

@@ -9,6 +9,7 @@ import pytest
 
 import pemviz
 from pemviz import LatentCounts, StateBatch
+from pemviz.cli.workers import with_workers
 from pemviz.errors import ConfigError, RunError
 from pemviz.sampling.rollouts.worker_batches import PooledRunner
 from pemviz.simulators.episodic import SideBySide
@@ -127,6 +128,24 @@ def test_it_is_so_with_slots_memory_and_trackers():
         # a tracked scenario does not say where it reacts, and neither do the cars
         assert pemviz.run(run_of(episodes, **parts)).estimate == saved
         assert saved.failures > 0
+
+
+@pytest.mark.parametrize("memory_s", [0.0, 2.0])
+def test_it_is_so_where_obstacles_differ(memory_s):
+    parts = {"frailty": 0.7, "memory_s": memory_s, "method": "naive"}
+    saved = pemviz.run(run_of(WALK, **parts)).estimate
+    assert pemviz.run(run_of(pemviz.side_by_side(WalkEpisodes, 7), **parts)).estimate == saved
+    assert saved.failures > 0
+
+
+def test_it_is_so_in_two_worker_processes():
+    experiment = run_of(pemviz.side_by_side(WalkEpisodes, 3), stages=1)
+    here, stepped = pemviz.run(experiment), WalkEpisodes.stepped
+    with with_workers(experiment, workers=2, scheduler=None) as spread:
+        there = pemviz.run(spread)
+    assert there.estimate == here.estimate
+    assert there.least_robust == here.least_robust
+    assert WalkEpisodes.stepped == stepped, "no step is done in this process"
 
 
 def test_it_is_so_with_latents():

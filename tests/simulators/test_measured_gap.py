@@ -57,24 +57,26 @@ def test_both_back_ends_agree_given_the_same_draws(tracker):
     assert np.abs(one[GAP] - exact[GAP]).max() > 0.1  # errors matter
 
 
-def test_the_rule_acts_on_the_measured_gap():
+@pytest.mark.parametrize("tracker", ["none", "2/3", "2/4,coast=0.1,filter=kalman"])
+def test_the_rule_acts_on_the_measured_gap_and_a_tracker_filters_it(tracker):
     """A plain loop finds the noise and the error of each step; the reference loop drives."""
+    config = replace(PAPER, tracker=tracker)
     draws, memory = drawn(5, seed=3), SHIPPED.range_memory
-    passed = replay(simulator=VectorizedSimulator(PAPER, SHIPPED), **draws)
+    simulator = VectorizedSimulator(config, SHIPPED)
+    passed = replay(simulator=simulator, **draws)
     rho, share = np.exp(-PAPER.dt_s / memory.tau_s), memory.lasting_share
-    # the loop brakes wherever it is told of a detection, however far away the lead car is
-    anywhere = replace(PAPER, emergency_gap_m=1e6)
     for row in range(5):
-        moving, brakes = 0.0, []
+        moving, noises = 0.0, []
         for step, fresh in enumerate(draws["noise"][row, :, 0]):
             moving = fresh if step == 0 else rho * moving + np.sqrt(1.0 - rho**2) * fresh
-            noise = np.sqrt(share) * draws["start"][row, 0] + np.sqrt(1.0 - share) * moving
-            gap_m = passed[GAP][row, step]
+            noises.append(np.sqrt(share) * draws["start"][row, 0] + np.sqrt(1.0 - share) * moving)
+
+        def measure(step, gap_m, noises=noises):
             place = straight_ahead(gap_m + PAPER.lead_length_m / 2)
-            error_m = SHIPPED.error(place, np.array([[noise, 0.0]]))[0, 0]
-            close = gap_m + error_m < PAPER.emergency_gap_m
-            brakes.append(bool(draws["detected"][row, step] and close))
-        expected = reference_rollout(anywhere, brakes)
+            return gap_m + SHIPPED.error(place, np.array([[noises[step], 0.0]]))[0, 0]
+
+        seen = draws["detected"][row].tolist()
+        expected = reference_rollout(config, seen, simulator.tracker, measure)
         np.testing.assert_allclose(passed[GAP][row], expected["gap"], rtol=0, atol=1e-9)
 
 
