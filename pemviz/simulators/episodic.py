@@ -53,11 +53,13 @@ class EpisodicSimulator(Protocol):
         """The signals that a state carries."""
         ...
 
-    def reset(self, *args: Any) -> Mapping[str, float]:
+    @property
+    def reset(self) -> Callable[..., Mapping[str, float]]:
         """Begin an episode, always in the same state; the signals' values by name."""
         ...
 
-    def step(self, *args: Any) -> tuple[Mapping[str, float], bool]:
+    @property
+    def step(self) -> Callable[..., tuple[Mapping[str, float], bool]]:
         """The signals after an outcome of perception, and whether the episode has ended.
 
         After that it is not stepped again: its signals stay until the rollout's last state.
