@@ -4,13 +4,14 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast, get_args
+from typing import Literal, cast, get_args
 
 from pemviz.cli.pem.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
 from pemviz.pem.data.collect_tracks import collect_tracks
 from pemviz.pem.data.detections import DetectionFormat
+from pemviz.pem.data.mapped_log import collect_log
 from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.tracking import SequenceFormat
 
@@ -29,11 +30,15 @@ class CollectArguments:
     file (coco)."""
     out: Path = Path("obstacles.csv")
     """CSV file to write."""
-    format: DetectionFormat | SequenceFormat = "kitti"
+    format: DetectionFormat | SequenceFormat | Literal["log"] = "kitti"
     """How the detections are written: KITTI results (with a 3D place, the table has x_error_m and
     z_error_m for pemviz pem fit --position-errors), YOLO text (shares of the image), COCO json; of
     sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four
-    sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate."""
+    sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate. log: a log of
+    your own, matched already, whose columns --mapping tells."""
+    mapping: Path | None = None
+    """TOML that says where a log's columns are; assets/mappings/nuscenes-cars.toml is one.
+    --labels and --detections are then the log, one file or two side by side."""
     rate_hz: float = 10.0
     """Frames a second of sequences (above 0)."""
     types: tuple[str, ...] = ()
@@ -74,6 +79,10 @@ def run(arguments: CollectArguments) -> int:
         drop_unknown=arguments.drop_unknown,
         skip_bad=arguments.skip_bad,
     )
+    if (arguments.format == "log") != (arguments.mapping is not None):
+        raise PemError("mapping: must be given with format log, and with no other")
+    if arguments.mapping is not None:
+        return _collect_log(arguments, arguments.mapping)
     if arguments.format in get_args(SequenceFormat):
         return _collect_tracks(arguments, options)
     with progress_bar("frames") as tell:
@@ -92,6 +101,19 @@ def run(arguments: CollectArguments) -> int:
         f"{arguments.out}: {counts.frames} frames, {counts.obstacles} obstacles, "
         f"{counts.missed} missed, {counts.dropped} dropped (Misc or unknown occlusion)"
     )
+    _tell_bad_lines(counts.bad_lines, counts.first_bad)
+    return 0
+
+
+def _collect_log(arguments: CollectArguments, mapping: Path) -> int:
+    counts = collect_log(
+        labels=arguments.labels,
+        detections=arguments.detections,
+        mapping=mapping,
+        out=arguments.out,
+        skip_bad=arguments.skip_bad,
+    )
+    print(f"{arguments.out}: {counts.obstacles} obstacles, {counts.missed} missed")
     _tell_bad_lines(counts.bad_lines, counts.first_bad)
     return 0
 
