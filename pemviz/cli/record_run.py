@@ -92,10 +92,13 @@ def _recorders(
 
 
 def _has_film(experiment: Experiment) -> bool:
-    """Whether outcomes and starts tell what highway-env draws: shipped scenarios without errors."""
+    """Whether outcomes and starts tell what highway-env draws: shipped scenarios without errors.
+
+    Not on SUMO, where cars move otherwise for the same outcomes.
+    """
     config = experiment.config
     shipped = not experiment.is_own_system or config.encounter.family != NO_FAMILY
-    return shipped and config.position_errors is None
+    return shipped and config.position_errors is None and config.simulator != "sumo"
 
 
 @dataclass(frozen=True)
