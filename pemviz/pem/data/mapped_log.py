@@ -140,7 +140,7 @@ def _row(plan: ColumnMapping, cells: Cells, where: str) -> dict[str, str]:
 
 def _text(source: Source | float, cells: Cells, where: str) -> str:
     """A name or number that is written as it is."""
-    if isinstance(source, float):
+    if not isinstance(source, Source):
         return f"{source:g}"
     return _cell(source, cells, where)
 
@@ -157,7 +157,7 @@ def _value(source: Source | float, name: str, cells: Cells, where: str) -> float
     Raises:
         PemError: There is none in the log.
     """
-    if isinstance(source, float):
+    if not isinstance(source, Source):
         return source
     text = _cell(source, cells, where)
     read: Callable[[str], float] = source.values.__getitem__ if source.values else float
