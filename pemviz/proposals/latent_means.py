@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import AnyArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.latents import log_moved, log_share_moved, log_wide_and_narrow
 from pemviz.proposals.single_moves import (
     StepsOfRollouts,
@@ -52,6 +52,7 @@ class LatentDecisions:
         basis: Monomials of the state there, ``[L, B]``.
         noise: ``[L, M]``.
         even: :func:`pemviz.proposals.single_moves.even_logit` there, ``[L]``.
+        broken: Which rules are broken there, ``[L, R]``; ``None`` without several rules.
     """
 
     start: FloatArray
@@ -59,6 +60,7 @@ class LatentDecisions:
     basis: FloatArray
     noise: FloatArray
     even: FloatArray
+    broken: BoolArray | None = None
 
     @property
     def count(self) -> int:
@@ -76,6 +78,15 @@ class LatentDecisions:
             self.basis[kept],
             self.noise[kept],
             self.even[kept],
+            None if self.broken is None else self.broken[kept],
+        )
+
+    def where(self, kept: BoolArray | None) -> "LatentDecisions":
+        """Of some of the steps, ``[L]``; ``None``: of all."""
+        if kept is None or kept.all():
+            return self
+        return LatentDecisions(
+            self.start, self.rollout[kept], self.basis[kept], self.noise[kept], self.even[kept]
         )
 
     def joined(self, after: "LatentDecisions") -> "LatentDecisions":
@@ -86,6 +97,9 @@ class LatentDecisions:
             np.concatenate([self.basis, after.basis]),
             np.concatenate([self.noise, after.noise]),
             np.concatenate([self.even, after.even]),
+            None
+            if self.broken is None or after.broken is None
+            else np.concatenate([self.broken, after.broken]),
         )
 
     @cached_property

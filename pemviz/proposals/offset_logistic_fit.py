@@ -13,6 +13,7 @@ NEWTON_STEPS = 40
 SHORTEST_STEP = 1e-9
 SUFFICIENT_DECREASE = 1e-4
 GOOD_ENOUGH = 1e-4
+LARGEST_LEVERAGE = 0.8
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,9 @@ def _lower(fit: LogisticFit, direction: FloatArray, decrease: float) -> Logistic
     return None if tried.summed_loss >= fit.summed_loss else tried
 
 
-def leave_one_out_loss(fit: LogisticFit, *, group: IntArray, count: int) -> FloatArray:
+def leave_one_out_loss(
+    fit: LogisticFit, *, group: IntArray, count: int, first_order: bool = True
+) -> FloatArray:
     """By how much each group's log likelihood falls if the model is fitted without it.
 
     To first order, weight * score' curvature^-1 score (infinitesimal jackknife: Cook &
@@ -134,6 +137,9 @@ def leave_one_out_loss(fit: LogisticFit, *, group: IntArray, count: int) -> Floa
         group: Which of ``count`` groups each of its outcomes belongs to, ``[M]``; weights are equal
             within a group.
         count: Number of groups.
+        first_order: Else times (1 - h / 2) / (1 - h)^2 with h the group's leverage in the direction
+            in which it pulls: what the square of a residual e grows by if a linear model is fitted
+            without it, e becoming e / (1 - h).
 
     Returns:
         ``[count]`` [nats]; 0 for groups that were not learned from.
@@ -149,4 +155,12 @@ def leave_one_out_loss(fit: LogisticFit, *, group: IntArray, count: int) -> Floa
     )
     weight = np.zeros(count)
     weight[group] = outcomes.weight
-    return weight * np.einsum("nb,nb->n", score, np.linalg.solve(fit.curvature, score.T).T)
+    pull = np.linalg.solve(fit.curvature, score.T).T
+    found = weight * np.einsum("nb,nb->n", score, pull)
+    if first_order:
+        return found
+    along = np.einsum("mb,mb->m", outcomes.basis, pull[group]) ** 2 * fit.miss * (1.0 - fit.miss)
+    moved = weight**2 * np.bincount(group, weights=along, minlength=count)
+    leverage = np.divide(moved, found, out=np.zeros(count), where=found > 0.0)
+    leverage = leverage.clip(0.0, LARGEST_LEVERAGE)
+    return found * (1.0 - 0.5 * leverage) / (1.0 - leverage) ** 2

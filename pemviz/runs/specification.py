@@ -21,7 +21,6 @@ from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
 from pemviz.simulators.latched import Monitor
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.tracking.tracker import tracker_of
-from pemviz.stl.formulas import Or
 from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Signal, Simulator
 
@@ -42,6 +41,7 @@ def build_problem(
         return ScoredRule(
             robustness=partial(_robustness, rule, metric, folding),
             violated=partial(_violated, rule, folding),
+            monitor=monitored(rule),
         )
 
     def monitored(watched: stl.Formula) -> Monitor:
@@ -58,10 +58,9 @@ def build_problem(
         run_batches=batch_runner(config.device),
         batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula, turns=turns),
-        monitor=monitored(formula),
+        monitor=whole.monitor,
         turns=turns,
         rules={name: scored(rule) for name, rule in rules.items()},
-        settled=monitored(Or(tuple(rules.values()))) if len(rules) > 1 else None,
     )
 
 

@@ -57,10 +57,12 @@ class ScoredRule:
     Attributes:
         robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
         violated: Signals ``[N, T]`` to the classical verdict ``[N]``.
+        monitor: Tells that it is broken from the states so far.
     """
 
     robustness: Callable[[Signals], FloatArray]
     violated: Callable[[Signals], BoolArray]
+    monitor: Monitor
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,6 @@ class Problem:
         turns: Outcomes of a step of the scenario; each counts as a step here.
         rules: Robustness and verdict of each rule by name, where the specification is that
             several are kept; they are scored beside it.
-        settled: With rules, tells when all are broken; ``monitor`` does when one is.
     """
 
     simulator: Simulator
@@ -103,11 +104,10 @@ class Problem:
     monitor: Monitor | None = None
     turns: int = 1
     rules: Mapping[str, ScoredRule] = field(default_factory=dict[str, ScoredRule])
-    settled: Monitor | None = None
 
     def without_rules(self) -> "Problem":
         """The specification alone: that all rules are kept."""
-        return replace(self, rules={}, settled=None)
+        return replace(self, rules={})
 
     def __post_init__(self) -> None:
         """Refuse a scenario whose states know the frailty of another model's obstacle.

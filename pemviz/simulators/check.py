@@ -19,7 +19,7 @@ from pemviz.simulators.check_slots import (
     outcomes_by_slot,
 )
 from pemviz.simulators.episodic import episodic, kept_memory
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.latched import VIOLATED, violated_rule
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.simulators.starts import check_starts
@@ -338,8 +338,9 @@ def _check_states(
     declared = {signal.name for signal in simulator.signals}
     if set(states.signals) != declared:
         _refuse(f"{where}: signals are {sorted(states.signals)}, declared {sorted(declared)}")
-    if VIOLATED in states.memory:
-        _refuse(f"{where}: the memory {VIOLATED!r} is pemviz's own; choose another name")
+    for name in states.memory:
+        if name == VIOLATED or name.startswith(violated_rule("")):
+            _refuse(f"{where}: the memory {name!r} is pemviz's own; choose another name")
     for name, values in {**states.signals, **states.memory}.items():
         if np.shape(values) != (count,):
             _refuse(f"{where}: {name} has shape {np.shape(values)}: must be ({count},)")

@@ -14,6 +14,11 @@ from pemviz.types import Signal, Simulator, StateBatch
 VIOLATED = "violated"
 
 
+def violated_rule(rule: str) -> str:
+    """The memory that says whether a rollout has broken one of several rules."""
+    return f"{VIOLATED} {rule}"
+
+
 class Monitor(Protocol):
     """Follows rollouts state by state, and tells which have violated whatever comes next."""
 
@@ -143,10 +148,7 @@ class MonitoredSimulator(WrappedSimulator):
         Raises:
             TypeError: The states are not this simulator's own.
         """
-        if not isinstance(states, MonitoredStates):
-            message = "a monitored simulator goes on from its own states only"
-            raise TypeError(message)
-        return self._monitored(stepped(self.scenario, states, detected, noise), states.known)
+        return self._monitored(stepped(self.scenario, states, detected, noise), known_of(states))
 
     def _monitored(self, states: StateBatch, before: Any) -> MonitoredStates:
         verdict = self.monitor.advance(before, step=int(states.step), signals=states.signals)
@@ -156,3 +158,61 @@ class MonitoredSimulator(WrappedSimulator):
             memory={**states.memory, VIOLATED: self.monitor.violated(verdict)},
             known=verdict,
         )
+
+
+@dataclass(frozen=True)
+class RulesSimulator(WrappedSimulator):
+    """Remembers of each of several rules whether it is broken, and as ``violated`` whether all are.
+
+    Its states continue rollouts that it began itself.
+
+    Attributes:
+        monitors: Tell it, by the rule's name; at least one.
+    """
+
+    monitors: Mapping[str, Monitor]
+
+    def initial(self, *, count: int, start: FloatArray | None = None) -> MonitoredStates:
+        """The back end's initial states and which rules they break."""
+        states = begun(self.scenario, count=count, start=start)
+        known = {rule: one.start(count=count) for rule, one in self.monitors.items()}
+        return self._monitored(states, known)
+
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> MonitoredStates:
+        """The back end's next states; what is broken stays so.
+
+        Raises:
+            TypeError: The states are not this simulator's own.
+        """
+        return self._monitored(stepped(self.scenario, states, detected, noise), known_of(states))
+
+    def _monitored(self, states: StateBatch, before: Mapping[str, Any]) -> MonitoredStates:
+        step = int(states.step)
+        verdict = {
+            rule: one.advance(before[rule], step=step, signals=states.signals)
+            for rule, one in self.monitors.items()
+        }
+        broken = {
+            violated_rule(rule): one.violated(verdict[rule]) for rule, one in self.monitors.items()
+        }
+        every = np.all(list(broken.values()), axis=0)
+        return MonitoredStates(
+            step=states.step,
+            signals=states.signals,
+            memory={**states.memory, **broken, VIOLATED: every},
+            known=verdict,
+        )
+
+
+def known_of(states: StateBatch) -> Any:
+    """What a monitor knew of a simulator's own states.
+
+    Raises:
+        TypeError: The states are not such a simulator's.
+    """
+    if not isinstance(states, MonitoredStates):
+        message = "a monitored simulator goes on from its own states only"
+        raise TypeError(message)
+    return states.known

@@ -243,7 +243,7 @@ def pool_of(log_ratio, component, violated):
             offset=nothing,
         ),
         component=np.asarray(component, dtype=np.int64),
-        coefficients=(),
+        proposals=(),
         log_ratio=np.asarray(log_ratio, dtype=np.float64),
         robustness=np.zeros(count),
         violated=np.asarray(violated),

@@ -165,7 +165,7 @@ def seen_at(scenario: Scenario, drawn: Drawn, place: int, *, u: float = 0.0) -> 
     return Pool(
         decisions=decisions,
         component=drawn.component,
-        coefficients=(),
+        proposals=(),
         log_ratio=drawn.log_q - log_p[:, None],
         robustness=drawn.robustness,
         violated=drawn.violated,

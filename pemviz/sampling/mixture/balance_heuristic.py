@@ -2,23 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import logsumexp
 
-from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
 from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
-from pemviz.proposals.offset_logistic import (
-    PolynomialBasis,
-    StateFeatures,
-    acting,
-    shift,
-)
-from pemviz.proposals.pilots import PilotFamily
-from pemviz.sampling.mixture.latents import FreshLatents, latent_ratios
-from pemviz.simulators.latched import VIOLATED
-from pemviz.types import RolloutBatch, ScoredRollouts
+from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
+from pemviz.sampling.mixture.aims import Rule, still_open, where_open
+from pemviz.sampling.mixture.latents import latent_ratios
+from pemviz.types import RolloutBatch
 
 
 @dataclass(frozen=True)
@@ -30,12 +25,29 @@ class Decisions(Batch):
         basis: ``[M, B]``.
         missed: ``[M]``.
         offset: The error model's logit of a miss, ``[M]``.
+        broken: Which rules are broken there, ``[M, R]``; ``None`` without several rules.
     """
 
     rollout: IntArray
     basis: FloatArray
     missed: BoolArray
     offset: FloatArray
+    broken: BoolArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FittedMoves:
+    """How a fitted proposal leaves the error model.
+
+    Attributes:
+        coefficients: Of outcomes, ``[B]``.
+        means: How it moves latents, where there are any.
+        rule: Which it is to break, and until when it leaves the error model.
+    """
+
+    coefficients: FloatArray
+    means: LatentMeans | None = None
+    rule: Rule = None
 
 
 @dataclass(frozen=True)
@@ -46,28 +58,31 @@ class Pool:
         decisions: Of all rollouts but the final ones.
         component: What each rollout was drawn from, ``[N]``: 0 is the pilots' family, k the
             k-th fitted proposal.
-        coefficients: Of each fitted proposal, K arrays ``[B]``.
-        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[N, 1 + K]``.
+        proposals: Each fitted one, K in all.
+        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[N, 1 + K]``:
+            of what it was until the rule at hand was broken.
         robustness: ``[N]``.
         violated: ``[N]``.
         log_p: Log likelihood under the error model, ``[N]``.
         rule_robustness: ``[N]`` of each rule by name, where there are rules.
         broken: ``[N]`` likewise.
+        rule_log_ratio: ``log_ratio`` under each, where there are several.
         latents: Of all rollouts but the final ones, where there are any.
-        means: How each fitted proposal moves them.
+        rule: The one at hand.
     """
 
     decisions: Decisions
     component: IntArray
-    coefficients: tuple[FloatArray, ...]
+    proposals: tuple[FittedMoves, ...]
     log_ratio: FloatArray
     robustness: FloatArray
     violated: BoolArray
     log_p: FloatArray
     rule_robustness: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
+    rule_log_ratio: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     latents: LatentDecisions | None = None
-    means: tuple[LatentMeans, ...] = ()
+    rule: Rule = None
 
     @property
     def count(self) -> int:
@@ -79,13 +94,42 @@ class Pool:
         """Whether steps have noise."""
         return self.latents is not None and self.latents.noise.shape[1] > 0
 
+    @property
+    def rules(self) -> tuple[str, ...]:
+        """Those that are told apart; empty where there are not several."""
+        return tuple(self.rule_log_ratio)
+
+    @cached_property
+    def open(self) -> BoolArray | None:
+        """At which decisions the rule at hand is not broken yet, ``[M]``; ``None``: at all."""
+        return still_open(self.decisions.broken, self.rules, self.rule)
+
+    @cached_property
+    def open_noise(self) -> BoolArray | None:
+        """Likewise of steps with noise, ``[L]``."""
+        broken = None if self.latents is None else self.latents.broken
+        return still_open(broken, self.rules, self.rule)
+
     def under_rule(self, rule: str) -> "Pool":
-        """The same rollouts with the robustness and the verdict of one rule."""
-        return replace(self, robustness=self.rule_robustness[rule], violated=self.broken[rule])
+        """The same rollouts under one rule: its robustness, its verdict, their ways until then."""
+        return replace(
+            self,
+            robustness=self.rule_robustness[rule],
+            violated=self.broken[rule],
+            log_ratio=self.rule_log_ratio.get(rule, self.log_ratio),
+            rule=rule,
+        )
 
     def each_rule(self) -> "Sequence[Pool]":
-        """The pool under every rule; itself where there is but the specification."""
-        return [self.under_rule(rule) for rule in self.broken] or [self]
+        """The pool under every rule; itself where there is but the specification.
+
+        Rules that the same rollouts break, some of them, are learned as one.
+        """
+        distinct: list[str] = []
+        for rule, broken in self.broken.items():
+            if not any(broken.any() and np.array_equal(broken, self.broken[o]) for o in distinct):
+                distinct.append(rule)
+        return [self.under_rule(rule) for rule in distinct] or [self]
 
     @property
     def log_weight(self) -> FloatArray:
@@ -109,9 +153,14 @@ def log_shares(log_ratio: FloatArray, component: IntArray) -> FloatArray:
 
 
 def decisions_of(
-    rollouts: RolloutBatch, acts: BoolArray, *, features: StateFeatures, basis: PolynomialBasis
+    rollouts: RolloutBatch,
+    acts: BoolArray,
+    *,
+    features: StateFeatures,
+    basis: PolynomialBasis,
+    broken: BoolArray | None = None,
 ) -> Decisions:
-    """The decisions of N rollouts, which are made where ``acts [N, T-1]``."""
+    """The decisions of N rollouts, made where ``acts [N, T-1]``, by the rules broken there."""
     values = features.values(rollouts.decision_states())
     values = np.broadcast_to(values, (*acts.shape, basis.mean.size))[acts]
     return Decisions(
@@ -119,117 +168,51 @@ def decisions_of(
         basis=basis.evaluate(values),
         missed=~rollouts.detected[acts],
         offset=-rollouts.pem_logit[acts],
+        broken=None if broken is None else broken[acts],
     )
-
-
-def _acts(rollouts: RolloutBatch, features: StateFeatures) -> BoolArray:
-    states = rollouts.decision_states()
-    return acting(features, states, rollouts.detected.shape, violated=VIOLATED)
 
 
 def log_ratios(
-    decisions: Decisions, coefficients: Sequence[FloatArray], *, count: int, defensive: float
-) -> FloatArray:
-    """Log q_k / p ``[N, K]`` of N rollouts under fitted proposals."""
-    columns = [_log_ratio(decisions, chosen, count, defensive) for chosen in coefficients]
-    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
+    decisions: Decisions,
+    proposals: Sequence[FittedMoves],
+    *,
+    count: int,
+    defensive: float,
+    rules: Sequence[str] = (),
+    under: Sequence[Rule] = (None,),
+    latents: LatentDecisions | None = None,
+) -> Sequence[FloatArray]:
+    """Log q_k / p of N rollouts under K fitted proposals, ``[N, K]`` under each rule asked for.
+
+    Args:
+        decisions: The rollouts'.
+        proposals: K.
+        count: Number of rollouts N.
+        defensive: Share of the error model in every outcome's probability.
+        rules: Names of those that are told apart.
+        under: Until when rollouts are judged.
+        latents: The rollouts', where there are any.
+    """
+    found = [np.zeros((count, len(proposals))) for _ in under]
+    for column, one in enumerate(proposals):
+        step = _log_ratio(decisions, one.coefficients, defensive)
+        step = where_open(step, still_open(decisions.broken, rules, one.rule) if one.rule else None)
+        for each, rule in zip(found, under, strict=True):
+            until = still_open(decisions.broken, rules, rule)
+            weights = where_open(step, until)
+            each[:, column] = np.bincount(decisions.rollout, weights=weights, minlength=count)
+    if latents is not None:
+        moves = [(one.means, one.rule) for one in proposals if one.means is not None]
+        found = [
+            each + latent_ratios(latents, moves, rules=rules, under=rule)
+            for each, rule in zip(found, under, strict=True)
+        ]
+    return found
 
 
-def _log_ratio(
-    decisions: Decisions, coefficients: FloatArray, count: int, defensive: float
-) -> FloatArray:
+def _log_ratio(decisions: Decisions, coefficients: FloatArray, defensive: float) -> FloatArray:
+    """Of each decision, ``[M]``."""
     raised = decisions.offset + shift(decisions.basis, coefficients)
     raised = defended(raised, decisions.offset, share=defensive)
     sign = np.where(decisions.missed, -1.0, 1.0)
-    step = np.logaddexp(0.0, sign * decisions.offset) - np.logaddexp(0.0, sign * raised)
-    return np.bincount(decisions.rollout, weights=step, minlength=count).astype(np.float64)
-
-
-def extended(
-    pool: Pool | None,
-    scored: ScoredRollouts,
-    *,
-    drawn_from: IntArray,
-    new: Sequence[FloatArray],
-    optimism: Sequence[FloatArray],
-    pilots: PilotFamily,
-    defensive: float,
-    features: StateFeatures,
-    basis: PolynomialBasis,
-    latents: FreshLatents | None = None,
-    last: bool = False,
-) -> Pool:
-    """The pool with more rollouts.
-
-    Args:
-        pool: What was drawn before, or ``None``.
-        scored: n more rollouts.
-        drawn_from: Index of each one's proposal in the extended list, ``[n]``.
-        new: Coefficients of proposals that the pool does not know yet.
-        optimism: By how much each new proposal overstates the log likelihood of the pool's
-            rollouts, which it was fitted to, ``[N]``.
-        pilots: The family that component 0 stands for.
-        defensive: Share of the error model in every outcome's probability.
-        features: What proposals look at.
-        basis: Its monomials.
-        latents: Of the rollouts, where there are any.
-        last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
-    """
-    acts = _acts(scored.rollouts, features)
-    fresh = decisions_of(scored.rollouts, acts, features=features, basis=basis)
-    count = scored.rollouts.count
-    log_p = row_sums(scored.rollouts.log_p)
-    coefficients = (*(pool.coefficients if pool else ()), *new)
-    fitted = log_ratios(fresh, coefficients, count=count, defensive=defensive)
-    after = np.hstack([pilots.log_ratio(scored.rollouts, acts)[:, None], fitted])
-    means = (*(pool.means if pool else ()), *(latents.means if latents else ()))
-    if latents is not None:
-        of_latents = latent_ratios(latents.decisions, means)
-        after = after + np.hstack([latents.by_pilots[:, None], of_latents])
-    if pool is None:
-        return Pool(
-            decisions=fresh,
-            component=drawn_from,
-            coefficients=coefficients,
-            log_ratio=after,
-            robustness=scored.robustness,
-            violated=scored.violated,
-            log_p=log_p,
-            rule_robustness=scored.rule_robustness,
-            broken=scored.broken,
-            latents=None if latents is None else latents.decisions,
-            means=means,
-        )
-    before, known = pool.log_ratio, pool.latents
-    if new:
-        added = log_ratios(pool.decisions, new, count=pool.count, defensive=defensive)
-        if known is not None and latents is not None:
-            added = added + latent_ratios(known, latents.means)
-        before = np.hstack([before, added - np.stack(optimism, axis=1)])
-    return Pool(
-        decisions=pool.decisions if last else _joined(pool.decisions, fresh, first=pool.count),
-        component=np.concatenate([pool.component, drawn_from]),
-        coefficients=coefficients,
-        log_ratio=np.vstack([before, after]),
-        robustness=np.concatenate([pool.robustness, scored.robustness]),
-        violated=np.concatenate([pool.violated, scored.violated]),
-        log_p=np.concatenate([pool.log_p, log_p]),
-        rule_robustness=_appended(pool.rule_robustness, scored.rule_robustness),
-        broken=_appended(pool.broken, scored.broken),
-        latents=known if last else _with_latents(known, latents),
-        means=means,
-    )
-
-
-def _appended(before: Mapping[str, AnyArray], after: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
-    return {name: np.concatenate([values, after[name]]) for name, values in before.items()}
-
-
-def _with_latents(
-    known: LatentDecisions | None, fresh: FreshLatents | None
-) -> LatentDecisions | None:
-    return known if known is None or fresh is None else known.joined(fresh.decisions)
-
-
-def _joined(before: Decisions, fresh: Decisions, *, first: int) -> Decisions:
-    return Decisions.concatenate([before, replace(fresh, rollout=fresh.rollout + first)])
+    return np.logaddexp(0.0, sign * decisions.offset) - np.logaddexp(0.0, sign * raised)

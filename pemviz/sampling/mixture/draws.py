@@ -9,6 +9,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move, moved, namespace
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, StateFeatures
 from pemviz.proposals.pilots import PilotFamily, PilotProposal
+from pemviz.sampling.mixture.aims import Aims
 from pemviz.sampling.mixture.latents import DividedLatents
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import StateBatch
@@ -29,12 +30,14 @@ class DividedProposal:
         pilots: Of all N rollouts; without a step for those that are not pilots.
         fitted: With coefficients ``[N, B]``, 0 for pilots; ``None`` if all are pilots.
         piloted: Which are, ``[N]``.
+        aims: The rule that each is to break, and until when it leaves the error model.
         latents: What latents are drawn from, where there are any.
     """
 
     pilots: PilotProposal
     fitted: OffsetLogisticProposal | None
     piloted: BoolArray
+    aims: Aims
     latents: DividedLatents | None = None
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
@@ -42,8 +45,10 @@ class DividedProposal:
         by_pilots = self.pilots.logit(states, pem_logit)
         if self.fitted is None:
             return by_pilots
-        by_fitted = self.fitted.logit(states, pem_logit)
-        return namespace(pem_logit).where(self.piloted, by_pilots, by_fitted)
+        xp, by_fitted = namespace(pem_logit), self.fitted.logit(states, pem_logit)
+        if self.aims.rules:
+            by_fitted = xp.where(self.aims.reached(states.memory), pem_logit, by_fitted)
+        return xp.where(self.piloted, by_pilots, by_fitted)
 
     def start_mean(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
         """Of the latents at the start, ``[N, S]``.
@@ -93,6 +98,7 @@ class DividedProposal:
             pilots=self.pilots.rows(rows),
             fitted=fitted,
             piloted=self.piloted[rows],
+            aims=self.aims.rows(rows),
             latents=None if self.latents is None else self.latents.rows(rows),
         )
 
@@ -103,7 +109,8 @@ class DividedProposal:
             return None
         if fitted is not None:
             fitted = moved(fitted, move)
-        return replace(self, pilots=pilots, fitted=fitted, piloted=move(self.piloted))
+        aims, piloted = self.aims.moved(move), move(self.piloted)
+        return replace(self, pilots=pilots, fitted=fitted, piloted=piloted, aims=aims)
 
     def arrays(self) -> Mapping[str, AnyArray]:
         """Of both kinds."""
@@ -132,6 +139,7 @@ def divided(
     coefficients: Mapping[int, FloatArray],
     like: OffsetLogisticProposal | None,
     *,
+    aims: Aims,
     family: PilotFamily,
     features: StateFeatures,
     generator: np.random.Generator,
@@ -142,6 +150,7 @@ def divided(
         component: Of each rollout, ascending, ``[N]``.
         coefficients: Of the fitted components, ``[B]`` each.
         like: A fitted proposal, for everything else; ``None`` if all rollouts are pilots.
+        aims: The rule that each rollout is to break.
         family: Of the pilots.
         features: Tell where the scenario reacts.
         generator: What the pilots' members are drawn with.
@@ -157,4 +166,4 @@ def divided(
         nothing = np.zeros(like.coefficients.size)
         rows = [coefficients.get(int(index), nothing) for index in component]
         like = replace(like, coefficients=np.stack(rows))
-    return DividedProposal(pilots=pilots, fitted=like, piloted=component == PILOTS)
+    return DividedProposal(pilots=pilots, fitted=like, piloted=component == PILOTS, aims=aims)

@@ -26,7 +26,6 @@ from pemviz.sampling.mixture.fit import (
     smoothing_exponent,
     weights_of,
 )
-from pemviz.sampling.mixture.latents import latent_ratios
 from pemviz.sampling.mixture.levels import Elites
 from pemviz.sampling.mixture.ways import SAMPLE, Ways, WeightedRollouts, ways_of
 
@@ -110,10 +109,14 @@ def _share(pool: Pool, chosen: BoolArray) -> float:
 
 def _hardly_drawn(pool: Pool, main: Sequence[Fit], defensive: float) -> BoolArray:
     """Violating rollouts that pilots draw far more often than the main proposals, ``[N]``."""
-    ratio = log_ratios(
-        pool.decisions, [fit.coefficients for fit in main], count=pool.count, defensive=defensive
+    (ratio,) = log_ratios(
+        pool.decisions,
+        [fit.moves for fit in main],
+        count=pool.count,
+        defensive=defensive,
+        rules=pool.rules,
+        under=(pool.rule,),
+        latents=pool.latents,
     )
-    if pool.latents is not None:
-        ratio = ratio + latent_ratios(pool.latents, [fit.means for fit in main if fit.means])
     by_main: FloatArray = np.asarray(logsumexp(ratio + np.log([fit.share for fit in main]), axis=1))
     return pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_DRAWN)

@@ -18,6 +18,7 @@ from pemviz.proposals.latent_means import (
 from pemviz.proposals.latent_pilots import LatentFamily, LatentPilots
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures
 from pemviz.proposals.single_moves import even_logit
+from pemviz.sampling.mixture.aims import Aims, Rule, both, broken_at, still_open
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, StateBatch
 
@@ -37,6 +38,7 @@ class DividedLatents:
         noise_sd: Spreads of half of the noise that is moved, ``[N, M]``, 1 for pilots.
         once: Which move one step's noise at most, ``[N]``.
         piloted: Which are pilots, ``[N]``: what they move, they move always.
+        aims: The rule that each is to break, and until when it moves anything.
         features: What fitted proposals look at, beside the step's last outcome.
         basis: Monomials of it all; ``None`` if all rollouts are pilots.
         steps: Of a rollout.
@@ -50,6 +52,7 @@ class DividedLatents:
     noise_sd: FloatArray
     once: BoolArray
     piloted: BoolArray
+    aims: Aims
     features: StateFeatures
     basis: PolynomialBasis | None
     steps: int
@@ -72,6 +75,7 @@ class DividedLatents:
             share = expit(np.where(self.once, logit + even, logit))
             share = np.where(self.piloted, 1.0, share)
         over = states.memory.get(VIOLATED, np.zeros(len(mean), dtype=np.bool_))
+        over = over | self.aims.reached(states.memory)
         return np.where(over[:, None], 0.0, mean), np.where(over, 0.0, share)
 
     def rows(self, rows: slice) -> "DividedLatents":
@@ -85,12 +89,14 @@ class DividedLatents:
             noise_sd=self.noise_sd[rows],
             once=self.once[rows],
             piloted=self.piloted[rows],
+            aims=self.aims.rows(rows),
         )
 
 
 def divided_latents(
     pilots: LatentPilots,
     means: Sequence[LatentMeans | None],
+    aims: Aims,
     counts: LatentCounts,
     *,
     features: StateFeatures,
@@ -103,6 +109,7 @@ def divided_latents(
     Args:
         pilots: Of all; 0 for those that are not pilots.
         means: Fitted ones of each rollout, ``None`` for pilots.
+        aims: The rule that each is to break.
         counts: Latents of a rollout.
         features: What fitted proposals look at.
         basis: Monomials of it, for outcomes.
@@ -121,6 +128,7 @@ def divided_latents(
         noise_sd=np.stack([each.sd for each in own]),
         once=np.array([each.once for each in own]),
         piloted=np.array([each is None for each in means]),
+        aims=aims,
         features=features,
         basis=basis,
         steps=steps,
@@ -134,22 +142,21 @@ class FreshLatents:
 
     Attributes:
         decisions: As proposals see them.
-        by_pilots: Log of the pilots' density over the model's, ``[n]``.
-        means: Of the proposals that the pool does not know yet.
+        by_pilots: Log of the pilots' density over the model's, ``[n]``, under all rules together
+            and each of several.
     """
 
     decisions: LatentDecisions
-    by_pilots: FloatArray
-    means: tuple[LatentMeans, ...]
+    by_pilots: Sequence[FloatArray]
 
 
 def fresh_latents(
     rollouts: RolloutBatch,
-    means: Sequence[LatentMeans | None],
     *,
     features: StateFeatures,
     basis: PolynomialBasis,
     turns: int,
+    rules: Sequence[str] = (),
 ) -> FreshLatents | None:
     """Of rollouts with latents; ``None`` for others."""
     latents = rollouts.latents
@@ -159,6 +166,7 @@ def fresh_latents(
     counts = counts_of(latents)
     family = LatentFamily.over(acts.shape[1], start=counts.start, noise=counts.noise)
     acts = acts if counts.noise else np.zeros_like(acts)
+    broken = broken_at(states.memory, rules)
     detected = rollouts.detected[:, turns - 1 :: turns]
     values = _looked_at(features, states, detected)[acts]
     return FreshLatents(
@@ -168,10 +176,21 @@ def fresh_latents(
             basis=noise_basis(basis).evaluate(values),
             noise=latents.noise[acts],
             even=even_logit(np.nonzero(acts)[1], steps=acts.shape[1]),
+            broken=None if broken is None else broken[acts],
         ),
-        by_pilots=family.log_ratio(latents.start, latents.noise, acts),
-        means=tuple(each for each in means if each is not None),
+        by_pilots=[
+            family.log_ratio(latents.start, latents.noise, within)
+            for within in _until_each(acts, broken, rules)
+        ],
     )
+
+
+def _until_each(
+    acts: BoolArray, broken: BoolArray | None, rules: Sequence[str]
+) -> Sequence[BoolArray]:
+    """Where noise counts under all rules together and under each, ``[N, T-1]``."""
+    until = [still_open(broken, rules, rule) for rule in (None, *rules)]
+    return [acts if each is None else acts & each for each in until]
 
 
 def noise_basis(basis: PolynomialBasis) -> PolynomialBasis:
@@ -199,10 +218,30 @@ def counts_of(latents: Latents) -> LatentCounts:
     return LatentCounts(start=latents.start.shape[1], noise=latents.noise.shape[2])
 
 
-def latent_ratios(latents: LatentDecisions, means: Sequence[LatentMeans]) -> FloatArray:
-    """Log q_k / p ``[N, K]`` of the latents of N rollouts under fitted proposals."""
-    columns = [each.log_ratio(latents) for each in means]
-    return np.stack(columns, axis=1) if columns else np.zeros((latents.count, 0))
+def latent_ratios(
+    latents: LatentDecisions,
+    moves: Sequence[tuple[LatentMeans, Rule]],
+    *,
+    rules: Sequence[str] = (),
+    under: Rule = None,
+) -> FloatArray:
+    """Log q_k / p ``[N, K]`` of the latents of N rollouts under fitted proposals.
+
+    Args:
+        latents: The rollouts'.
+        moves: Means of each proposal, and the rule that it is to break.
+        rules: Names of those that are told apart.
+        under: Until when rollouts are judged.
+    """
+    found = np.zeros((latents.count, len(moves)))
+    until = still_open(latents.broken, rules, under)
+    for rule in dict.fromkeys(rule for _, rule in moves):
+        own = still_open(latents.broken, rules, rule) if rule else None
+        counted = latents.where(both(until, own))
+        for column, (means, of) in enumerate(moves):
+            if of == rule:
+                found[:, column] = means.log_ratio(counted)
+    return found
 
 
 def _last_turns(rollouts: RolloutBatch, turns: int) -> tuple[StateBatch, BoolArray]:

@@ -54,30 +54,26 @@ from pemviz.sampling.estimates.diagnostics import narrow_interval, unlatched
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.agreement import disagreements
-from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights, extended
+from pemviz.sampling.mixture.aims import Aims
+from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights
 from pemviz.sampling.mixture.draws import PILOTS, components, divided
 from pemviz.sampling.mixture.fit import (
     Fit,
     FitSettings,
-    fit_blindly,
-    fit_to_failures,
-    fit_to_level,
-    with_exploring,
 )
-from pemviz.sampling.mixture.hidden import fit_to_hidden_ways
-from pemviz.sampling.mixture.latents import divided_latents, fresh_latents
+from pemviz.sampling.mixture.latents import divided_latents
+from pemviz.sampling.mixture.learning import next_proposals
+from pemviz.sampling.mixture.pooling import Terms, extended
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.sampling.value_twisted.method import with_latch
-from pemviz.simulators.latched import VIOLATED, MonitoredSimulator
+from pemviz.simulators.latched import VIOLATED, RulesSimulator
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
 DEFENSIVE_STEPS = 2.0
 """Of each rollout, drawn from the error model on average."""
 DEGREE = 3
-RELEVANT_SHARE = 1e-3
-"""Of the estimate, from a hidden way of failing that is explored in every stage that learns."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +92,7 @@ class MixtureState:
         latched: Whether rollouts know when they have violated.
         turns: Outcomes of a step of the scenario.
         starts: Random values at the start of a rollout.
+        rules: Names, where there are several.
     """
 
     repetition: int
@@ -108,6 +105,7 @@ class MixtureState:
     latched: bool = True
     turns: int = 1
     starts: int = 0
+    rules: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,6 +149,7 @@ class MixtureSampling:
             latched=latched,
             turns=problem.turns,
             starts=latent_counts(problem.simulator).start,
+            rules=several_rules(problem),
         )
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
@@ -240,7 +239,7 @@ class MixtureSampling:
 
     def _components(self, state: MixtureState, count: int) -> IntArray:
         """What each of the next ``count`` rollouts is drawn from, ``[count]``."""
-        known = len(state.pool.coefficients) if state.pool else 0
+        known = len(state.pool.proposals) if state.pool else 0
         return components(
             count,
             # the parts of the final batch after the first bring no proposal that is new
@@ -256,26 +255,14 @@ class MixtureSampling:
         assert pool is not None and basis is not None  # noqa: S101, PT018  just drawn
         began = time.perf_counter()
         steps = result.scored.rollouts.detected.shape[1]
-        pools = pool.each_rule()
-        fits = tuple(
-            replace(fit, share=fit.share / len(pools))
-            for one in pools
-            for fit in fit_to_failures(one, basis, self.settings)
-        )
-        explores = self._explores(state.stage)
-        hidden = fit_to_hidden_ways(
+        fits = next_proposals(
             pool,
             basis,
             self.settings,
-            main=fits,
             defensive=_defence(steps),
-            least_share=0.0 if explores else RELEVANT_SHARE,
+            explores=self._explores(state.stage),
+            for_final=state.stage > self.learning_stages,
         )
-        level = [
-            fit for one in pools if explores for fit in fit_to_level(one, basis, self.settings)
-        ]
-        blind = [fit for one in pools for fit in fit_blindly(one, basis, self.settings)]
-        fits = with_exploring(fits, hidden, blind, level)
         fitted = replace(state, fits=fits)
         return fitted, replace(
             result,
@@ -289,10 +276,17 @@ class MixtureSampling:
 
 
 def _until_settled(problem: Problem) -> Problem:
-    """The problem on a simulator that remembers that nothing is left to break."""
-    if problem.settled is None:
+    """The problem on a simulator that remembers what is broken, and that nothing is left to be."""
+    rules = several_rules(problem)
+    if not rules:
         return with_latch(problem)
-    return replace(problem, simulator=MonitoredSimulator(problem.simulator, problem.settled))
+    monitors = {rule: problem.rules[rule].monitor for rule in rules}
+    return replace(problem, simulator=RulesSimulator(problem.simulator, monitors))
+
+
+def several_rules(problem: Problem) -> tuple[str, ...]:
+    """Their names; empty where there are not several."""
+    return tuple(problem.rules) if len(problem.rules) > 1 else ()
 
 
 def _main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal | None:
@@ -315,23 +309,25 @@ def _drawn(
     steps = problem.simulator.states - 1
     fitted = np.unique(component[component != PILOTS])
     generator = np.random.default_rng(seeds.spawn(1)[0])
+    fits = [None if c == PILOTS else state.fits[c - fitted[0]] for c in component.tolist()]
+    aims = Aims.of(state.rules, [fit.rule if fit else None for fit in fits])
     proposal = divided(
         component,
         {int(index): state.fits[index - fitted[0]].coefficients for index in fitted},
         _main_proposal(state, steps=steps),
+        aims=aims,
         family=PilotFamily.over(steps, turns=state.turns),
         features=state.features,
         generator=generator,
     )
     counts = latent_counts(problem.simulator)
     if counts:
-        first = fitted[0] if fitted.size else 0
-        means = [None if c == PILOTS else state.fits[c - first].means for c in component.tolist()]
         family = LatentFamily.over(steps // state.turns, start=counts.start, noise=counts.noise)
         pilots = family.drawn(int((component == PILOTS).sum()), generator, of=component.size)
         latents = divided_latents(
             pilots,
-            means,
+            [fit.means if fit else None for fit in fits],
+            aims,
             counts,
             features=state.features,
             basis=state.basis,
@@ -364,24 +360,19 @@ def _pooled(
     *,
     last: bool,
 ) -> Pool:
-    steps = scored.rollouts.detected.shape[1]
     new = [] if state.frozen else state.fits
     return extended(
         state.pool,
         scored,
         drawn_from=component,
-        new=[fit.coefficients for fit in new],
+        new=[fit.moves for fit in new],
         optimism=[fit.optimism for fit in new],
-        pilots=PilotFamily.over(steps, turns=state.turns),
-        defensive=_defence(steps),
-        features=state.features,
-        basis=basis,
-        latents=fresh_latents(
-            scored.rollouts,
-            [fit.means for fit in new],
+        terms=Terms(
             features=state.features,
             basis=basis,
+            defensive=_defence(scored.rollouts.detected.shape[1]),
             turns=state.turns,
+            rules=state.rules,
         ),
         last=last,
     )

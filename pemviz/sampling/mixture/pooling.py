@@ -1,0 +1,195 @@
+"""A stage's rollouts join the pool: how likely each is under every proposal, old and new."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.proposals.latent_means import LatentDecisions
+from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, acting
+from pemviz.proposals.pilots import PilotFamily
+from pemviz.sampling.mixture.aims import Rule, broken_at, still_open
+from pemviz.sampling.mixture.balance_heuristic import (
+    Decisions,
+    FittedMoves,
+    Pool,
+    decisions_of,
+    log_ratios,
+)
+from pemviz.sampling.mixture.latents import fresh_latents
+from pemviz.simulators.latched import VIOLATED
+from pemviz.types import RolloutBatch, ScoredRollouts
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What likelihoods of a scenario's rollouts are taken with.
+
+    Attributes:
+        features: What proposals look at.
+        basis: Its monomials.
+        defensive: Share of the error model in every outcome's probability.
+        turns: Outcomes of a step.
+        rules: Names, where there are several.
+    """
+
+    features: StateFeatures
+    basis: PolynomialBasis
+    defensive: float
+    turns: int = 1
+    rules: tuple[str, ...] = ()
+
+    @property
+    def under(self) -> tuple[Rule, ...]:
+        """All rules together, and each."""
+        return (None, *self.rules)
+
+
+def extended(
+    pool: Pool | None,
+    scored: ScoredRollouts,
+    *,
+    drawn_from: IntArray,
+    new: Sequence[FittedMoves],
+    optimism: Sequence[FloatArray],
+    terms: Terms,
+    last: bool = False,
+) -> Pool:
+    """The pool with more rollouts.
+
+    Args:
+        pool: What was drawn before, or ``None``.
+        scored: n more rollouts.
+        drawn_from: Index of each one's proposal in the extended list, ``[n]``.
+        new: Proposals that the pool does not know yet.
+        optimism: By how much each new proposal overstates the log likelihood of the pool's
+            rollouts, which it was fitted to, ``[N]``.
+        terms: What likelihoods are taken with.
+        last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
+    """
+    proposals = (*(pool.proposals if pool else ()), *new)
+    count = scored.rollouts.count
+    decisions, latents, by_pilots = _fresh(scored.rollouts, terms)
+    by_fitted = _of_fitted(decisions, latents, proposals, terms, count=count)
+    after = [
+        np.hstack([pilots[:, None], fitted])
+        for pilots, fitted in zip(by_pilots, by_fitted, strict=True)
+    ]
+    fresh = Pool(
+        decisions=decisions,
+        component=drawn_from,
+        proposals=proposals,
+        log_ratio=after[0],
+        robustness=scored.robustness,
+        violated=scored.violated,
+        log_p=row_sums(scored.rollouts.log_p),
+        rule_robustness=scored.rule_robustness,
+        broken=scored.broken,
+        rule_log_ratio=dict(zip(terms.rules, after[1:], strict=True)),
+        latents=latents,
+    )
+    if pool is None:
+        return fresh
+    return _joined(_under_new(pool, new, optimism, terms), fresh, last=last)
+
+
+def _under_new(
+    pool: Pool, new: Sequence[FittedMoves], optimism: Sequence[FloatArray], terms: Terms
+) -> Pool:
+    """The pool's rollouts under the proposals that were fitted to them, too."""
+    if not new:
+        return pool
+    before = [pool.log_ratio, *pool.rule_log_ratio.values()]
+    added = _of_fitted(pool.decisions, pool.latents, new, terms, count=pool.count)
+    flattered = np.stack(optimism, axis=1)
+    ratios = [
+        np.hstack([known, each - flattered]) for known, each in zip(before, added, strict=True)
+    ]
+    by_rule = dict(zip(terms.rules, ratios[1:], strict=True))
+    return replace(pool, log_ratio=ratios[0], rule_log_ratio=by_rule)
+
+
+def _fresh(
+    rollouts: RolloutBatch, terms: Terms
+) -> tuple[Decisions, LatentDecisions | None, Sequence[FloatArray]]:
+    """Decisions, latents, and log of the pilots' likelihood over the model's under each rule."""
+    states = rollouts.decision_states()
+    acts = acting(terms.features, states, rollouts.detected.shape, violated=VIOLATED)
+    broken = broken_at(states.memory, terms.rules)
+    decisions = decisions_of(
+        rollouts, acts, features=terms.features, basis=terms.basis, broken=broken
+    )
+    by_pilots = _by_pilots(rollouts, acts, broken, terms)
+    latents = fresh_latents(
+        rollouts,
+        features=terms.features,
+        basis=terms.basis,
+        turns=terms.turns,
+        rules=terms.rules,
+    )
+    if latents is None:
+        return decisions, None, by_pilots
+    both = [first + second for first, second in zip(by_pilots, latents.by_pilots, strict=True)]
+    return decisions, latents.decisions, both
+
+
+def _by_pilots(
+    rollouts: RolloutBatch, acts: BoolArray, broken: BoolArray | None, terms: Terms
+) -> Sequence[FloatArray]:
+    """Log of the pilots' likelihood over the model's, ``[n]`` under each rule."""
+    family = PilotFamily.over(acts.shape[1], turns=terms.turns)
+    known: dict[bytes, FloatArray] = {}
+    found: list[FloatArray] = []
+    for rule in terms.under:
+        until = still_open(broken, terms.rules, rule)
+        within = acts if until is None else acts & until
+        key = np.packbits(within).tobytes()
+        if key not in known:
+            known[key] = family.log_ratio(rollouts, within)
+        found.append(known[key])
+    return found
+
+
+def _of_fitted(
+    decisions: Decisions,
+    latents: LatentDecisions | None,
+    proposals: Sequence[FittedMoves],
+    terms: Terms,
+    *,
+    count: int,
+) -> Sequence[FloatArray]:
+    return log_ratios(
+        decisions,
+        proposals,
+        count=count,
+        defensive=terms.defensive,
+        rules=terms.rules,
+        under=terms.under,
+        latents=latents,
+    )
+
+
+def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
+    """The rollouts of both."""
+    latents = pool.latents
+    if latents is not None and fresh.latents is not None and not last:
+        latents = latents.joined(fresh.latents)
+    moved = replace(fresh.decisions, rollout=fresh.decisions.rollout + pool.count)
+    return replace(
+        fresh,
+        decisions=pool.decisions if last else Decisions.concatenate([pool.decisions, moved]),
+        component=np.concatenate([pool.component, fresh.component]),
+        log_ratio=np.vstack([pool.log_ratio, fresh.log_ratio]),
+        robustness=np.concatenate([pool.robustness, fresh.robustness]),
+        violated=np.concatenate([pool.violated, fresh.violated]),
+        log_p=np.concatenate([pool.log_p, fresh.log_p]),
+        rule_robustness=_appended(pool.rule_robustness, fresh.rule_robustness),
+        broken=_appended(pool.broken, fresh.broken),
+        rule_log_ratio=_appended(pool.rule_log_ratio, fresh.rule_log_ratio),
+        latents=latents,
+    )
+
+
+def _appended(before: Mapping[str, AnyArray], after: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    return {name: np.concatenate([values, after[name]]) for name, values in before.items()}
