@@ -300,7 +300,6 @@ DiagnosticKind = Literal[
     "called-safe",
     "parts-disagree",
     "pilots-alone",
-    "narrow-interval",
     "reference-disagrees",
     "reference-unreliable",
     "unclassified",

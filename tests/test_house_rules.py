@@ -35,10 +35,6 @@ LONG_FUNCTIONS = {
         "sampling/estimates/estimate.py",
         "mixture_estimate",
     ): "one formula after the other",
-    (
-        "sampling/mixture/balance_heuristic.py",
-        "extended",
-    ): "every field of the pool",
     ("stl/semantics.py", "evaluate"): "one case for each kind of formula",
 }
 

@@ -50,11 +50,11 @@ GOOD, RARE = weighted_of(2e-4, 1e-4, 4e-4), weighted_of(2e-6, 1e-6, 4e-6)
     ("weighted", "seen", "basis"),
     [
         (GOOD, 10, "counted"),
-        (weighted_of(2e-4, 1e-4, 4e-4, "narrow-interval"), 10, "counted"),
+        (weighted_of(2e-4, 1e-4, 4e-4, "parts-disagree"), 10, "counted"),
         (GOOD, 9, "weighted"),
         (GOOD, 0, "bound"),  # plain Monte Carlo would have seen it
         (RARE, 0, "weighted"),
-        (weighted_of(2e-4, 1e-4, 4e-4, "narrow-interval"), 3, "few"),
+        (weighted_of(2e-4, 1e-4, 4e-4, "parts-disagree"), 3, "few"),
         (weighted_of(2e-4, 1e-4, 4e-4, "heavy-tail"), 0, "bound"),
         (weighted_of(0.0, None, None), 0, "bound"),
         (RARE, 9, "few"),  # the plain interval begins at 4e-5

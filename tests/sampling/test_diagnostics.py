@@ -23,7 +23,6 @@ from pemviz.sampling.estimates.diagnostics import (
     called_safe,
     classified,
     count_diagnostics,
-    narrow_interval,
     parts_disagreement,
     pilots_alone,
     reference_disagreement,
@@ -253,7 +252,6 @@ def one_of_each_kind():
         *called_safe(0.1, relative_error=0.01),
         *parts_disagreement(late=3.5, halves=1.0),
         *pilots_alone(0.3),
-        narrow_interval(),
         *reference_disagreement(estimate, probability=1e-20, std_error=0.0),
         *summarise_repetitions([weighted([]), weighted([1.0, *[0.01] * 29])]).diagnostics,
     ]

@@ -148,20 +148,6 @@ def pilots_alone(share: float) -> Sequence[Diagnostic]:
     return (Diagnostic("pilots-alone", share, LARGE_SHARE, text),)
 
 
-def narrow_interval() -> Diagnostic:
-    """Of ``mixture`` where several obstacles meet several random start values.
-
-    Measured on the families ``cut-in`` and ``cut-out``, 50 runs each, beside five million plain
-    rollouts.
-    """
-    text = (
-        "intervals of such runs are too narrow: with several obstacles and random starts 2400 "
-        "rollouts were measured 10 to 20 % too low on average, and over a third too low at times; "
-        "splitting or monte-carlo beside it tells"
-    )
-    return Diagnostic("narrow-interval", None, None, text)
-
-
 def reference_disagreement(
     estimate: Estimate, *, probability: float, std_error: float, trusted: bool = True
 ) -> Sequence[Diagnostic]:

@@ -26,6 +26,13 @@ The strata's own spread leaves out that the proposals are random too. Over 491 u
 ``pemviz bench trust --first-seed 100 --seeds 25`` intervals held the truth in 93.1 % without a
 factor, 95.9 % with 1.1, 96.5 % with 1.15, 98.2 % with sqrt(2); other seeds judge the choice.
 """
+SLOTS_AND_STARTS_ADAPTATION = 1.4
+"""Where several obstacles meet several random start values, and proposals have most to learn.
+
+32 runs of preset ``cut-in``, 2,400 rollouts each, beside nine million plain ones: intervals held
+the probability of any rule and of ``no-collision`` in 83 % with 1.15, 94 % with 1.4; other seeds
+judge the choice.
+"""
 
 
 def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
@@ -90,6 +97,7 @@ def mixture_estimate(
     log_p: FloatArray,
     frozen_log_weight: FloatArray,
     frozen: slice,
+    adaptation: float = ADAPTATION,
 ) -> Estimate:
     """The average weight of violations over rollouts from several proposals.
 
@@ -103,6 +111,7 @@ def mixture_estimate(
         frozen_log_weight: Weights of the final batch among itself, ``[M]``: its proposals were
             fixed before it was drawn, so its average is unbiased.
         frozen: Which rollouts those are.
+        adaptation: Factor on the standard error.
     """
     failures = int(violated.sum())
     final_component = component[frozen]
@@ -113,7 +122,7 @@ def mixture_estimate(
     log10_probability = log_probability / math.log(10.0) if failures else None
     interval, log_error = (None, None), None
     if failures:
-        log_error = log_stratified_error(log_weight, violated, component) + math.log(ADAPTATION)
+        log_error = log_stratified_error(log_weight, violated, component) + math.log(adaptation)
         interval = log_normal_interval(
             log_probability, relative_error=math.exp(log_error - log_probability)
         )

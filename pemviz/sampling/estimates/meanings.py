@@ -119,11 +119,6 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         undermines=ALL_BUT_COUNTS,
         in_repetitions="a way of failing was met by hardly any proposal but the pilots",
     ),
-    "narrow-interval": Meaning(
-        phrase="intervals of such runs are too narrow",
-        undermines=ALL_BUT_COUNTS,
-        in_repetitions="the interval was of a kind that was measured to be too narrow",
-    ),
     "reference-disagrees": Meaning(phrase="times the reference", undermines=ALL),
     # the estimate may be right all the same
     "reference-unreliable": Meaning(phrase="the reference itself is", undermines=NOTHING),

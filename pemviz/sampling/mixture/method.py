@@ -50,8 +50,12 @@ from pemviz.proposals.offset_logistic import (
     acting,
 )
 from pemviz.proposals.pilots import PilotFamily
-from pemviz.sampling.estimates.diagnostics import narrow_interval, unlatched
-from pemviz.sampling.estimates.estimate import mixture_estimate
+from pemviz.sampling.estimates.diagnostics import unlatched
+from pemviz.sampling.estimates.estimate import (
+    ADAPTATION,
+    SLOTS_AND_STARTS_ADAPTATION,
+    mixture_estimate,
+)
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.aims import Aims
@@ -208,6 +212,7 @@ class MixtureSampling:
             raise ValueError(message)
         final = slice(pool.count - sum(state.frozen), None)
         component = pool.component[final]
+        many = state.turns > 1 and state.starts > 1
         found = mixture_estimate(
             method=self.name,
             log_weight=pool.log_weight,
@@ -216,10 +221,9 @@ class MixtureSampling:
             log_p=pool.log_p,
             frozen_log_weight=balance_weights(pool.log_ratio[final], component),
             frozen=final,
+            adaptation=SLOTS_AND_STARTS_ADAPTATION if many else ADAPTATION,
         )
         wrong = [*found.diagnostics, *disagreements(pool, final=final)]
-        if found.failures and state.turns > 1 and state.starts > 1:
-            wrong.append(narrow_interval())
         found = replace(found, diagnostics=tuple(wrong))
         if state.latched:
             return found
