@@ -110,6 +110,11 @@ class Pool:
         broken = None if self.latents is None else self.latents.broken
         return still_open(broken, self.rules, self.rule)
 
+    @property
+    def varied(self) -> bool:
+        """Whether rollouts start at several random values."""
+        return self.latents is not None and self.latents.start.shape[1] > 1
+
     def under_rule(self, rule: str) -> "Pool":
         """The same rollouts under one rule: its robustness, its verdict, their ways until then."""
         return replace(

@@ -102,7 +102,7 @@ def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -
     weight = weights_of(pool, elites, exponent=exponent)
     first = fitted(pool, basis, elites, weight, settings)
     learned = learned_from(pool, weight)
-    ridge = ridge_by_degree(basis, settings.ridge)
+    ridge = ridge_by_degree(basis, settings.ridge, varied=pool.varied)
     ways = ways_of(
         learned,
         first.coefficients,
@@ -193,7 +193,7 @@ def fitted(
     times = (BLIND,) if blind else STATE_RIDGES if pool.noisy else (1.0,)
     tried = [
         _with_optimism(outcomes, start, penalty, pool, group=group, weight=weight)
-        for penalty in _penalties(basis, settings, times=times)
+        for penalty in _penalties(basis, settings, times=times, varied=pool.varied)
     ]
     found, optimism, _ = max(tried, key=lambda one: one[2])
     means = None
@@ -234,10 +234,10 @@ def _outcomes(pool: Pool, weight: FloatArray) -> tuple[WeightedOutcomes, IntArra
 
 
 def _penalties(
-    basis: PolynomialBasis, settings: FitSettings, *, times: Sequence[float]
+    basis: PolynomialBasis, settings: FitSettings, *, times: Sequence[float], varied: bool
 ) -> list[FloatArray]:
     """Of outcomes' coefficients, ``[B]`` each: those of the state by so many ``times``."""
-    plain = ridge_by_degree(basis, settings.ridge)
+    plain = ridge_by_degree(basis, settings.ridge, varied=varied)
     of_state = np.array([len(chosen) > 0 for chosen in basis.exponents])
     return [np.where(of_state, each * plain, plain) for each in times]
 
@@ -353,15 +353,21 @@ def noise_ridge(
     return settings.ridge * np.array(relative)
 
 
-def ridge_by_degree(basis: PolynomialBasis, ridge: float) -> FloatArray:
+def ridge_by_degree(basis: PolynomialBasis, ridge: float, *, varied: bool) -> FloatArray:
     """Penalties ``[B]``: the constant's a tenth, each degree beyond the first twice as much.
 
-    With D features, more than three, those of degree k are (D / 3)^(4 + k) times as much. The more
-    monomials, the more ways to follow what the few rollouts that count happened to do, and the
-    farther off lie the others, whose weights then carry the estimate. The exponent was found on
-    encounters with six features, against violations that plain simulation had met.
+    Rollouts that start at several random values are spread over all D features; the more
+    monomials, the more ways to follow what the few of them that count happened to do, and the
+    farther off lie the others, whose weights then carry the estimate. Penalties of degree k are
+    (D / 3)^(4 + k) times as much there, beyond three features: the exponent was found on encounters
+    with six, against violations that plain simulation had met.
+
+    Args:
+        basis: Monomials.
+        ridge: Penalty of degree 1.
+        varied: Whether rollouts start at several random values.
     """
     degrees = np.array([len(chosen) for chosen in basis.exponents])
-    more = max(1.0, basis.mean.size / FEW_FEATURES)
+    more = max(1.0, basis.mean.size / FEW_FEATURES) if varied else 1.0
     of_state = 2.0 ** (degrees - 1.0) * more ** (4.0 + degrees)
     return ridge * np.where(degrees == 0, 0.1, of_state)

@@ -67,7 +67,7 @@ def fit_to_hidden_ways(
     even = smoothing_exponent(log_weight, least_ess=EVEN_SHARE * hidden.count)
     weight = weights_of(pool, hidden, exponent=even)
     learned, rollouts = learned_from(pool, weight), np.flatnonzero(weight > 0.0)
-    ways = _told_apart(learned.resampled(SAMPLE), basis, settings)
+    ways = _told_apart(learned.resampled(SAMPLE), basis, settings, varied=pool.varied)
     fits: list[Fit] = []
     for share in ways.responsibilities(learned).T:
         chosen = np.zeros_like(hidden.chosen)
@@ -84,9 +84,14 @@ def fit_to_hidden_ways(
     return tuple(fits)
 
 
-def _told_apart(few: WeightedRollouts, basis: PolynomialBasis, settings: FitSettings) -> Ways:
+def _told_apart(
+    few: WeightedRollouts, basis: PolynomialBasis, settings: FitSettings, *, varied: bool
+) -> Ways:
     """Ways of failing among few rollouts."""
-    ridge, of_noise = ridge_by_degree(basis, settings.ridge), noise_ridge(basis, settings)
+    ridge, of_noise = (
+        ridge_by_degree(basis, settings.ridge, varied=varied),
+        noise_ridge(basis, settings),
+    )
     first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
     means = None
     if few.latents is not None:
