@@ -142,17 +142,3 @@ def test_highway_env_does_the_same_where_its_states_are_saved(monkeypatch):
     assert np.ptp(saved["clearance"], axis=0).max() > 1.0
     for name, values in saved.items():
         np.testing.assert_allclose(played[name], values, rtol=0.0, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_highway_env_answers_as_splitting_does_where_its_states_are_saved(monkeypatch):
-    """3.5 joint standard errors: a false alarm with probability 5e-4."""
-    parts = parts_of(HIGHWAY, monkeypatch)
-    config = parts.pop("config")
-    mixture = pemviz.run(pemviz.build_experiment(config, **parts)).estimate
-    assert mixture.ess > 100.0
-    assert mixture.pareto_k < 0.7
-    twin = saving_twin(runpy.run_path(str(HIGHWAY)), parts["simulator"])
-    config = dataclasses.replace(config, method="splitting", repetitions=5, rollouts=300)
-    check = pemviz.build_experiment(config, **{**parts, "simulator": twin})
-    agree(mixture, pemviz.run(check).estimate, errors=3.5)

@@ -17,7 +17,8 @@ probability of a violation well, a quarter of them from one fitted to the lowest
 whose probability they do tell (:mod:`pemviz.sampling.mixture.levels`). Another quarter comes from
 proposals for ways of failing that the newest would hardly draw, in the second half only where they
 carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.hidden`). With several
-rules each has proposals of its own, drawn from alike, that go on until all rules are broken.
+rules each that was broken has proposals of its own, drawn from alike; a proposal and a rollout's
+likelihood go as far as the rule at hand is kept (:mod:`pemviz.sampling.mixture.aims`).
 
 Latents, where the scenario takes any, are moved beside outcomes: pilots move one at a time up or
 down (:mod:`pemviz.proposals.latent_pilots`), each fitted proposal has means of its own, fitted with
