@@ -298,40 +298,6 @@ def test_two_browsers_and_a_reload_in_mid_run(open_page, shots, panel):
     assert panel.controller.state.error is None
 
 
-def test_a_family_runs_through_a_reload_and_its_rollouts_play(open_page, shots, panel):
-    page = open_page()
-    choose(page, "Preset", "cut-in")
-    small(page)
-    panel.gate.shut()
-    run(page)
-    page.get_by_text(re.compile(r"Stage \d+ of 3")).wait_for()
-    page.reload()
-    page.get_by_text(re.compile(r"Stage \d+ of 3")).wait_for()
-    panel.gate.open()
-    expect_done(page)
-    page.get_by_text(panel.controller.state.run.name).first.wait_for()
-    page.get_by_role("cell", name="avoidable-cut-in", exact=True).first.wait_for()
-    tab(page, "Trajectories")
-    choose(page, "Among", "all rollouts")
-    page.locator("tr[data-rank='2']").click()
-    until(page, lambda: selected(page) == 2)
-    page.locator("svg text", has_text="car that cuts in").first.wait_for()
-    cursor, canvas = page.locator("g[data-cursor]"), page.locator("canvas").first
-    page.get_by_role("button", name="Restart", exact=True).click()
-    until(page, lambda: int(cursor.get_attribute("data-cursor")) > 3)
-    page.get_by_role("button", name="Pause", exact=True).click()
-    until(page, lambda: rests(page, cursor))
-    behind = canvas.screenshot()
-    assert len(behind) > 20_000  # drawn, not blank
-    choose(page, "View", "from above")
-    until(page, lambda: canvas.screenshot() != behind)
-    page.screenshot(path=shots / "family-from-above.png")
-    choose(page, "Rule", "no-collision")
-    page.get_by_text("in rule no-collision").wait_for()
-    until(page, lambda: selected(page) == 1)
-    assert panel.controller.state.error is None
-
-
 def test_recordings_load_compare_and_download(open_page, shots, panel, first_run, tmp_path):
     page = open_page()
     choose(page, "Method", "naive")
