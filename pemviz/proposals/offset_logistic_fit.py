@@ -14,6 +14,7 @@ SHORTEST_STEP = 1e-9
 SUFFICIENT_DECREASE = 1e-4
 GOOD_ENOUGH = 1e-4
 LARGEST_LEVERAGE = 0.8
+"""Larger ones count as this: what a linear model suggests grows without bound towards 1."""
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,40 @@ class Monitor(Protocol):
 
 
 @dataclass(frozen=True)
+class EachRule:
+    """A monitor of several rules, violated once all are broken, that tells of each.
+
+    Attributes:
+        monitors: By the rules' names; at least one.
+    """
+
+    monitors: Mapping[str, Monitor]
+
+    def start(self, *, count: int) -> Mapping[str, Any]:
+        """What is known of ``count`` rollouts before their first state, by rule."""
+        return {rule: one.start(count=count) for rule, one in self.monitors.items()}
+
+    def advance(
+        self, known: Mapping[str, Any], *, step: int, signals: Mapping[str, FloatArray]
+    ) -> Mapping[str, Any]:
+        """What is known with the states of ``step`` too, signals ``[N]``, by rule."""
+        return {
+            rule: one.advance(known[rule], step=step, signals=signals)
+            for rule, one in self.monitors.items()
+        }
+
+    def violated(self, known: Mapping[str, Any]) -> BoolArray:
+        """Which rollouts break every rule for certain, ``[N]``."""
+        return np.all(list(self.broken(known).values()), axis=0)
+
+    def broken(self, known: Mapping[str, Any]) -> Mapping[str, BoolArray]:
+        """Which break each rule for certain, ``[N]`` by the memory's name."""
+        return {
+            violated_rule(rule): one.violated(known[rule]) for rule, one in self.monitors.items()
+        }
+
+
+@dataclass(frozen=True)
 class WrappedSimulator:
     """The same scenario, of whose states something more is known.
 
@@ -127,6 +161,8 @@ class MonitoredStates(StateBatch):
 class MonitoredSimulator(WrappedSimulator):
     """Remembers violations, likewise, where it takes a monitor of the states so far to tell them.
 
+    Of several rules it also remembers each (:class:`EachRule`).
+
     Its states continue rollouts that it began itself.
 
     Attributes:
@@ -148,71 +184,17 @@ class MonitoredSimulator(WrappedSimulator):
         Raises:
             TypeError: The states are not this simulator's own.
         """
-        return self._monitored(stepped(self.scenario, states, detected, noise), known_of(states))
+        if not isinstance(states, MonitoredStates):
+            message = "a monitored simulator goes on from its own states only"
+            raise TypeError(message)
+        return self._monitored(stepped(self.scenario, states, detected, noise), states.known)
 
     def _monitored(self, states: StateBatch, before: Any) -> MonitoredStates:
         verdict = self.monitor.advance(before, step=int(states.step), signals=states.signals)
+        each = self.monitor.broken(verdict) if isinstance(self.monitor, EachRule) else {}
         return MonitoredStates(
             step=states.step,
             signals=states.signals,
-            memory={**states.memory, VIOLATED: self.monitor.violated(verdict)},
+            memory={**states.memory, **each, VIOLATED: self.monitor.violated(verdict)},
             known=verdict,
         )
-
-
-@dataclass(frozen=True)
-class RulesSimulator(WrappedSimulator):
-    """Remembers of each of several rules whether it is broken, and as ``violated`` whether all are.
-
-    Its states continue rollouts that it began itself.
-
-    Attributes:
-        monitors: Tell it, by the rule's name; at least one.
-    """
-
-    monitors: Mapping[str, Monitor]
-
-    def initial(self, *, count: int, start: FloatArray | None = None) -> MonitoredStates:
-        """The back end's initial states and which rules they break."""
-        states = begun(self.scenario, count=count, start=start)
-        known = {rule: one.start(count=count) for rule, one in self.monitors.items()}
-        return self._monitored(states, known)
-
-    def step(
-        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
-    ) -> MonitoredStates:
-        """The back end's next states; what is broken stays so.
-
-        Raises:
-            TypeError: The states are not this simulator's own.
-        """
-        return self._monitored(stepped(self.scenario, states, detected, noise), known_of(states))
-
-    def _monitored(self, states: StateBatch, before: Mapping[str, Any]) -> MonitoredStates:
-        step = int(states.step)
-        verdict = {
-            rule: one.advance(before[rule], step=step, signals=states.signals)
-            for rule, one in self.monitors.items()
-        }
-        broken = {
-            violated_rule(rule): one.violated(verdict[rule]) for rule, one in self.monitors.items()
-        }
-        every = np.all(list(broken.values()), axis=0)
-        return MonitoredStates(
-            step=states.step,
-            signals=states.signals,
-            memory={**states.memory, **broken, VIOLATED: every},
-            known=verdict,
-        )
-
-
-def known_of(states: StateBatch) -> Any:
-    """What a monitor knew of a simulator's own states.
-
-    Raises:
-        TypeError: The states are not such a simulator's.
-    """
-    if not isinstance(states, MonitoredStates):
-        message = "a monitored simulator goes on from its own states only"
-        raise TypeError(message)
-    return states.known

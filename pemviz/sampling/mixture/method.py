@@ -72,7 +72,7 @@ from pemviz.sampling.mixture.pooling import Terms, extended
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.sampling.value_twisted.method import with_latch
-from pemviz.simulators.latched import VIOLATED, RulesSimulator
+from pemviz.simulators.latched import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
@@ -285,8 +285,8 @@ def _until_settled(problem: Problem) -> Problem:
     rules = several_rules(problem)
     if not rules:
         return with_latch(problem)
-    monitors = {rule: problem.rules[rule].monitor for rule in rules}
-    return replace(problem, simulator=RulesSimulator(problem.simulator, monitors))
+    each = EachRule({rule: problem.rules[rule].monitor for rule in rules})
+    return replace(problem, simulator=MonitoredSimulator(problem.simulator, each))
 
 
 def several_rules(problem: Problem) -> tuple[str, ...]:
