@@ -8,7 +8,6 @@ from pathlib import Path
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.cli.reproduce_progress import make_folder, reproduction_progress
-from pemviz.config.encounters import FAMILIES
 from pemviz.errors import EXIT_DONE, RunError
 from pemviz.files.atomic import write_bytes
 from pemviz.reproduce.families import FamilySettings, study_families
@@ -27,21 +26,21 @@ class FamiliesArguments:
 
     out: Path = Path("families")
     """Folder for the files; made if need be, files of the same name are replaced."""
-    families: tuple[str, ...] = FAMILIES
+    families: tuple[str, ...] = FamilySettings.families
     """Which: braking, cut-in, cut-out."""
-    memories_s: tuple[float, ...] = (0.0, 0.15, 0.25)
+    memories_s: tuple[float, ...] = FamilySettings.memories_s
     """Memory times of misses [s]; 0 to 60."""
-    trackers: tuple[str, ...] = ("none", "2/3", "3/5")
+    trackers: tuple[str, ...] = FamilySettings.trackers
     """Trackers, each as --tracker of 'pemviz record'; others are compared with the first."""
-    rollouts: int = 2400
+    rollouts: int = FamilySettings.rollouts
     """Rollouts of mixture in each cell; at least 200."""
-    plain_rollouts: int = 100_000
+    plain_rollouts: int = FamilySettings.plain_rollouts
     """Rollouts of plain Monte Carlo in each cell; at least 100."""
-    seed: int = 0
+    seed: int = FamilySettings.seed
     """Root of all randomness; 0 or more."""
-    pem: str = "ml-nn"
+    pem: str = FamilySettings.pem
     """Perception error model: a shipped name or a file."""
-    workers: Processes = 2
+    workers: Processes = FamilySettings.workers
     """Processes; the results do not depend on it; 1 to 1024."""
 
 
