@@ -33,7 +33,7 @@ from pemviz.config.encounters import FAMILIES
 
 VIEWPORT = {"width": 1400, "height": 920}
 PIXELS_A_POINT = 1
-NOWHERE = (700, 120)
+NOWHERE = (700, 130)
 COLORS = 256
 SHOWN_STEP = 50
 STEPS_BEFORE = 10
