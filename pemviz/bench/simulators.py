@@ -33,8 +33,8 @@ def simulator_figures(
         repeats: Repeats that medians are taken over, after one that is not counted.
     """
     config = ScenarioConfig() if config is None else config
-    vectorized = _replaying(VectorizedSimulator(config), vectorized_rollouts)
-    highway = _replaying(HighwaySimulator(config), highway_rollouts)
+    vectorized = replaying(VectorizedSimulator(config), vectorized_rollouts)
+    highway = replaying(HighwaySimulator(config), highway_rollouts)
     bare = _bare_vehicles(config, highway_rollouts)
     turns = [[elapsed_s(work) for work in (vectorized, highway, bare)] for _ in range(repeats + 1)]
     batch_s, slow_s, bare_s = zip(*turns[1:], strict=True)
@@ -64,7 +64,7 @@ def simulator_figures(
     )
 
 
-def _replaying(simulator: Simulator, rollouts: int) -> Callable[[], object]:
+def replaying(simulator: Simulator, rollouts: int) -> Callable[[], object]:
     """Work that replays the same random outcomes each time."""
     detected = np.random.default_rng(0).random((rollouts, simulator.states - 1)) < 0.5
     return lambda: replay(simulator=simulator, detected=detected)

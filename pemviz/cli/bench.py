@@ -39,6 +39,10 @@ def run(words: Sequence[str]) -> int:
     Raises:
         InputError: The arguments are wrong.
     """
+    if "--compare" in words:
+        from pemviz.cli.bench_compare import run as run_comparison  # noqa: PLC0415
+
+        return run_comparison([word for word in words if word != "--compare"])
     if words and words[0] == "accuracy":
         return _accuracy(words[1:])
     if words and words[0] == "trust":

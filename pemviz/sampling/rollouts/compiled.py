@@ -100,7 +100,23 @@ class CompiledRollouts:
 
     def simulate(self, uniforms: FloatArray) -> RolloutBatch:
         """As :func:`pemviz.sampling.rollouts.draw.simulate`, for ``uniforms [N, T-1]``."""
-        count, steps = uniforms.shape
+        steps = uniforms.shape[1]
+        (gap_m, ego_mps, lead_mps), tracks = self.begun(len(uniforms))
+        self.advance(tracks, uniforms)
+        waiting = np.flatnonzero(tracks.reached < steps)
+        if waiting.size:
+            self._by_numpy(tracks, waiting, uniforms)
+        return RolloutBatch(
+            signals={GAP: gap_m.T, EGO_SPEED: ego_mps.T, LEAD_SPEED: lead_mps.T},
+            memory={SPEED_ERROR_INTEGRAL: tracks.integral_m.T},
+            detected=tracks.detected.T,
+            pem_logit=tracks.logit.T,
+            proposal_logit=tracks.logit.T,
+        )
+
+    def begun(self, count: int) -> tuple[FloatArray, loops.Tracks]:
+        """Of ``count`` rollouts at their first state signals ``[3, T, N]``, and what is written."""
+        steps = self.simulator.states - 1
         signals = np.empty((3, steps + 1, count))
         gap_m, ego_mps, lead_mps = signals
         first = self.simulator.initial(count=count)
@@ -116,18 +132,12 @@ class CompiledRollouts:
         gap_m[0], ego_mps[0] = first.signals[GAP], first.signals[EGO_SPEED]
         tracks.integral_m[0] = first.memory[SPEED_ERROR_INTEGRAL]
         lead_mps[:] = self._lead_mps[:, None]
+        return signals, tracks
+
+    def advance(self, tracks: loops.Tracks, uniforms: FloatArray) -> None:
+        """Take rollouts on by ``uniforms [N, T-1]``, each to its end or to a gap not met before."""
         numbers = loops.numbers_of(self.simulator.config)
         self._kernels.advance(tracks, self._answers, uniforms, self._lead_mps, numbers)
-        waiting = np.flatnonzero(tracks.reached < steps)
-        if waiting.size:
-            self._by_numpy(tracks, waiting, uniforms)
-        return RolloutBatch(
-            signals={GAP: gap_m.T, EGO_SPEED: ego_mps.T, LEAD_SPEED: lead_mps.T},
-            memory={SPEED_ERROR_INTEGRAL: tracks.integral_m.T},
-            detected=tracks.detected.T,
-            pem_logit=tracks.logit.T,
-            proposal_logit=tracks.logit.T,
-        )
 
     def _by_numpy(self, tracks: loops.Tracks, rows: IntArray, uniforms: FloatArray) -> None:
         """The rollouts that came to a gap without an answer; their answers are kept."""
