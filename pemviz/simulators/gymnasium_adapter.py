@@ -5,19 +5,21 @@ gymnasium itself is not imported here: whatever has ``reset`` and ``step`` will 
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import ConfigError
+from pemviz.simulators.kept_steps import KeptSteps
 from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StateBatch
 
 ENDED = "ended"
 SNAPSHOT = "snapshot"
 NUMBER = "environment_"
+KEPT_STEPS = 100_000
 
 
 class Environment(Protocol):
@@ -69,6 +71,8 @@ class GymnasiumSimulator:
         set_state: Puts the environment into a state that ``get_state`` gave.
         seed: The environment is reset with.
         name: For files and tables.
+        kept_steps: With the pair, so many steps are remembered and not made again, which methods
+            that go on from kept states ask for many times over; about 1 kB each.
     """
 
     environment: Environment
@@ -82,6 +86,8 @@ class GymnasiumSimulator:
     set_state: Callable[[Any, FloatArray], None] | None = None
     seed: int = 0
     name: str = "gymnasium"
+    kept_steps: int = KEPT_STEPS
+    _steps: KeptSteps = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse half of the pair that keeps states as numbers.
@@ -89,6 +95,7 @@ class GymnasiumSimulator:
         Raises:
             ConfigError: ``get_state`` without ``set_state``, or the other way round.
         """
+        object.__setattr__(self, "_steps", KeptSteps(self.kept_steps))
         if (self.get_state is None) != (self.set_state is None):
             given, missing = "get_state", "set_state"
             if self.get_state is None:
@@ -107,7 +114,11 @@ class GymnasiumSimulator:
 
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
         """The states one step on, for outcomes ``[N]``."""
-        rows = [self._advanced(states, row, seen) for row, seen in enumerate(detected.tolist())]
+        stored = self._stored(states)
+        rows = [
+            self._advanced(states, row, stored[row], seen)
+            for row, seen in enumerate(detected.tolist())
+        ]
         return self._batch(rows, step=states.step + 1)
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
@@ -118,11 +129,23 @@ class GymnasiumSimulator:
     def _has_pair(self) -> bool:
         return self.get_state is not None and self.set_state is not None
 
-    def _advanced(self, states: StateBatch, row: int, detected: bool) -> "_Row":
+    def _advanced(self, states: StateBatch, row: int, stored: Any, detected: Any) -> "_Row":
         if states.memory[ENDED][row]:
             values = {name: float(array[row]) for name, array in states.signals.items()}
-            return values, self._stored(states, row), True
-        environment = self._restored(states, row)
+            return values, stored, True
+        if not self._has_pair:
+            return self._stepped(stored, detected)
+        names = [signal.name for signal in self.signals]
+
+        def make() -> FloatArray:
+            values, numbers, ended = self._stepped(stored, detected)
+            return np.concatenate(([values[name] for name in names], numbers, [ended]))
+
+        *values, ended = (reached := self._steps.reached(stored, detected, make)).tolist()
+        return dict(zip(names, values, strict=False)), reached[len(names) : -1], bool(ended)
+
+    def _stepped(self, stored: Any, detected: Any) -> "_Row":
+        environment = self._restored(stored)
         observation, _, terminated, truncated, _ = environment.step(self.action_of(detected))
         ended = bool(terminated or truncated)
         reached = (self._observed(observation), self._snapshot(environment), ended)
@@ -147,15 +170,15 @@ class GymnasiumSimulator:
             return copy.deepcopy(environment)
         return np.array(self.get_state(environment), dtype=np.float64)
 
-    def _stored(self, states: StateBatch, row: int) -> Any:
+    def _stored(self, states: StateBatch) -> AnyArray:
+        """What is kept of each state's environment: numbers ``[N, S]``, or ``[N]`` copies."""
         if not self._has_pair:
-            return states.memory[SNAPSHOT][row]
-        numbers = [name for name in states.memory if name.startswith(NUMBER)]
-        return np.array([states.memory[name][row] for name in numbers])
+            return states.memory[SNAPSHOT]
+        numbers = [values for name, values in states.memory.items() if name.startswith(NUMBER)]
+        return np.stack(numbers, axis=-1)
 
-    def _restored(self, states: StateBatch, row: int) -> Environment:
+    def _restored(self, stored: Any) -> Environment:
         """An environment that may be stepped: the states given are never touched."""
-        stored = self._stored(states, row)
         if self.set_state is None or self.get_state is None:
             return copy.deepcopy(stored)
         self.set_state(self.environment, stored)

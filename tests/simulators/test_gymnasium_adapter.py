@@ -1,5 +1,6 @@
 """Gymnasium environments behind the simulator protocol, states kept by numbers or by copies."""
 
+import copy
 from dataclasses import replace
 
 import gymnasium as gym
@@ -8,6 +9,7 @@ import pytest
 
 import pemviz
 from pemviz.sampling.rollouts.draw import replay
+from pemviz.simulators.kept_steps import TRIED, KeptSteps
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
@@ -167,3 +169,49 @@ def test_adapters_are_simulators_that_can_be_changed_in_part():
     simulator = adapter(Walk(), pair=False)
     assert isinstance(simulator, pemviz.Simulator)
     assert replace(simulator, states=5).states == 5
+
+
+class Counting(Walk):
+    """Counts its steps; from the step ``drifts_from`` on it does not do the same again."""
+
+    def __init__(self, *, drifts_from=10**9):
+        super().__init__()
+        self.steps, self.drifts_from = 0, drifts_from
+
+    def step(self, action):
+        self.steps += 1
+        observation, *rest = super().step(action)
+        return observation + 0.01 * max(self.steps - self.drifts_from, 0), *rest
+
+
+def asked_again(kept_steps, *, drifts_from=10**9, times=200):
+    """The environment's steps, and the gaps last seen: from seven states, six of them alike."""
+    environment = Counting(drifts_from=drifts_from)
+    simulator = adapter(environment, kept_steps=kept_steps)
+    states = simulator.initial(count=7)
+    states = simulator.step(states, np.array([True] + [False] * 6))
+    for _ in range(times):
+        reached = simulator.step(states, np.zeros(7, dtype=np.bool_))
+    return environment.steps, reached.signals["gap"]
+
+
+def test_a_step_that_is_known_is_not_made_again():
+    every, expected = asked_again(0)
+    few, found = asked_again(100)
+    np.testing.assert_array_equal(found, expected)
+    assert every == 7 * 201
+    assert few == 2 + TRIED + 2  # two states by the first step, two more by those after it
+    assert asked_again(1)[0] > few
+
+
+def test_an_environment_that_drifts_is_not_remembered():
+    steps, gaps = asked_again(100, drifts_from=50)
+    assert steps == 7 * 201
+    assert np.unique(gaps).size == 7
+
+
+def test_what_is_sent_to_another_process_forgets():
+    known = KeptSteps(5)
+    known.reached(np.zeros(1), True, lambda: np.ones(1))
+    again = copy.copy(known)  # by the same means as pickle
+    assert again.reached(np.zeros(1), True, lambda: np.full(1, 2.0)) == [2.0]
