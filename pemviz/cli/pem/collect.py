@@ -9,6 +9,7 @@ from typing import Literal, cast, get_args
 from pemviz.cli.pem.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
+from pemviz.pem.data.collect_nuscenes import MATCHED_BELOW_M, collect_nuscenes
 from pemviz.pem.data.collect_tracks import collect_tracks
 from pemviz.pem.data.detections import DetectionFormat
 from pemviz.pem.data.mapped_log import collect_log
@@ -16,6 +17,8 @@ from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.tracking import SequenceFormat
 
 FASTEST_HZ = 1e4
+DEFAULT_HZ = 10.0
+Format = Literal[DetectionFormat, SequenceFormat, "nuscenes", "log"]
 
 
 @dataclass(frozen=True)
@@ -24,27 +27,30 @@ class CollectArguments:
 
     labels: Path
     """Folder of KITTI label files: label_2, one per frame; or of tracking labels (label_02), one
-    per sequence, with a format of sequences."""
+    per sequence, with a format of sequences; or of nuScenes' tables (v1.0-mini)."""
     detections: Path
     """Folder of text files, one per frame (kitti, yolo) or per sequence (mot, ab3dmot), or a json
-    file (coco)."""
+    file (coco, nuscenes)."""
     out: Path = Path("obstacles.csv")
     """CSV file to write."""
-    format: DetectionFormat | SequenceFormat | Literal["log"] = "kitti"
+    format: Format = "kitti"
     """How the detections are written: KITTI results (with a 3D place, the table has x_error_m and
     z_error_m for pemviz pem fit --position-errors), YOLO text (shares of the image), COCO json; of
     sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four
-    sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate. log: a log of
-    your own, matched already, whose columns --mapping tells."""
+    sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate; so does that of
+    nuscenes: its detection task's results, matched by the distance of centres, with position
+    errors. log: a log of your own, matched already, whose columns --mapping tells."""
     mapping: Path | None = None
     """TOML that says where a log's columns are; assets/mappings/nuscenes-cars.toml is one.
     --labels and --detections are then the log, one file or two side by side."""
-    rate_hz: float = 10.0
-    """Frames a second of sequences (above 0)."""
+    rate_hz: float = DEFAULT_HZ
+    """Frames a second of sequences (above 0); nuScenes' tables tell it themselves."""
     types: tuple[str, ...] = ()
     """Classes that count as obstacles in sequences, such as Car; all if empty."""
     iou_above: float = PAPER_IOU
     """A pair of boxes counts as a detection above this overlap (0 to below 1)."""
+    centres_below_m: float = MATCHED_BELOW_M
+    """With nuscenes: below this distance of centres in the ground plane (above 0) [m]."""
     class_aware: bool = False
     """Count only detections of the obstacle's own class."""
     score_from: float | None = None
@@ -81,8 +87,11 @@ def run(arguments: CollectArguments) -> int:
     )
     if (arguments.format == "log") != (arguments.mapping is not None):
         raise PemError("mapping: must be given with format log, and with no other")
+    _check_matching(arguments)
     if arguments.mapping is not None:
         return _collect_log(arguments, arguments.mapping)
+    if arguments.format == "nuscenes":
+        return _collect_nuscenes(arguments, options)
     if arguments.format in get_args(SequenceFormat):
         return _collect_tracks(arguments, options)
     with progress_bar("frames") as tell:
@@ -102,6 +111,47 @@ def run(arguments: CollectArguments) -> int:
         f"{counts.missed} missed, {counts.dropped} dropped (Misc or unknown occlusion)"
     )
     _tell_bad_lines(counts.bad_lines, counts.first_bad)
+    return 0
+
+
+def _check_matching(arguments: CollectArguments) -> None:
+    """Refuse options that the format has no use for.
+
+    Raises:
+        PemError: there is one, or a distance that none can be below.
+    """
+    is_nuscenes = arguments.format == "nuscenes"
+    if not is_nuscenes and arguments.centres_below_m != MATCHED_BELOW_M:
+        raise PemError("centres_below_m: only with format nuscenes; boxes are matched by overlap")
+    if is_nuscenes and arguments.iou_above != PAPER_IOU:
+        raise PemError("iou_above: not with format nuscenes, which centres_below_m matches")
+    if is_nuscenes and arguments.rate_hz != DEFAULT_HZ:
+        raise PemError("rate_hz: not with format nuscenes, whose tables tell it")
+    if not 0.0 < arguments.centres_below_m < math.inf:
+        raise PemError(f"centres_below_m is {arguments.centres_below_m:g}, allowed: above 0")
+
+
+def _collect_nuscenes(arguments: CollectArguments, options: CollectOptions) -> int:
+    with progress_bar("samples") as tell:
+        counts = collect_nuscenes(
+            labels=arguments.labels,
+            detections=arguments.detections,
+            out=arguments.out,
+            types=arguments.types,
+            matched_below_m=arguments.centres_below_m,
+            score_from=options.score_from,
+            drop_unknown=options.drop_unknown,
+            skip_bad=options.skip_bad,
+            on_progress=tell,
+        )
+    print(
+        f"{arguments.out}: {counts.samples} samples, {counts.tracks} tracks, "
+        f"{counts.observations} observations, {counts.missed} missed; left out: "
+        f"{counts.other_types} of other classes, {counts.without_points} without a point of lidar "
+        f"or radar, {counts.beyond} beyond their class's range, {counts.dropped} of unknown "
+        "visibility"
+    )
+    _tell_bad_lines(counts.bad_entries, counts.first_bad)
     return 0
 
 
