@@ -20,6 +20,9 @@ from pemviz.sampling.value_twisted.reference import (
     reference,
     reference_of_few_states,
 )
+from pemviz.sampling.value_twisted.tables import averaged
+from pemviz.sampling.value_twisted.values import both_log_likelihoods
+from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
@@ -120,3 +123,19 @@ def test_repetitions_average_the_unbiased_figures_too():
     expected = np.mean([e.unbiased_probability for e in found])
     assert summary.unbiased_probability == pytest.approx(expected)
     assert summary.unbiased_probability != summary.probability
+
+
+def test_both_outcomes_at_once_are_as_likely_as_each():
+    logit = np.concatenate([[-np.inf, -800.0, 0.0, 800.0, np.inf], np.linspace(-40.0, 40.0, 801)])
+    for detected, found in zip((False, True), both_log_likelihoods(logit), strict=True):
+        expected = outcome_log_likelihood(logit, np.full(logit.size, detected))
+        np.testing.assert_allclose(found, expected, rtol=1e-15, atol=0.0)
+
+
+def test_cells_are_averaged_by_the_shares_of_their_states():
+    keys = np.array([7, -3, 7, 7, -3])
+    miss, share = np.array([0.1, 0.4, 0.2, 0.9, 0.8]), np.array([0.5, 0.1, 0.2, 0.1, 0.1])
+    table = averaged(keys, log_miss=np.log(share * miss), log_hit=np.log(share * (1.0 - miss)))
+    expected = [(0.04 + 0.08) / 0.2, (0.05 + 0.04 + 0.09) / 0.8]
+    np.testing.assert_array_equal(table.keys, [-3, 7])
+    np.testing.assert_allclose(1.0 / (1.0 + np.exp(table.logit)), expected, rtol=1e-12)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.pem.models.own_detector import DetectorModel
+from pemviz.pem.models.pieces import logit_along
 from pemviz.sampling.value_twisted.merging import LARGEST_LAYER, Merger, Pause, no_pause
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
 from pemviz.types import Simulator, StateBatch
@@ -175,7 +176,7 @@ def _live_layers(
             [np.where(after, np.cumsum(after) - 1, SAFE_NODE), [UNSAFE_NODE, SAFE_NODE]]
         )
         node = number[move[:, alive]]
-        logit = pem.logit(walk.twin.salient(states.signals))
+        logit = logit_along(pem, walk.twin.salient(states.signals))
         walk.pause()
         layers.append(Layer(states, logit, after_miss=node[0], after_hit=node[1]))
         if not after.any():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.chunks import distinct
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.twisted import TwistedProposal, TwistedTables
@@ -20,9 +21,14 @@ from pemviz.sampling.value_twisted.merging import (
     state_names,
 )
 from pemviz.sampling.value_twisted.reachable_states import Layer, StateGraph, Unsafe, explore
-from pemviz.sampling.value_twisted.values import Values, log_sum_by, solve
+from pemviz.sampling.value_twisted.values import (
+    Values,
+    both_log_likelihoods,
+    log_sum_by,
+    solve,
+)
 from pemviz.simulators.latched import VIOLATED
-from pemviz.types import Signal, Simulator, outcome_log_likelihood
+from pemviz.types import Signal, Simulator
 
 COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
 NEGLIGIBLE_SHARE = 1e-12
@@ -124,26 +130,30 @@ def _tables(
     columns = [column[counts] for column in state_columns(layer.states)]
     keys = cell_keys(columns, [MERGE_DISTANCE] * len(columns))
     signals = columns[: len(layer.states.signals)]
+    miss, hit = both_log_likelihoods(logit[counts])
+    miss += log_share[counts]
+    hit += log_share[counts]
     coarse: list[CellTable] = []
     for sizes in cells:
         pause()
-        coarse.append(averaged(cell_keys(signals, sizes), logit[counts], log_share[counts]))
+        coarse.append(averaged(cell_keys(signals, sizes), log_miss=miss, log_hit=hit))
     return TwistedTables(states=_sorted(keys, logit[counts]), coarse=tuple(coarse))
 
 
-def averaged(keys: IntArray, logit: FloatArray, log_share: FloatArray) -> CellTable:
-    """One logit for each distinct key: that of the mean probability under ``exp(log_share)``.
+def averaged(keys: IntArray, *, log_miss: FloatArray, log_hit: FloatArray) -> CellTable:
+    """One logit for each distinct key: that of the mean probability, weighted by states' shares.
 
     The mean is the constant with the least cross-entropy from the states' own probabilities.
+
+    Args:
+        keys: Of each state ``[n]``.
+        log_miss: Log of the state's share times its probability of a miss, ``[n]``.
+        log_hit: The same of a hit.
     """
-    distinct, group = np.unique(keys, return_inverse=True)
-    hit = log_sum_by(group, log_share + _outcome(logit, hit=True), distinct.size)
-    miss = log_sum_by(group, log_share + _outcome(logit, hit=False), distinct.size)
-    return CellTable(keys=distinct, logit=hit - miss)
-
-
-def _outcome(logit: FloatArray, *, hit: bool) -> FloatArray:
-    return outcome_log_likelihood(logit, np.full(logit.shape, hit))
+    first, group = distinct(keys)
+    order = np.argsort(keys[first])
+    hit, miss = (log_sum_by(group, parts, first.size)[order] for parts in (log_hit, log_miss))
+    return CellTable(keys=keys[first][order], logit=hit - miss)
 
 
 def _sorted(keys: IntArray, logit: FloatArray) -> CellTable:

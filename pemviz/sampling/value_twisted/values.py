@@ -8,7 +8,6 @@ import numpy as np
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.sampling.value_twisted.merging import Pause, no_pause
 from pemviz.sampling.value_twisted.reachable_states import UNSAFE_NODE, Layer, StateGraph
-from pemviz.types import outcome_log_likelihood
 
 
 @dataclass(frozen=True)
@@ -74,6 +73,17 @@ def log_value_at_start(graph: StateGraph, *, pause: Pause = no_pause) -> float:
     return float(log_values(graph, pause=pause)[0][0])
 
 
+def both_log_likelihoods(logit: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Log likelihoods of a miss and of a hit under logits ``[n]`` of 'detected', ``[n]`` each."""
+    shared = np.abs(logit)
+    np.exp(np.negative(shared, out=shared), out=shared)
+    np.log1p(shared, out=shared)  # log(1 + exp(-|logit|)): both have it
+    miss, hit = np.maximum(logit, 0.0), np.maximum(-logit, 0.0)
+    miss += shared
+    hit += shared
+    return np.negative(miss, out=miss), np.negative(hit, out=hit)
+
+
 def log_sum_by(group: IntArray, log_values: FloatArray, count: int) -> FloatArray:
     """Log of the sums of exp of ``log_values [M]`` in each of ``count`` groups."""
     largest = np.full(count, -np.inf)
@@ -87,8 +97,7 @@ def log_sum_by(group: IntArray, log_values: FloatArray, count: int) -> FloatArra
 def _outcome_values(layer: Layer, following: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Log of outcome probability times value afterwards, for a miss and a hit, ``[n]``."""
     ends = np.concatenate([following, [0.0, -np.inf]])  # indices -2 and -1
-    miss = outcome_log_likelihood(layer.pem_logit, np.zeros(layer.count, dtype=np.bool_))
-    hit = outcome_log_likelihood(layer.pem_logit, np.ones(layer.count, dtype=np.bool_))
+    miss, hit = both_log_likelihoods(layer.pem_logit)
     return miss + ends[layer.after_miss], hit + ends[layer.after_hit]
 
 
@@ -99,12 +108,8 @@ def _difference(hit: FloatArray, miss: FloatArray) -> FloatArray:
 
 
 def _reached(layer: Layer, log_reached: FloatArray, count: int) -> FloatArray:
-    arriving = np.concatenate(
-        [
-            log_reached + outcome_log_likelihood(layer.pem_logit, np.full(layer.count, hit))
-            for hit in (False, True)
-        ]
-    )
+    miss, hit = both_log_likelihoods(layer.pem_logit)
+    arriving = np.concatenate([log_reached + miss, log_reached + hit])
     node = np.concatenate([layer.after_miss, layer.after_hit])
     arrives = node >= 0
     return log_sum_by(node[arrives], arriving[arrives], count)

@@ -1,0 +1,84 @@
+"""Networks asked along one pose variable by their pieces answer as they do row by row."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pemviz.config import ScenarioConfig
+from pemviz.errors import PemError
+from pemviz.pem import load_pem
+from pemviz.pem.models.encoding import PAPER_INPUTS
+from pemviz.pem.models.network import Layer
+from pemviz.pem.models.pieces import FEWEST_ROWS, kinks, logit_along
+from pemviz.pem.models.protocol import COLUMN
+from pemviz.simulators.braking.scenario import lead_car_salient
+
+PEM = load_pem("ml-nn")
+POSES = ("x_m", "y_m", "z_m", "rotation_y_rad")
+
+
+def rows_along(name, values):
+    rows = lead_car_salient(ScenarioConfig(), {"gap": np.full(values.size, 7.0)})
+    rows = np.ascontiguousarray(rows)
+    rows[:, COLUMN[name]] = values
+    return rows
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    hidden=st.lists(st.integers(1, 24), max_size=3),
+    name=st.sampled_from(POSES),
+    low=st.floats(-1e3, 1e3),
+    span=st.floats(1e-3, 1e3),
+)
+@settings(deadline=None, max_examples=40)
+def test_any_network_along_any_pose_variable(seed, hidden, name, low, span):
+    rng = np.random.default_rng(seed)
+    sizes = [len(PAPER_INPUTS), *hidden, 1]
+    layers = tuple(
+        Layer(rng.normal(size=(after, before)), rng.normal(size=after))
+        for before, after in pairwise(sizes)
+    )
+    pem = replace(PEM, layers=layers)
+    rows = rows_along(name, rng.uniform(low, low + span, FEWEST_ROWS))
+    expected = pem.logit(rows)
+    largest = np.abs(expected).max() + 1.0
+    np.testing.assert_allclose(logit_along(pem, rows), expected, rtol=0.0, atol=1e-12 * largest)
+
+
+def test_the_shipped_network_along_the_gap():
+    gaps = np.random.default_rng(0).uniform(-20.0, 150.0, 20_000)
+    salient = lead_car_salient(ScenarioConfig(), {"gap": gaps})
+    np.testing.assert_allclose(logit_along(PEM, salient), PEM.logit(salient), rtol=0.0, atol=1e-12)
+    bends = kinks(PEM, salient[0], column=COLUMN["z_m"], low=-20.0, high=150.0)
+    assert (np.diff(bends) > 0.0).all()
+    assert 10 < bends.size < 200
+    # between two bends the logit is straight: at a third of the way it is a third of the change
+    third = bends[:-1] + np.diff(bends) / 3.0
+    left, at, right = (
+        PEM.logit(rows_along("z_m", values)) for values in (bends[:-1], third, bends[1:])
+    )
+    np.testing.assert_allclose(at, left + (right - left) / 3.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("pem", ["lr", "gb-raw", "ml-nn-ensemble"])
+def test_other_models_and_other_rows_are_asked_as_they_are(pem):
+    asked = load_pem(pem)
+    rows = rows_along("z_m", np.linspace(1.0, 60.0, FEWEST_ROWS))
+    rows[:, COLUMN["x_m"]] = np.linspace(-3.0, 3.0, FEWEST_ROWS)  # two vary
+    np.testing.assert_array_equal(logit_along(asked, rows), asked.logit(rows))
+    np.testing.assert_array_equal(logit_along(PEM, rows), PEM.logit(rows))
+    shaped = rows.reshape(2, -1, rows.shape[1])
+    np.testing.assert_array_equal(logit_along(asked, shaped), asked.logit(shaped))
+
+
+@pytest.mark.parametrize(("column", "value"), [("z_m", np.nan), ("x_m", np.inf), ("class_id", 9.0)])
+def test_bad_rows_are_refused_as_ever(column, value):
+    rows = rows_along("z_m", np.linspace(1.0, 60.0, FEWEST_ROWS))
+    rows[3, COLUMN[column]] = value
+    with pytest.raises(PemError, match=f"salient row 3: {column}"):
+        logit_along(PEM, rows)
