@@ -19,7 +19,7 @@ HEAVY = (
     "gymnasium",
     "numba",
 )
-SLOW = ("scipy", "lark", "arviz_stats", "safetensors")
+SLOW = ("scipy", "lark", "safetensors")
 NEITHER = (*HEAVY, *SLOW)
 
 CODE = """

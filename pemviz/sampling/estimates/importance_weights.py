@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.sampling.estimates.pareto_tail import tail_shape
 
 MINIMUM_TAIL = 5
 
@@ -86,21 +87,17 @@ def weight_figures(failing_log_weight: FloatArray) -> WeightFigures:
 def pareto_k_hat(log_weight: FloatArray) -> float | None:
     """Shape of the generalised Pareto fitted to the largest weights of ``[M]``.
 
-    Pareto smoothed importance sampling (Vehtari, Simpson, Gelman, Yao, Gabry 2024), by
-    arviz-stats. ``None`` where the tail has fewer than five weights, no spread, or more
-    spread than doubles hold.
+    Pareto smoothed importance sampling (Vehtari, Simpson, Gelman, Yao, Gabry 2024), see
+    :mod:`pemviz.sampling.estimates.pareto_tail`. ``None`` where the tail
+    has fewer than five weights, no spread, or more spread than doubles hold.
     """
     tail = int(min(log_weight.size // 5, np.ceil(3 * np.sqrt(log_weight.size))))
     if tail < MINIMUM_TAIL or np.ptp(np.sort(log_weight)[-tail:]) == 0.0:
         return None
-    from arviz_stats.base.array import array_stats  # noqa: PLC0415  slow to import
-
     # weights that span more than double precision break the fit: no figure, no warning
     with np.errstate(all="ignore"):
-        # psislw takes log likelihoods, whose negatives are its log weights
         try:
-            _, k_hat = array_stats.psislw(-log_weight)
-        except ValueError:  # it finds no spread in a tail that it cuts off elsewhere
+            value = tail_shape(log_weight)
+        except ValueError:  # no spread in a tail that is cut off elsewhere
             return None
-    value = float(np.asarray(k_hat))
     return value if np.isfinite(value) else None
