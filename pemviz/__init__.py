@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         named_detections_action,
     )
     from pemviz.simulators.latents import LatentSimulator
+    from pemviz.simulators.quantised import quantised_start
     from pemviz.simulators.scene import (
         DrawsScene,
         DrawsTracks,
@@ -95,6 +96,7 @@ _HOMES = {
     "TrackerState": "simulators.tracking.tracker",
     "build_experiment": "runs.experiment",
     "named_detections_action": "simulators.gymnasium_episodes",
+    "quantised_start": "simulators.quantised",
     "read_result": "runs.result_file",
     "run": "runs.engine",
     "run_experiment": "runs.engine",
@@ -151,6 +153,7 @@ __all__ = [
     "__version__",
     "build_experiment",
     "named_detections_action",
+    "quantised_start",
     "read_result",
     "run",
     "run_experiment",

@@ -77,6 +77,8 @@ class Latents(Batch):
         noise_mean: ``[N, T-1, M]``.
         noise_share: ``[N, T-1]``, 1 unless a proposal says less.
         noise_sd: ``[N, T-1, M]``, likewise.
+        start_choice: Log p - log q of the start ``[N]`` where a proposal chooses it among others
+            and moves no mean; ``None`` elsewhere.
     """
 
     start: FloatArray
@@ -85,6 +87,7 @@ class Latents(Batch):
     noise_mean: FloatArray
     noise_share: FloatArray
     noise_sd: FloatArray
+    start_choice: FloatArray | None = None
 
     @cached_property
     def log_weight(self) -> FloatArray:
@@ -92,6 +95,8 @@ class Latents(Batch):
         of_start = row_sums(self.start_mean * (0.5 * self.start_mean - self.start))
         moved = log_moved(self.noise, self.noise_mean, self.noise_sd)
         of_noise = row_sums(log_share_moved(moved, self.noise_share))
+        if self.start_choice is not None:
+            of_start = of_start + self.start_choice
         return read_only(np.asarray(of_start - of_noise))
 
 

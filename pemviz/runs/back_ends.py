@@ -25,6 +25,7 @@ from pemviz.simulators.families.features import FamilyFeatures
 from pemviz.simulators.latents import LatentSimulator, latent_counts
 from pemviz.simulators.merge.features import MergeFeatures
 from pemviz.simulators.merge.scenario import MergeSimulator
+from pemviz.simulators.quantised import start_cells
 from pemviz.simulators.registry import SHIPPED, build_family_simulator, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.simulators.tracking.tracker import tracker_of
@@ -152,13 +153,8 @@ def own_back_end(
             "without a twin, use mixture"
         )
         raise ConfigError(message)
-    if twin is not None and latent_counts(simulator):
-        message = (
-            f"twin of simulator {simulator.name!r}: it has latents, and a twin's states must be "
-            f"those that outcomes alone lead to; without a twin, {FIT_ANYWHERE}"
-        )
-        raise ConfigError(message)
     if twin is not None:
+        _check_latents(simulator, twin)
         check_simulator(twin)
         if _of_states(twin) != _of_states(simulator):
             message = f"twin of simulator {simulator.name!r}: must have the same states and signals"
@@ -171,6 +167,19 @@ def own_back_end(
         batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=own.states)),
         is_own=True,
     )
+
+
+def _check_latents(simulator: object, twin: object) -> None:
+    """A twin's states must be few: its start may be random where it is quantised, its steps not."""
+    counts = latent_counts(simulator)
+    if counts and not (start_cells(twin) and latent_counts(twin) == counts):
+        name = getattr(simulator, "name", "")
+        message = (
+            f"twin of simulator {name!r}: it has latents, and a twin's states must be "
+            "those that outcomes alone lead to; of a random start alone, give "
+            f"pemviz.quantised_start(simulator, cells=...); without a twin, {FIT_ANYWHERE}"
+        )
+        raise ConfigError(message)
 
 
 def _at_once(
@@ -229,8 +238,11 @@ def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
     """
     name = back_end.simulator.name
     lacking: dict[Need, str] = {}
-    if latent_counts(back_end.simulator):
+    counts = latent_counts(back_end.simulator)
+    if counts and back_end.twin is None:
         lacking["twin"] = f"runs through all states, and simulator {name!r} has latents"
+    elif counts and config.frailty > 0.0:
+        lacking["twin"] = "takes a quantised start or frailty, not both"
     elif back_end.twin is None:
         lacking["twin"] = f"needs a fast twin, and simulator {name!r} has none"
     if episodic(back_end.simulator) is not None:

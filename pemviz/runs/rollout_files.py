@@ -67,7 +67,8 @@ def _latent_arrays(latents: Latents | None) -> dict[str, AnyArray]:
         return {}
     kept = {"start": bool(latents.start.shape[1]), "noise": bool(latents.noise.shape[2])}
     names = [field.name for field in fields(Latents) if kept[field.name.partition("_")[0]]]
-    return {f"{LATENTS}{name}": getattr(latents, name) for name in names}
+    arrays = {f"{LATENTS}{name}": getattr(latents, name) for name in names}
+    return {name: values for name, values in arrays.items() if values is not None}
 
 
 def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
@@ -84,6 +85,7 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
     start, noise = (count, columns.get("start", 0)), (count, steps, columns.get("noise", 0))
     shapes = {"start": start, "start_mean": start, "noise": noise, "noise_mean": noise}
     shapes |= {"noise_share": noise[:2], "noise_sd": noise}
+    shapes |= {name: start[:1] for name in ("start_choice",) if name in found}
     kept: dict[str, AnyArray] = {}
     for name, shape in shapes.items():
         declared = columns.get(name.partition("_")[0], 0) > 0

@@ -31,6 +31,15 @@ class ShapesNoise(MovesLatents, Protocol):
         ...
 
 
+@runtime_checkable
+class ChoosesStart(Proposal, Protocol):
+    """A proposal that chooses where rollouts start."""
+
+    def chosen_start(self, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Latents ``[N, S]`` made of standard normals ``[N, S]``, and log p - log q, ``[N]``."""
+        ...
+
+
 class NormalSource:
     """Standard normals for a stage's rollouts, one batch after the other.
 
@@ -99,7 +108,10 @@ class LatentTrack:
             mean = mean + proposal.start_mean(count)
         none = np.zeros(normals.noise.shape)
         shares, one = np.ones((count, steps)), np.ones(none.shape)
-        latents = Latents(normals.start + mean, mean, none, none, shares, one)
+        start, choice = normals.start + mean, None
+        if isinstance(proposal, ChoosesStart):
+            start, choice = proposal.chosen_start(normals.start)
+        latents = Latents(start, mean, none, none, shares, one, choice)
         blank = latents.map(lambda values: np.array(values, order="F"))
         if isinstance(proposal, ShapesNoise):
             once, sd = proposal.once(count), proposal.noise_sd(count)

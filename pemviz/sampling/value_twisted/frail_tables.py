@@ -105,7 +105,7 @@ def _solved(
     """Backward at every node; forward too at those that are pooled."""
     u = value_nodes(model.memory.frailty)
     log_value = tuple(np.empty((layer.count, u.size), dtype=np.float32) for layer in graph.layers)
-    log_start = np.full(u.size, 0.0 if graph.start == UNSAFE_NODE else -LARGEST_LOG)
+    log_start = np.full(u.size, 0.0 if np.all(graph.start == UNSAFE_NODE) else -LARGEST_LOG)
     pool = _Pool.of([layer.count for layer in graph.layers])
     for k in range(u.size):
         given = given_visibility(float(u[k]))

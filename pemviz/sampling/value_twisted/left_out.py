@@ -17,6 +17,8 @@ from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.value_twisted.merging import Pause, no_pause
 from pemviz.sampling.value_twisted.reachable_states import SAFE_NODE, StateGraph, Unsafe
 from pemviz.sampling.value_twisted.values import Values
+from pemviz.simulators.latents import begun
+from pemviz.simulators.quantised import start_cells
 from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
 
 ROLLOUTS = 20_000
@@ -53,8 +55,7 @@ def left_out_share(
     """
     generator = np.random.default_rng(SEED)
     moves = _drawn_moves(graph, values, rollouts, generator)
-    everyone = 0 if graph.layers else rollouts  # the start itself is called safe
-    trials = _Trials.begun(twin.initial(count=everyone), np.zeros(everyone), twin, generator)
+    trials = _Trials.begun(*_safe_starts(graph, twin, rollouts), twin, generator)
     violating: list[FloatArray] = []
     for step in range(twin.states - 1):
         pause()
@@ -68,6 +69,16 @@ def left_out_share(
         violating.append(trials.take(bad).log_weight())
         trials = trials.take(~bad)
     return _upper_share(np.concatenate(violating) - values.log_probability, rollouts)
+
+
+def _safe_starts(graph: StateGraph, twin: Simulator, count: int) -> tuple[StateBatch, FloatArray]:
+    """``count`` states at starts that are called safe, each as often, and their log weights."""
+    safe = np.flatnonzero(np.atleast_1d(graph.start) == SAFE_NODE)
+    chosen = np.resize(safe, count if safe.size else 0)
+    log_weight = graph.log_start[chosen] + np.log(max(safe.size, 1))
+    cells = start_cells(twin)
+    at = None if cells is None else cells.medians[chosen]
+    return begun(twin, count=chosen.size, start=at), log_weight
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ can often be held at once, and every sequence of outcomes is a path through them
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.pem.models.pieces import logit_along
 from pemviz.sampling.value_twisted.merging import LARGEST_LAYER, Merger, Pause, no_pause
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
+from pemviz.simulators.latents import begun
+from pemviz.simulators.quantised import StartCells, start_cells
 from pemviz.types import Simulator, StateBatch
 
 Unsafe = Callable[[StateBatch], BoolArray]
@@ -52,14 +54,17 @@ class StateGraph:
 
     Attributes:
         layers: Live states by step, up to the last step that has any.
-        start: Where rollouts start: 0, in the first layer, or SAFE_NODE or UNSAFE_NODE.
+        start: Where rollouts start: an index in the first layer, or SAFE_NODE or UNSAFE_NODE; of a
+            quantised start one for each of its K cells, ``[K]``.
         exact: Whether only states closer than MERGE_DISTANCE were taken for one. A state is then
             left out if and only if no sequence of outcomes leads from it to a violation.
+        log_start: Log of the probability of each start, ``[K]``.
     """
 
     layers: tuple[Layer, ...]
-    start: int
+    start: int | IntArray
     exact: bool
+    log_start: FloatArray = field(default_factory=lambda: np.zeros(1))
 
 
 def explore(
@@ -88,11 +93,14 @@ def explore(
     Raises:
         TooManyStates: There are more than ``most_states``.
     """
+    walk = _Walk(twin, unsafe, pause)
+    merger = Merger(largest_layer, pause, most_states=most_states)
+    cells = start_cells(twin)
+    if cells is not None:
+        return _from_cells(walk, cells, pem, merger)
     start = twin.initial(count=1)
     if unsafe(start)[0]:
         return StateGraph(layers=(), start=UNSAFE_NODE, exact=True)
-    walk = _Walk(twin, unsafe, pause)
-    merger = Merger(largest_layer, pause, most_states=most_states)
     moves = _all_moves(walk, start, merger)
     live = _live(moves)
     if not live or not live[0].any():
@@ -130,6 +138,22 @@ class _Walk:
         result = self.twin.step(states, np.full(states.shape[0], hit))
         self.pause()
         return result
+
+
+def _from_cells(walk: _Walk, cells: StartCells, pem: DetectorModel, merger: Merger) -> StateGraph:
+    """The graph of all states that matter from any of a quantised start's cells."""
+    starts = begun(walk.twin, count=cells.count, start=cells.medians)
+    node = np.where(walk.unsafe(starts), UNSAFE_NODE, SAFE_NODE)
+    layers: tuple[Layer, ...] = ()
+    open_ = np.flatnonzero(node == SAFE_NODE)
+    if open_.size:
+        distinct, index = merger.merge(starts.take(open_))
+        moves = _all_moves(walk, distinct, merger)
+        live = _live(moves)
+        if live and live[0].any():
+            layers = _live_layers(walk, distinct.take(live[0]), moves, live, pem)
+            node[open_] = np.where(live[0], np.cumsum(live[0]) - 1, SAFE_NODE)[index]
+    return StateGraph(layers, start=node, exact=merger.exact, log_start=cells.log_p)
 
 
 def _all_moves(walk: _Walk, start: StateBatch, merger: Merger) -> Sequence[AnyArray]:

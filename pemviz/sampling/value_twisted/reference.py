@@ -12,6 +12,7 @@ from pemviz.sampling.value_twisted.merging import TooManyStates
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
 from pemviz.sampling.value_twisted.reachable_states import explore
 from pemviz.sampling.value_twisted.values import solve
+from pemviz.simulators.quantised import start_cells
 from pemviz.types import Simulator
 
 REFERENCE_ROLLOUTS = 20_000
@@ -79,10 +80,10 @@ def reference_of_few_states(problem: Problem, *, twin: Simulator) -> Reference |
     also where no signal and no rollout points at the one that fails.
 
     Returns:
-        ``None`` where the twin has more than :data:`FEW_STATES` states, or where single states do
-        not decide the specification.
+        ``None`` where the twin has more than :data:`FEW_STATES` states, where single states do
+        not decide the specification, or where the twin's start alone is quantised.
     """
-    if problem.unsafe is None:
+    if problem.unsafe is None or start_cells(twin) != start_cells(problem.simulator):
         return None
     try:
         log_probability = exact_log_probability(problem, twin=twin, most_states=FEW_STATES)

@@ -21,6 +21,7 @@ from pemviz.sampling.value_twisted.merging import (
     state_names,
 )
 from pemviz.sampling.value_twisted.reachable_states import Layer, StateGraph, Unsafe, explore
+from pemviz.sampling.value_twisted.starts import with_starts
 from pemviz.sampling.value_twisted.values import (
     Values,
     both_log_likelihoods,
@@ -28,6 +29,8 @@ from pemviz.sampling.value_twisted.values import (
     solve,
 )
 from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.latents import begun
+from pemviz.simulators.quantised import start_cells
 from pemviz.types import Signal, Simulator
 
 COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
@@ -58,7 +61,9 @@ def build_twisted_proposal(
     left_out = 0.0
     if not graph.exact:
         left_out = left_out_share(graph, values, twin=twin, pem=pem, unsafe=unsafe, pause=pause)
-    return tabulated(graph, values, twin=twin, left_out=left_out, pause=pause)
+    proposal = tabulated(graph, values, twin=twin, left_out=left_out, pause=pause)
+    cells = start_cells(twin)
+    return proposal if cells is None else with_starts(proposal, cells=cells, values=values)
 
 
 def tabulated(
@@ -82,7 +87,7 @@ def tabulated(
             _tables(layer, values, index, cells=cells, pause=pause)
             for index, layer in enumerate(graph.layers)
         ),
-        names=state_names(twin.initial(count=1)),
+        names=state_names(begun(twin, count=1)),
         signal_names=tuple(signal.name for signal in _sorted_signals(twin)),
         distance=MERGE_DISTANCE,
         coarse_cells=cells,

@@ -1,13 +1,14 @@
 """Probabilities of violation over the graph of states: one recursion backward, one forward."""
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.sampling.value_twisted.merging import Pause, no_pause
-from pemviz.sampling.value_twisted.reachable_states import UNSAFE_NODE, Layer, StateGraph
+from pemviz.sampling.value_twisted.reachable_states import Layer, StateGraph
 
 
 @dataclass(frozen=True)
@@ -19,12 +20,14 @@ class Values:
         log_reached: By layer ``[n]``, the log probability of coming through each state.
         proposal_logit: By layer ``[n]``, logit of 'detected' given that the rollout violates.
         log_probability: Log of the failure probability; -inf where it is 0.
+        log_start_value: Of that from each start, ``[K]``.
     """
 
     log_value: tuple[FloatArray, ...]
     log_reached: tuple[FloatArray, ...]
     proposal_logit: tuple[FloatArray, ...]
     log_probability: float
+    log_start_value: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 def solve(graph: StateGraph, *, pause: Pause = no_pause) -> Values:
@@ -42,16 +45,17 @@ def solve(graph: StateGraph, *, pause: Pause = no_pause) -> Values:
         following = np.logaddexp(miss, hit)
         log_value.insert(0, following)
         proposal_logit.insert(0, _difference(hit, miss))
-    log_reached = [np.zeros(1)] if layers else []
+    log_reached = [_begun(graph)] if layers else []
     for layer, after in itertools.pairwise(layers):
         pause()
         log_reached.append(_reached(layer, log_reached[-1], after.count))
-    settled = 0.0 if graph.start == UNSAFE_NODE else -np.inf
+    of_start = _start_values(graph, log_value)
     return Values(
         log_value=tuple(log_value),
         log_reached=tuple(log_reached),
         proposal_logit=tuple(proposal_logit),
-        log_probability=float(log_value[0][0]) if layers else settled,
+        log_probability=float(np.logaddexp.reduce(graph.log_start + of_start)),
+        log_start_value=of_start,
     )
 
 
@@ -68,9 +72,22 @@ def log_values(graph: StateGraph, *, pause: Pause = no_pause) -> tuple[FloatArra
 
 def log_value_at_start(graph: StateGraph, *, pause: Pause = no_pause) -> float:
     """Log of the failure probability alone; -inf where it is 0. ``pause`` as above."""
-    if not graph.layers:
-        return 0.0 if graph.start == UNSAFE_NODE else -np.inf
-    return float(log_values(graph, pause=pause)[0][0])
+    of_start = _start_values(graph, log_values(graph, pause=pause))
+    return float(np.logaddexp.reduce(graph.log_start + of_start))
+
+
+def _start_values(graph: StateGraph, log_value: Sequence[FloatArray]) -> FloatArray:
+    """Log of the probability of violation from each start, ``[K]``."""
+    first = log_value[0] if log_value else np.empty(0)
+    ends = np.concatenate([first, [0.0, -np.inf]])  # indices -2 and -1
+    return ends[np.atleast_1d(graph.start)]
+
+
+def _begun(graph: StateGraph) -> FloatArray:
+    """Log of the probability of starting in each state of the first layer, ``[n]``."""
+    node = np.atleast_1d(graph.start)
+    inside = node >= 0
+    return log_sum_by(node[inside], graph.log_start[inside], graph.layers[0].count)
 
 
 def both_log_likelihoods(logit: FloatArray) -> tuple[FloatArray, FloatArray]:
