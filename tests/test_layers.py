@@ -38,6 +38,7 @@ ONLY_IN = {
     "scenariogeneration": {"export"},
     "commonroad": {"export"},
     "libsumo": {"simulators"},
+    "carla": {"simulators"},
     "multiprocessing": {"processes"},
 }
 

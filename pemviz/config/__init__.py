@@ -3,6 +3,7 @@
 from pemviz.config.encounters import FAMILIES, EncounterConfig, StartChoice
 from pemviz.config.settings import (
     BLACK_BOXES,
+    CLIENTS,
     DEVICES,
     METHODS,
     SHIPPED_SIMULATORS,
@@ -16,6 +17,7 @@ from pemviz.config.settings import (
 
 __all__ = [
     "BLACK_BOXES",
+    "CLIENTS",
     "DEVICES",
     "FAMILIES",
     "METHODS",

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Self
 
+from pemviz.config.carla import read_address
 from pemviz.config.encounters import NO_FAMILY, EncounterConfig, StartChoice, start_values
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range, check_fields, shown
@@ -25,6 +26,8 @@ SHIPPED_SIMULATORS = ("vectorized", "highway-env", "sumo")
 """Back ends of the shipped scenarios."""
 BLACK_BOXES = ("merge",)
 """Environments of others that pemviz ships an adapter for; a preset of the same name has rules."""
+CLIENTS = ("carla",)
+"""Servers with a client of their own, on which the braking scenario is carried out."""
 
 DEVICES = re.compile(r"cpu|torch-cpu|cuda(:[0-9]{1,3})?")
 Positive = Range(low=0.0, low_open=True, high=1e6)
@@ -136,8 +139,11 @@ class ExperimentConfig:
     """Also tell the failure probability over memory times from 0 to 1 s and over frailties from 0
     to 1.2, from 2400 rollouts each of their own (on the fast twin where there is one)."""
     simulator: str = "vectorized"
-    """Back end that steps the scenario: vectorized, highway-env, sumo (needs pemviz[sumo]), or a
-    name that an installed package registers as an entry point of the group pemviz.simulators."""
+    """Back end that steps the scenario: vectorized, highway-env, sumo (needs pemviz[sumo]), carla
+    (needs pemviz[carla] and a server), or a name that an installed package registers as an entry
+    point of the group pemviz.simulators."""
+    carla: str | None = None
+    """With simulator carla: HOST:PORT of the server; left out, 127.0.0.1:2000."""
     device: str = "cpu"
     """Where rollouts are computed: cpu (numpy), cuda or cuda:N (a GPU, in double precision; the
     same estimate to 1e-6), or torch-cpu (the GPU's code on the CPU). Splitting, highway-env and
@@ -246,6 +252,7 @@ class ExperimentConfig:
         self._validate_rules()
         self._validate_encounter()
         self._validate_sumo()
+        self._validate_carla()
         if not self.pem.strip():
             message = "pem = '': must be the name of a shipped model or a file"
             raise ConfigError(message)
@@ -274,6 +281,14 @@ class ExperimentConfig:
         if self.sumo != SumoConfig() and (self.simulator != "sumo" or self.is_braking_scenario):
             message = "sumo: must be left out without simulator sumo and a family of encounters"
             raise ConfigError(message)
+
+    def _validate_carla(self) -> None:
+        if self.carla is None:
+            return
+        if self.simulator not in CLIENTS:
+            message = f"carla = {shown(self.carla)}: must be left out without simulator carla"
+            raise ConfigError(message)
+        read_address(self.carla)
 
     def _validate_encounter(self) -> None:
         if self.encounter.family == NO_FAMILY:

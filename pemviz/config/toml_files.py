@@ -144,14 +144,16 @@ def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
-    Without rules, position errors, tracker, family, SUMO's model and encounters an hour where there
-    are none, and without ``keep`` where all is kept.
+    Without rules, position errors, server, tracker, family, SUMO's model and encounters an hour
+    where there are none, and without ``keep`` where all is kept.
     """
     table = every_setting(config)
     if config.scenario.tracker == NO_TRACKER:
         del table["scenario"]["tracker"]
     if config.position_errors is None:
         del table["position_errors"]
+    if config.carla is None:
+        del table["carla"]
     if config.encounter.family == NO_FAMILY:
         del table["encounter"]
     elif config.scenario.tracker == NO_TRACKER:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any, cast
 
-from pemviz.config import ExperimentConfig
+from pemviz.config import CLIENTS, ExperimentConfig
 from pemviz.config.encounters import NO_FAMILY
 from pemviz.errors import ConfigError
 from pemviz.pem import PositionErrorModel, load_position_errors
@@ -47,7 +47,17 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
     if config.encounter.family != NO_FAMILY:
         return _family_back_end(config)
     errors = _position_errors(config)
-    simulator = build_named_simulator(config.simulator, config.scenario, errors=errors)
+    simulator = build_named_simulator(
+        config.simulator, config.scenario, errors=errors, carla=config.carla
+    )
+    if config.simulator in CLIENTS:  # not tried out: physics there need not repeat themselves
+        return BackEnd(
+            simulator=simulator,
+            features=BrakingFeatures(config.scenario),
+            twin=None,
+            batch_rollouts=SLOW_BATCH_ROLLOUTS,
+            is_own=True,
+        )
     if isinstance(simulator, MergeSimulator):
         back_end = own_back_end(simulator)
         turns = cast(UnrolledSimulator, back_end.simulator)

@@ -268,7 +268,7 @@ def build_simulator(config: ExperimentConfig) -> Simulator:
     Raises:
         ConfigError: There is none of that name.
     """
-    return build_named_simulator(config.simulator, config.scenario)
+    return build_named_simulator(config.simulator, config.scenario, carla=config.carla)
 
 
 def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -> Method[Any]:

@@ -11,9 +11,17 @@ one, and returns a :class:`pemviz.types.Simulator`.
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from pemviz.config import BLACK_BOXES, SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
+from pemviz.config import (
+    BLACK_BOXES,
+    CLIENTS,
+    SHIPPED_SIMULATORS,
+    ExperimentConfig,
+    ScenarioConfig,
+)
+from pemviz.config.carla import DEFAULT_ADDRESS
 from pemviz.config.entry_points import NamedPart
 from pemviz.errors import ConfigError
 from pemviz.simulators.braking.measured_gap import RangeErrors
@@ -25,7 +33,7 @@ if TYPE_CHECKING:
 
 SHIPPED = SHIPPED_SIMULATORS
 SIMULATORS = NamedPart(
-    kind="simulator", group="pemviz.simulators", shipped=(*SHIPPED, *BLACK_BOXES)
+    kind="simulator", group="pemviz.simulators", shipped=(*SHIPPED, *BLACK_BOXES, *CLIENTS)
 )
 
 
@@ -35,7 +43,11 @@ def simulator_names() -> tuple[str, ...]:
 
 
 def build_named_simulator(
-    name: str, scenario: ScenarioConfig, *, errors: RangeErrors | None = None
+    name: str,
+    scenario: ScenarioConfig,
+    *,
+    errors: RangeErrors | None = None,
+    carla: str | None = None,
 ) -> Simulator:
     """The simulator ``name``; a shipped one goes before a registered one of the same name.
 
@@ -43,6 +55,7 @@ def build_named_simulator(
         name: Shipped or registered.
         scenario: Its parameters.
         errors: Of the gap that a shipped one measures; others take none.
+        carla: Where simulator carla finds its server, ``HOST:PORT``.
 
     Raises:
         ConfigError: There is none, two packages register it, or its factory fails or returns
@@ -66,6 +79,11 @@ def build_named_simulator(
         from pemviz.simulators.braking.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
 
         return VectorizedSimulator(scenario, errors)
+    if name == "carla":
+        from pemviz.simulators.carla.braking import braking_on_carla  # noqa: PLC0415  as above
+        from pemviz.simulators.episodic import SideBySide  # noqa: PLC0415
+
+        return SideBySide(make=partial(braking_on_carla, scenario, carla or DEFAULT_ADDRESS))
     return SIMULATORS.registered(
         name,
         made=lambda factory: _called(factory, scenario),

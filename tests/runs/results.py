@@ -70,7 +70,7 @@ def configurations():
     alone = plainly(
         ExperimentConfig, pem=named, simulator=named, device=devices, rules=st.just(()),
         scenario=scenarios, encounter=st.just(EncounterConfig()), start=st.just(()),
-        sumo=st.just(SumoConfig()),
+        sumo=st.just(SumoConfig()), carla=st.none(),
     )  # fmt: skip
     names = st.from_regex(RULE_NAME, fullmatch=True)
     rules = st.dictionaries(names, TEXTS, max_size=2)

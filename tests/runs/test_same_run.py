@@ -14,7 +14,7 @@ from tests.reports.runs import result
 OTHER = {
     str: "x", float: 0.625, int: 77, bool: True, "method": "naive", "metric": "agm", "target": 1e-9,
     "alpha": 0.5, "position_errors": "x", "encounters_per_hour": 2.5,
-    "keep": "violations",
+    "keep": "violations", "carla": "x",
 }  # fmt: skip
 
 
