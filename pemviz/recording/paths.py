@@ -50,6 +50,7 @@ SCENE = "/worst_case/scene"
 OUTCOMES = "/worst_case/outcomes"
 WORST_SERIES = "/worst_case/series"
 WORST_DETECTION = "/worst_case/p_detected"
+WORST_NOISE = "/worst_case/random_by_step"
 PLAN = "/worst_case/from_above"
 FRAMES = "/worst_case/highway_env"
 

@@ -15,6 +15,7 @@ from pemviz.recording.compact import compact
 from pemviz.recording.estimates import Answer, drawn_answer, drawn_repetitions, log_estimates
 from pemviz.recording.film import import_filming, log_film
 from pemviz.recording.ladder import log_ladder
+from pemviz.recording.latents import noise_title
 from pemviz.recording.road_plan import log_road_plan
 from pemviz.recording.road_scene import log_road_scene
 from pemviz.recording.rollouts import log_rollouts
@@ -305,6 +306,7 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
                 frames=frames,
                 road=None if told is None else told.road,
                 asked=None if told is None else asked_signals(config, event.signals)[0],
+                noise=noise_title(event.simulator),
             )
         ),
         quota=quota(

@@ -8,6 +8,7 @@ from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.config import ExperimentConfig
 from pemviz.config.encounters import NO_FAMILY
 from pemviz.config.toml_files import config_text
+from pemviz.recording.latents import starts_table
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track, rules_table
@@ -309,11 +310,12 @@ def worst_table(
         )
         for rank, track in enumerate(tracks, start=1)
     ]
+    starts = starts_table([track.random for track in tracks])
     return (
         "# Least robust rollouts\n\nFirst those that carry the estimate: with the largest "
         f"weights, {100 * CARRIED:g} % of it, each with its share. Misses: all of a rollout, also "
         "those that do not matter. NLL: how unlikely its outcomes are under the perception error "
-        "model.\n\n" + _table(header, rows) + rules_table(by_rule or {})
+        "model.\n\n" + _table(header, rows) + rules_table(by_rule or {}) + starts
     )
 
 

@@ -76,6 +76,7 @@ class Subject:
         frames: Whether highway-env's pictures are recorded.
         road: Of a scenario that tells where its cars are.
         asked: The signal that is drawn of the least robust rollouts; by default the first.
+        noise: Names what was random at steps; empty: nothing was.
     """
 
     method: str
@@ -86,6 +87,7 @@ class Subject:
     frames: bool = False
     road: Road | None = None
     asked: Signal | None = None
+    noise: str = ""
 
 
 def all_views(subject: Subject) -> ContainerSpec:
@@ -288,6 +290,7 @@ def _worst(subject: Subject) -> ContainerSpec:
                 (paths.WORST_DETECTION,),
                 axis=PROBABILITY_AXIS,
             ),
+            *([ViewSpec("series", subject.noise, (paths.WORST_NOISE,))] if subject.noise else []),
         ),
     )
     upper = ContainerSpec("horizontal", "Scene", (scenes, plots), shares=(1.6, 1.0))

@@ -8,6 +8,7 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.colors import PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
 from pemviz.recording import paths
+from pemviz.recording.latents import Randomness, log_noise, randomness
 from pemviz.recording.outcomes import OutcomeRow, log_outcomes
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
@@ -34,6 +35,7 @@ class Track:
         proposal_probability: ``[T-1]`` P(detected) under the proposal.
         right_by_slot: ``[T-1]`` whether each of several slots does not err, by its name.
         outcomes: Of perception, ``[T-1]``, with several slots ``[T-1, K]``.
+        random: What was random in it beside outcomes.
         start: Latents at the start ``[S]``; ``None``: the scenario has none.
         drawn: Where its cars are, of a scenario that tells.
     """
@@ -45,6 +47,7 @@ class Track:
     proposal_probability: FloatArray
     right_by_slot: Mapping[str, BoolArray]
     outcomes: BoolArray
+    random: Randomness
     start: FloatArray | None = None
     drawn: DrawnRollout | None = None
 
@@ -89,6 +92,7 @@ def _track(
 ) -> Track:
     rollouts, row, slots = stage.scored.rollouts, ranked.rollout, slots_of(simulator)
     signals = {name: values[row].copy() for name, values in rollouts.signals.items()}
+    memory = {name: values[row].copy() for name, values in rollouts.memory.items()}
     return Track(
         ranked=ranked,
         signals=signals,
@@ -97,12 +101,15 @@ def _track(
         proposal_probability=faultless_probability(rollouts.proposal_logit[row], slots=slots),
         right_by_slot=right_by_slot(rollouts.detected[row], slots=slots),
         outcomes=rollouts.detected[row].copy(),
+        random=randomness(
+            simulator, latents=rollouts.latents, row=row, signals=signals, memory=memory
+        ),
         start=None if rollouts.latents is None else rollouts.latents.start[row].copy(),
         drawn=drawn_rollout(
             simulator,
             signals=signals,
             detected=rollouts.detected[row],
-            memory={name: values[row].copy() for name, values in rollouts.memory.items()},
+            memory=memory,
         ),
     )
 
@@ -160,6 +167,7 @@ def log_worst_plots(
         np.array([worst.pem_probability, worst.proposal_probability]),
         times=acting,
     )
+    log_noise(file, worst.random, stage=stage, dt_s=dt_s)
     log_outcomes(file, _rows(tracks), stage=stage, dt_s=dt_s)
 
 

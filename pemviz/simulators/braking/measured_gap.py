@@ -100,5 +100,10 @@ class MeasuredGap:
         renewed = memory.after(before, fresh, since_s=self.config.dt_s)
         forgetful = np.where(states.step == 0, fresh, renewed)
         lasting = np.asarray(states.memory[LASTING_NOISE], dtype=np.float64)
-        error_m = self.errors.range_error(salient, memory.noise(lasting, forgetful))
-        return gap_m + error_m, {LASTING_NOISE: lasting, FORGETFUL_NOISE: forgetful}
+        kept = {LASTING_NOISE: lasting, FORGETFUL_NOISE: forgetful}
+        return gap_m + self.error_m(salient, kept), kept
+
+    def error_m(self, salient: FloatArray, memory: Mapping[str, FloatArray]) -> FloatArray:
+        """Measured minus true gap ``[N]`` [m], for what is remembered with the step's noise."""
+        noise = self.errors.range_memory.noise(memory[LASTING_NOISE], memory[FORGETFUL_NOISE])
+        return self.errors.range_error(salient, noise)

@@ -122,6 +122,16 @@ class BrakingScenario:
         given = np.zeros((len(gap_m), 1)) if noise is None else noise
         return self._measured.measure(states, self.salient(states.signals), gap_m, given)
 
+    def told_errors(
+        self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
+    ) -> Mapping[str, FloatArray]:
+        """Error of the measured gap at each step ``[T-1]`` of a rollout ``[T]`` [m]."""
+        if self.errors is None:
+            return {}
+        salient = self.salient({name: values[:-1] for name, values in signals.items()})
+        after = {name: values[1:] for name, values in memory.items()}
+        return {"measured gap": self._measured.error_m(salient, after)}
+
     @property
     def _measured(self) -> MeasuredGap:
         assert self.errors is not None  # noqa: S101  asked for with errors alone

@@ -145,6 +145,22 @@ class FamilyScenario(ABC):
             return None
         return MeasuredPlaces(self.errors, self.told_of, self.config.dt_s)
 
+    def told_errors(
+        self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
+    ) -> Mapping[str, FloatArray]:
+        """Errors of measured places at each step ``[T-1]`` of a rollout ``[T]`` [m]."""
+        if self.measured is None:
+            return {}
+        acting = {name: values[:-1] for name, values in signals.items()}
+        after = {name: values[1:] for name, values in memory.items()}
+        errors_m = self.measured.errors_m(self.salient(acting), after)
+        errors_m = np.where(self.present(acting)[..., None], errors_m, np.nan)
+        return {
+            f"{slot.name}, {direction}": errors_m[:, place, axis]
+            for place, slot in enumerate(self.slots)
+            for axis, direction in enumerate(("along the line of sight", "across it"))
+        }
+
     def noise_begun(self, given: FloatArray) -> dict[str, AnyArray]:
         """What states remember of errors' noise at the start, for latents ``[N, S]``."""
         if self.measured is None:
