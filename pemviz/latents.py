@@ -6,7 +6,7 @@ their means; with z a latent drawn with mean m, its part of a rollout's weight i
 
     log p(z) - log q(z) = -z^2 / 2 + (z - m)^2 / 2
 
-or, where it moves some steps' noise alone, what :class:`Latents` says.
+or, where it changes spreads or moves some steps' noise alone, what :class:`Latents` says.
 """
 
 from dataclasses import dataclass
@@ -51,11 +51,13 @@ class StandardNormals(Batch):
         start: ``[N, S]``.
         noise: ``[N, T-1, M]``.
         choice: ``[N, T-1]``: they decide at which steps noise is moved, see :class:`Latents`.
+        spread_choice: ``[N]``: they decide which starts have spreads of their own.
     """
 
     start: FloatArray
     noise: FloatArray
     choice: FloatArray
+    spread_choice: FloatArray
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,13 @@ class Latents(Batch):
         q(z) = (1 - c) N(z; 0, 1) + c (N(z; m, 1) + N(z; m, s^2)) / 2
 
     An error that has to be above a limit far out is a little above it: the smaller s is, the more
-    of the moved noise lies there, while half of it has the model's own tail.
+    of the moved noise lies there, while half of it has the model's own tail. The latents at the
+    start are always moved: c is 1 there.
 
     Attributes:
         start: ``[N, S]``, standard normal under the model.
         start_mean: ``[N, S]``; 0 where nothing is moved.
+        start_sd: ``[N, S]``, 1 unless a proposal says less.
         noise: ``[N, T-1, M]``, likewise; steps are those of the scenario.
         noise_mean: ``[N, T-1, M]``.
         noise_share: ``[N, T-1]``, 1 unless a proposal says less.
@@ -83,6 +87,7 @@ class Latents(Batch):
 
     start: FloatArray
     start_mean: FloatArray
+    start_sd: FloatArray
     noise: FloatArray
     noise_mean: FloatArray
     noise_share: FloatArray
@@ -92,12 +97,11 @@ class Latents(Batch):
     @cached_property
     def log_weight(self) -> FloatArray:
         """Sum over all latents of log p - log q, ``[N]`` [nats]."""
-        of_start = row_sums(self.start_mean * (0.5 * self.start_mean - self.start))
+        of_start = log_moved(self.start, self.start_mean, self.start_sd)
         moved = log_moved(self.noise, self.noise_mean, self.noise_sd)
         of_noise = row_sums(log_share_moved(moved, self.noise_share))
-        if self.start_choice is not None:
-            of_start = of_start + self.start_choice
-        return read_only(np.asarray(of_start - of_noise))
+        of_choice = 0.0 if self.start_choice is None else self.start_choice
+        return read_only(np.asarray(of_choice - of_start - of_noise))
 
 
 def log_moved(noise: FloatArray, mean: FloatArray, sd: FloatArray) -> FloatArray:

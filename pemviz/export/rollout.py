@@ -40,9 +40,9 @@ class RankedRollout:
             one name ``""``.
         log_p: ``[T-1]`` log likelihood of the outcomes under the error model [nats], likewise.
         log_q: ``[T-1]`` the same under the distribution that they were drawn from [nats].
-        latents: Of a scenario that takes some: ``start`` and the means ``start_mean`` that it was
-            drawn with ``[S]``, ``noise``, ``noise_mean`` and ``noise_sd`` ``[T-1, M]``, and
-            ``noise_share`` ``[T-1]``.
+        latents: Of a scenario that takes some: ``start``, the means ``start_mean`` and spreads
+            ``start_sd`` that it was drawn with ``[S]``, ``noise``, ``noise_mean`` and ``noise_sd``
+            ``[T-1, M]``, and ``noise_share`` ``[T-1]``.
     """
 
     result: RunResult

@@ -30,6 +30,7 @@ from pemviz.proposals.single_moves import (
     posterior_of_one,
     share_of_one,
 )
+from pemviz.proposals.start_moves import StartMoves, fit_start, start_optimism
 
 LARGEST_MEAN = 8.0
 LEAST_SPREAD = 0.2
@@ -118,14 +119,14 @@ class LatentMeans:
     """How a proposal moves latents.
 
     Attributes:
-        start: Means at the start, ``[S]``.
+        start: Means and spreads at the start.
         noise: Coefficients of the means of a step, ``[M, B]``.
         choice: Coefficients of the logit of how often a step's noise is moved, ``[B]``.
         sd: Spreads of half of the noise that is moved, ``[M]``.
         once: Whether a rollout's noise is moved at one step at most.
     """
 
-    start: FloatArray
+    start: StartMoves
     noise: FloatArray
     choice: FloatArray
     sd: FloatArray
@@ -146,7 +147,7 @@ class LatentMeans:
 
     def log_ratio(self, latents: LatentDecisions) -> FloatArray:
         """Log q / p of all latents of each rollout, ``[N]``."""
-        of_start = np.sum(self.start * (latents.start - 0.5 * self.start), axis=1)
+        of_start = self.start.log_ratio(latents.start)
         moved, logit = self.moved(latents), self.logit(latents)
         if self.once:
             return of_start + log_ratio_of_one(moved, logit, latents.steps)
@@ -155,7 +156,8 @@ class LatentMeans:
     def arrays(self) -> Mapping[str, AnyArray]:
         """By name, as they are stored."""
         return {
-            "start_mean": self.start,
+            "start_mean": self.start.mean,
+            "start_sd": self.start.sd,
             "noise_coefficients": self.noise,
             "noise_choice": self.choice,
             "noise_sd": self.sd,
@@ -182,12 +184,15 @@ class MeansFit:
 
     Attributes:
         means: What was fitted.
-        optimism: By how much each rollout's log likelihood would fall without it, ``[N]``: to first
-            order, as :func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`.
+        optimism: By how much the log likelihood of each rollout's start would fall without it,
+            ``[N]`` [nats].
+        noise_optimism: Of its noise: to first order, as
+            :func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`.
     """
 
     means: LatentMeans
     optimism: FloatArray
+    noise_optimism: FloatArray
 
 
 def fit_means(latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray) -> MeansFit:
@@ -214,9 +219,10 @@ def fit_means(latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray
         )
     ]
     best = max(tried, key=lambda means: _penalised(means, chosen, own, ridge))
-    optimism = np.zeros(weight.size)
-    optimism[rollouts] = _leave_one_out(best, chosen, own, ridge)
-    return MeansFit(best, optimism)
+    at_start, of_noise = np.zeros(weight.size), np.zeros(weight.size)
+    at_start[rollouts] = start_optimism(best.start, chosen.start, own, ridge=float(ridge[0]))
+    of_noise[rollouts] = _leave_one_out(best, chosen, own, ridge)
+    return MeansFit(best, at_start, of_noise)
 
 
 def next_round(
@@ -233,14 +239,14 @@ def next_round(
 def scores(means: LatentMeans, latents: LatentDecisions) -> FloatArray:
     """Derivatives of each rollout's log likelihood by the means, ``[N, S + M B]``."""
     of_noise = _noise_scores(means, latents)
-    return np.hstack([latents.start - means.start, of_noise.reshape(latents.count, -1)])
+    return np.hstack([latents.start - means.start.mean, of_noise.reshape(latents.count, -1)])
 
 
 def information(
     means: LatentMeans, latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray
 ) -> FloatArray:
     """Their variance over the means' own draws, ``[S + M B, S + M B]``, with the ridge."""
-    at_start, moved = means.start.size, len(means.noise)
+    at_start, moved = means.start.mean.size, len(means.noise)
     share = expit(means.logit(latents))
     if means.once:
         share = share_of_one(share, latents.steps)
@@ -290,7 +296,7 @@ def _maximised(
     gradient = basis.T @ (by_step * part - able * share) - ridge * before.choice
     change = np.linalg.solve(curvature, gradient).clip(-LARGEST_STEP, LARGEST_STEP)
     return LatentMeans(
-        start=weight @ latents.start / (float(weight.sum()) + ridge[0]),
+        start=fit_start(latents.start, weight, ridge=float(ridge[0])),
         noise=coefficients,
         choice=before.choice + change,
         sd=_spread(latents, noise_means(basis, coefficients), by_step * part * narrow),
@@ -351,21 +357,19 @@ def _by_coefficient(values: FloatArray, latents: LatentDecisions) -> FloatArray:
 def _leave_one_out(
     means: LatentMeans, latents: LatentDecisions, weight: FloatArray, ridge: FloatArray
 ) -> FloatArray:
-    """Each rollout's pull on what was fitted, times what that is to its log likelihood, ``[N]``."""
-    residual = latents.start - means.start
-    found = np.sum(residual**2, axis=1) / (float(weight.sum()) + ridge[0])
-    if means.noise.size:
-        (part, able), by_step = _parts(means, latents), weight[latents.rollout]
-        pull = _by_coefficient(_residual(means, latents), latents)
-        curved = _curvature(latents.basis, by_step * part, ridge)
-        solved = np.linalg.solve(curved, pull.reshape(-1, ridge.size).T).T.reshape(pull.shape)
-        found = found + np.sum(_noise_scores(means, latents) * solved, axis=(1, 2))
-        share = expit(means.logit(latents))
-        choice = _by_coefficient((part - able * share)[:, None], latents)[:, 0]
-        curved = _curvature(latents.basis, by_step * able * share * (1.0 - share), ridge)
-        found = found + np.sum(choice * np.linalg.solve(curved, choice.T).T, axis=1)
-        found = found + _of_spreads(means, latents, part, by_step)
-    return weight * found
+    """Each rollout's pull on what was fitted, times what that is to its noise, ``[N]`` [nats]."""
+    if not means.noise.size:
+        return np.zeros(weight.size)
+    (part, able), by_step = _parts(means, latents), weight[latents.rollout]
+    pull = _by_coefficient(_residual(means, latents), latents)
+    curved = _curvature(latents.basis, by_step * part, ridge)
+    solved = np.linalg.solve(curved, pull.reshape(-1, ridge.size).T).T.reshape(pull.shape)
+    found = np.sum(_noise_scores(means, latents) * solved, axis=(1, 2))
+    share = expit(means.logit(latents))
+    choice = _by_coefficient((part - able * share)[:, None], latents)[:, 0]
+    curved = _curvature(latents.basis, by_step * able * share * (1.0 - share), ridge)
+    found = found + np.sum(choice * np.linalg.solve(curved, choice.T).T, axis=1)
+    return weight * (found + _of_spreads(means, latents, part, by_step))
 
 
 def _curvature(basis: FloatArray, by_step: FloatArray, ridge: FloatArray) -> FloatArray:
@@ -385,4 +389,6 @@ def _of_spreads(
 
 def unmoved(*, start: int, noise: int, basis: int) -> LatentMeans:
     """Means of 0."""
-    return LatentMeans(np.zeros(start), np.zeros((noise, basis)), np.zeros(basis), np.ones(noise))
+    return LatentMeans(
+        StartMoves.none(start), np.zeros((noise, basis)), np.zeros(basis), np.ones(noise)
+    )

@@ -83,13 +83,13 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
     count, steps = arrays["detected"].shape[:2]
     columns = {n: np.atleast_1d(found[n]).shape[-1] for n in ("start", "noise") if n in found}
     start, noise = (count, columns.get("start", 0)), (count, steps, columns.get("noise", 0))
-    shapes = {"start": start, "start_mean": start, "noise": noise, "noise_mean": noise}
-    shapes |= {"noise_share": noise[:2], "noise_sd": noise}
+    shapes = {"start": start, "start_mean": start, "start_sd": start}
+    shapes |= {"noise": noise, "noise_mean": noise, "noise_share": noise[:2], "noise_sd": noise}
     shapes |= {name: start[:1] for name in ("start_choice",) if name in found}
     kept: dict[str, AnyArray] = {}
     for name, shape in shapes.items():
         declared = columns.get(name.partition("_")[0], 0) > 0
-        absent = np.ones(shape) if name == "noise_sd" else np.empty(0)  # not in older files
+        absent = np.ones(shape) if name.endswith("_sd") else np.empty(0)  # not in older files
         values = found.get(name, absent) if declared else np.ones(shape)
         if values.shape != shape or values.dtype != np.float64 or not _is_bounded(values):
             message = f"{LATENTS}{name} must be finite numbers of shape {shape}"

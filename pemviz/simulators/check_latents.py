@@ -38,6 +38,7 @@ def tried_normals(simulator: Simulator, *, count: int) -> StandardNormals:
         start=generator.standard_normal((count, latents.start)),
         noise=generator.standard_normal((count, simulator.states - 1, latents.noise)),
         choice=np.zeros((count, simulator.states - 1)),
+        spread_choice=np.zeros(count),
     )
     return normals.take(np.array([*range(count - 1), count - 2]))
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
@@ -217,8 +218,10 @@ def test_weights_and_shares_count_latents(controller):
     narrow = np.exp((0.5 * z**2 - 0.5 * ((z - mean) / sd) ** 2).sum(axis=2)) / sd.prod(axis=2)
     moved = 0.5 * narrow + 0.5 * np.exp((mean * (z - 0.5 * mean)).sum(axis=2))
     of_latents = -np.log1p(share * (moved - 1.0)).sum(axis=1)
-    begun, moved_by = table["latents.start"], table["latents.start_mean"]
-    of_latents = of_latents - (moved_by * (begun - 0.5 * moved_by)).sum(axis=1)
+    begun, moved_by, sd = (table[f"latents.{n}"] for n in ("start", "start_mean", "start_sd"))
+    narrow = norm.pdf(begun, moved_by, sd).prod(axis=1)
+    drawn_from = 0.5 * narrow + 0.5 * norm.pdf(begun, moved_by).prod(axis=1)
+    of_latents = of_latents + norm.logpdf(begun).sum(axis=1) - np.log(drawn_from)
     assert np.abs(of_latents).max() > 1.0
     np.testing.assert_allclose(run.log_weight, of_outcomes + of_latents, rtol=1e-9, atol=1e-9)
     stored = load_run(run.folder)

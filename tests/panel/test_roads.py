@@ -139,7 +139,8 @@ def test_the_rollout_shown_has_the_robustness_of_each_rule_and_its_start_in_word
     assert "Contact at 1.00 s." in page
     start = np.array([[0.5]] * 60)
     noise = np.zeros((60, 40, 1))
-    latents = Latents(start, 0.0 * start, noise, noise, noise[..., 0], noise + 1.0)
+    still = 0.0 * start
+    latents = Latents(start, still, still + 1.0, noise, noise, noise[..., 0], noise + 1.0)
     with_latents = replace(shown, parts=(table,))
     with_latents.memo.get("latents", lambda: latents)
     page = details(with_latents, entry)

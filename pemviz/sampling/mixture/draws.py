@@ -58,6 +58,14 @@ class DividedProposal:
         """
         return self._of_latents().start_mean()
 
+    def start_sd(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
+        """Spreads of half of the starts, ``[N, S]``.
+
+        Raises:
+            TypeError: The scenario has no latents.
+        """
+        return self._of_latents().start.sd
+
     def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Of a step's noise, means ``[N, M]`` and shares ``[N]``.
 

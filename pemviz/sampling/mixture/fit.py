@@ -201,7 +201,8 @@ def fitted(
         of_noise = noise_ridge(basis, settings, of_state=BLIND if blind else 1.0)
         moved = fit_means(pool.latents.where(pool.open_noise), weight, ridge=of_noise)
         means = moved.means
-        optimism = optimism + moved.optimism * _beyond_first_order(weight)
+        beyond = _beyond_first_order(weight)
+        optimism = optimism + moved.optimism + moved.noise_optimism * beyond
     return Fit(
         coefficients=found.coefficients,
         optimism=optimism,

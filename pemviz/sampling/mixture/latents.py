@@ -18,6 +18,7 @@ from pemviz.proposals.latent_means import (
 from pemviz.proposals.latent_pilots import LatentFamily, LatentPilots
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures
 from pemviz.proposals.single_moves import even_logit
+from pemviz.proposals.start_moves import StartMoves
 from pemviz.sampling.mixture.aims import Aims, Rule, both, broken_at, still_open
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, StateBatch
@@ -32,7 +33,7 @@ class DividedLatents:
 
     Attributes:
         pilots: Of all N rollouts; 0 for those that are not pilots.
-        start: Fitted means at the start, ``[N, S]``, 0 for pilots.
+        start: Fitted moves at the start, of each rollout its own, none for pilots.
         noise: Fitted coefficients, ``[N, M, B]``, likewise.
         choice: Fitted coefficients of how often it is moved, ``[N, B]``.
         noise_sd: Spreads of half of the noise that is moved, ``[N, M]``, 1 for pilots.
@@ -46,7 +47,7 @@ class DividedLatents:
     """
 
     pilots: LatentPilots
-    start: FloatArray
+    start: StartMoves
     noise: FloatArray
     choice: FloatArray
     noise_sd: FloatArray
@@ -60,7 +61,7 @@ class DividedLatents:
 
     def start_mean(self) -> FloatArray:
         """Of the latents at the start, ``[N, S]``."""
-        return self.pilots.start + self.start
+        return self.pilots.start + self.start.mean
 
     def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Of a step's noise: means ``[N, M]`` and shares ``[N]``, 0 after a violation."""
@@ -83,7 +84,7 @@ class DividedLatents:
         return replace(
             self,
             pilots=self.pilots.rows(rows),
-            start=self.start[rows],
+            start=self.start.rows(rows),
             noise=self.noise[rows],
             choice=self.choice[rows],
             noise_sd=self.noise_sd[rows],
@@ -122,7 +123,7 @@ def divided_latents(
     own = [none if each is None else each for each in means]
     return DividedLatents(
         pilots=pilots,
-        start=np.stack([each.start for each in own]),
+        start=StartMoves.of_each([each.start for each in own]),
         noise=np.stack([each.noise for each in own]),
         choice=np.stack([each.choice for each in own]),
         noise_sd=np.stack([each.sd for each in own]),

@@ -11,13 +11,17 @@ from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved
 from pemviz.proposals.single_moves import log_waiting
 from pemviz.types import MovesLatents, Proposal, StateBatch
 
-SPAWN_KEY = 2**32 - 1
-"""Of the child of a stage's seeds that latents come from; others count from 0."""
+SPAWN_KEY, CHOICE_KEY = 2**32 - 1, 2**32 - 2
+"""Of the children of a stage's seeds that latents come from; others count from 0."""
 
 
 @runtime_checkable
-class ShapesNoise(MovesLatents, Protocol):
-    """A proposal that says more of how it moves noise."""
+class ShapesLatents(MovesLatents, Protocol):
+    """A proposal that says more of how it moves latents."""
+
+    def start_sd(self, count: int) -> FloatArray:
+        """Spreads of half of the starts, ``[N, S]``; 1 is that of the model."""
+        ...
 
     def noise_sd(self, count: int) -> FloatArray:
         """Spreads of half of the noise that is moved, ``[N, M]``; 1 is that of the model."""
@@ -55,9 +59,8 @@ class NormalSource:
             counts: Latents of a rollout.
             steps: At so many, ``counts.noise`` each.
         """
-        key = (*seeds.spawn_key, SPAWN_KEY)
-        child = np.random.SeedSequence(seeds.entropy, spawn_key=key, pool_size=seeds.pool_size)
-        self._generator = np.random.default_rng(child)
+        self._generator = np.random.default_rng(_child(seeds, SPAWN_KEY))
+        self._choices = np.random.default_rng(_child(seeds, CHOICE_KEY))
         self._counts, self._steps = counts, steps
 
     def draw(self, count: int) -> StandardNormals | None:
@@ -72,7 +75,13 @@ class NormalSource:
             start=normals[:, :at_start],
             noise=by_step[..., :each],
             choice=by_step[..., each:].sum(-1),
+            spread_choice=self._choices.standard_normal(count),
         )
+
+
+def _child(seeds: np.random.SeedSequence, key: int) -> np.random.SeedSequence:
+    keys = (*seeds.spawn_key, key)
+    return np.random.SeedSequence(seeds.entropy, spawn_key=keys, pool_size=seeds.pool_size)
 
 
 @dataclass(frozen=True)
@@ -107,15 +116,19 @@ class LatentTrack:
         if isinstance(proposal, MovesLatents):
             mean = mean + proposal.start_mean(count)
         none = np.zeros(normals.noise.shape)
-        shares, one = np.ones((count, steps)), np.ones(none.shape)
-        start, choice = normals.start + mean, None
+        shares, one, sd = np.ones((count, steps)), np.ones(none.shape), np.ones(mean.shape)
+        if isinstance(proposal, ShapesLatents):
+            sd = sd * proposal.start_sd(count)
+        narrow = ndtr(normals.spread_choice) < 0.5
+        start = np.where(narrow[:, None], sd * normals.start, normals.start) + mean
+        choice = None
         if isinstance(proposal, ChoosesStart):
             start, choice = proposal.chosen_start(normals.start)
-        latents = Latents(start, mean, none, none, shares, one, choice)
+        latents = Latents(start, mean, sd, none, none, shares, one, choice)
         blank = latents.map(lambda values: np.array(values, order="F"))
-        if isinstance(proposal, ShapesNoise):
-            once, sd = proposal.once(count), proposal.noise_sd(count)
-            blank.noise_sd[:] = sd[:, None, :]
+        if isinstance(proposal, ShapesLatents):
+            once = proposal.once(count)
+            blank.noise_sd[:] = proposal.noise_sd(count)[:, None, :]
         return LatentTrack(normals, blank, outcomes // steps, once, np.zeros(count))
 
     def noise(

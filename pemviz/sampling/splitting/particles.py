@@ -112,7 +112,7 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
 
 def _unmoved(start: FloatArray, noise: FloatArray) -> Latents:
     still, one = np.ones(noise.shape[:2]), np.ones(noise.shape)
-    return Latents(start, 0.0 * start, noise, 0.0 * noise, still, one)
+    return Latents(start, 0.0 * start, np.ones(start.shape), noise, 0.0 * noise, still, one)
 
 
 def restart(

@@ -1,0 +1,117 @@
+"""Means and spreads of the latents at the start: densities, draws, and what a fit without one is.
+
+The statistical test fails by chance with a probability of 1e-6; its seed is fixed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pemviz.latents import LatentCounts
+from pemviz.proposals.fixed import PemProposal
+from pemviz.proposals.start_moves import StartMoves, fit_start, start_optimism
+from pemviz.sampling.rollouts.latent_draws import LatentTrack, NormalSource, ShapesLatents
+
+MOVES = StartMoves(np.array([2.5, -0.5, 0.0]), np.array([0.4, 1.0, 0.7]))
+
+
+def mixture_pdf(start, moves):
+    """Independently: half with the spreads, half with the model's."""
+    narrow = stats.norm.pdf(start, moves.mean, moves.sd).prod(axis=1)
+    return 0.5 * narrow + 0.5 * stats.norm.pdf(start, moves.mean).prod(axis=1)
+
+
+@dataclass(frozen=True)
+class Moved(PemProposal):
+    """A proposal that moves starts alone."""
+
+    moves: StartMoves
+
+    def start_mean(self, count):
+        return np.tile(self.moves.mean, (count, 1))
+
+    def start_sd(self, count):
+        return np.tile(self.moves.sd, (count, 1))
+
+    def noise_mean(self, states, detected):
+        raise AssertionError
+
+    def noise_sd(self, count):
+        return np.ones((count, 0))
+
+    def once(self, count):
+        return np.zeros(count, dtype=np.bool_)
+
+
+def drawn(count, *, moves=MOVES):
+    counts = LatentCounts(start=moves.mean.size)
+    source = NormalSource(np.random.SeedSequence(3), counts=counts, steps=2)
+    proposal = Moved(moves)
+    assert isinstance(proposal, ShapesLatents)
+    return LatentTrack.begun(source.draw(count), proposal, outcomes=2).latents
+
+
+def test_log_ratio_is_that_of_the_densities():
+    start = 2.0 * np.random.default_rng(0).standard_normal((50, 3))
+    expected = np.log(mixture_pdf(start, MOVES)) - stats.norm.logpdf(start).sum(axis=1)
+    np.testing.assert_allclose(MOVES.log_ratio(start), expected, rtol=1e-12)
+    np.testing.assert_array_equal(StartMoves.none(3).log_ratio(start), 0.0)
+
+
+def test_starts_are_drawn_from_the_density_that_weighs_them():
+    """Kolmogorov and Smirnov's test of each latent; weights as the density says."""
+    latents = drawn(20_000)
+    assert latents is not None
+    for place, (mean, sd) in enumerate(zip(MOVES.mean, MOVES.sd, strict=True)):
+
+        def cdf(z, mean=mean, sd=sd):
+            return 0.5 * stats.norm.cdf(z, mean, sd) + 0.5 * stats.norm.cdf(z, mean)
+
+        assert stats.kstest(latents.start[:, place], cdf).pvalue > 3e-7
+    expected = stats.norm.logpdf(latents.start).sum(axis=1)
+    expected -= np.log(mixture_pdf(latents.start, MOVES))
+    np.testing.assert_allclose(latents.log_weight, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_starts_do_not_depend_on_how_many_are_drawn_at_a_time():
+    counts = LatentCounts(start=3, noise=1)
+    at_once = NormalSource(np.random.SeedSequence(3), counts=counts, steps=2)
+    one_by_one = NormalSource(np.random.SeedSequence(3), counts=counts, steps=2)
+    together = at_once.draw(4)
+    for row in range(4):
+        alone = one_by_one.draw(1)
+        assert alone is not None
+        assert together is not None
+        for name in ("start", "noise", "choice", "spread_choice"):
+            np.testing.assert_array_equal(getattr(alone, name), getattr(together, name)[[row]])
+
+
+def test_what_a_fit_without_a_start_takes_from_it_is_that_of_a_second_fit():
+    generator = np.random.default_rng(5)
+    start = 0.3 * generator.standard_normal((12, 2)) + [2.0, 0.5]
+    weight = generator.uniform(0.1, 3.0, size=12)
+    moves = fit_start(start, weight, ridge=0.01)
+    found = start_optimism(moves, start, weight, ridge=0.01)
+    for place in range(12):
+        others = np.delete(np.arange(12), place)
+        without = fit_start(start[others], weight[others], ridge=0.01)
+        both = [float(one.log_ratio(start[[place]])[0]) for one in (moves, without)]
+        assert found[place] == pytest.approx(max(both[0] - both[1], 0.0), rel=1e-9, abs=1e-12)
+
+
+def test_known_moves_are_found_again():
+    """Within five standard errors; the model's spread counts as five starts."""
+    generator = np.random.default_rng(6)
+    start = np.array([0.4, 0.8]) * generator.standard_normal((4000, 2)) + [3.0, -1.0]
+    moves = fit_start(start, np.ones(4000), ridge=0.01)
+    assert moves.mean == pytest.approx([3.0, -1.0], abs=5.0 * 0.8 / np.sqrt(4000))
+    assert moves.sd == pytest.approx([0.4, 0.8], abs=0.05)
+
+
+def test_spreads_stay_between_a_fifth_and_the_models_own():
+    alike = fit_start(np.full((500, 1), 4.0), np.ones(500), ridge=0.01)
+    apart = fit_start(np.array([[-6.0], [6.0]] * 50), np.ones(100), ridge=0.01)
+    assert alike.sd == pytest.approx([0.2])
+    assert apart.sd == pytest.approx([1.0])
