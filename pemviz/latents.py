@@ -24,19 +24,29 @@ class LatentCounts:
     Attributes:
         start: So many once, for the state in which it starts (S).
         noise: So many at every step (M).
+        seeds: So many more once, after those of the start, that no proposal moves: for seeds of a
+            random generator that the scenario brings, whose draws are the model's and have no
+            weight.
     """
 
     start: int = 0
     noise: int = 0
+    seeds: int = 0
 
     def __bool__(self) -> bool:
         """Whether there are any."""
-        return self.start > 0 or self.noise > 0
+        return self.at_start > 0 or self.noise > 0
+
+    @property
+    def at_start(self) -> int:
+        """How many a rollout is given where it starts, seeds included."""
+        return self.start + self.seeds
 
     def __str__(self) -> str:
         """In words: '1 at the start and 2 at every step'."""
         parts = [f"{self.start} at the start"] * (self.start > 0)
         parts += [f"{self.noise} at every step"] * (self.noise > 0)
+        parts += [f"{self.seeds} for seeds"] * (self.seeds > 0)
         return " and ".join(parts) or "none"
 
 
@@ -48,7 +58,7 @@ class StandardNormals(Batch):
     """Independent draws from the standard normal, for N rollouts.
 
     Attributes:
-        start: ``[N, S]``.
+        start: ``[N, S]``, seeds after them.
         noise: ``[N, T-1, M]``.
         choice: ``[N, T-1]``: they decide at which steps noise is moved, see :class:`Latents`.
         spread_choice: ``[N]``: they decide which starts have spreads of their own.
@@ -74,7 +84,7 @@ class Latents(Batch):
     start are always moved: c is 1 there.
 
     Attributes:
-        start: ``[N, S]``, standard normal under the model.
+        start: ``[N, S]``, seeds after them, standard normal under the model.
         start_mean: ``[N, S]``; 0 where nothing is moved.
         start_sd: ``[N, S]``, 1 unless a proposal says less.
         noise: ``[N, T-1, M]``, likewise; steps are those of the scenario.

@@ -33,7 +33,8 @@ class Source:
 
     preset: str | None = None
     """Shipped configuration: paper, town01, or paper-algorithm, the paper's own method; or a family
-    of encounters with random starts: braking, cut-in, cut-out. Without --config, paper."""
+    of encounters with random starts: braking, cut-in, cut-out; or merge, highway-env's own; or
+    free-traffic, in SUMO. Without --config, paper."""
     config: Path | None = None
     """Configuration file (TOML), for instance the config.toml of an earlier run."""
     resume: Path | None = None
@@ -56,6 +57,9 @@ class RecordArguments:
     tracker: str | None = None
     """Tracker between perception and controller: M/N, confirmed by M hits of N, then options such
     as ,coast=0.5,filter=kalman; none: none. As --scenario.tracker, which explains it."""
+    sumo_config: str | None = None
+    """Traffic of SUMO's own, with simulator sumo: a .sumocfg file, or free-traffic. As
+    --sumo.config; --sumo.ego says which of its vehicles is the ego."""
     start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A start value of the family's encounters as NAME=VALUE, or NAME=DISTRIBUTION, such as
     gap="lognormal(30, 0.4) in [8, 100]"; others keep theirs."""
@@ -114,7 +118,8 @@ def parse(words: Sequence[str]) -> RecordArguments:
     ):
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
-    arguments = _with_starts(_with_tracker(_with_rules(arguments, start.experiment)))
+    arguments = _with_sumo_config(_with_rules(arguments, start.experiment))
+    arguments = _with_starts(_with_tracker(arguments))
     if source.resume is not None and arguments.experiment != start.experiment:
         message = (
             f"resume = {source.resume}: the run goes on with its own configuration; leave out "
@@ -133,6 +138,14 @@ def _with_tracker(arguments: RecordArguments) -> RecordArguments:
     config = arguments.experiment
     scenario = replace(config.scenario, tracker=arguments.tracker)
     return replace(arguments, experiment=replace(config, scenario=scenario))
+
+
+def _with_sumo_config(arguments: RecordArguments) -> RecordArguments:
+    if arguments.sumo_config is None:
+        return arguments
+    config = arguments.experiment
+    sumo = replace(config.sumo, config=arguments.sumo_config)
+    return replace(arguments, experiment=replace(config, sumo=sumo))
 
 
 def _with_starts(arguments: RecordArguments) -> RecordArguments:

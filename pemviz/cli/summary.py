@@ -54,7 +54,7 @@ from pemviz.reports.memory_curve import (
     curve_columns,
     curve_rows,
 )
-from pemviz.reports.rates_text import RATE_COLUMNS, RATES_TITLE, rate_line, rate_rows
+from pemviz.reports.rates_text import rate_columns, rate_line, rate_rows, rates_title
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.starts_text import (
     START_COLUMNS,
@@ -91,7 +91,7 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
         if result.rules:
             console.print(_rows(RULES_TITLE, RULE_COLUMNS, rule_rows(result)))
         if len(rates := rate_rows(result)) > 1 or (rates and verbose):
-            console.print(_rows(RATES_TITLE, RATE_COLUMNS, rates))
+            console.print(_rows(rates_title(result), rate_columns(result), rates))
         _print_memory(console, result.memory, verbose=verbose)
         console.print(LADDER_TITLE, style="italic", markup=False)
         console.print(_ladder(result))

@@ -207,11 +207,21 @@ class ExperimentConfig:
     @property
     def is_braking_scenario(self) -> bool:
         """Whether it is about the one gap of the shipped braking scenario."""
-        return self.encounter.family == NO_FAMILY and self.simulator in SHIPPED_SIMULATORS
+        is_shipped = self.simulator in SHIPPED_SIMULATORS and not self.is_sumo_traffic
+        return self.encounter.family == NO_FAMILY and is_shipped
+
+    @property
+    def is_sumo_traffic(self) -> bool:
+        """Whether it is about traffic of SUMO's own."""
+        return self.simulator == "sumo" and self.sumo.config is not None
 
     @property
     def other_scenario(self) -> str:
         """In words, of what is not the braking scenario."""
+        if self.is_sumo_traffic:
+            return (
+                f"traffic of {self.sumo.config}, in SUMO, whose vehicle {self.sumo.ego} is the ego"
+            )
         if self.encounter.family == NO_FAMILY:
             return f"that of the simulator {self.simulator}"
         return f"encounters of the family {self.encounter.family}, on {self.simulator}"
@@ -227,7 +237,9 @@ class ExperimentConfig:
         return self._timed.states
 
     @property
-    def _timed(self) -> ScenarioConfig | EncounterConfig:
+    def _timed(self) -> ScenarioConfig | EncounterConfig | SumoConfig:
+        if self.is_sumo_traffic:
+            return self.sumo
         return self.scenario if self.encounter.family == NO_FAMILY else self.encounter
 
     def with_rules(self, rules: Mapping[str, str]) -> Self:
@@ -279,7 +291,24 @@ class ExperimentConfig:
 
     def _validate_sumo(self) -> None:
         if self.sumo != SumoConfig() and (self.simulator != "sumo" or self.is_braking_scenario):
-            message = "sumo: must be left out without simulator sumo and a family of encounters"
+            message = (
+                "sumo: must be left out without simulator sumo and a family of encounters or "
+                "sumo.config"
+            )
+            raise ConfigError(message)
+        if not self.is_sumo_traffic:
+            return
+        if self.encounters_per_hour is not None:
+            message = (
+                f"encounters_per_hour = {self.encounters_per_hour:g}: must be left out with "
+                "sumo.config, which is answered per kilometre"
+            )
+            raise ConfigError(message)
+        if self.encounter.family != NO_FAMILY:
+            message = f"sumo.config = {self.sumo.config!r}: must be left out with {self._family}"
+            raise ConfigError(message)
+        if abs(round(self.sumo.step_s * 1000) / 1000 - self.sumo.step_s) > 1e-12:
+            message = f"sumo.step_s = {self.sumo.step_s:g}: must be whole milliseconds"
             raise ConfigError(message)
 
     def _validate_carla(self) -> None:

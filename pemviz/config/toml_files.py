@@ -19,6 +19,8 @@ from pemviz.files.shipped import asset_path
 LARGEST_BYTES = 1_000_000
 """A configuration has a kilobyte; no more than this is read of what is given as one."""
 DEEPEST_KEY = 200
+FREE_TRAFFIC = "free-traffic"
+"""The preset that has the rules of all traffic in SUMO."""
 """Dots in a key; tomllib's time grows with the square of their number."""
 
 
@@ -29,16 +31,17 @@ def preset_names(*, families: bool = True) -> tuple[str, ...]:
         families: Whether to name those, of families of encounters and of black boxes.
     """
     names = {path.stem for path in asset_path("presets").glob("*.toml")}
-    others = (*FAMILIES, *BLACK_BOXES)
+    others = (*FAMILIES, *BLACK_BOXES, FREE_TRAFFIC)
     return (*sorted(names - set(others)), *(others if families else ()))
 
 
 def with_own_rules(config: ExperimentConfig) -> ExperimentConfig:
     """A black box that is asked by the braking scenario's specification has its preset's rules."""
     is_asked = config.rules or config.spec != ExperimentConfig().spec
-    if config.simulator not in BLACK_BOXES or is_asked:
+    preset = FREE_TRAFFIC if config.is_sumo_traffic else config.simulator
+    if preset not in (*BLACK_BOXES, FREE_TRAFFIC) or is_asked:
         return config
-    rules = {rule.name: rule.formula for rule in load_preset(config.simulator).rules}
+    rules = {rule.name: rule.formula for rule in load_preset(preset).rules}
     return config.with_rules(rules)
 
 
@@ -167,6 +170,8 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
     is_used = config.simulator == "sumo" and not config.is_braking_scenario
     if not is_used and config.sumo == SumoConfig():
         del table["sumo"]
+    elif config.sumo.config is None:
+        table["sumo"] = {"model": config.sumo.model}
     return table
 
 

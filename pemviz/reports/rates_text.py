@@ -1,92 +1,131 @@
-"""Violations an hour of driving, and the hours between them, in words and rows."""
+"""Violations an hour or a kilometre of driving, and what lies between them, in words and rows."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from pemviz.reports.digits import digits_of, end_text
 from pemviz.reports.escape import markdown_table, markdown_text
 from pemviz.reports.estimate_text import level_text, no_interval_text
-from pemviz.runs.rates import ViolationRate, assumed_encounters, violation_rates
+from pemviz.runs.rates import Rate, assumed_distance, assumed_encounters, rates
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Estimate
 
-RATES_TITLE = "Per hour of driving"
-RATE_COLUMNS = ("violation of", "an hour", "interval", "hours between two", "their interval")
 LARGEST_PLAIN, LEAST_PLAIN = 1e6, 1e-3
 """Between them numbers are written without an exponent."""
 
 
+@dataclass(frozen=True)
+class Unit:
+    """Of driving.
+
+    Attributes:
+        title: Over a table.
+        each: With its article.
+        between: Its plural.
+        driving: The plural in a sentence.
+    """
+
+    title: str
+    each: str
+    between: str
+    driving: str
+
+
+HOUR = Unit("Per hour of driving", "an hour", "hours", "hours of driving")
+KILOMETRE = Unit("Per kilometre of driving", "a kilometre", "kilometres", "kilometres of driving")
+
+
+def unit_of(result: RunResult) -> Unit:
+    """What a result's rates are per."""
+    return HOUR if result.driven is None else KILOMETRE
+
+
+def rates_title(result: RunResult) -> str:
+    """Over a table of rates."""
+    return unit_of(result).title
+
+
+def rate_columns(result: RunResult) -> tuple[str, ...]:
+    """What :func:`rate_rows` gives."""
+    unit = unit_of(result)
+    return "violation of", unit.each, "interval", f"{unit.between} between two", "their interval"
+
+
 def rate_line(result: RunResult) -> str:
-    """The rate in all with its interval in a sentence; empty without encounters an hour."""
-    rates = violation_rates(result)
-    if not rates or result.estimate is None:
+    """The rate in all with its interval in a sentence; empty where there is none."""
+    found, unit = rates(result), unit_of(result)
+    if not found or result.estimate is None:
         return ""
-    encounters = f"{result.config.encounters_per_hour:g} encounters an hour"
-    _, per_hour, interval, hours, hours_interval = rate_rows(result)[0]
-    if rates[0].hours_between is None and rates[0].high is None:
-        return f"With {encounters}: nothing is known of violations an hour"
-    if rates[0].hours_between is None:
-        return f"With {encounters}: no violation was seen; an hour brings {interval} of them"
+    if result.driven is None:
+        given = f"With {result.config.encounters_per_hour:g} encounters an hour"
+        drawn = ", as the scenario draws them"
+    else:
+        given, drawn = f"With {result.driven.mean_km:.3g} km a rollout", ""
+    _, value, interval, between, between_interval = rate_rows(result)[0]
+    if found[0].between is None and found[0].high is None:
+        return f"{given}: nothing is known of violations {unit.each}"
+    if found[0].between is None:
+        return f"{given}: no violation was seen; {unit.each} brings {interval} of them"
     if interval == UNKNOWN:
-        ends = hours_ends = "interval unknown"
+        ends = between_ends = "interval unknown"
     else:
         named = "" if run_interval_caveats(result) else f"{level_text(result.estimate)} interval "
-        ends, hours_ends = f"{named}{interval}", hours_interval
+        ends, between_ends = f"{named}{interval}", between_interval
     return (
-        f"With {encounters}, as the scenario draws them: {per_hour} violations an hour ({ends}), "
-        f"one in {hours} hours of driving ({hours_ends})"
+        f"{given}{drawn}: {value} violations {unit.each} ({ends}), "
+        f"one in {between} {unit.driving} ({between_ends})"
     )
 
 
 def rate_rows(result: RunResult) -> list[tuple[str, ...]]:
-    """What :data:`RATE_COLUMNS` name: of all that is violated, then of each rule."""
-    rates = violation_rates(result)
-    if not rates or result.estimate is None:
+    """What :func:`rate_columns` name: of all that is violated, then of each rule."""
+    found = rates(result)
+    if not found or result.estimate is None:
         return []
     every = "any rule" if result.rules else "the specification"
-    rows = [(every, *_figures(rates[0], result.estimate, run_interval_caveats(result)))]
+    rows = [(every, *_figures(found[0], result.estimate, run_interval_caveats(result)))]
     rows += [
         (rule.name, *_figures(rate, rule.estimate, interval_caveats(rule.estimate)))
-        for rate, rule in zip(rates[1:], result.rules, strict=True)
+        for rate, rule in zip(found[1:], result.rules, strict=True)
     ]
     return rows
 
 
 def rates_markdown(result: RunResult, *, level: str) -> list[str]:
-    """The rates as markdown under a heading of that level; none without encounters an hour."""
+    """The rates as markdown under a heading of that level; none where there are none."""
     rows = [tuple(map(markdown_text, row)) for row in rate_rows(result)]
     if not rows:
         return []
-    table = markdown_table(RATE_COLUMNS, rows)
-    return [f"{level} {RATES_TITLE}", table, rate_note(result)]
+    table = markdown_table(rate_columns(result), rows)
+    return [f"{level} {rates_title(result)}", table, rate_note(result)]
 
 
 def rate_note(result: RunResult) -> str:
-    """What the rates take for granted; empty without encounters an hour."""
+    """What the rates take for granted; empty where there are none."""
     encounters = result.config.encounters_per_hour
-    if encounters is None:
+    if result.driven is None and encounters is None:
         return ""
-    words = assumed_encounters(encounters)
+    words = "" if encounters is None else assumed_encounters(encounters)
+    words = words if result.driven is None else assumed_distance(result.driven)
     return f"{words[0].upper()}{words[1:]}."
 
 
-def _figures(
-    rate: ViolationRate, estimate: Estimate, caveats: Sequence[str]
-) -> tuple[str, str, str, str]:
+def _figures(rate: Rate, estimate: Estimate, caveats: Sequence[str]) -> tuple[str, str, str, str]:
     wrong = f", {no_interval_text(estimate)}" if caveats else ""
     digits = digits_of(rate.low, rate.high)
     ends = _range(rate.low, rate.high, digits)
     if rate.low is None and rate.high is not None:
         ends = f"at most {_quantity(rate.high, digits)}"
-    hours = _range(rate.hours_low, rate.hours_high, digits)
-    if rate.hours_low is not None and rate.hours_high is None:
-        hours = f"at least {_quantity(rate.hours_low, digits)}"
-    between = "-" if rate.hours_between is None else _quantity(rate.hours_between, digits)
-    found = "0: none was seen" if estimate.failures == 0 else _quantity(rate.per_hour, digits)
-    told = (f"{one}{wrong}" if one != UNKNOWN else one for one in (ends, hours))
-    of_rate, of_hours = told
-    return found, of_rate, between, of_hours
+    units = _range(rate.between_low, rate.between_high, digits)
+    if rate.between_low is not None and rate.between_high is None:
+        units = f"at least {_quantity(rate.between_low, digits)}"
+    between = "-" if rate.between is None else _quantity(rate.between, digits)
+    found = "0: none was seen" if estimate.failures == 0 else _quantity(rate.value, digits)
+    told = (f"{one}{wrong}" if one != UNKNOWN else one for one in (ends, units))
+    of_rate, of_between = told
+    return found, of_rate, between, of_between
 
 
 UNKNOWN = "unknown"

@@ -23,11 +23,12 @@ from pemviz.simulators.check import check_simulator
 from pemviz.simulators.episodic import EpisodicSimulator, episodic, side_by_side
 from pemviz.simulators.families.features import FamilyFeatures
 from pemviz.simulators.latents import LatentSimulator, latent_counts
-from pemviz.simulators.merge.features import MergeFeatures
 from pemviz.simulators.merge.scenario import MergeSimulator
 from pemviz.simulators.quantised import start_cells
 from pemviz.simulators.registry import SHIPPED, build_family_simulator, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
+from pemviz.simulators.sumo.traffic.scenario import TrafficSimulator
+from pemviz.simulators.tracked_cars import TrackedCarFeatures
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Simulator
 
@@ -48,7 +49,7 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         return _family_back_end(config)
     errors = _position_errors(config)
     simulator = build_named_simulator(
-        config.simulator, config.scenario, errors=errors, carla=config.carla
+        config.simulator, config.scenario, errors=errors, carla=config.carla, sumo=config.sumo
     )
     if config.simulator in CLIENTS:  # not tried out: physics there need not repeat themselves
         return BackEnd(
@@ -58,10 +59,10 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
             batch_rollouts=SLOW_BATCH_ROLLOUTS,
             is_own=True,
         )
-    if isinstance(simulator, MergeSimulator):
+    if isinstance(simulator, MergeSimulator | TrafficSimulator):
         back_end = own_back_end(simulator)
         turns = cast(UnrolledSimulator, back_end.simulator)
-        return replace(back_end, features=MergeFeatures(turns, simulator))
+        return replace(back_end, features=TrackedCarFeatures(turns, simulator))
     if config.simulator not in SHIPPED:
         return own_back_end(simulator)
     if errors is not None and isinstance(simulator, BrakingScenario):

@@ -15,6 +15,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.errors import PemvizError, RunError
 from pemviz.pem import PositionErrorModel
 from pemviz.runs.data_plan import with_data_plan
+from pemviz.runs.driven import with_distance
 from pemviz.runs.events import (
     Observer,
     RepetitionDone,
@@ -149,6 +150,7 @@ class _Runner:
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
+        self._keep(with_distance(self._interpreted.result, experiment=experiment))
         self._keep(with_curves(self._interpreted.result, experiment=experiment))
         self._keep(with_data_plan(self._interpreted.result, experiment=experiment))
         self._keep(beside_reference(self._interpreted.result, experiment=experiment))

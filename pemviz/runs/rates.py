@@ -1,13 +1,17 @@
-"""From the probability of a violation in an encounter to violations an hour of driving."""
+"""From the probability of a violation to violations an hour of driving, or a kilometre of it."""
 
+import math
 from dataclasses import dataclass
 
 from pemviz.config.ranges import AtLeastZero
-from pemviz.runs.result import RunResult
+from pemviz.runs.result import DrivenDistance, RunResult
 from pemviz.types import Estimate
 
 LARGEST = 1e300
 """Of what is told, so that it and its inverse are float64."""
+LARGEST_LOG = 690.0
+"""Of what an end of an interval is multiplied with."""
+Z95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -36,39 +40,123 @@ class ViolationRate:
     hours_high: AtLeastZero | None
 
 
-def violation_rates(result: RunResult) -> tuple[ViolationRate, ...]:
-    """The rate of violations, then of each rule's; none unless encounters an hour are told."""
-    encounters = result.config.encounters_per_hour
-    if encounters is None or result.estimate is None:
+@dataclass(frozen=True)
+class DistanceRate:
+    """How many violations a kilometre of driving brings, with the ends of the interval.
+
+    A rollout counts once, however often it violates. Kilometres are ``None`` where they are
+    infinite or unknown.
+
+    Attributes:
+        rule: The rule's name; ``None``: the specification, or any rule.
+        per_km: Violations a kilometre [1/km]: the probability over the distance of a rollout.
+        low: The lower end, of the interval of both together.
+        high: The upper end.
+        km_between: Kilometres between two violations, on average [km].
+        km_low: At the upper end of the rate.
+        km_high: At its lower end.
+    """
+
+    rule: str | None
+    per_km: AtLeastZero
+    low: AtLeastZero | None
+    high: AtLeastZero | None
+    km_between: AtLeastZero | None
+    km_low: AtLeastZero | None
+    km_high: AtLeastZero | None
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A rate of either kind: per unit of driving, units between two violations, their intervals."""
+
+    rule: str | None
+    value: float
+    low: float | None
+    high: float | None
+    between: float | None
+    between_low: float | None
+    between_high: float | None
+
+
+def rates(result: RunResult) -> tuple[Rate, ...]:
+    """The rate of violations, then of each rule's, per hour or km; none where nothing tells it."""
+    if result.estimate is None:
         return ()
-    rules = [_rate(rule.name, rule.estimate, encounters) for rule in result.rules]
-    return (_rate(None, result.estimate, encounters), *rules)
-
-
-def _rate(rule: str | None, estimate: Estimate, encounters: float) -> ViolationRate:
-    per_hour = min(estimate.probability * encounters, LARGEST)
-    low, high = (
-        None if end is None else min(end * encounters, LARGEST)
-        for end in (estimate.ci_low, estimate.ci_high)
-    )
-    return ViolationRate(
-        rule=rule,
-        per_hour=per_hour,
-        low=low,
-        high=high,
-        hours_between=_hours(per_hour),
-        hours_low=_hours(high),
-        hours_high=_hours(low),
+    encounters, driven = result.config.encounters_per_hour, result.driven
+    estimates = [(None, result.estimate), *((rule.name, rule.estimate) for rule in result.rules)]
+    if driven is not None:
+        return tuple(_over_distance(rule, estimate, driven) for rule, estimate in estimates)
+    if encounters is None:
+        return ()
+    return tuple(
+        _rate(rule, estimate.probability, estimate.ci_low, estimate.ci_high, encounters)
+        for rule, estimate in estimates
     )
 
 
-def _hours(per_hour: float | None) -> float | None:
-    return None if per_hour is None or per_hour < 1.0 / LARGEST else 1.0 / per_hour
+def violation_rates(result: RunResult) -> tuple[ViolationRate, ...]:
+    """Rates an hour; none unless encounters an hour are told."""
+    if result.driven is not None:
+        return ()
+    return tuple(
+        ViolationRate(r.rule, r.value, r.low, r.high, r.between, r.between_low, r.between_high)
+        for r in rates(result)
+    )
+
+
+def distance_rates(result: RunResult) -> tuple[DistanceRate, ...]:
+    """Rates a kilometre; none unless a rollout is a stretch of driving."""
+    if result.driven is None:
+        return ()
+    return tuple(
+        DistanceRate(r.rule, r.value, r.low, r.high, r.between, r.between_low, r.between_high)
+        for r in rates(result)
+    )
+
+
+def _over_distance(rule: str | None, estimate: Estimate, driven: DrivenDistance) -> Rate:
+    """The probability over the distance; relative errors of both add up as independent ones."""
+    relative = Z95 * driven.std_error_km / driven.mean_km
+    low, high = estimate.ci_low, estimate.ci_high
+    if estimate.probability > 0.0 and low is not None and low > 0.0:
+        width = math.log(estimate.probability) - math.log(low)
+        low *= math.exp(-_further(width, relative))
+    if estimate.probability > 0.0 and high is not None and high > 0.0:
+        width = math.log(high) - math.log(estimate.probability)
+        high *= math.exp(min(_further(width, relative), LARGEST_LOG))
+    return _rate(rule, estimate.probability, low, high, 1.0 / driven.mean_km)
+
+
+def _further(width: float, relative: float) -> float:
+    """By how much a half width grows, on the log scale."""
+    return math.hypot(width, relative) - width
+
+
+def _rate(
+    rule: str | None, probability: float, low: float | None, high: float | None, times: float
+) -> Rate:
+    value = min(probability * times, LARGEST)
+    least, most = (None if end is None else min(end * times, LARGEST) for end in (low, high))
+    return Rate(rule, value, least, most, _inverse(value), _inverse(most), _inverse(least))
+
+
+def _inverse(rate: float | None) -> float | None:
+    return None if rate is None or rate < 1.0 / LARGEST else 1.0 / rate
 
 
 def assumed_encounters(encounters_per_hour: float) -> str:
-    """What a rate takes for granted, in words."""
+    """What a rate an hour takes for granted, in words."""
     return (
         f"an hour of driving holds {encounters_per_hour:g} encounters on average, all of them as "
         "the scenario draws them; what else happens on the road is not counted"
+    )
+
+
+def assumed_distance(driven: DrivenDistance) -> str:
+    """What a rate a kilometre rests on, in words."""
+    return (
+        f"a rollout is {driven.mean_km:.3g} km of driving on average (+- "
+        f"{driven.std_error_km / driven.mean_km:.1%}, by {driven.rollouts} rollouts of the error "
+        "model's own), and counts once however often it violates"
     )

@@ -7,7 +7,7 @@ ranges of the fields here, and of the types that they name, say what may stand t
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.analysis.starts import DangerousStarts
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
-from pemviz.config.ranges import AtLeastZero, Count, Log10, Share
+from pemviz.config.ranges import AtLeastZero, Count, Log10, Range, Share
 from pemviz.display import ShownInNotebooks
 from pemviz.latents import LatentCounts
 from pemviz.pem import PositionErrorModel
@@ -109,6 +109,21 @@ class RankedRollout:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DrivenDistance:
+    """How far the ego drives in a rollout.
+
+    Attributes:
+        mean_km: On average, under the error model [km].
+        std_error_km: Of that [km].
+        rollouts: By how many.
+    """
+
+    mean_km: Annotated[float, Range(low=1e-6, high=1e9)]
+    std_error_km: AtLeastZero
+    rollouts: Count
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunResult(ShownInNotebooks):
     """Everything a run tells, but for the rollouts themselves.
 
@@ -132,6 +147,7 @@ class RunResult(ShownInNotebooks):
             of it; ``None`` in results of versions that knew no memory.
         latents: How many standard normals the simulator took; ``None`` if none.
         position_errors: By which the scenario measured; ``None``: it measured exactly.
+        driven: How far a rollout is, where it is a stretch of driving in free traffic.
         reference: The answer by the value-twisted reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
         starts: Which starts are dangerous, where the simulator names random ones: of violations
@@ -162,6 +178,7 @@ class RunResult(ShownInNotebooks):
     memory: RunMemory | None = None
     latents: LatentCounts | None = None
     position_errors: PemInfo | None = None
+    driven: DrivenDistance | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
     starts: tuple[DangerousStarts, ...] = ()

@@ -17,8 +17,8 @@ What a result.json may hold (schema 1):
 - ``rules``, ``least_robust_by_rule``, and ``broken`` in ``least_robust``, only where there are
   rules.
 - ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
-- ``per_hour``, only where encounters an hour are told (:mod:`pemviz.runs.rates`), follows from
-  the estimates too.
+- ``per_hour``, only where encounters an hour are told, or ``per_km``, only where ``driven`` is told
+  (:mod:`pemviz.runs.rates`), follows from the estimates too.
 - ``ladder``, what leaves the answer open (:class:`pemviz.runs.ladder.Rung`): it follows from the
   other fields, which are what is read.
 - Null for the robustness of a rollout where it is infinite.
@@ -43,7 +43,7 @@ from pemviz.errors import InputError
 from pemviz.files.atomic import write_json
 from pemviz.files.json_text import parse_json
 from pemviz.runs.ladder import Rung, uncertainty_ladder
-from pemviz.runs.rates import ViolationRate, violation_rates
+from pemviz.runs.rates import DistanceRate, ViolationRate, distance_rates, violation_rates
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.rules import RuleAnswer
 from pemviz.runs.trust import run_interval_caveats
@@ -162,6 +162,7 @@ def result_from_document(document: object) -> RunResult:
         raise InputError(message)
     read_value(tuple[Rung, ...], table.get("ladder", []), name="ladder")
     read_value(tuple[ViolationRate, ...], table.get("per_hour", []), name="per_hour")
+    read_value(tuple[DistanceRate, ...], table.get("per_km", []), name="per_km")
     fields = {
         **table,
         "config": config,
@@ -249,9 +250,12 @@ def _rule_tables(rules: Sequence[RuleAnswer]) -> Table:
 
 
 def _rate_tables(result: RunResult) -> Table:
-    """Violations an hour; nothing where encounters an hour are not told."""
-    tables = [asdict(rate) for rate in violation_rates(result)]
-    return {"per_hour": tables} if tables else {}
+    """Violations an hour or a kilometre; nothing where neither is told."""
+    hourly = [asdict(rate) for rate in violation_rates(result)]
+    by_distance = [asdict(rate) for rate in distance_rates(result)]
+    driven = None if result.driven is None else asdict(result.driven)
+    named = {"per_hour": hourly, "per_km": by_distance, "driven": driven}
+    return {name: tables for name, tables in named.items() if tables}
 
 
 def _ranked_table(rollout: RankedRollout) -> Table:

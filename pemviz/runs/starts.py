@@ -44,8 +44,10 @@ def starts_simulator(experiment: Experiment) -> NamesStarts | None:
 def stage_starts(experiment: Experiment, stage: StageResult) -> StageStarts | None:
     """What a stage tells; ``None`` where the scenario does not name its starts."""
     rollouts, latents = stage.scored.rollouts, stage.scored.rollouts.latents
-    if latents is None or starts_simulator(experiment) is None:
+    simulator = starts_simulator(experiment)
+    if latents is None or simulator is None:
         return None
+    named = latent_counts(simulator).start
     rows = np.flatnonzero(stage.scored.violated)
     count = rows.size
     if count > MOST_VIOLATIONS:
@@ -60,7 +62,7 @@ def stage_starts(experiment: Experiment, stage: StageResult) -> StageStarts | No
     place[:, 2] = rows
     return StageStarts(
         violations=Violations(
-            latents=latents.start[rows],
+            latents=latents.start[rows, :named],
             log_part=log_part,
             place=place,
             broken={name: broken[rows] for name, broken in stage.scored.broken.items()},

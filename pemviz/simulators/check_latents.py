@@ -25,7 +25,7 @@ def check_counts(simulator: object, where: str) -> None:
         return
     if not isinstance(declared, LatentCounts):
         _refuse(f"{where}: latents is a {type(declared).__name__}: must be pemviz.LatentCounts")
-    for name in ("start", "noise"):
+    for name in ("start", "noise", "seeds"):
         number = getattr(declared, name)
         if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 0:
             _refuse(f"{where}: latents: {name} = {number!r}: must be a whole number from 0")
@@ -35,7 +35,7 @@ def tried_normals(simulator: Simulator, *, count: int) -> StandardNormals:
     """Latents of ``count`` rollouts, of which the last two have the same."""
     latents, generator = latent_counts(simulator), np.random.default_rng(0)
     normals = StandardNormals(
-        start=generator.standard_normal((count, latents.start)),
+        start=generator.standard_normal((count, latents.at_start)),
         noise=generator.standard_normal((count, simulator.states - 1, latents.noise)),
         choice=np.zeros((count, simulator.states - 1)),
         spread_choice=np.zeros(count),
@@ -52,7 +52,7 @@ def latent_warnings(simulator: Simulator) -> tuple[str, ...]:
     latents, found = latent_counts(simulator), list[str]()
     generator = np.random.default_rng(1)
     for place in range(latents.start):
-        start = np.zeros((TRIED, latents.start))
+        start = np.zeros((TRIED, latents.at_start))
         start[:, place] = generator.standard_normal(TRIED)
         if _alike(begun(simulator, count=TRIED, start=start)):
             found.append(f"simulator {simulator.name}: initial ignores start latent {place}")

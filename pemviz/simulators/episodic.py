@@ -71,6 +71,19 @@ class EpisodicSimulator(Protocol):
         ...
 
 
+@runtime_checkable
+class WorksElsewhere(Protocol):
+    """An environment in another process: all are told to go on before one is waited for."""
+
+    def begin_reset(self, *given: Any) -> None:
+        """Begin what the next ``reset`` with the same arguments returns."""
+        ...
+
+    def begin_step(self, *given: Any) -> None:
+        """Begin what the next ``step`` with the same arguments returns."""
+        ...
+
+
 @dataclass
 class Running:
     """The environments of this process, and the episodes that they are in."""
@@ -172,7 +185,13 @@ class SideBySide:
         running, places = self.running, min(count, self.count)
         while len(running.environments) < places:
             running.environments.append(self.make())
-        given = [()] * count if start is None or not self.latents.start else [(z,) for z in start]
+        given = (
+            [()] * count if start is None or not self.latents.at_start else [(z,) for z in start]
+        )
+        for row, z in enumerate(given if count == places else ()):
+            environment = running.environments[row]
+            if isinstance(environment, WorksElsewhere):
+                environment.begin_reset(*z)
         running.values = [
             self._checked(running.environments[row % places].reset(*z))
             for row, z in enumerate(given)
@@ -194,11 +213,18 @@ class SideBySide:
         if not here or int(states.step) != running.step or len(detected) > self.count:
             message = f"simulator {self.name!r}: is episodic: its states cannot be gone on from"
             raise RunError(message)
-        for row, outcome in enumerate(detected.tolist()):
-            if not running.ended[row]:
-                given = () if noise is None or not self.latents.noise else (noise[row],)
-                values, ended = running.environments[row].step(outcome, *given)
-                running.values[row], running.ended[row] = self._checked(values), bool(ended)
+        given = [
+            (outcome,) if noise is None or not self.latents.noise else (outcome, noise[row])
+            for row, outcome in enumerate(detected.tolist())
+        ]
+        going = [row for row, ended in enumerate(running.ended) if not ended]
+        for row in going:
+            environment = running.environments[row]
+            if isinstance(environment, WorksElsewhere):
+                environment.begin_step(*given[row])
+        for row in going:
+            values, ended = running.environments[row].step(*given[row])
+            running.values[row], running.ended[row] = self._checked(values), bool(ended)
         running.step += 1
         return self._batch()
 

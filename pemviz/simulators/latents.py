@@ -15,9 +15,10 @@ class LatentSimulator(Protocol):
     """A scenario that takes standard normals at the start, at every step, or both.
 
     Like :class:`pemviz.types.Simulator`, or like one with slots, but for what its counts add:
-    with ``start`` S above 0 ``initial(count, start)`` is given standard normals ``[N, S]``, and
-    with ``noise`` M above 0 ``step(states, detected, noise)`` is given those of the step,
-    ``[N, M]``. Both stay pure: all that is random about a rollout is in them and in the outcomes.
+    with ``start`` S above 0 ``initial(count, start)`` is given standard normals ``[N, S]``, those
+    of ``seeds`` after them, and with ``noise`` M above 0 ``step(states, detected, noise)`` is given
+    those of the step, ``[N, M]``. Both stay pure: all that is random about a rollout is in them and
+    in the outcomes.
     """
 
     @property
@@ -73,7 +74,7 @@ def begun(
         count: Number of rollouts N.
         start: Its latents, ``[N, S]``; ``None``: all 0, the median.
     """
-    latents = latent_counts(simulator).start
+    latents = latent_counts(simulator).at_start
     if latents == 0:
         return simulator.initial(count=count)
     given = np.zeros((count, latents)) if start is None else start

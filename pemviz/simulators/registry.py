@@ -23,6 +23,7 @@ from pemviz.config import (
 )
 from pemviz.config.carla import DEFAULT_ADDRESS
 from pemviz.config.entry_points import NamedPart
+from pemviz.config.sumo import SumoConfig
 from pemviz.errors import ConfigError
 from pemviz.simulators.braking.measured_gap import RangeErrors
 from pemviz.types import Simulator
@@ -48,6 +49,7 @@ def build_named_simulator(
     *,
     errors: RangeErrors | None = None,
     carla: str | None = None,
+    sumo: SumoConfig | None = None,
 ) -> Simulator:
     """The simulator ``name``; a shipped one goes before a registered one of the same name.
 
@@ -56,6 +58,7 @@ def build_named_simulator(
         scenario: Its parameters.
         errors: Of the gap that a shipped one measures; others take none.
         carla: Where simulator carla finds its server, ``HOST:PORT``.
+        sumo: Names traffic of SUMO's own, in place of the scenario.
 
     Raises:
         ConfigError: There is none, two packages register it, or its factory fails or returns
@@ -70,11 +73,7 @@ def build_named_simulator(
 
         return MergeSimulator(scenario)
     if name == "sumo":
-        from pemviz.simulators.sumo.braking import SumoBraking  # noqa: PLC0415  as above
-        from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415
-
-        check_installed()
-        return SumoBraking(scenario, errors)
+        return _sumo(scenario, errors, sumo)
     if name == "vectorized":
         from pemviz.simulators.braking.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
 
@@ -90,6 +89,21 @@ def build_named_simulator(
         fits=lambda built: isinstance(built, Simulator) and not isinstance(built, type),
         complaint="returns {}, which is no pemviz.Simulator",
     )
+
+
+def _sumo(
+    scenario: ScenarioConfig, errors: RangeErrors | None, sumo: SumoConfig | None
+) -> Simulator:
+    """The braking scenario on SUMO, or traffic of its own."""
+    if sumo is not None and sumo.config is not None:
+        from pemviz.simulators.sumo.traffic.scenario import build_traffic  # noqa: PLC0415  scipy
+
+        return build_traffic(sumo, scenario)
+    from pemviz.simulators.sumo.braking import SumoBraking  # noqa: PLC0415  as above
+    from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415
+
+    check_installed()
+    return SumoBraking(scenario, errors)
 
 
 def build_family_simulator(

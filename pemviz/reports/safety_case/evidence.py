@@ -18,7 +18,7 @@ from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curves
 from pemviz.reports.pictures.starts import start_plane
 from pemviz.reports.pictures.violations import gap_plot, misses_over_time
-from pemviz.reports.rates_text import RATE_COLUMNS, rate_line, rate_rows
+from pemviz.reports.rates_text import rate_columns, rate_line, rate_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.safety_case.case import CaseRun
 from pemviz.reports.safety_case.html import (
@@ -107,9 +107,9 @@ def _rules(result: RunResult) -> str:
 
 
 def _rates(result: RunResult) -> str:
-    """Violations an hour of driving, where encounters an hour are told."""
+    """Violations an hour or a kilometre of driving, where either is told."""
     rows = rate_rows(result)
-    return paragraph(rate_line(result)) + table(RATE_COLUMNS, rows) if rows else ""
+    return paragraph(rate_line(result)) + table(rate_columns(result), rows) if rows else ""
 
 
 NO_WARNING = "The diagnostics of the sampling give no warning."

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.latents import LatentCounts, Latents
+from pemviz.latents import LatentCounts
 from pemviz.proposals.latent_means import (
     LatentDecisions,
     LatentMeans,
@@ -157,22 +157,23 @@ def fresh_latents(
     features: StateFeatures,
     basis: PolynomialBasis,
     turns: int,
+    starts: int,
     rules: Sequence[str] = (),
 ) -> FreshLatents | None:
-    """Of rollouts with latents; ``None`` for others."""
+    """Of rollouts with latents that can be moved, ``starts`` at the start; ``None`` for others."""
     latents = rollouts.latents
-    if latents is None:
+    if latents is None or not (starts or latents.noise.shape[2]):
         return None
     states, acts = _last_turns(rollouts, turns)
-    counts = counts_of(latents)
-    family = LatentFamily.over(acts.shape[1], start=counts.start, noise=counts.noise)
-    acts = acts if counts.noise else np.zeros_like(acts)
+    start, noise = latents.start[:, :starts], latents.noise.shape[2]
+    family = LatentFamily.over(acts.shape[1], start=starts, noise=noise)
+    acts = acts if noise else np.zeros_like(acts)
     broken = broken_at(states.memory, rules)
     detected = rollouts.detected[:, turns - 1 :: turns]
     values = _looked_at(features, states, detected)[acts]
     return FreshLatents(
         decisions=LatentDecisions(
-            start=latents.start,
+            start=start,
             rollout=np.nonzero(acts)[0].astype(np.int64),
             basis=noise_basis(basis).evaluate(values),
             noise=latents.noise[acts],
@@ -180,7 +181,7 @@ def fresh_latents(
             broken=None if broken is None else broken[acts],
         ),
         by_pilots=[
-            family.log_ratio(latents.start, latents.noise, within)
+            family.log_ratio(start, latents.noise, within)
             for within in _until_each(acts, broken, rules)
         ],
     )
@@ -212,11 +213,6 @@ def _looked_at(features: StateFeatures, states: StateBatch, detected: BoolArray)
     values = features.values(states)
     values = np.broadcast_to(values, (*detected.shape, values.shape[-1]))
     return np.concatenate([values, detected[..., None]], axis=-1, dtype=np.float64)
-
-
-def counts_of(latents: Latents) -> LatentCounts:
-    """How many a rollout has."""
-    return LatentCounts(start=latents.start.shape[1], noise=latents.noise.shape[2])
 
 
 def latent_ratios(

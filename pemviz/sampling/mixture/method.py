@@ -377,6 +377,7 @@ def _pooled(
             basis=basis,
             defensive=_defence(scored.rollouts.detected.shape[1]),
             turns=state.turns,
+            starts=state.starts,
             rules=state.rules,
         ),
         last=last,

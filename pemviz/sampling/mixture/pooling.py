@@ -31,6 +31,7 @@ class Terms:
         basis: Its monomials.
         defensive: Share of the error model in every outcome's probability.
         turns: Outcomes of a step.
+        starts: Latents at the start that proposals move.
         rules: Names, where there are several.
     """
 
@@ -38,6 +39,7 @@ class Terms:
     basis: PolynomialBasis
     defensive: float
     turns: int = 1
+    starts: int = 0
     rules: tuple[str, ...] = ()
 
     @property
@@ -126,6 +128,7 @@ def _fresh(
         features=terms.features,
         basis=terms.basis,
         turns=terms.turns,
+        starts=terms.starts,
         rules=terms.rules,
     )
     if latents is None:

@@ -67,7 +67,7 @@ class NormalSource:
         """For the next ``count`` rollouts; ``None`` if they take none."""
         if not self._counts:
             return None
-        at_start, each = self._counts.start, self._counts.noise
+        at_start, each = self._counts.at_start, self._counts.noise
         a_step = each + (each > 0)
         normals = self._generator.standard_normal((count, at_start + self._steps * a_step))
         by_step = normals[:, at_start:].reshape(count, self._steps, a_step)
@@ -114,11 +114,13 @@ class LatentTrack:
         count, steps, _ = normals.noise.shape
         mean, once = np.zeros(normals.start.shape), np.zeros(count, dtype=np.bool_)
         if isinstance(proposal, MovesLatents):
-            mean = mean + proposal.start_mean(count)
+            moved = proposal.start_mean(count)  # seeds, which come after, stay
+            mean[:, : moved.shape[1]] = moved
         none = np.zeros(normals.noise.shape)
         shares, one, sd = np.ones((count, steps)), np.ones(none.shape), np.ones(mean.shape)
         if isinstance(proposal, ShapesLatents):
-            sd = sd * proposal.start_sd(count)
+            shaped = proposal.start_sd(count)
+            sd[:, : shaped.shape[1]] = shaped
         narrow = ndtr(normals.spread_choice) < 0.5
         start = np.where(narrow[:, None], sd * normals.start, normals.start) + mean
         choice = None

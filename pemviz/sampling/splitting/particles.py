@@ -81,7 +81,7 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
     """
     states, counts = problem.simulator.states, latent_counts(problem.simulator)
     uniforms = generator.random((states - 1, count))
-    normals = generator.standard_normal((count, counts.start))
+    normals = generator.standard_normal((count, counts.at_start))
     start = begun(problem.simulator, count=count, start=normals)
     _check_can_be_kept(problem.simulator, start)
     noise = generator.standard_normal((count, (states - 1) // problem.turns, counts.noise))

@@ -37,6 +37,7 @@ from pemviz.simulators.merge.facts import (
 )
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot
+from pemviz.simulators.tracked_cars import SlotSignals
 from pemviz.simulators.tracking.named import tracker_of_text
 from pemviz.simulators.tracking.tracker import Tracker
 from pemviz.types import Signal, StateBatch
@@ -159,6 +160,10 @@ class MergeSimulator:
         near = gap_m < STANDSTILL_M + (KEEP_S + known_s) * ego_mps
         beside = np.abs(aside_m) < BESIDE_M + SIDEWAYS_MPS * (known_s + (known_s > 0.0))
         return self.present(signals) & near & beside & (signals["collided"][..., None] < 0.5)
+
+    def of_slots(self, signals: Mapping[str, FloatArray]) -> SlotSignals:
+        """Gaps, offsets to the left [m], speeds [m/s] and headings [rad], ``[..., 4]``."""
+        return own_signals(signals)
 
     @property
     def scene_cars(self) -> tuple[SceneCar, ...]:
