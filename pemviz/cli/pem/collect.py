@@ -9,6 +9,7 @@ from typing import Literal, cast, get_args
 from pemviz.cli.pem.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
+from pemviz.pem.data.collect_mot import collect_mot
 from pemviz.pem.data.collect_nuscenes import MATCHED_BELOW_M, collect_nuscenes
 from pemviz.pem.data.collect_tracks import collect_tracks
 from pemviz.pem.data.detections import DetectionFormat
@@ -18,7 +19,7 @@ from pemviz.pem.data.tracking import SequenceFormat
 
 FASTEST_HZ = 1e4
 DEFAULT_HZ = 10.0
-Format = Literal[DetectionFormat, SequenceFormat, "nuscenes", "log"]
+Format = Literal[DetectionFormat, SequenceFormat, "nuscenes", "motchallenge", "log"]
 
 
 @dataclass(frozen=True)
@@ -27,10 +28,11 @@ class CollectArguments:
 
     labels: Path
     """Folder of KITTI label files: label_2, one per frame; or of tracking labels (label_02), one
-    per sequence, with a format of sequences; or of nuScenes' tables (v1.0-mini)."""
+    per sequence, with a format of sequences; of nuScenes' tables (v1.0-mini), or of
+    MOTChallenge's sequences (SEQUENCE/gt/gt.txt)."""
     detections: Path
-    """Folder of text files, one per frame (kitti, yolo) or per sequence (mot, ab3dmot), or a json
-    file (coco, nuscenes)."""
+    """Folder of text files, one per frame (kitti, yolo) or per sequence (mot, ab3dmot,
+    motchallenge; there also SEQUENCE/det/det.txt), or a json file (coco, nuscenes)."""
     out: Path = Path("obstacles.csv")
     """CSV file to write."""
     format: Format = "kitti"
@@ -39,12 +41,15 @@ class CollectArguments:
     sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four
     sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate; so does that of
     nuscenes: its detection task's results, matched by the distance of centres, with position
-    errors. log: a log of your own, matched already, whose columns --mapping tells."""
+    errors. motchallenge: its ground truth and detections, without places in the world: a table for
+    pemviz pem memory --model guess-mu alone. log: a log of your own, matched already, whose
+    columns --mapping tells."""
     mapping: Path | None = None
     """TOML that says where a log's columns are; assets/mappings/nuscenes-cars.toml is one.
     --labels and --detections are then the log, one file or two side by side."""
     rate_hz: float = DEFAULT_HZ
-    """Frames a second of sequences (above 0); nuScenes' tables tell it themselves."""
+    """Frames a second of sequences (above 0); nuScenes' tables and MOTChallenge's seqinfo.ini tell
+    it themselves."""
     types: tuple[str, ...] = ()
     """Classes that count as obstacles in sequences, such as Car; all if empty."""
     iou_above: float = PAPER_IOU
@@ -85,13 +90,13 @@ def run(arguments: CollectArguments) -> int:
         drop_unknown=arguments.drop_unknown,
         skip_bad=arguments.skip_bad,
     )
-    if (arguments.format == "log") != (arguments.mapping is not None):
-        raise PemError("mapping: must be given with format log, and with no other")
     _check_matching(arguments)
     if arguments.mapping is not None:
         return _collect_log(arguments, arguments.mapping)
     if arguments.format == "nuscenes":
         return _collect_nuscenes(arguments, options)
+    if arguments.format == "motchallenge":
+        return _collect_mot(arguments, options)
     if arguments.format in get_args(SequenceFormat):
         return _collect_tracks(arguments, options)
     with progress_bar("frames") as tell:
@@ -115,11 +120,13 @@ def run(arguments: CollectArguments) -> int:
 
 
 def _check_matching(arguments: CollectArguments) -> None:
-    """Refuse options that the format has no use for.
+    """Refuse options that the format has no use for, or one missing that it needs.
 
     Raises:
         PemError: there is one, or a distance that none can be below.
     """
+    if (arguments.format == "log") != (arguments.mapping is not None):
+        raise PemError("mapping: must be given with format log, and with no other")
     is_nuscenes = arguments.format == "nuscenes"
     if not is_nuscenes and arguments.centres_below_m != MATCHED_BELOW_M:
         raise PemError("centres_below_m: only with format nuscenes; boxes are matched by overlap")
@@ -168,11 +175,42 @@ def _collect_log(arguments: CollectArguments, mapping: Path) -> int:
     return 0
 
 
-def _collect_tracks(arguments: CollectArguments, options: CollectOptions) -> int:
+def _collect_mot(arguments: CollectArguments, options: CollectOptions) -> int:
+    _check_sequences(arguments)
+    with progress_bar("sequences") as tell:
+        counts = collect_mot(
+            labels=arguments.labels,
+            detections=arguments.detections,
+            out=arguments.out,
+            rate_hz=arguments.rate_hz,
+            types=arguments.types,
+            options=options,
+            on_progress=tell,
+        )
+    print(
+        f"{arguments.out}: {counts.sequences} sequences, {counts.tracks} tracks, "
+        f"{counts.observations} observations, {counts.missed} missed, {counts.gaps} gaps in "
+        f"tracks; left out: {counts.other_types} of other classes, {counts.dropped} marked to be "
+        f"ignored, {counts.ignored_detections} detections of lower score"
+    )
+    _tell_bad_lines(counts.bad_lines, counts.first_bad)
+    return 0
+
+
+def _check_sequences(arguments: CollectArguments) -> None:
+    """Refuse what sequences cannot have.
+
+    Raises:
+        PemError: a rate that is none, or matching by class.
+    """
     if not 0.0 < arguments.rate_hz <= FASTEST_HZ:
         raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0 to {FASTEST_HZ:g}")
     if arguments.class_aware:
         raise PemError("class_aware: sequences are matched whatever a detection's class; use types")
+
+
+def _collect_tracks(arguments: CollectArguments, options: CollectOptions) -> int:
+    _check_sequences(arguments)
     with progress_bar("sequences") as tell:
         counts = collect_tracks(
             labels=arguments.labels,
