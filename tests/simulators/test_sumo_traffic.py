@@ -134,8 +134,8 @@ def test_a_track_does_not_outlive_its_car(simulator):
 
 def test_nothing_that_sumo_draws_has_a_weight(simulator):
     config = replace(
-        load_preset("free-traffic"), sumo=replace(SHORT, states=11), rollouts=4, final_rollouts=4,
-        stages=1,
+        load_preset("free-traffic"), method="mixture", sumo=replace(SHORT, states=11),
+        rollouts=4, final_rollouts=4, stages=1,
     ).with_rules({"slow": "always[0,10] (ego_speed <= 27.0)"})  # fmt: skip
     experiment = build_experiment(config)
     state = experiment.method.init(experiment.problem, repetition=0)
