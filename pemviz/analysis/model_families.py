@@ -20,6 +20,7 @@ from pemviz.arrays import Batch, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.errors import PemError
 from pemviz.pem import Pem, load_pem, shipped_pems
+from pemviz.pem.models.pieces import logit_along
 from pemviz.pem.models.protocol import chain_log_likelihood
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 from pemviz.sampling.estimates.meanings import SMALL_ESS
@@ -98,7 +99,10 @@ def family_ratios(
     failing = scored.rollouts.take(violations)
     salient = simulator.salient(failing.decision_states().signals)
     log_p = row_sums(failing.log_p)
-    columns = [chain_log_likelihood(model, salient, failing.detected) - log_p for model in families]
+    columns = [
+        chain_log_likelihood(model, salient, failing.detected, logit_of=logit_along) - log_p
+        for model in families
+    ]
     return FamilyRatios(
         rollout=violations,
         log_ratio=np.stack(columns, axis=1),

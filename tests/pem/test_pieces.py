@@ -65,7 +65,15 @@ def test_the_shipped_network_along_the_gap():
     np.testing.assert_allclose(at, left + (right - left) / 3.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("pem", ["lr", "gb-raw", "ml-nn-ensemble"])
+def test_an_ensemble_along_the_gap():
+    gaps = np.repeat(np.random.default_rng(1).uniform(0.0, 60.0, 2 * FEWEST_ROWS), 2)
+    salient = lead_car_salient(ScenarioConfig(), {"gap": gaps.reshape(4, -1)})
+    ensemble = load_pem("ml-nn-ensemble")
+    expected = ensemble.logit(salient)
+    np.testing.assert_allclose(logit_along(ensemble, salient), expected, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("pem", ["lr", "gb-raw"])
 def test_other_models_and_other_rows_are_asked_as_they_are(pem):
     asked = load_pem(pem)
     rows = rows_along("z_m", np.linspace(1.0, 60.0, FEWEST_ROWS))

@@ -13,6 +13,7 @@ from scipy.special import logsumexp, ndtri
 
 from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.errors import PemError
+from pemviz.pem.models.pieces import logit_along
 from pemviz.pem.models.protocol import Pem, chain_log_likelihood
 
 
@@ -88,7 +89,7 @@ def failing_log_weights(
         PemError: the shapes do not fit together.
     """
     _check_shapes(detected=detected, salient=salient, log_q=log_q, violated=violated)
-    log_p = chain_log_likelihood(pem, salient[violated], detected[violated])
+    log_p = chain_log_likelihood(pem, salient[violated], detected[violated], logit_of=logit_along)
     of_rollout = log_q[violated]
     return log_p - (of_rollout if of_rollout.ndim == 1 else row_sums(of_rollout))
 

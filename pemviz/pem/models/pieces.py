@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pemviz.arrays import FloatArray
+from pemviz.chunks import map_distinct, map_rows
 from pemviz.pem.models.encoding import POSE_INDEX, paper_inputs
+from pemviz.pem.models.ensemble import EnsemblePem, mean_probability_logit
 from pemviz.pem.models.network import NetworkPem
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.pem.models.protocol import as_rows
@@ -22,7 +24,8 @@ def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
     """As ``pem.logit``, within 1e-12, and faster for many rows that differ in one pose variable.
 
     Args:
-        pem: The model; any but a network of the paper's inputs is asked as it is.
+        pem: The model; any but a network of the paper's inputs, or an ensemble of such, is asked
+            as it is.
         salient: Salient variables ``[..., 11]``.
 
     Returns:
@@ -31,6 +34,9 @@ def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
     Raises:
         PemError: The rows are not ones that the model was made for.
     """
+    if type(pem) is EnsemblePem:
+        rows, shape = as_rows(salient)
+        return map_distinct(lambda distinct: _mean_along(pem, distinct), rows).reshape(shape)
     if type(pem) is not NetworkPem:
         return pem.logit(np.asarray(salient))
     rows, shape = as_rows(salient)
@@ -45,6 +51,12 @@ def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
     at_kinks = np.repeat(rows[:1], asked.size, axis=0)
     at_kinks[:, varying[0]] = asked
     return np.interp(along, asked, pem.logit(at_kinks)).reshape(shape)
+
+
+def _mean_along(pem: EnsemblePem, rows: FloatArray) -> FloatArray:
+    """Logit ``[n]`` of the members' mean P(detected)."""
+    logits = np.stack([logit_along(member, rows) for member in pem.members], axis=1)
+    return map_rows(mean_probability_logit, logits)
 
 
 def kinks(pem: NetworkPem, row: FloatArray, *, column: int, low: float, high: float) -> FloatArray:

@@ -1,6 +1,6 @@
 """What a perception error model is to the rest of the project."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -81,17 +81,24 @@ class ChainPem(Pem, Protocol):
         ...
 
 
-def chain_log_likelihood(pem: Pem, salient: FloatArray, detected: BoolArray) -> FloatArray:
+def chain_log_likelihood(
+    pem: Pem,
+    salient: FloatArray,
+    detected: BoolArray,
+    *,
+    logit_of: Callable[[Pem, FloatArray], FloatArray] | None = None,
+) -> FloatArray:
     """Log likelihood of all outcomes of rollouts, ``[N]`` [nats], under any model.
 
     Args:
         pem: The model.
         salient: What it sees, ``[N, T-1, D]``.
         detected: The outcomes, ``[N, T-1]``.
+        logit_of: How a model without memory is asked; its own ``logit`` by default.
     """
     if isinstance(pem, ChainPem):
         return pem.log_likelihood(salient, detected)
-    logit = pem.logit(salient)
+    logit = pem.logit(salient) if logit_of is None else logit_of(pem, salient)
     return -row_sums(np.logaddexp(0.0, np.where(detected, -logit, logit)))
 
 
