@@ -145,3 +145,31 @@ def row_sums(values: FloatArray) -> FloatArray:
     # without rows numpy cannot tell how long one is
     length = math.prod(values.shape[1:])
     return np.sum(values if values.ndim == 2 else values.reshape(len(values), length), axis=1)
+
+
+def log_sum_exp(values: FloatArray, *, axis: int | None = None) -> Any:
+    """Log of the sum of exponentials over an axis, or over all of ``values [...]``.
+
+    To the last bit what scipy's ``logsumexp`` gives for arrays of real numbers, in a fraction of
+    its time for small ones. The largest are left out of the sum and counted, for precision.
+
+    Args:
+        values: Numbers, infinite ones too; of none the sum is 0.
+        axis: That is summed over; all if ``None``.
+    """
+    if values.size == 0:
+        kept = () if axis is None else np.delete(values.shape, axis)
+        return np.full(tuple(kept), -np.inf)[()]
+    with np.errstate(all="ignore"):  # infinities are seen to
+        largest = values.max(axis=axis, keepdims=True)
+        is_largest = values == largest
+        count = is_largest.sum(axis=axis, keepdims=True, dtype=np.float64)
+        others = np.where(is_largest, -np.inf, values)
+        others -= largest
+        rest = np.exp(others, out=others).sum(axis=axis, keepdims=True)
+        found = np.log1p(np.where(rest == 0.0, rest, rest / count)) + np.log(count) + largest
+        undefined = ~np.isfinite(found)
+        if undefined.any():
+            plain = np.log(np.exp(values).sum(axis=axis, keepdims=True))
+            found = np.where(undefined, plain, found)
+    return found.squeeze(axis=axis)

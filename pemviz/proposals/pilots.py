@@ -11,9 +11,17 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move, moved, namespace
+from pemviz.arrays import (
+    AnyArray,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Move,
+    log_sum_exp,
+    moved,
+    namespace,
+)
 from pemviz.proposals.offset_logistic import StateFeatures, acting
 from pemviz.types import RolloutBatch, StateBatch
 
@@ -122,7 +130,7 @@ class PilotFamily:
             for raising, chosen in self._alike(strength):
                 np.cumsum((step * raising).T if self.turns > 1 else step.T, axis=0, out=sums[1:])
                 by_member[chosen] = sums[self.stop[chosen]] - sums[self.first[chosen]]
-        return np.asarray(logsumexp(by_member + np.log(self.share)[:, None], axis=0))
+        return np.asarray(log_sum_exp(by_member + np.log(self.share)[:, None], axis=0))
 
     def _alike(self, strength: float) -> Iterator[tuple[BoolArray, IntArray]]:
         """Members of a strength by whose turns they raise: which steps ``[T-1]``, which members."""

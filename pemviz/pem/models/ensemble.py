@@ -5,9 +5,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import logsumexp
 
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import AnyArray, FloatArray, log_sum_exp
 from pemviz.chunks import map_rows
 from pemviz.errors import PemError
 from pemviz.pem.models.card import Carded, PemCard
@@ -69,6 +68,6 @@ class EnsemblePem(Carded):
 
 def mean_probability_logit(logits: FloatArray) -> FloatArray:
     """Logit [n] of the mean over members of the probabilities with logits [n, members]."""
-    log_detected = np.asarray(logsumexp(-np.logaddexp(0.0, -logits), axis=1))
-    log_missed = np.asarray(logsumexp(-np.logaddexp(0.0, logits), axis=1))
+    log_detected = np.asarray(log_sum_exp(-np.logaddexp(0.0, -logits), axis=1))
+    log_missed = np.asarray(log_sum_exp(-np.logaddexp(0.0, logits), axis=1))
     return log_detected - log_missed

@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp, ndtr
+from scipy.special import log_ndtr, ndtr
 
-from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
+from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.pem.models.frailty import VisibilityNodes
 from pemviz.pem.models.memory import Memory, miss_quantile, persistence
 from pemviz.types import outcome_log_likelihood
@@ -65,7 +65,7 @@ class ByNode:
     @property
     def log_likelihood(self) -> FloatArray:
         """With u integrated out, ``[N]``."""
-        return np.asarray(logsumexp(self.log_joint, axis=0))
+        return np.asarray(log_sum_exp(self.log_joint, axis=0))
 
     @property
     def mean(self) -> FloatArray:

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.offset_logistic import PolynomialBasis, shift
@@ -94,7 +93,7 @@ def described(
         )
         for given in scenario.piloted
     ]
-    by_pilots = np.asarray(logsumexp(by_family, axis=0)) - np.log(len(by_family))
+    by_pilots = log_sum_exp(np.asarray(by_family), axis=0) - np.log(len(by_family))
     by_fits = [_log_q(scenario, outcomes, drawing, rollouts.count) for drawing in drawings]
     likely = [_likely(scenario, outcomes, memory, rollouts.count) for memory in scenario.asked]
     return Drawn(

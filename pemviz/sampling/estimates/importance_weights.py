@@ -1,12 +1,10 @@
 """Importance weights in log space; a weight that underflows stays in every average as 0."""
 
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, log_sum_exp
 from pemviz.sampling.estimates.pareto_tail import tail_shape
 
 MINIMUM_TAIL = 5
@@ -29,7 +27,7 @@ class WeightFigures:
 
 def log_sum(log_values: FloatArray) -> float:
     """Log of the sum of exp of values ``[M]``, M at least 1, without overflow."""
-    return float(cast(Any, logsumexp(log_values)))
+    return float(log_sum_exp(log_values))
 
 
 def smoothed_weights(log_weight: FloatArray, *, alpha: float) -> FloatArray:

@@ -6,12 +6,9 @@ smoothed importance sampling', JMLR 2024, appendix C. To the last bit what arviz
 import takes more than half a second.
 """
 
-from typing import Any, cast
-
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import FloatArray, log_sum_exp
 
 PRIOR_SHAPE, PRIOR_COUNT = 0.5, 10
 """The shape is drawn towards the first as if so many observations had it."""
@@ -51,7 +48,7 @@ def fitted_shape(excess: FloatArray) -> float:
     rate += 1 / excess[-1]
     shape = np.mean(np.log1p(-rate[:, None] * excess), axis=1)
     log_profile = count * (np.log(-rate / shape) - shape - 1)
-    weight = np.exp(log_profile - cast(Any, logsumexp(log_profile)))
+    weight = np.exp(log_profile - log_sum_exp(log_profile))
     kept = weight >= 10 * np.finfo(np.float64).eps
     weight, rate = weight[kept], rate[kept]
     weight = weight / weight.sum()

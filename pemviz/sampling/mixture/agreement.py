@@ -9,9 +9,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.sampling.estimates.diagnostics import parts_disagreement, pilots_alone
 from pemviz.sampling.estimates.estimate import log_stratified_error
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
@@ -68,7 +67,7 @@ def _share_of_pilots(pool: Pool) -> float:
     if not pool.violated.any():
         return 0.0
     log_joint = pool.log_ratio[pool.violated] + log_shares(pool.log_ratio, pool.component)
-    by_pilots = np.exp(log_joint[:, PILOTS] - np.asarray(logsumexp(log_joint, axis=1)))
+    by_pilots = np.exp(log_joint[:, PILOTS] - np.asarray(log_sum_exp(log_joint, axis=1)))
     log_weight = pool.log_weight[pool.violated]
     alone = by_pilots > MORE_THAN_HALF
     return float(np.exp(log_sum(log_weight[alone]) - log_sum(log_weight))) if alone.any() else 0.0

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
+from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
@@ -147,7 +146,7 @@ class Pool:
 
 def balance_weights(log_ratio: FloatArray, component: IntArray) -> FloatArray:
     """-log sum_k (n_k / N) exp(log_ratio_k) for ratios ``[N, K]`` and components ``[N]``."""
-    return -np.asarray(logsumexp(log_ratio + log_shares(log_ratio, component), axis=1))
+    return -np.asarray(log_sum_exp(log_ratio + log_shares(log_ratio, component), axis=1))
 
 
 def log_shares(log_ratio: FloatArray, component: IntArray) -> FloatArray:

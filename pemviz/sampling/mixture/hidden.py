@@ -7,9 +7,8 @@ needed: it is learned about on its own before the weights pass judgement on it.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, log_sum_exp
 from pemviz.proposals.latent_means import fit_means
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import fit_offset_logistic
@@ -123,5 +122,7 @@ def _hardly_drawn(pool: Pool, main: Sequence[Fit], defensive: float) -> BoolArra
         under=(pool.rule,),
         latents=pool.latents,
     )
-    by_main: FloatArray = np.asarray(logsumexp(ratio + np.log([fit.share for fit in main]), axis=1))
+    by_main: FloatArray = np.asarray(
+        log_sum_exp(ratio + np.log([fit.share for fit in main]), axis=1)
+    )
     return pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_DRAWN)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.latent_means import (
     LatentDecisions,
     LatentMeans,
@@ -115,7 +115,7 @@ class Ways:
     def responsibilities(self, rollouts: WeightedRollouts) -> FloatArray:
         """How likely each rollout is to have come from each proposal, ``[E, C]``."""
         joint = self.log_joint(rollouts)
-        return np.exp(joint - np.asarray(logsumexp(joint, axis=1))[:, None])
+        return np.exp(joint - np.asarray(log_sum_exp(joint, axis=1))[:, None])
 
 
 def ways_of(
@@ -164,7 +164,7 @@ def _price(rollouts: WeightedRollouts, ridges: Ridges) -> float:
 
 def _gain(rollouts: WeightedRollouts, before: Ways, after: Ways) -> float:
     totals = [
-        float(rollouts.weight @ np.asarray(logsumexp(ways.log_joint(rollouts), axis=1)))
+        float(rollouts.weight @ np.asarray(log_sum_exp(ways.log_joint(rollouts), axis=1)))
         for ways in (before, after)
     ]
     return totals[1] - totals[0]
