@@ -25,6 +25,7 @@ from pemviz.simulators.families.names import (
     NEEDLESS,
     OF_EACH,
     SAFE_DISTANCE,
+    SPEED,
     by_car,
     of_cars,
 )
@@ -110,7 +111,7 @@ def arrive(left: Left, moved: Moved) -> tuple[Mapping[str, FloatArray], IntArray
     asked_for = {
         SAFE_DISTANCE: margins.settled_distance(config, cars, states_ahead),
         NEEDLESS: margins.needless_deceleration(
-            config, _cars_of(left), ego_mps2=left.ego_mps2, others_mps2=left.others_mps2
+            config, _cars_of(left), ego_mps2=left.ego_mps2, others_mps2=_braked(left)
         ),
         **_cut_in_margin(left, cars, time_s),
     }
@@ -128,6 +129,11 @@ def arrive(left: Left, moved: Moved) -> tuple[Mapping[str, FloatArray], IntArray
         IMPACT_SPEED: arrived.impact_mps,
     }  # fmt: skip
     return signals, states_ahead
+
+
+def _braked(left: Left) -> FloatArray:
+    """The other cars' deceleration, ``[K, N]``: one that stands brakes no more [m/s^2]."""
+    return np.minimum(left.others_mps2, left.of_cars(SPEED) / left.config.dt_s)
 
 
 def _cars_of(left: Left) -> Cars:

@@ -140,8 +140,11 @@ class Signals:
             self.next_needless = 0.0
             return
         nearest = min(ahead, key=lambda car: self.offsets[car][0], default=None)
-        excused = 0.0 if nearest is None else braking_mps2[nearest]
-        self.next_needless = max(-ego_mps2 - excused, 0.0)
+        self.next_needless = max(-ego_mps2, 0.0)
+        if nearest is not None:  # one that stands brakes no more
+            to_standstill_mps2 = self.others[nearest].speed_mps / self.config.dt_s
+            braked_mps2 = min(braking_mps2[nearest], to_standstill_mps2)
+            self.next_needless = max(-ego_mps2 - braked_mps2, 0.0)
 
     def touch(self, car: int, impact_mps: float) -> None:
         """A contact within the step."""

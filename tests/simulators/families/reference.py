@@ -260,8 +260,10 @@ class Encounter:
         if any(self.margin(car) < 0 for car in ahead):
             return 0.0
         nearest = min(ahead, key=self.gap, default=None)
-        strength = 0.0 if nearest is None else braked[self.cars.index(nearest)]
-        return max(-chosen - strength, 0.0)
+        if nearest is None:
+            return max(-chosen, 0.0)
+        after = max(nearest.speed - braked[self.cars.index(nearest)] * self.config.dt_s, 0.0)
+        return max(-chosen - (nearest.speed - after) / self.config.dt_s, 0.0)
 
     def has_come_in(self) -> bool:
         return abs(self.cars[0].y) - self.width / 2 <= self.lane / 2 - 0.3

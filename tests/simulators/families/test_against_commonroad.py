@@ -9,9 +9,7 @@ Their R_G1 and R_G2 (Maierhofer et al. 2020) are given the trajectories alone. W
 text mixes metres of gap with m/s^2, or is bounded by how far a car is from leaving its lane, the
 same rule is asked for the robustness of what it is about alone: its conditions (``_i``) are then
 true or false (Ferrere et al. 2019), and so infinite. The lead car brakes in its lane: how long a
-car that cut in may stay too near is not compared. Nor is braking where the lead car comes to stand
-or stands: ours then still takes the deceleration that it was given for its own, theirs what its
-speed does.
+car that cut in may stay too near is not compared.
 """
 
 import json
@@ -151,11 +149,9 @@ def test_needless_braking_is_that_of_r_g2(signals, answers):
     margin = ABRUPT_MPS2 - signals["needless_deceleration"][:, 1:]  # of the step that led there
     theirs, ours = compared(signals, answers, "braking", margin)
     _, moves = compared(signals, answers, "braking", signals["speed_lead"][:, 1:] > 0.0)
-    np.testing.assert_allclose(
-        np.minimum(theirs, ABRUPT_MPS2)[moves], ours[moves], rtol=0, atol=1e-6
-    )
-    assert np.count_nonzero(ours[moves] < 0.0) > 100
-    assert np.mean(moves) > 0.8
+    np.testing.assert_allclose(np.minimum(theirs, ABRUPT_MPS2), ours, rtol=0, atol=1e-6)
+    assert np.count_nonzero(ours < 0.0) > 100
+    assert np.count_nonzero(~moves) > 100
     verdict, _ = compared(signals, answers, "R_G2", margin)
-    clear = (np.abs(ours) > 1e-6) & moves
+    clear = np.abs(ours) > 1e-6
     np.testing.assert_array_equal(verdict[clear] < 0.0, ours[clear] < 0.0)
