@@ -65,3 +65,10 @@ def test_what_methods_are_is_told_without_numpy():
 def test_other_commands_explain_themselves_without_torch(command):
     watched = {"torch", "sklearn", "highway_env", "pygame"}
     assert loaded(CODE.format(words=[command, "--help"], watched=watched)) == "loaded []"
+
+
+def test_a_run_needs_not_all_of_scipy():
+    watched = {"torch", "scipy.stats", "scipy.interpolate", "pandas", "matplotlib"}
+    code = "import sys, pemviz.cli.record_run;"
+    code += f"print('loaded', sorted({watched!r} & set(sys.modules)))"
+    assert loaded(code) == "loaded []"

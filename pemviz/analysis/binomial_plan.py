@@ -1,15 +1,14 @@
 """How many labelled obstacles show that a detector misses rarely enough: exact binomial planning.
 
 Clopper and Pearson's one-sided bound for P(missed) after k misses of n obstacles is at most u if
-and only if P(at most k misses of n | u) <= 1 - confidence. The fewest n for a given k follow from
-the negative binomial distribution of the obstacles that k + 1 misses take; how likely a detector
-that misses with probability p has no more than k is a binomial tail.
+and only if P(at most k misses of n | u) <= 1 - confidence. How likely a detector that misses with
+probability p has no more than k is a binomial tail too.
 """
 
 import math
 from dataclasses import dataclass
 
-from scipy.stats import binom, nbinom
+from scipy.special import betaincc
 
 POWER = 0.9
 MOST_LABELS = 10_000_000
@@ -40,8 +39,19 @@ def fewest_obstacles(missed: int, *, bound: float, confidence: float) -> int:
         return missed
     if missed == 0:
         return math.ceil(math.log(alpha) / math.log1p(-bound) * (1.0 - SLACK))
-    found = nbinom.ppf(confidence * (1.0 - SLACK * alpha), missed + 1, bound)
-    return int(found) + missed + 1
+    few, many = missed, 2 * missed + 1
+    while _at_most(missed, many, bound) > alpha * (1.0 + SLACK):
+        few, many = many, 2 * many
+    while many - few > 1:
+        middle = (few + many) // 2
+        shows = _at_most(missed, middle, bound) <= alpha * (1.0 + SLACK)
+        few, many = (few, middle) if shows else (middle, many)
+    return many
+
+
+def _at_most(events: int, trials: int, probability: float) -> float:
+    """P(at most ``events``, of more ``trials``); keeps its digits where the probability is tiny."""
+    return float(betaincc(events + 1.0, trials - events, probability))
 
 
 def labels_needed(
@@ -73,7 +83,7 @@ def labels_needed(
         labels = fewest_obstacles(missed + further, bound=bound, confidence=confidence) - obstacles
         if labels <= further:  # what is labelled already shows it
             return LabelsNeeded(max(labels, 0), max(labels, 0), 1.0)
-        return LabelsNeeded(labels, further, float(binom.cdf(further, labels, assumed)))
+        return LabelsNeeded(labels, further, _at_most(further, labels, assumed))
 
     def suffices(found: LabelsNeeded) -> bool:
         return found.power >= power or found.labels > MOST_LABELS

@@ -20,14 +20,13 @@ from pemviz.analysis.binomial_plan import (
 )
 from pemviz.analysis.requirements import LabelledBand, cheapest_requirement
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.binomial import exact_upper_bound, exact_upper_bounds
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Share
 from pemviz.pem import Pem, SupportSummary
 from pemviz.pem.data.support import (
     DISTANCE_EDGES_M,
     cell_in_words,
     cell_of,
-    miss_upper_bound,
-    miss_upper_bounds,
 )
 from pemviz.pem.judging.support_check import kinds_and_bands
 from pemviz.pem.models.protocol import as_rows
@@ -348,7 +347,7 @@ def _chance(
         labels = 0 if sample is None else sample.labels
         missed = band.missed + generator.binomial(labels, band.assumed, size=SIMULATED)
         detected = band.obstacles + labels - missed
-        miss[:, band.band] = miss_upper_bounds(missed, detected, confidence=confidence)
+        miss[:, band.band] = exact_upper_bounds(missed, detected, confidence=confidence)
     shown = [outcomes.log_probability(row) <= log_target for row in miss]
     return float(np.mean(shown))
 
@@ -363,7 +362,7 @@ def _band_plan(
         obstacles=band.obstacles,
         missed=band.missed,
         model=band.assumed,
-        allowed=miss_upper_bound(band.missed, band.obstacles, confidence=confidence),
+        allowed=exact_upper_bound(band.missed, band.obstacles, confidence=confidence),
         required=bound,
         fewest_labels=labels_if_none_missed(
             obstacles=band.obstacles, missed=band.missed, bound=bound, confidence=confidence

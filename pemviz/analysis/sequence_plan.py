@@ -7,6 +7,8 @@ with Student's t and a spread s of the sequences that more of them do not change
 import math
 from dataclasses import dataclass
 
+from scipy.special import stdtrit
+
 from pemviz.config.ranges import AtLeastZero, Count
 from pemviz.pem.models.memory_card import FittedMemory
 
@@ -80,10 +82,9 @@ def sequences_for(*, half_width: float, sequences: int, wanted: float, confidenc
         wanted: What is asked for, in the same unit.
         confidence: Of both intervals.
     """
-    from scipy.stats import t as student_t  # noqa: PLC0415  slow to import
 
     def width(count: int) -> float:
-        return float(student_t.ppf(0.5 + confidence / 2.0, count - 1)) / math.sqrt(count)
+        return float(stdtrit(count - 1, 0.5 + confidence / 2.0)) / math.sqrt(count)
 
     scale = half_width / width(sequences)
     fewest, most = 1, 2

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
+from pemviz.binomial import exact_interval, exact_upper_bound
 from pemviz.pem import (
     PemError,
     SalientTable,
@@ -19,8 +20,6 @@ from pemviz.pem.data.support import (
     SHAPE,
     band_in_words,
     cell_of,
-    miss_interval,
-    miss_upper_bound,
     summarise_support,
     support_from_json,
 )
@@ -97,12 +96,12 @@ def table_of(rows, *, missed_share):
 @given(obstacles=st.integers(1, 400), share=st.floats(0, 1), confidence=st.floats(0.5, 0.999))
 def test_exact_bounds_solve_the_binomial_equations(obstacles, share, confidence):
     missed = round(share * obstacles)
-    bound = miss_upper_bound(missed, obstacles, confidence=confidence)
+    bound = exact_upper_bound(missed, obstacles, confidence=confidence)
     if missed < obstacles:
         assert binom.cdf(missed, obstacles, bound) == pytest.approx(1 - confidence, rel=1e-6)
     else:
         assert bound == 1.0
-    low, high = miss_interval(missed, obstacles, confidence=confidence)
+    low, high = exact_interval(missed, obstacles, confidence=confidence)
     tail = (1 - confidence) / 2
     if missed:
         assert binom.sf(missed - 1, obstacles, low) == pytest.approx(tail, rel=1e-6)
@@ -111,9 +110,9 @@ def test_exact_bounds_solve_the_binomial_equations(obstacles, share, confidence)
 
 
 def test_the_rule_of_three():
-    assert miss_upper_bound(0, 132) == pytest.approx(1 - 0.05 ** (1 / 132), rel=1e-9)
-    assert miss_interval(0, 0) == (0.0, 1.0)
-    assert miss_upper_bound(0, 0) == 1.0
+    assert exact_upper_bound(0, 132) == pytest.approx(1 - 0.05 ** (1 / 132), rel=1e-9)
+    assert exact_interval(0, 0) == (0.0, 1.0)
+    assert exact_upper_bound(0, 0) == 1.0
 
 
 def test_the_datas_own_bound_as_a_model():
@@ -124,8 +123,8 @@ def test_the_datas_own_bound_as_a_model():
     # Bands with data on the way: 7-13, 13-15, 15-20; each takes a third of the 5 %.
     each = 1 - 0.05 / 3
     assert miss[:2] == pytest.approx(1.0, abs=1e-11)
-    assert miss[2] == pytest.approx(miss_upper_bound(0, 132, confidence=each), rel=1e-9)
-    assert miss[3] == pytest.approx(miss_upper_bound(2, 27, confidence=each), rel=1e-9)
+    assert miss[2] == pytest.approx(exact_upper_bound(0, 132, confidence=each), rel=1e-9)
+    assert miss[3] == pytest.approx(exact_upper_bound(2, 27, confidence=each), rel=1e-9)
     assert miss[4] < miss[3]
 
 

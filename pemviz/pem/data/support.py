@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import betaincinv
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import PemError
@@ -128,29 +127,6 @@ def cell_of(salient: FloatArray) -> tuple[IntArray, ...]:
 def _near(angle_rad: FloatArray, target_rad: float) -> Any:
     difference = np.angle(np.exp(1j * (angle_rad - target_rad)))
     return np.abs(difference) < HEADING_TOLERANCE_RAD
-
-
-def miss_interval(missed: int, obstacles: int, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper and Pearson's exact two-sided interval for P(missed); (0, 1) without obstacles."""
-    if obstacles == 0:
-        return 0.0, 1.0
-    each = (1.0 + confidence) / 2.0
-    low = float(betaincinv(missed, obstacles - missed + 1.0, 1.0 - each)) if missed else 0.0
-    return low, miss_upper_bound(missed, obstacles, confidence=each)
-
-
-def miss_upper_bound(missed: int, obstacles: int, *, confidence: float = 0.95) -> float:
-    """Clopper and Pearson's exact one-sided upper bound for P(missed); 1 without obstacles."""
-    return float(
-        miss_upper_bounds(np.array(missed), np.array(obstacles - missed), confidence=confidence)
-    )
-
-
-def miss_upper_bounds(missed: IntArray, detected: IntArray, *, confidence: float) -> FloatArray:
-    """The same for counts ``[...]`` of missed and of detected obstacles."""
-    # the bound is a quantile of a beta distribution
-    quantile = betaincinv(missed + 1.0, np.maximum(detected, 1.0), confidence)
-    return np.where(detected > 0, quantile, 1.0)
 
 
 def cell_in_words(class_id: int, occlusion: int, lateral: int, heading: int) -> str:

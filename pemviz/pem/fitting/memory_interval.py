@@ -13,6 +13,7 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
 from pemviz.arrays import BoolArray, FloatArray
 
@@ -178,9 +179,7 @@ def interval(
         sequences: Their number S; Student's t has S - 1 degrees of freedom.
         confidence: Of the interval.
     """
-    from scipy.stats import t as student_t  # noqa: PLC0415  slow to import
-
-    limit = float(student_t.ppf(0.5 + confidence / 2.0, sequences - 1)) ** 2 / 2.0 * inflation
+    limit = float(stdtrit(sequences - 1, 0.5 + confidence / 2.0)) ** 2 / 2.0 * inflation
     grid, heights = whole.profile(axis)
     above = heights - (max(whole.peak.height, float(heights.max())) - limit)
     inside = np.flatnonzero(above >= 0.0)
@@ -208,10 +207,8 @@ def independence_p_value(whole: Surface, *, inflation: float, sequences: int) ->
     0.8; of 200 samples, 5 tracks a sequence, 1.5 % with 6. Normal quantiles and no inflation
     would refuse 5.5, 5.0 and 3.5 %, so the half at 0 is as it should be.
     """
-    from scipy.stats import t as student_t  # noqa: PLC0415  slow to import
-
     if whole.tau_s == 0.0:
         return 1.0
     at_zero = float(whole.profile(TAU)[1][0])
     root = np.sqrt(max(2.0 * (whole.peak.height - at_zero), 0.0) / inflation)
-    return float(student_t.sf(root, sequences - 1))
+    return float(stdtr(sequences - 1, -root))

@@ -8,7 +8,7 @@ what an outcome is expected to add to that ratio (Kullback & Leibler 1951).
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit, ndtri, xlogy
+from scipy.special import expit, ndtri, stdtrit, xlogy
 
 from pemviz.arrays import FloatArray
 from pemviz.pem.data.tracks import TrackTable
@@ -137,13 +137,11 @@ def _divergence(true: FloatArray, assumed: FloatArray) -> FloatArray:
 
 def _sequences(each: float) -> int:
     """Fewest S with S each >= (t + z)^2, t of S - 1 degrees of freedom."""
-    from scipy.stats import t as student_t  # noqa: PLC0415  slow to import
-
     power = float(ndtri(POWER))
     fewest, most = 1, 2
 
     def tells(sequences: int) -> bool:
-        alarm = float(student_t.ppf(1.0 - FALSE_ALARM, sequences - 1))
+        alarm = float(stdtrit(sequences - 1, 1.0 - FALSE_ALARM))
         return sequences * each >= (alarm + power) ** 2
 
     while not tells(most):

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
-from scipy.stats import rankdata
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 
@@ -52,6 +51,8 @@ def roc_auc(logit: FloatArray, detected: BoolArray) -> float | None:
     negatives = len(detected) - positives
     if positives == 0 or negatives == 0:
         return None
+    from scipy.stats import rankdata  # noqa: PLC0415  slow to import
+
     rank_sum = float(rankdata(logit)[detected].sum())
     return (rank_sum - positives * (positives + 1) / 2.0) / (positives * negatives)
 

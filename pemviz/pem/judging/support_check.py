@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.binomial import exact_interval, exact_upper_bound
 from pemviz.pem.data.support import (
     DISTANCE_EDGES_M,
     SHAPE,
@@ -13,8 +14,6 @@ from pemviz.pem.data.support import (
     band_in_words,
     cell_in_words,
     cell_of,
-    miss_interval,
-    miss_upper_bound,
 )
 from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.protocol import Pem, as_rows
@@ -121,7 +120,7 @@ def data_bound_pem(
     each = 1.0 - (1.0 - confidence) / max(with_data, 1)
     logits: list[float] = []
     for count, misses in zip(obstacles.tolist(), missed.tolist(), strict=True):
-        bound = miss_upper_bound(misses, count, confidence=each)
+        bound = exact_upper_bound(misses, count, confidence=each)
         certain = bound >= 1.0
         logits.append(NEVER_DETECTED_LOGIT if certain else float(np.log1p(-bound) - np.log(bound)))
     card = PemCard(
@@ -150,7 +149,7 @@ def _band(
     index: int, *, visits: int, obstacles: int, missed: int, model_misses: float
 ) -> BandSupport:
     edges = (None, *DISTANCE_EDGES_M, None)
-    low, high = miss_interval(missed, obstacles)
+    low, high = exact_interval(missed, obstacles)
     return BandSupport(
         index=index,
         low_m=edges[index],
@@ -160,7 +159,7 @@ def _band(
         missed=missed,
         miss_low=low,
         miss_high=high,
-        miss_bound=miss_upper_bound(missed, obstacles),
+        miss_bound=exact_upper_bound(missed, obstacles),
         model_miss=model_misses / visits if visits else None,
     )
 

@@ -3,9 +3,10 @@
 import math
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.binomial import exact_interval
 from pemviz.sampling.estimates.diagnostics import count_diagnostics, weight_diagnostics
 from pemviz.sampling.estimates.importance_weights import (
     WeightFigures,
@@ -39,17 +40,17 @@ def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
     """The share of violations, with the exact binomial interval (Clopper and Pearson 1934)."""
     count, failures = rollouts.count, int(rollouts.violated.sum())
     probability = failures / count
-    interval = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")
+    interval = exact_interval(failures, count, confidence=CONFIDENCE)
     return _estimate(
         rollouts,
         method=method,
         probability=probability,
         log10_probability=math.log10(probability) if failures else None,
         std_error=math.sqrt(probability * (1.0 - probability) / count) if failures else None,
-        interval=(float(interval.low), float(interval.high)),
+        interval=interval,
         figures=weight_figures(rollouts.log_weight[rollouts.violated]),
         diagnostics=count_diagnostics(
-            failures=failures, rollouts=count, upper=float(interval.high), confidence=CONFIDENCE
+            failures=failures, rollouts=count, upper=interval[1], confidence=CONFIDENCE
         ),
     )
 
@@ -183,9 +184,9 @@ def log_normal_interval(
     half = math.sqrt(math.log1p(max(relative_error, ROUNDING) ** 2))
     level = 0.5 + CONFIDENCE / 2.0
     quantile = (
-        float(stats.norm.ppf(level))
+        float(ndtri(level))
         if degrees_of_freedom is None
-        else float(stats.t.ppf(level, degrees_of_freedom))
+        else float(stdtrit(degrees_of_freedom, level))
     )
     low, high = log_probability - quantile * half, log_probability + quantile * half
     return math.exp(low), min(math.exp(min(high, 0.0)), 1.0)

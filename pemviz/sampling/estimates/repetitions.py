@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import stats
 
+from pemviz.binomial import exact_interval
 from pemviz.sampling.estimates.diagnostics import count_diagnostics, repetition_diagnostics
 from pemviz.sampling.estimates.estimate import CONFIDENCE, log_normal_interval
 from pemviz.sampling.registry import by_name
@@ -81,8 +81,7 @@ def _repetition_interval(
     if _are_counts(estimates):
         count = sum(estimate.rollouts_in_estimate for estimate in estimates)
         failures = sum(estimate.failures for estimate in estimates)
-        pooled = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")
-        return float(pooled.low), float(pooled.high)
+        return exact_interval(failures, count, confidence=CONFIDENCE)
     if mean <= 0.0:
         return None, None
     if all(by_name(estimate.method).interval_basis == "runs" for estimate in estimates):

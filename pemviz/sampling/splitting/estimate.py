@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
 from pemviz.arrays import FloatArray, row_sums
+from pemviz.binomial import exact_interval
 from pemviz.sampling.estimates.diagnostics import count_diagnostics, undermining
 from pemviz.sampling.estimates.estimate import CONFIDENCE, negative_log_likelihood
 from pemviz.sampling.estimates.importance_weights import log_sum
@@ -87,8 +87,7 @@ def _of_count(runs: Sequence[SplittingRun]) -> tuple[Error, tuple[Diagnostic, ..
     violated = np.concatenate([run.scored.violated for run in runs])
     count, failures = violated.size, int(violated.sum())
     share = failures / count
-    interval = stats.binomtest(failures, count).proportion_ci(CONFIDENCE, method="exact")
-    low, high = float(interval.low), float(interval.high)
+    low, high = exact_interval(failures, count, confidence=CONFIDENCE)
     std_error = math.sqrt(share * (1.0 - share) / count)
     found = count_diagnostics(failures=failures, rollouts=count, upper=high, confidence=CONFIDENCE)
     return (std_error, low, high), found

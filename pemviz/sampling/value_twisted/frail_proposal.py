@@ -11,7 +11,6 @@ smooth in u, is interpolated by a cubic spline. What that costs is variance, not
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.special import log_expit
 
 from pemviz.arrays import AnyArray, FloatArray, IntArray
@@ -106,6 +105,8 @@ def value_nodes(frailty: float) -> FloatArray:
 
 def between_nodes(kept: FloatArray, nodes: VisibilityNodes) -> FloatArray:
     """Weights ``[K, J]`` that interpolate values at ``kept [K]`` to ``nodes``; linear beyond."""
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  slow to import
+
     spline = make_interp_spline(kept, np.eye(kept.size), k=3)
     u, slope = np.clip(nodes.u, kept[0], kept[-1]), spline.derivative()
     return np.asarray(spline(u) + slope(u) * (nodes.u - u)[:, None], dtype=np.float64).T
