@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.chunks import ROWS, map_distinct
+from pemviz.chunks import ROWS, distinct, map_distinct
 from pemviz.errors import PemError
 from pemviz.pem.models.card import Carded, PemCard
 from pemviz.pem.models.encoding import check_rows
@@ -29,6 +29,9 @@ LARGEST_SUM = 4096
 """Of absolute leaf values over all trees: with LEAF_UNIT, within the 53 bits of a float64."""
 
 LARGEST_CALIBRATION = 1e100
+
+LARGEST_CELL = 2**62
+"""Numbers of cells between thresholds stay below it, within an int64."""
 
 
 MOST_TREES = 10_000
@@ -93,11 +96,16 @@ class TreesPem(Carded):
 
     def _sums(self, rows: FloatArray) -> FloatArray:
         """Sum over trees of the leaf values, shape [n], of salient variables [n, 11]."""
-        result = np.empty(len(rows))
-        for start in range(0, len(rows), BLOCK_ROWS):
-            block = rows[start : start + BLOCK_ROWS]
-            result[start : start + len(block)] = self._leaf_sums(self._features(block))
-        return result
+        if not len(rows):
+            return np.empty(0)
+        features = self._features(rows)
+        first, place = self._plan.alike(features)
+        apart = features[:, first]
+        sums = [
+            self._leaf_sums(apart[:, start : start + BLOCK_ROWS])
+            for start in range(0, first.size, BLOCK_ROWS)
+        ]
+        return np.concatenate(sums)[place]
 
     def _features(self, rows: FloatArray) -> FloatArray:
         """Features [features, n], computed in chunks of fixed size."""
@@ -127,7 +135,12 @@ class TreesPem(Carded):
 
     @cached_property
     def _plan(self) -> "_Plan":
+        inner = self.feature != LEAF
         return _Plan(
+            thresholds=tuple(
+                np.unique(self.number[inner & (self.feature == index)])
+                for index in range(len(FEATURES[self.feature_set]))
+            ),
             is_leaf=self.feature == LEAF,
             feature=np.where(self.feature == LEAF, 0, self.feature).astype(np.int64),
             number=self.number,
@@ -137,12 +150,27 @@ class TreesPem(Carded):
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """The nodes in the types that indexing wants."""
+    """The nodes in the types that indexing wants, and by feature the ascending thresholds."""
 
+    thresholds: tuple[FloatArray, ...]
     is_leaf: BoolArray
     feature: IntArray
     number: FloatArray
     left: IntArray
+
+    def alike(self, features: FloatArray) -> tuple[IntArray, IntArray]:
+        """Of rows [features, n], the first [m] of those that no split parts, and which each is [n].
+
+        Along one variable trees are a staircase of few steps, however many rows there are.
+        """
+        cell, cells = np.zeros(features.shape[1], dtype=np.int64), 1
+        for thresholds, values in zip(self.thresholds, features, strict=True):
+            parting = thresholds[(thresholds >= values.min()) & (thresholds < values.max())]
+            if cells * (parting.size + 1) > LARGEST_CELL:
+                cell, cells = distinct(cell)[1].astype(np.int64), cell.size
+            cell = cell * (parting.size + 1) + np.searchsorted(parting, values)
+            cells *= parting.size + 1
+        return distinct(cell)
 
     def shortcuts(self, features: FloatArray) -> IntArray:
         """For each node, the first node below it where rows [features, n] could part; [nodes].
