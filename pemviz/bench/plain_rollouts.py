@@ -11,8 +11,9 @@ from pemviz.bench.simulators import elapsed_s
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal
-from pemviz.sampling.rollouts.compiled import CompiledRollouts, compiled_loops
+from pemviz.sampling.rollouts.compiled import CompiledRollouts
 from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.kernels import compiled_loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 

@@ -14,10 +14,11 @@ from pemviz.pem import as_pem, load_pem
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts import compiled
+from pemviz.sampling.rollouts import compiled, compiled_replay, kernels
 from pemviz.sampling.rollouts.batches import BatchTask, run_here
-from pemviz.sampling.rollouts.compiled import CompiledRollouts, CompiledRunner, Loops, is_served
-from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.compiled import CompiledRollouts, CompiledRunner, is_served
+from pemviz.sampling.rollouts.draw import replay, simulate
+from pemviz.sampling.rollouts.kernels import Loops, compiled_loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 PEM = load_pem("ml-nn")
@@ -45,7 +46,7 @@ def loops(request):
             yield Loops()
         return
     pytest.importorskip("numba")
-    found = compiled.compiled_loops()
+    found = compiled_loops()
     assert found is not None
     yield found
 
@@ -111,6 +112,56 @@ def test_every_config_and_number_of_the_scenario_is_told(loops):
         both(simulator, rollouts, generator.random((50, 39)))
 
 
+@settings(max_examples=25, deadline=None)
+@given(config=SCENARIOS, seed=st.integers(0, 2**31), count=st.sampled_from([0, 1, 7]))
+def test_replay_of_random_outcomes_in_random_scenarios_written_out(config, seed, count):
+    assert_replayed(config, count, Loops(), np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("count", [1, 1023, 1024, 1025, 2300])
+def test_compiled_replay_of_more_than_are_taken_together(count):
+    pytest.importorskip("numba")
+    found = compiled_loops()
+    assert found is not None
+    for config in (ScenarioConfig(), ScenarioConfig(lead_brake_time_s=0.7, states=37)):
+        assert_replayed(config, count, found, np.random.default_rng(count))
+
+
+def assert_replayed(config, count, loops, generator):
+    simulator = VectorizedSimulator(config)
+    detected = generator.random((count, config.states - 1)) < generator.random()
+    states, expected = simulator.initial(count=count), []
+    for outcomes in [*detected.T, None]:
+        expected.append(states.signals)
+        states = states if outcomes is None else simulator.step(states, outcomes)
+    found = compiled_replay.replay(simulator, detected, loops)
+    for name in expected[0]:
+        assert found[name].T.flags.c_contiguous
+        by_hand = np.stack([signals[name] for signals in expected], axis=1)
+        np.testing.assert_array_equal(found[name], by_hand, err_msg=name)
+
+
+def test_replay_is_compiled_where_the_loop_is_loaded_and_only_of_what_it_knows(monkeypatch):
+    told = []
+    monkeypatch.setattr(compiled_replay, "compiled_loops", lambda: told.append(1) or Loops())
+    monkeypatch.setattr(compiled_replay, "are_loaded", lambda: False)
+    monkeypatch.setattr(compiled_replay, "WORTH_LOADING", 31)
+    simulator = VectorizedSimulator(ScenarioConfig(states=11))
+    tracked = VectorizedSimulator(ScenarioConfig(states=11, tracker="2/3"))
+    outcomes = np.random.default_rng(9).random((4, 10)) < 0.5
+    few, many = replay(simulator=simulator, detected=outcomes[:3]), len(told)
+    assert not many
+    all_of_them = replay(simulator=simulator, detected=outcomes)
+    assert told == [1]
+    for name, values in few.items():
+        np.testing.assert_array_equal(values, all_of_them[name][:3], err_msg=name)
+    monkeypatch.setattr(compiled_replay, "are_loaded", lambda: True)
+    replay(simulator=simulator, detected=outcomes[:1])
+    assert told == [1, 1]
+    replay(simulator=tracked, detected=outcomes)
+    assert told == [1, 1]
+
+
 SIMULATOR = VectorizedSimulator(ScenarioConfig())
 
 
@@ -137,16 +188,16 @@ def test_without_a_numba_that_works_numpy_simulates(broken, monkeypatch, caplog)
             return lambda _: (_ for _ in ()).throw(RuntimeError("cannot cache function"))
         return function
 
-    monkeypatch.setattr(compiled, "is_installed", lambda: broken != "absent")
+    monkeypatch.setattr(kernels, "is_installed", lambda: broken != "absent")
     monkeypatch.setitem(sys.modules, "numba", SimpleNamespace(njit=njit))
-    compiled.compiled_loops.cache_clear()
+    compiled_loops.cache_clear()
     try:
-        found = compiled.compiled_loops()
+        found = compiled_loops()
         uniforms = np.random.default_rng(6).random((2, 99))
         with np.errstate(over="ignore"):
             batches = list(CompiledRunner(0)(SIMULATOR, PEM, [BatchTask(PemProposal(), uniforms)]))
     finally:
-        compiled.compiled_loops.cache_clear()
+        compiled_loops.cache_clear()
     assert (found is None) == (broken != "no cache")
     assert ("numpy simulates" in caplog.text) == (broken == "fails")
     expected = next(run_here(SIMULATOR, PEM, [BatchTask(PemProposal(), uniforms)]))

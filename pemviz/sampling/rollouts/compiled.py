@@ -6,12 +6,8 @@ gives, to the last bit. The error model's answers are kept by gap; rollouts that
 met before, some in a hundred, are simulated by numpy, and so is everything else.
 """
 
-import importlib
-import importlib.util
-import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,59 +19,24 @@ from pemviz.pem.models.card import Carded
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.rollouts.batches import BatchTask, run_here
+from pemviz.sampling.rollouts.compiled_replay import is_plain
 from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.kernels import Loops, compiled_loops, lead_speeds
 from pemviz.simulators.braking import loops
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED, SPEED_ERROR_INTEGRAL
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import Proposal, RolloutBatch, Simulator
 
-LOG = logging.getLogger(__name__)
 FIRST_BY_NUMPY = 20_000
 """Rollouts after which loading the compiled loop, about half a second, begins to pay."""
 FEWEST_PLACES, MOST_PLACES = 1 << 14, 1 << 22
 """Of a table of answers, at most half of them taken; a full one is begun anew (96 MB)."""
 
 
-@dataclass(frozen=True)
-class Loops:
-    """The functions of :mod:`pemviz.simulators.braking.loops`, compiled or not."""
-
-    advance: Callable[..., None] = loops.advance
-    insert: Callable[..., int] = loops.insert
-
-
-@cache
-def compiled_loops() -> Loops | None:
-    """The compiled functions; ``None`` without numba, or with one that fails here.
-
-    What is compiled is kept on disk: beside the source, else in the user's cache folder, and
-    where neither can be written to each process compiles for itself.
-    """
-    if not is_installed():
-        return None
-    try:
-        numba = importlib.import_module("numba")
-        try:
-            kept = numba.njit(cache=True)
-            return Loops(kept(loops.advance), kept(loops.insert))
-        except RuntimeError:  # no folder to keep it in
-            return Loops(numba.njit(loops.advance), numba.njit(loops.insert))
-    except Exception as error:  # an installation of others may raise anything
-        LOG.warning("numba cannot be used (%s); numpy simulates", error)
-        return None
-
-
-def is_installed() -> bool:
-    """Whether numba is there; asked without importing it."""
-    return importlib.util.find_spec("numba") is not None
-
-
 def is_served(simulator: Simulator, pem: Pem, proposal: Proposal) -> bool:
     """Whether the compiled loop knows the scenario, and whom outcomes are drawn from."""
     return (
-        type(simulator) is VectorizedSimulator
-        and simulator.errors is None
-        and simulator.tracker is None
+        is_plain(simulator)
         and isinstance(pem, Carded)  # its answer to a state depends on that state alone
         and type(proposal) is PemProposal
     )
@@ -86,7 +47,7 @@ class CompiledRollouts:
 
     def __init__(self, simulator: VectorizedSimulator, pem: Pem, kernels: Loops) -> None:
         self.simulator, self.pem = simulator, pem
-        self._kernels, self._lead_mps = kernels, lead_speeds(simulator)
+        self._kernels, self._lead_mps = kernels, lead_speeds(simulator.config)
         self._clear(FEWEST_PLACES)
 
     def _clear(self, places: int) -> None:
@@ -166,15 +127,6 @@ class CompiledRollouts:
 
     def _put(self, bits: Any, logit: FloatArray, miss: FloatArray) -> None:
         self._held += self._kernels.insert(self._answers, bits, logit, miss)
-
-
-def lead_speeds(simulator: VectorizedSimulator) -> FloatArray:
-    """The lead car's speeds ``[T]`` [m/s], which no outcome changes."""
-    states, found = simulator.initial(count=1), np.empty(simulator.states)
-    for step in range(simulator.states):
-        found[step] = states.signals[LEAD_SPEED][0]
-        states = simulator.step(states, np.ones(1, dtype=np.bool_))
-    return found
 
 
 @dataclass

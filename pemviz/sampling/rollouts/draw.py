@@ -10,6 +10,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, is_tensor, namespace
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.frailty import kept_with_rollouts
+from pemviz.sampling.rollouts import compiled_replay
 from pemviz.sampling.rollouts.latent_draws import LatentTrack
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import begun, stepped
@@ -130,6 +131,9 @@ def replay(
             for rows in pieces
         ]
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    compiled = compiled_replay.replayed(simulator, detected)
+    if compiled is not None:
+        return compiled
     states = begun(simulator, count=detected.shape[0], start=start)
     signals = _Track(states.signals, simulator.states)
     by_step = np.ascontiguousarray(np.moveaxis(detected, 0, 1))

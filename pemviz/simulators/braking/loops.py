@@ -18,6 +18,8 @@ MULTIPLIER = np.uint64(0x9E37_79B9_7F4A_7C15)
 """Odd; 2^64 over the golden ratio."""
 BLOCK = 64
 """Rollouts that are taken through all steps together: their draws fit the processor's cache."""
+REPLAYED_TOGETHER = 1024
+"""The same where outcomes are given and nothing is looked up."""
 
 
 class Answers(NamedTuple):
@@ -85,6 +87,29 @@ def numbers_of(config: ScenarioConfig) -> Numbers:
     )
 
 
+def moved(
+    state: tuple[float, float, float], lead: float, detected: bool, numbers: Numbers
+) -> tuple[float, float, float]:
+    """Gap [m], ego speed [m/s] and its speed error integral [m] one step after ``state``.
+
+    Args:
+        state: The same before the step.
+        lead: Speed of the lead car there [m/s].
+        detected: Perception's outcome there.
+        numbers: The scenario's.
+    """
+    gap, speed, held = state
+    error = numbers.target - speed
+    grown = error * numbers.dt + held
+    wanted = error * numbers.gain + numbers.integral_gain * grown
+    wanted = min(max(wanted, numbers.lowest), numbers.highest)
+    brakes = detected & (gap < numbers.close)
+    wanted = numbers.emergency if brakes else wanted
+    grown = held if brakes else grown
+    gap = (lead - speed) * numbers.dt + gap
+    return gap, max(speed + wanted * numbers.dt, 0.0), grown
+
+
 def advance(
     tracks: Tracks, answers: Answers, uniforms: FloatArray, lead_mps: FloatArray, numbers: Numbers
 ) -> None:
@@ -110,16 +135,12 @@ def advance(
                 detected = uniforms[n, step] >= answers.miss[place]
                 tracks.logit[step, n] = answers.logit[place]
                 tracks.detected[step, n] = detected
-                error = numbers.target - speed
-                grown = error * numbers.dt + held
-                wanted = error * numbers.gain + numbers.integral_gain * grown
-                wanted = min(max(wanted, numbers.lowest), numbers.highest)
-                if detected and tracks.gap_m[step, n] < numbers.close:
-                    wanted, grown = numbers.emergency, held
-                tracks.integral_m[step + 1, n] = grown
-                tracks.ego_mps[step + 1, n] = max(speed + wanted * numbers.dt, 0.0)
-                gap = (lead_mps[step] - speed) * numbers.dt + tracks.gap_m[step, n]
+                gap = tracks.gap_m[step, n]
+                state = gap, speed, held
+                gap, speed, held = moved(state, lead_mps[step], detected, numbers)
                 tracks.gap_m[step + 1, n] = gap
+                tracks.ego_mps[step + 1, n] = speed
+                tracks.integral_m[step + 1, n] = held
                 tracks.reached[n] = step + 1
 
 
@@ -135,3 +156,35 @@ def insert(answers: Answers, bits: Any, logit: FloatArray, miss: FloatArray) -> 
             answers.logit[place], answers.miss[place] = logit[n], miss[n]
             new += 1
     return new
+
+
+def replay(
+    gap_m: FloatArray,
+    ego_mps: FloatArray,
+    detected: BoolArray,
+    lead_mps: FloatArray,
+    numbers: Numbers,
+) -> None:
+    """Take rollouts from their first state through all steps by given outcomes.
+
+    Args:
+        gap_m: ``[T, N]`` [m], of which the first row is there.
+        ego_mps: Speeds of the ego ``[T, N]`` [m/s], likewise.
+        detected: ``[T-1, N]``.
+        lead_mps: Speeds of the lead car ``[T]`` [m/s].
+        numbers: The scenario's.
+    """
+    steps, count = detected.shape
+    held_m = np.empty(REPLAYED_TOGETHER)
+    for first in range(0, count, REPLAYED_TOGETHER):
+        last = min(first + REPLAYED_TOGETHER, count)
+        held_m[:] = 0.0
+        for step in range(steps):
+            gap, speed, lead = gap_m[step, first:last], ego_mps[step, first:last], lead_mps[step]
+            gap_after = gap_m[step + 1, first:last]
+            speed_after = ego_mps[step + 1, first:last]
+            outcome = detected[step, first:last]
+            for n in range(last - first):
+                state = gap[n], speed[n], held_m[n]
+                state = moved(state, lead, outcome[n], numbers)
+                gap_after[n], speed_after[n], held_m[n] = state
