@@ -29,6 +29,10 @@ class TooManyStates(Exception):  # noqa: N818  an answer, not a fault
     """A scenario has more states than the caller wants to look at."""
 
 
+class MustMergeNeighbours(Exception):  # noqa: N818  an answer, not a fault
+    """A scenario has so many states that some that differ would have to be taken for one."""
+
+
 class Merger:
     """Merges the states of one step after the other.
 
@@ -38,14 +42,21 @@ class Merger:
     """
 
     def __init__(
-        self, largest_layer: int, pause: Pause = no_pause, *, most_states: int | None = None
+        self,
+        largest_layer: int,
+        pause: Pause = no_pause,
+        *,
+        most_states: int | None = None,
+        exactly: bool = False,
     ) -> None:
         """Merge neighbours where a step has more than ``largest_layer`` states.
 
-        Above ``most_states`` over all steps, merging ends with :class:`TooManyStates`.
+        Above ``most_states`` over all steps, merging ends with :class:`TooManyStates`; where it is
+        to merge ``exactly``, with :class:`MustMergeNeighbours` instead of merging them.
         """
         self._largest = largest_layer
         self._most = most_states
+        self._exactly = exactly
         self._pause = pause
         self._total = 0
         self._share = FIRST_COARSE_SHARE
@@ -57,6 +68,7 @@ class Merger:
 
         Raises:
             TooManyStates: There are more by now than ``most_states``.
+            MustMergeNeighbours: It can no longer be done ``exactly``.
         """
         columns = _varying(state_columns(states))
         if not columns:
@@ -69,6 +81,8 @@ class Merger:
         if self._total + first.size > LARGEST_TOTAL:
             self._largest = min(self._largest, COARSE_LAYER)
         if first.size > self._largest:
+            if self._exactly:
+                raise MustMergeNeighbours
             self._largest = min(self._largest, COARSE_LAYER)
             self.exact = False
             first, index = self._coarsely(columns)

@@ -6,15 +6,22 @@ can often be held at once, and every sequence of outcomes is a path through them
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.pem.models.pieces import logit_along
-from pemviz.sampling.value_twisted.merging import LARGEST_LAYER, Merger, Pause, no_pause
+from pemviz.sampling.value_twisted.merging import (
+    LARGEST_LAYER,
+    Merger,
+    MustMergeNeighbours,
+    Pause,
+    no_pause,
+)
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
+from pemviz.simulators.bounds import signal_bounds, tells_bounds
 from pemviz.simulators.latents import begun
 from pemviz.simulators.quantised import StartCells, start_cells
 from pemviz.types import Simulator, StateBatch
@@ -93,21 +100,20 @@ def explore(
     Raises:
         TooManyStates: There are more than ``most_states``.
     """
-    walk = _Walk(twin, unsafe, pause)
-    merger = Merger(largest_layer, pause, most_states=most_states)
-    cells = start_cells(twin)
-    if cells is not None:
-        return _from_cells(walk, cells, pem, merger)
-    start = twin.initial(count=1)
-    if unsafe(start)[0]:
-        return StateGraph(layers=(), start=UNSAFE_NODE, exact=True)
-    moves = _all_moves(walk, start, merger)
-    live = _live(moves)
-    if not live or not live[0].any():
-        return StateGraph(layers=(), start=SAFE_NODE, exact=merger.exact)
-    return StateGraph(
-        layers=_live_layers(walk, start, moves, live, pem), start=0, exact=merger.exact
-    )
+    walk = _Walk(twin, unsafe, pause, bounded=tells_bounds(twin))
+
+    def explored(walk: _Walk) -> StateGraph:
+        merger = Merger(largest_layer, pause, most_states=most_states, exactly=walk.bounded)
+        cells = start_cells(twin)
+        if cells is not None:
+            return _from_cells(walk, cells, pem, merger)
+        return _from_start(walk, pem, merger)
+
+    try:
+        return explored(walk)
+    except MustMergeNeighbours:
+        # an approximation by neighbours asks those too that nothing can be violated from
+        return explored(replace(walk, bounded=False))
 
 
 @dataclass(frozen=True)
@@ -118,11 +124,13 @@ class _Walk:
         twin: What steps them.
         unsafe: What violates the specification.
         pause: Called after every step of the twin.
+        bounded: Whether the twin's own bounds tell states that are followed no further.
     """
 
     twin: Simulator
     unsafe: Unsafe
     pause: Pause
+    bounded: bool
 
     @property
     def last_step(self) -> int:
@@ -134,10 +142,35 @@ class _Walk:
         """The states ``[2n]`` after a miss, then after a hit, at states ``[n]``."""
         return StateBatch.concatenate([self._after(states, hit=hit) for hit in (False, True)])
 
+    def may_violate(self, states: StateBatch) -> BoolArray | bool:
+        """Whether some sequence of outcomes may lead from states to an unsafe one, ``[N]``.
+
+        True where that is not known.
+        """
+        if not (self.bounded and isinstance(self.unsafe, UnsafeStates)):
+            return True
+        step = int(states.step)
+        bounds = signal_bounds(self.twin, states, steps=self.last_step - step)
+        return self.unsafe.possible(bounds, after=step)
+
     def _after(self, states: StateBatch, *, hit: bool) -> StateBatch:
         result = self.twin.step(states, np.full(states.shape[0], hit))
         self.pause()
         return result
+
+
+def _from_start(walk: _Walk, pem: DetectorModel, merger: Merger) -> StateGraph:
+    """The graph of all states that matter from one start."""
+    start = walk.twin.initial(count=1)
+    if walk.unsafe(start)[0]:
+        return StateGraph(layers=(), start=UNSAFE_NODE, exact=True)
+    moves = _all_moves(walk, start, merger)
+    live = _live(moves)
+    if not live or not live[0].any():
+        return StateGraph(layers=(), start=SAFE_NODE, exact=merger.exact)
+    return StateGraph(
+        layers=_live_layers(walk, start, moves, live, pem), start=0, exact=merger.exact
+    )
 
 
 def _from_cells(walk: _Walk, cells: StartCells, pem: DetectorModel, merger: Merger) -> StateGraph:
@@ -165,10 +198,11 @@ def _all_moves(walk: _Walk, start: StateBatch, merger: Merger) -> Sequence[AnyAr
         is_unsafe = walk.unsafe(children)
         node = np.where(is_unsafe, np.int32(UNSAFE_NODE), np.int32(SAFE_NODE))
         moves.append(node.reshape(2, -1))
-        open_ = np.flatnonzero(~is_unsafe)
+        open_ = np.flatnonzero(~is_unsafe & walk.may_violate(children))
         if open_.size == 0 or step + 1 == walk.last_step:
             break
-        states, index = merger.merge(children if is_unsafe.sum() == 0 else children.take(open_))
+        every = open_.size == is_unsafe.size
+        states, index = merger.merge(children if every else children.take(open_))
         node[open_] = index
     return moves
 

@@ -1,13 +1,18 @@
 """Specifications that single states decide: ``always (predicate on the state)``."""
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
+import numpy as np
+
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray, Move, is_tensor, namespace
+from pemviz.simulators.bounds import SignalBounds
 from pemviz.stl.classical import ClassicalSemantics
-from pemviz.stl.formulas import And, Formula
+from pemviz.stl.expressions import Constant, Predicate, Signal
+from pemviz.stl.formulas import And, Formula, Or
 from pemviz.stl.semantics import evaluate
 from pemviz.stl.temporal import Always
 from pemviz.types import StateBatch
@@ -50,6 +55,16 @@ class UnsafeStates:
                 unsafe |= _broken(rule.predicate, states.signals)
         return unsafe
 
+    def possible(self, bounds: SignalBounds, *, after: int) -> BoolArray | bool:
+        """Whether signals that stay within bounds ``[N]`` can break a rule after step ``after``.
+
+        True unless the bounds rule it out.
+        """
+        later = [rule for rule in self.rules if self.turns * rule.last > after]
+        return functools.reduce(
+            np.logical_or, (_breakable(rule.predicate, bounds) for rule in later), False
+        )
+
     def moved(self, move: Move) -> Self:  # noqa: ARG002
         """Itself: it holds no arrays."""
         return self
@@ -61,6 +76,20 @@ def _broken(predicate: Formula, signals: Mapping[str, FloatArray]) -> BoolArray:
         single = {name: values[None] for name, values in signals.items()}
         return evaluate(predicate, ClassicalSemantics(), single, start=0, steps=1)[0] < 0.0
     return stl.violated(predicate, {name: values[:, None] for name, values in signals.items()})
+
+
+def _breakable(predicate: Formula, bounds: SignalBounds) -> BoolArray | bool:
+    """Whether signals within bounds ``[N]`` may violate a predicate; True if that is not known."""
+    match predicate:
+        case And(parts=parts):
+            return functools.reduce(np.logical_or, (_breakable(part, bounds) for part in parts))
+        case Or(parts=parts):
+            return functools.reduce(np.logical_and, (_breakable(part, bounds) for part in parts))
+        case Predicate(left=Signal(name=name), right=Constant(value=value)) if name in bounds:
+            low, high = bounds[name]
+            return low < value if predicate.is_lower_bound else high > value
+        case _:
+            return True
 
 
 def unsafe_states(formula: Formula, *, turns: int = 1) -> UnsafeStates | None:

@@ -1,11 +1,13 @@
 """The braking scenario for a whole batch of rollouts at once."""
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, Move, namespace
+from pemviz.simulators.bounds import SignalBounds
 from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
@@ -16,6 +18,9 @@ from pemviz.simulators.braking.scenario import (
     Perceived,
 )
 from pemviz.types import StateBatch
+
+ROUNDING = 1e-3
+"""By which bounds of signals are wider than they would be without rounding [m, m/s]."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,37 @@ class VectorizedSimulator(BrakingScenario):
             },
             memory={SPEED_ERROR_INTEGRAL: integral_m, **told.memory},
         )
+
+    def signal_bounds(self, states: StateBatch, *, steps: int) -> SignalBounds:
+        """Between which values signals stay, from states ``[N]`` to ``steps`` steps later.
+
+        The gap is smallest if the ego accelerates all the time. It then closes ever faster, so
+        that it is smallest at one of the two ends.
+        """
+        config, dt_s = self.config, self.config.dt_s
+        gap_m, ego_mps = states.signals[GAP], states.signals[EGO_SPEED]
+        lead_mps = states.signals[LEAD_SPEED]
+        gained_mps = config.maximum_acceleration_mps2 * dt_s * steps
+        slowest_mps = float(lead_mps.min()) if lead_mps.size else 0.0
+        closed_m = ego_mps * (steps * dt_s)
+        closed_m += gained_mps * dt_s * (steps - 1) / 2.0
+        closed_m -= self._shortest_way_m(slowest_mps, first=int(states.step), steps=steps)
+        return {
+            GAP: (gap_m - np.maximum(closed_m, 0.0) - ROUNDING, np.inf),
+            EGO_SPEED: (0.0, ego_mps + (gained_mps + ROUNDING)),
+            LEAD_SPEED: (0.0, lead_mps),
+        }
+
+    def _shortest_way_m(self, speed_mps: float, *, first: int, steps: int) -> float:
+        """How far a lead car goes at least from step ``first`` on [m]."""
+        dt_s, lost_mps = self.config.dt_s, self.config.lead_deceleration_mps2 * self.config.dt_s
+        unbraked = math.floor(self.config.lead_brake_time_s / dt_s) - first
+        unbraked = min(max(unbraked, 0), steps)
+        braked = steps - unbraked
+        if lost_mps > 0.0:
+            braked = min(braked, math.floor(speed_mps / lost_mps))
+        braked_m = dt_s * (speed_mps * braked - lost_mps * braked * (braked - 1) / 2.0)
+        return speed_mps * unbraked * dt_s + braked_m
 
     def _ego_acceleration(
         self, states: StateBatch, told: Perceived

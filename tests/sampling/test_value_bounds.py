@@ -1,0 +1,179 @@
+"""States that a simulator says cannot violate any more are followed no further; nothing else is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pemviz import stl
+from pemviz.config import ScenarioConfig
+from pemviz.pem import load_pem
+from pemviz.pem.models.memory import Memory
+from pemviz.sampling.memory import RememberingPem
+from pemviz.sampling.value_twisted import reachable_states
+from pemviz.sampling.value_twisted.merging import Merger, TooManyStates
+from pemviz.sampling.value_twisted.reachable_states import explore
+from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
+from pemviz.sampling.value_twisted.values import solve
+from pemviz.simulators.bounds import signal_bounds, tells_bounds
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from pemviz.simulators.latents import begun
+from pemviz.simulators.remembering import remembering
+
+PEM = load_pem("ml-nn")
+SHORT = ScenarioConfig(initial_speed_kmh=40.0, initial_gap_m=6.0, states=24)
+NEAR = "always[0,23] (gap >= 4.5)"
+SIGNALS = ("gap", "ego_speed", "lead_speed")
+
+
+@dataclass(frozen=True)
+class Silent(VectorizedSimulator):
+    """Inherits bounds, which says nothing of its own steps."""
+
+
+def rule_of(spec):
+    return unsafe_states(stl.parse(spec, signals=SIGNALS))
+
+
+def graph_of(twin, spec=NEAR, pem=PEM, **asked):
+    return explore(twin=twin, pem=pem, unsafe=rule_of(spec), **asked)
+
+
+configs = st.builds(
+    ScenarioConfig,
+    initial_speed_kmh=st.floats(1.0, 144.0),
+    initial_gap_m=st.floats(1.0, 40.0),
+    lead_deceleration_mps2=st.sampled_from([0.0, 0.1, 2.943, 8.0, 20.0]),
+    lead_brake_time_s=st.sampled_from([0.0, 0.1, 0.5, 1.0, 99.0]),
+    emergency_deceleration_mps2=st.floats(0.1, 20.0),
+    maximum_acceleration_mps2=st.floats(0.0, 20.0),
+    maximum_deceleration_mps2=st.floats(0.0, 20.0),
+    speed_gain_per_s=st.floats(0.0, 50.0),
+    speed_integral_gain_per_s2=st.floats(0.0, 50.0),
+    dt_s=st.sampled_from([0.001, 0.05, 0.3, 1.0]),
+    states=st.just(40),
+    tracker=st.sampled_from(["none", "2/3"]),
+)
+
+
+@given(config=configs, seed=st.integers(0, 2**32 - 1), miss=st.floats(0.0, 1.0))
+@settings(deadline=None, max_examples=60)
+def test_signals_stay_within_bounds_whatever_is_detected(config, seed, miss):
+    rng = np.random.default_rng(seed)
+    simulator = remembering(VectorizedSimulator(config))
+    states = [begun(simulator, count=30)]
+    for _ in range(simulator.states - 1):
+        states.append(simulator.step(states[-1], rng.random(30) >= miss))
+    for first in (0, 1, int(rng.integers(2, 39))):
+        steps = int(rng.integers(0, 40 - first))
+        bounds = signal_bounds(simulator, states[first], steps=steps)
+        assert set(bounds) == set(SIGNALS)
+        for later in states[first : first + steps + 1]:
+            for name, (low, high) in bounds.items():
+                assert (later.signals[name] >= low).all()
+                assert (later.signals[name] <= high).all()
+
+
+def test_the_gap_of_an_ego_that_never_brakes_reaches_its_bound():
+    config = ScenarioConfig(speed_gain_per_s=1e6)  # full acceleration once below its target
+    simulator = VectorizedSimulator(config)
+    states = simulator.initial(count=1)
+    for hit in [True] * 62 + [False] * 2:
+        states = simulator.step(states, np.full(1, hit))
+    low, _ = signal_bounds(simulator, states, steps=20)["gap"]
+    for _ in range(20):
+        states = simulator.step(states, np.full(1, False))
+    assert states.signals["gap"] == pytest.approx(low, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        NEAR,
+        "always[0,9] (gap >= 3.0) and always[20,23] (gap >= 5.0)",
+        "always[0,23] (gap >= 4.5 or ego_speed <= 3.0)",
+        "always[0,23] (not (gap < 4.5))",
+        "always[0,23] (gap - 0.1 * ego_speed >= 3.6)",
+        "always[0,23] (gap >= 4.5 and ego_speed <= 11.3)",
+    ],
+)
+@pytest.mark.parametrize("tau_s", [0.0, 0.2])
+def test_the_same_states_count_with_and_without_bounds(spec, tau_s):
+    told, silent = VectorizedSimulator(SHORT), Silent(SHORT)
+    pem = PEM
+    if tau_s:
+        told, silent = remembering(told), remembering(silent)
+        pem = RememberingPem(PEM, Memory(tau_s), SHORT.dt_s)
+    assert tells_bounds(told)
+    assert not tells_bounds(silent)
+    one, other = graph_of(told, spec, pem=pem), graph_of(silent, spec, pem=pem)
+    assert one.exact
+    assert other.exact
+    assert len(one.layers) == len(other.layers) > 10
+    for mine, theirs in zip(one.layers, other.layers, strict=True):
+        np.testing.assert_array_equal(mine.after_miss, theirs.after_miss)
+        np.testing.assert_array_equal(mine.after_hit, theirs.after_hit)
+        np.testing.assert_allclose(mine.pem_logit, theirs.pem_logit, rtol=1e-12)
+    expected = pytest.approx(solve(other).log_probability, abs=1e-12)
+    assert solve(one).log_probability == expected
+
+
+def test_hardly_any_other_states_are_looked_at():
+    live = sum(layer.count for layer in graph_of(Silent(SHORT)).layers)
+    assert graph_of(VectorizedSimulator(SHORT), most_states=round(1.2 * live)).exact
+    with pytest.raises(TooManyStates):
+        graph_of(Silent(SHORT), most_states=100 * live)
+
+
+def test_an_approximation_is_the_same_with_and_without_bounds(monkeypatch):
+    exactly = []
+
+    def merger(*args, **kwargs):
+        exactly.append(kwargs["exactly"])
+        return Merger(*args, **kwargs)
+
+    monkeypatch.setattr(reachable_states, "Merger", merger)
+    one = graph_of(VectorizedSimulator(SHORT), largest_layer=300)
+    other = graph_of(Silent(SHORT), largest_layer=300)
+    assert exactly == [True, False, False]
+    assert not one.exact
+    for mine, theirs in zip(one.layers, other.layers, strict=True):
+        np.testing.assert_array_equal(mine.pem_logit, theirs.pem_logit)
+    assert solve(one).log_probability == solve(other).log_probability
+
+
+@given(data=st.data())
+@settings(deadline=None)
+def test_a_rule_that_some_point_within_bounds_breaks_is_possible(data):
+    spec = data.draw(
+        st.sampled_from(
+            [
+                "gap >= 1.5",
+                "gap <= 1.5 and ego_speed > 0.5",
+                "gap < 0.5 or ego_speed >= 1.5",
+                "not (gap >= 0.5) or (lead_speed <= 0.5 and gap > -0.5)",
+                "gap + ego_speed >= 1.0 and gap >= -1.5",
+            ]
+        )
+    )
+    rule = rule_of(f"always[0,5] ({spec})")
+    sides = st.integers(-2, 2).map(float)
+    bounds = {}
+    for name in ("gap", "ego_speed"):  # of the lead car's speed nothing is known
+        ends = sorted(data.draw(st.tuples(sides, sides)))
+        bounds[name] = (np.array([ends[0]]), ends[1])
+    point = {n: np.array([[data.draw(st.floats(float(a[0]), b))]]) for n, (a, b) in bounds.items()}
+    point["lead_speed"] = np.array([[data.draw(st.floats(-2.0, 2.0))]])
+    if stl.violated(stl.parse(spec, signals=SIGNALS), point)[0]:
+        assert np.all(rule.possible(bounds, after=4))
+    assert not np.any(rule.possible(bounds, after=5))
+
+
+def test_bounds_rule_out_what_lies_beyond_them():
+    far = {"gap": (np.array([2.0, 1.9]), np.array([9.0, 9.0]))}
+    asked = {"gap >= 2.0": [False, True], "gap <= 9.0": [False, False], "gap < 8.0": [True, True]}
+    for spec, expected in asked.items():
+        found = rule_of(f"always[0,5] ({spec})").possible(far, after=0)
+        np.testing.assert_array_equal(found, expected)
