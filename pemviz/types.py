@@ -213,19 +213,34 @@ class RolloutBatch(Batch):
     @cached_property
     def log_q(self) -> FloatArray:
         """Log likelihood ``[N, T-1]`` of each outcome under the proposal [nats]."""
-        if np.array_equal(self.proposal_logit, self.pem_logit):  # plain simulation
+        if self._follows_model:
             return self.log_p
         return read_only(outcome_log_likelihood(self.proposal_logit, self.detected))
+
+    @cached_property
+    def _follows_model(self) -> bool:
+        """Whether outcomes were drawn from the error model: plain simulation."""
+        proposal, pem = self.proposal_logit, self.pem_logit
+        return proposal is pem or np.array_equal(proposal, pem)
 
     @cached_property
     def log_weight(self) -> FloatArray:
         """Log importance weight ``[N]``: sum over outcomes and latents of log p - log q [nats]."""
         of_outcomes = np.zeros(self.count)
-        if self.log_q is not self.log_p:
+        if not self._follows_model:
             of_outcomes = row_sums(np.subtract(self.log_p, self.log_q, order="C"))
         if self.latents is None:
             return read_only(of_outcomes)
         return read_only(of_outcomes + self.latents.log_weight)
+
+    def log_p_of(self, rows: Rows) -> FloatArray:
+        """Log likelihood ``[M]`` of all outcomes of some rollouts under the error model [nats].
+
+        Computed for these alone, unless it is known of all.
+        """
+        if "log_p" in vars(self):
+            return row_sums(self.log_p[rows])
+        return row_sums(outcome_log_likelihood(self.pem_logit[rows], self.detected[rows]))
 
     def decision_states(self) -> StateBatch:
         """The states at which perception acted, arrays ``[N, T-1]``."""

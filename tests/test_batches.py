@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pemviz.latents import Latents
-from pemviz.sampling.rollouts.final_batch import weighed
 from pemviz.sampling.splitting.particles import Particles
 from pemviz.simulators.latched import MonitoredStates
 from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
@@ -77,7 +76,6 @@ KINDS = (
     rollouts,
     scored,
     particles,
-    lambda *given: weighed(scored(*given)),
     states_of_one_step,
     states_by_step,
     states_by_row,
@@ -85,7 +83,7 @@ KINDS = (
 each_kind = pytest.mark.parametrize(
     "kind",
     KINDS,
-    ids=("rollouts", "scored", "particles", "weighed", "one-step", "by-step", "by-row"),
+    ids=("rollouts", "scored", "particles", "one-step", "by-step", "by-row"),
 )
 seeds = st.integers(0, 2**32 - 1)
 

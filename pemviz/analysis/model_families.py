@@ -113,29 +113,30 @@ def family_ratios(
 
 
 def family_answers(
-    ratios: FamilyRatios, *, families: Sequence[Pem], log_weight: FloatArray
+    ratios: FamilyRatios, *, families: Sequence[Pem], log_weight: FloatArray, of: int
 ) -> tuple[FamilyAnswer, ...]:
     """The failure probability under each family, if any violation speaks for it.
 
     Args:
         ratios: Of all rollouts that the estimate averages.
         families: F models.
-        log_weight: Those rollouts' log weights under the model itself, ``[N]``.
+        log_weight: Their violations' log weights under the model itself, ``[V]``.
+        of: How many rollouts there are, N.
     """
-    carried = log_weight[ratios.rollout] + ratios.log_stands_for
+    carried = log_weight + ratios.log_stands_for
     answers: list[FamilyAnswer] = []
     for model, log_ratio in zip(families, ratios.log_ratio.T, strict=True):
-        log_mu = log_mean(carried + log_ratio, of=log_weight.size)
+        log_mu = log_mean(carried + log_ratio, of=of)
         if not math.isfinite(log_mu):
             continue
-        second = log_mean(2.0 * (carried + log_ratio), of=log_weight.size)
+        second = log_mean(2.0 * (carried + log_ratio), of=of)
         variance = max(math.expm1(second - 2.0 * log_mu), 0.0)
         answers.append(
             FamilyAnswer(
                 name=model.name,
                 probability=math.exp(log_mu),
                 log10_probability=log_mu / math.log(10.0),
-                relative_std_error=math.sqrt(variance / log_weight.size),
+                relative_std_error=math.sqrt(variance / of),
                 effective_failures=effective_sample_size(carried + log_ratio),
             )
         )

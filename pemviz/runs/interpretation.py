@@ -50,23 +50,23 @@ from pemviz.types import StageResult
 
 @dataclass(frozen=True)
 class _Weighed:
-    """Other families' ratios with the log weights ``[N]`` of the rollouts that they index."""
+    """Other families' ratios of V among N rollouts, with these violations' log weights ``[V]``."""
 
     ratios: FamilyRatios
     log_weight: FloatArray
+    count: int
 
     @staticmethod
     def concatenate(parts: "Sequence[_Weighed]") -> "_Weighed":
         """All of at least one part, as if drawn in one."""
-        sizes = [part.log_weight.size for part in parts]
-        firsts = np.concatenate([[0], np.cumsum(sizes)])
+        counts = [part.count for part in parts]
+        firsts = np.cumsum([0, *counts], dtype=np.int64)[:-1]
         moved = [
             replace(part.ratios, rollout=part.ratios.rollout + first)
-            for part, first in zip(parts, firsts[:-1], strict=True)
+            for part, first in zip(parts, firsts, strict=True)
         ]
-        return _Weighed(
-            FamilyRatios.concatenate(moved), np.concatenate([part.log_weight for part in parts])
-        )
+        log_weight = np.concatenate([part.log_weight for part in parts])
+        return _Weighed(FamilyRatios.concatenate(moved), log_weight, sum(counts))
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Interpreted:
         members: The answers of the error model's ensemble on which ``result.pem_interval``
             rests, one for each part of a final batch that was asked.
         of_repetition: What other families make of the violations of the stages since the last
-            repetition ended, with the stages' own log weights ``[N]``.
+            repetition ended, with the stages' own log weights.
         of_repetitions: The same of each repetition that is done, with the log weights that its
             estimate averages.
         stage_starts: What violations of the stages since the last repetition ended started from.
@@ -175,12 +175,10 @@ def _asked_of_families(
     """What other families of models make of the stage's violations."""
     if not experiment.families:
         return interpreted
-    weighed = _Weighed(
-        family_ratios(
-            stage.scored, simulator=experiment.problem.simulator, families=experiment.families
-        ),
-        stage.scored.rollouts.log_weight,
-    )
+    simulator, families = experiment.problem.simulator, experiment.families
+    ratios = family_ratios(stage.scored, simulator=simulator, families=families)
+    rollouts = stage.scored.rollouts
+    weighed = _Weighed(ratios, rollouts.log_weight[ratios.rollout], rollouts.count)
     return replace(interpreted, of_repetition=(*interpreted.of_repetition, weighed))
 
 
@@ -199,11 +197,15 @@ def interpret_repetition(
         return interpreted
     weighed, method = _Weighed.concatenate(interpreted.of_repetition), experiment.method
     if isinstance(method, PoolsStages):
-        weighed = replace(weighed, log_weight=method.pooled_log_weight(state))
+        of_all = method.pooled_log_weight(state)
+        weighed = replace(weighed, log_weight=of_all[weighed.ratios.rollout])
     of_repetitions = (*interpreted.of_repetitions, weighed)
     pooled = _Weighed.concatenate(of_repetitions)
     families = family_answers(
-        pooled.ratios, families=experiment.families, log_weight=pooled.log_weight
+        pooled.ratios,
+        families=experiment.families,
+        log_weight=pooled.log_weight,
+        of=pooled.count,
     )
     return replace(
         interpreted,

@@ -17,7 +17,6 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.analysis.starts import DangerousStarts
-from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Range, Share
 from pemviz.display import ShownInNotebooks
@@ -276,7 +275,7 @@ def rank_rollouts(
         share = contributions(chosen.log_weight, violated=violated)
     carries = carrying(share)
     order = np.lexsort((robustness, ~carries))[:count]
-    nll = -row_sums(chosen.log_p[order])
+    nll = -chosen.log_p_of(order)
     return [
         RankedRollout(
             repetition=stage.repetition,

@@ -31,13 +31,20 @@ def drawn(problem, *, count=4_000):
     )
 
 
+def answered(scored, ratios):
+    log_weight = scored.rollouts.log_weight
+    return family_answers(
+        ratios, families=FAMILIES, log_weight=log_weight[ratios.rollout], of=log_weight.size
+    )
+
+
 @pytest.mark.parametrize("count", [4_000, 40_000])
 def test_every_family_gets_its_own_answer(count, toy_problem):
     """Six z-tests at 4 standard errors: false alarm 4e-4 together; the seed is fixed."""
     scored = drawn(toy_problem, count=count)
     ratios = family_ratios(scored, simulator=toy_problem.simulator, families=FAMILIES)
     assert ratios.rollout.size == min(MOST_VIOLATIONS, scored.violated.sum())
-    answers = family_answers(ratios, families=FAMILIES, log_weight=scored.rollouts.log_weight)
+    answers = answered(scored, ratios)
     steps = scored.rollouts.detected.shape[1]
     for answer, miss in zip(answers, MISS, strict=True):
         truth = exact_failure_probability(steps=steps, miss_probability=miss)
@@ -52,7 +59,7 @@ def test_all_violations_give_the_plain_importance_sampling_average(toy_problem):
     scored = drawn(toy_problem)
     assert scored.violated.sum() <= MOST_VIOLATIONS
     ratios = family_ratios(scored, simulator=toy_problem.simulator, families=FAMILIES)
-    answers = family_answers(ratios, families=FAMILIES, log_weight=scored.rollouts.log_weight)
+    answers = answered(scored, ratios)
     misses, steps = (~scored.rollouts.detected).sum(axis=1), scored.rollouts.detected.shape[1]
     for answer, miss in zip(answers, MISS, strict=True):
         weight = (2 * miss) ** misses * (2 * (1 - miss)) ** (steps - misses) * scored.violated
@@ -86,8 +93,7 @@ def test_without_violations_there_is_no_answer(toy_problem):
     )
     assert not safe.violated.any()
     ratios = family_ratios(safe, simulator=toy_problem.simulator, families=FAMILIES)
-    log_weight = safe.rollouts.log_weight
-    assert family_answers(ratios, families=FAMILIES, log_weight=log_weight) == ()
+    assert answered(safe, ratios) == ()
 
 
 def test_families_are_the_shipped_models_of_the_same_data():

@@ -51,10 +51,12 @@ def kinds(estimate):
 
 def weighted(weights, *, rollouts=100, log_scale=0.0):
     """An estimate from failures with these weights among ``rollouts``."""
-    log_weight = np.full(rollouts, -3.0)
-    log_weight[: len(weights)] = np.log(weights) + log_scale
-    violated = np.arange(rollouts) < len(weights)
-    batch = WeighedRollouts(log_weight=log_weight, log_p=np.full(rollouts, -5.0), violated=violated)
+    batch = WeighedRollouts(
+        count=rollouts,
+        row=np.arange(len(weights)),
+        log_weight=np.log(weights) + log_scale,
+        log_p=np.full(len(weights), -5.0),
+    )
     return importance_sampling_estimate(batch, method="naive", rollouts_simulated=rollouts)
 
 

@@ -11,6 +11,7 @@ from pemviz.sampling.estimates.diagnostics import count_diagnostics, weight_diag
 from pemviz.sampling.estimates.importance_weights import (
     WeightFigures,
     log_mean_failing_weight,
+    log_mean_weight,
     log_std_error,
     log_sum,
     weight_figures,
@@ -38,7 +39,7 @@ judge the choice.
 
 def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
     """The share of violations, with the exact binomial interval (Clopper and Pearson 1934)."""
-    count, failures = rollouts.count, int(rollouts.violated.sum())
+    count, failures = rollouts.count, rollouts.failures
     probability = failures / count
     interval = exact_interval(failures, count, confidence=CONFIDENCE)
     return _estimate(
@@ -48,7 +49,7 @@ def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
         log10_probability=math.log10(probability) if failures else None,
         std_error=math.sqrt(probability * (1.0 - probability) / count) if failures else None,
         interval=interval,
-        figures=weight_figures(rollouts.log_weight[rollouts.violated]),
+        figures=weight_figures(rollouts.log_weight),
         diagnostics=count_diagnostics(
             failures=failures, rollouts=count, upper=interval[1], confidence=CONFIDENCE
         ),
@@ -59,12 +60,11 @@ def importance_sampling_estimate(
     rollouts: WeighedRollouts, *, method: str, rollouts_simulated: int
 ) -> Estimate:
     """The average weight of violations, with a log-normal interval."""
-    log_weight, violated = rollouts.log_weight, rollouts.violated
-    failures = int(violated.sum())
-    figures = weight_figures(log_weight[violated])
-    log_probability = log_mean_failing_weight(log_weight, violated)
+    failures = rollouts.failures
+    figures = weight_figures(rollouts.log_weight)
+    log_probability = log_mean_weight(rollouts.log_weight, of=rollouts.count)
     log10_probability = log_probability / math.log(10.0) if failures else None
-    log_error = log_std_error(log_weight, violated)
+    log_error = _log_std_error(rollouts)
     return _estimate(
         rollouts,
         method=method,
@@ -204,6 +204,13 @@ def negative_log_likelihood(log_p: FloatArray) -> tuple[float | None, float | No
     return float(-np.mean(log_p)), float(np.log(log_p.size)) - log_sum(log_p)
 
 
+def _log_std_error(rollouts: WeighedRollouts) -> float:
+    """Log of the standard error of the average weight of violations [nats]; -inf without one."""
+    log_weight, violated = np.zeros(rollouts.count), np.zeros(rollouts.count, dtype=np.bool_)
+    log_weight[rollouts.row], violated[rollouts.row] = rollouts.log_weight, True
+    return log_std_error(log_weight, violated)
+
+
 def _estimate(
     rollouts: WeighedRollouts,
     *,
@@ -216,8 +223,7 @@ def _estimate(
     diagnostics: tuple[Diagnostic, ...],
     rollouts_simulated: int | None = None,
 ) -> Estimate:
-    violated = rollouts.violated
-    nll_mean, nll_log_mean = negative_log_likelihood(rollouts.log_p[violated])
+    nll_mean, nll_log_mean = negative_log_likelihood(rollouts.log_p)
     return Estimate(
         method=method,
         probability=probability,
@@ -227,7 +233,7 @@ def _estimate(
         ci_high=interval[1],
         rollouts_simulated=rollouts_simulated or rollouts.count,
         rollouts_in_estimate=rollouts.count,
-        failures=int(violated.sum()),
+        failures=rollouts.failures,
         nll_mean=nll_mean,
         nll_log_mean=nll_log_mean,
         ess=figures.ess,

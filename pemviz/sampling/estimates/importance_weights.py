@@ -42,9 +42,14 @@ def log_mean_failing_weight(log_weight: FloatArray, violated: BoolArray) -> floa
     The importance sampling estimate of the failure probability (the paper's equation for
     mu-hat), as a logarithm [nats].
     """
-    if not violated.any():
+    return log_mean_weight(log_weight[violated], of=log_weight.size)
+
+
+def log_mean_weight(failing_log_weight: FloatArray, *, of: int) -> float:
+    """The same from the log weights ``[F]`` of those that violate among ``of`` rollouts."""
+    if failing_log_weight.size == 0:
         return -np.inf
-    return log_sum(log_weight[violated]) - float(np.log(log_weight.size))
+    return log_sum(failing_log_weight) - float(np.log(of))
 
 
 def log_std_error(log_weight: FloatArray, violated: BoolArray) -> float:

@@ -1,10 +1,12 @@
-"""The final batch: drawn in parts if it is large, of which only the weights are kept."""
+"""The final batch: drawn in parts if it is large, of which the violations' weights are kept."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-from pemviz.arrays import Batch, BoolArray, FloatArray, row_sums
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.types import ScoredRollouts
 
 LARGEST_PART = 20_000
@@ -12,34 +14,63 @@ LARGEST_PART = 20_000
 
 
 @dataclass(frozen=True)
-class WeighedRollouts(Batch):
-    """What an estimate needs of N rollouts.
+class WeighedRollouts:
+    """What an estimate needs of N rollouts: their number, and the F that violate.
 
     Attributes:
-        log_weight: ``[N]`` [nats].
-        log_p: Log likelihood under the error model, ``[N]`` [nats].
-        violated: ``[N]``.
-        broken: The same of each rule by name, where there are rules.
+        count: N.
+        row: Which of them violate, ``[F]``, ascending.
+        log_weight: Of these, ``[F]`` [nats].
+        log_p: Log likelihood of these under the error model, ``[F]`` [nats].
+        broken: Which of these violate each rule, ``[F]`` by name, where there are rules.
     """
 
+    count: int
+    row: IntArray
     log_weight: FloatArray
     log_p: FloatArray
-    violated: BoolArray
     broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
 
     @property
-    def count(self) -> int:
-        """Number of rollouts N."""
-        return int(self.violated.size)
+    def failures(self) -> int:
+        """How many violate, F."""
+        return int(self.row.size)
+
+    def under_rule(self, rule: str) -> Self:
+        """The same rollouts, of which those violate that break one rule."""
+        chosen = self.broken[rule]
+        return replace(
+            self,
+            row=self.row[chosen],
+            log_weight=self.log_weight[chosen],
+            log_p=self.log_p[chosen],
+            broken={name: broken[chosen] for name, broken in self.broken.items()},
+        )
+
+    @staticmethod
+    def concatenate(parts: "Sequence[WeighedRollouts]") -> "WeighedRollouts":
+        """All of at least one part, in order."""
+        counts = [part.count for part in parts]
+        firsts = np.cumsum([0, *counts], dtype=np.int64)[:-1]
+        rows = [part.row + first for part, first in zip(parts, firsts, strict=True)]
+        return WeighedRollouts(
+            count=sum(counts),
+            row=np.concatenate(rows),
+            log_weight=np.concatenate([part.log_weight for part in parts]),
+            log_p=np.concatenate([part.log_p for part in parts]),
+            broken={n: np.concatenate([p.broken[n] for p in parts]) for n in parts[0].broken},
+        )
 
 
 def weighed(scored: ScoredRollouts) -> WeighedRollouts:
     """The weights of scored rollouts."""
+    row, rollouts = np.flatnonzero(scored.violated), scored.rollouts
     return WeighedRollouts(
-        log_weight=scored.rollouts.log_weight,
-        log_p=row_sums(scored.rollouts.log_p),
-        violated=scored.violated,
-        broken=scored.broken,
+        count=rollouts.count,
+        row=row,
+        log_weight=rollouts.log_weight[row] if row.size else np.empty(0),
+        log_p=rollouts.log_p_of(row),
+        broken={name: broken[row] for name, broken in scored.broken.items()},
     )
 
 
@@ -83,8 +114,7 @@ class FinalBatch:
 
     def under_rule(self, rule: str) -> Self:
         """The same with the verdict of one rule."""
-        drawn = [replace(part, violated=part.broken[rule]) for part in self.drawn]
-        return replace(self, drawn=tuple(drawn))
+        return replace(self, drawn=tuple(part.under_rule(rule) for part in self.drawn))
 
     def weighed(self) -> WeighedRollouts:
         """All of it.
