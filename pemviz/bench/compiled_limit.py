@@ -38,9 +38,11 @@ def limit_work(rollouts: CompiledRollouts, uniforms: FloatArray) -> LimitWork:
 
     _, tracks = rollouts.begun(BLOCK)
 
+    every = np.arange(BLOCK)
+
     def arithmetic() -> None:
         for first in range(0, len(uniforms) - BLOCK + 1, BLOCK):
             tracks.reached[:] = 0
-            rollouts.advance(tracks, uniforms[first : first + BLOCK])
+            rollouts.advance(tracks, uniforms[first : first + BLOCK], every)
 
     return LimitWork(memory, arithmetic)

@@ -2,25 +2,22 @@
 
 The scenario without tracker, memory of misses or position errors, a shipped error model, outcomes
 drawn from that model: what takes a million rollouts to tell anything. What comes out is what numpy
-gives, to the last bit. The error model's answers are kept by gap; rollouts that come to a gap not
-met before, some in a hundred, are simulated by numpy, and so is everything else.
+gives, to the last bit. The error model's answers are kept by gap; of gaps not met before it is
+asked together, by numpy, which simulates all other scenarios.
 """
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.chunks import distinct
 from pemviz.pem.models.card import Carded
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.rollouts.batches import BatchTask, run_here
 from pemviz.sampling.rollouts.compiled_replay import is_plain
-from pemviz.sampling.rollouts.draw import simulate
 from pemviz.sampling.rollouts.kernels import Loops, compiled_loops, lead_speeds
 from pemviz.simulators.braking import loops
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED, SPEED_ERROR_INTEGRAL
@@ -51,22 +48,25 @@ class CompiledRollouts:
         self._clear(FEWEST_PLACES)
 
     def _clear(self, places: int) -> None:
-        self._held = 0
         self._answers = loops.Answers(
             bits=np.full(places, loops.EMPTY),
             logit=np.empty(places),
-            miss=np.empty(places),
+            miss=np.full(places, np.nan),
             shift=np.uint64(65 - places.bit_length()),
+            taken=np.empty(places // 2, dtype=np.int64),
+            count=np.zeros(1, dtype=np.int64),
         )
 
     def simulate(self, uniforms: FloatArray) -> RolloutBatch:
         """As :func:`pemviz.sampling.rollouts.draw.simulate`, for ``uniforms [N, T-1]``."""
-        steps = uniforms.shape[1]
-        (gap_m, ego_mps, lead_mps), tracks = self.begun(len(uniforms))
-        self.advance(tracks, uniforms)
-        waiting = np.flatnonzero(tracks.reached < steps)
-        if waiting.size:
-            self._by_numpy(tracks, waiting, uniforms)
+        count, steps = uniforms.shape
+        (gap_m, ego_mps, lead_mps), tracks = self.begun(count)
+        waiting = np.arange(count)
+        while waiting.size:
+            known = int(self._answers.count[0])
+            self.advance(tracks, uniforms, waiting)
+            self._ask(known)
+            waiting = waiting[tracks.reached[waiting] < steps]
         return RolloutBatch(
             signals={GAP: gap_m.T, EGO_SPEED: ego_mps.T, LEAD_SPEED: lead_mps.T},
             memory={SPEED_ERROR_INTEGRAL: tracks.integral_m.T},
@@ -88,6 +88,7 @@ class CompiledRollouts:
             integral_m=np.empty((steps + 1, count)),
             detected=np.empty((steps, count), dtype=np.bool_),
             logit=np.empty((steps, count)),
+            lead_mps=self._lead_mps,
             reached=np.zeros(count, dtype=np.int64),
         )
         gap_m[0], ego_mps[0] = first.signals[GAP], first.signals[EGO_SPEED]
@@ -95,38 +96,35 @@ class CompiledRollouts:
         lead_mps[:] = self._lead_mps[:, None]
         return signals, tracks
 
-    def advance(self, tracks: loops.Tracks, uniforms: FloatArray) -> None:
-        """Take rollouts on by ``uniforms [N, T-1]``, each to its end or to a gap not met before."""
+    def advance(self, tracks: loops.Tracks, uniforms: FloatArray, rows: IntArray) -> None:
+        """Take rollouts ``rows [M]`` on by ``uniforms [N, T-1]``, to gaps not met before."""
         numbers = loops.numbers_of(self.simulator.config)
-        self._kernels.advance(tracks, self._answers, uniforms, self._lead_mps, numbers)
+        self._kernels.advance(tracks, self._answers, uniforms, rows, numbers)
 
-    def _by_numpy(self, tracks: loops.Tracks, rows: IntArray, uniforms: FloatArray) -> None:
-        """The rollouts that came to a gap without an answer; their answers are kept."""
-        found = simulate(
-            simulator=self.simulator, pem=self.pem, proposal=PemProposal(), uniforms=uniforms[rows]
-        )
-        gap_m = found.signals[GAP]
-        tracks.gap_m[:, rows], tracks.ego_mps[:, rows] = gap_m.T, found.signals[EGO_SPEED].T
-        tracks.integral_m[:, rows] = found.memory[SPEED_ERROR_INTEGRAL].T
-        tracks.detected[:, rows], tracks.logit[:, rows] = found.detected.T, found.pem_logit.T
-        bits = np.ascontiguousarray(gap_m[:, :-1].T).view(np.uint64).ravel()
-        first, _ = distinct(bits.view(np.int64))
-        logit = np.ascontiguousarray(found.pem_logit.T).ravel()[first]
-        self._keep(bits[first], logit, np.asarray(expit(-logit)))
+    def _ask(self, known: int) -> None:
+        """Ask the error model about gaps that have taken places since there were ``known``."""
+        answers = self._answers
+        places = answers.taken[known : int(answers.count[0])]
+        if places.size == 0 and known < answers.taken.size:
+            return
+        gap_m = answers.bits[places].view(np.float64)
+        logit = self.pem.logit(self.simulator.salient({GAP: gap_m}))
+        answers.logit[places], answers.miss[places] = logit, expit(-logit)
+        if answers.count[0] == answers.taken.size:
+            self._make_room()
 
-    def _keep(self, bits: Any, logit: FloatArray, miss: FloatArray) -> None:
+    def _make_room(self) -> None:
+        """Twice the places; a table that would become too large is begun anew."""
         before = self._answers
-        places = max(FEWEST_PLACES, 1 << (2 * (self._held + bits.size)).bit_length())
+        places = 2 * before.bits.size
         if places > MOST_PLACES:  # states that hardly ever come again
-            self._clear(1 << (2 * bits.size).bit_length())
-        elif places > before.bits.size:
-            self._clear(places)
-            filled = before.bits != loops.EMPTY
-            self._put(before.bits[filled], before.logit[filled], before.miss[filled])
-        self._put(bits, logit, miss)
-
-    def _put(self, bits: Any, logit: FloatArray, miss: FloatArray) -> None:
-        self._held += self._kernels.insert(self._answers, bits, logit, miss)
+            self._clear(FEWEST_PLACES)
+            return
+        self._clear(places)
+        kept = before.taken
+        self._kernels.insert(
+            self._answers, before.bits[kept], before.logit[kept], before.miss[kept]
+        )
 
 
 @dataclass

@@ -27,7 +27,7 @@ class Loops:
     """The functions of :mod:`pemviz.simulators.braking.loops`, compiled or not."""
 
     advance: Callable[..., None] = loops.advance
-    insert: Callable[..., int] = loops.insert
+    insert: Callable[..., None] = loops.insert
     replay: Callable[..., None] = loops.replay
 
 

@@ -16,26 +16,31 @@ EMPTY = np.uint64(0x7FF8_0000_0000_BEEF)
 """Bits of a NaN that no arithmetic gives: a place of the table without a gap."""
 MULTIPLIER = np.uint64(0x9E37_79B9_7F4A_7C15)
 """Odd; 2^64 over the golden ratio."""
-BLOCK = 64
+ONE = np.uint64(1)
+BLOCK = 128
 """Rollouts that are taken through all steps together: their draws fit the processor's cache."""
 REPLAYED_TOGETHER = 1024
 """The same where outcomes are given and nothing is looked up."""
 
 
 class Answers(NamedTuple):
-    """An error model's answers by gap: a hash table of 2^(64 - shift) places.
+    """An error model's answers by gap: a hash table of 2^(64 - shift) places, half of them used.
 
     Attributes:
         bits: Of the gap in each place, or ``EMPTY``.
         logit: Of 'detected' there.
-        miss: Probability of a miss there.
+        miss: Probability of a miss there; NaN where the model has not been asked.
         shift: Of 64-bit hashes.
+        taken: The places that are taken, in the order in which they were.
+        count: How many these are, ``[1]``.
     """
 
     bits: Any
     logit: FloatArray
     miss: FloatArray
     shift: Any
+    taken: IntArray
+    count: IntArray
 
 
 class Tracks(NamedTuple):
@@ -48,7 +53,8 @@ class Tracks(NamedTuple):
         integral_m: Its speed error integral ``[T, N]`` [m].
         detected: ``[T-1, N]``.
         logit: The error model's ``[T-1, N]``.
-        reached: The state ``[N]`` that each has come to.
+        lead_mps: Speeds of the lead car ``[T]`` [m/s], alike in all.
+        reached: The state ``[N]`` that each has come to for certain.
     """
 
     gap_m: FloatArray
@@ -57,6 +63,7 @@ class Tracks(NamedTuple):
     integral_m: FloatArray
     detected: BoolArray
     logit: FloatArray
+    lead_mps: FloatArray
     reached: IntArray
 
 
@@ -111,51 +118,62 @@ def moved(
 
 
 def advance(
-    tracks: Tracks, answers: Answers, uniforms: FloatArray, lead_mps: FloatArray, numbers: Numbers
+    tracks: Tracks, answers: Answers, uniforms: FloatArray, rows: IntArray, numbers: Numbers
 ) -> None:
-    """Take every rollout on to its last state, or to a gap that has no answer.
+    """Take rollouts on to their last state, or to a gap that has no answer.
 
-    Outcomes are drawn from the error model by ``uniforms [N, T-1]``; ``lead_mps [T]`` are the
-    lead car's speeds.
+    From there they go on by a guess, as if it had been detected, so that the gaps that they come to
+    are asked for together: each takes a place in the table, while there is room, without an answer
+    yet. What is written of a rollout is right up to the state that it has reached.
+
+    Args:
+        tracks: N rollouts.
+        answers: The error model's, by which outcomes are drawn.
+        uniforms: Draws ``[N, T-1]``.
+        rows: Which rollouts, ``[M]``.
+        numbers: The scenario's.
     """
-    count, steps = uniforms.shape
-    bits, mask = answers.bits, answers.bits.size - 1
-    for first in range(0, count, BLOCK):
-        for step in range(steps):
-            for n in range(first, min(first + BLOCK, count)):
-                if tracks.reached[n] != step:
+    bits, mask = answers.bits, np.uint64(answers.bits.size - 1)
+    for first in range(0, rows.size, BLOCK):
+        block = rows[first : first + BLOCK]
+        for step in range(uniforms.shape[1]):
+            gap, speed, held = tracks.gap_m[step], tracks.ego_mps[step], tracks.integral_m[step]
+            gap_after, speed_after = tracks.gap_m[step + 1], tracks.ego_mps[step + 1]
+            held_after, key_of, lead = (
+                tracks.integral_m[step + 1], tracks.gap_bits[step], tracks.lead_mps[step],
+            )  # fmt: skip
+            for row in block:
+                n = np.uint64(row)  # so that the compiler need not expect negative indices
+                if tracks.reached[n] > step:
                     continue
-                key = tracks.gap_bits[step, n]
-                place = np.int64((key * MULTIPLIER) >> answers.shift)
+                key = key_of[n]
+                place = (key * MULTIPLIER) >> answers.shift
                 while bits[place] not in (key, EMPTY):
-                    place = (place + 1) & mask
-                if bits[place] != key:
-                    continue
-                speed, held = tracks.ego_mps[step, n], tracks.integral_m[step, n]
-                detected = uniforms[n, step] >= answers.miss[place]
+                    place = (place + ONE) & mask
+                if bits[place] != key and answers.count[0] < answers.taken.size:
+                    bits[place] = key
+                    answers.taken[answers.count[0]] = place
+                    answers.count[0] += 1
+                miss = answers.miss[place]
+                detected = not uniforms[n, step] < miss  # true for NaN
                 tracks.logit[step, n] = answers.logit[place]
                 tracks.detected[step, n] = detected
-                gap = tracks.gap_m[step, n]
-                state = gap, speed, held
-                gap, speed, held = moved(state, lead_mps[step], detected, numbers)
-                tracks.gap_m[step + 1, n] = gap
-                tracks.ego_mps[step + 1, n] = speed
-                tracks.integral_m[step + 1, n] = held
-                tracks.reached[n] = step + 1
+                state = moved((gap[n], speed[n], held[n]), lead, detected, numbers)
+                gap_after[n], speed_after[n], held_after[n] = state
+                if tracks.reached[n] == step and not np.isnan(miss):
+                    tracks.reached[n] = step + 1
 
 
-def insert(answers: Answers, bits: Any, logit: FloatArray, miss: FloatArray) -> int:
-    """Put gaps into a table with room for them, but for those that are there; how many were not."""
-    mask, new = answers.bits.size - 1, 0
+def insert(answers: Answers, bits: Any, logit: FloatArray, miss: FloatArray) -> None:
+    """Put gaps that are not there into a table with room for them."""
+    mask = np.uint64(answers.bits.size - 1)
     for n in range(bits.size):
-        place = np.int64((bits[n] * MULTIPLIER) >> answers.shift)
-        while answers.bits[place] not in (bits[n], EMPTY):
-            place = (place + 1) & mask
-        if answers.bits[place] == EMPTY:
-            answers.bits[place] = bits[n]
-            answers.logit[place], answers.miss[place] = logit[n], miss[n]
-            new += 1
-    return new
+        place = (bits[n] * MULTIPLIER) >> answers.shift
+        while answers.bits[place] != EMPTY:
+            place = (place + ONE) & mask
+        answers.bits[place], answers.logit[place], answers.miss[place] = bits[n], logit[n], miss[n]
+        answers.taken[answers.count[0]] = place
+        answers.count[0] += 1
 
 
 def replay(
