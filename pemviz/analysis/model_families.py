@@ -96,6 +96,8 @@ def family_ratios(
     count = violations.size
     if count > MOST_VIOLATIONS:
         violations = violations[np.arange(MOST_VIOLATIONS) * count // MOST_VIOLATIONS]
+    if count == 0:
+        return FamilyRatios(violations, np.empty((0, len(families))), np.empty(0))
     failing = scored.rollouts.take(violations)
     salient = simulator.salient(failing.decision_states().signals)
     log_p = row_sums(failing.log_p)
@@ -106,9 +108,7 @@ def family_ratios(
     return FamilyRatios(
         rollout=violations,
         log_ratio=np.stack(columns, axis=1),
-        log_stands_for=np.full(
-            violations.size, math.log(count / violations.size) if count else 0.0
-        ),
+        log_stands_for=np.full(violations.size, math.log(count / violations.size)),
     )
 
 

@@ -235,10 +235,11 @@ def join_parts(parts: Sequence[Path], target: Path) -> None:
         with zipfile.ZipFile(stream, mode="w", compression=zipfile.ZIP_STORED) as archive:
             with np.load(parts[0], allow_pickle=False) as first:
                 names = _documented(first.files)
+            rows = sum(_rows(part) for part in parts)
             for name in names:
                 info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whenever it is written
                 with archive.open(info, mode="w", force_zip64=True) as entry:
-                    _join_array(entry, name, parts)
+                    _join_array(entry, name, parts, rows=rows)
 
     write_atomically(target, write)
 
@@ -260,12 +261,13 @@ def _array(arrays: Any, name: str) -> AnyArray:
     return arrays[name]
 
 
-def _join_array(entry: IO[bytes], name: str, parts: Sequence[Path]) -> None:
+def _rows(part: Path) -> int:
+    with np.load(part, allow_pickle=False) as arrays:
+        return arrays["repetition"].shape[0]
+
+
+def _join_array(entry: IO[bytes], name: str, parts: Sequence[Path], *, rows: int) -> None:
     header: dict[str, Any] | None = None
-    rows = 0
-    for part in parts:
-        with np.load(part, allow_pickle=False) as arrays:
-            rows += arrays["repetition"].shape[0]
     for part in parts:
         with np.load(part, allow_pickle=False) as arrays:
             array = np.ascontiguousarray(_array(arrays, name))

@@ -36,11 +36,12 @@ def build_problem(
         rule.name: _parsed(rule.formula, back_end.simulator, name=f"rules.{rule.name}")
         for rule in config.rules
     }
+    is_classical = isinstance(metric, stl.Classical)
 
     def scored(rule: stl.Formula) -> ScoredRule:
         return ScoredRule(
             robustness=partial(_robustness, rule, metric, folding),
-            violated=partial(_violated, rule, folding),
+            violated=None if is_classical else partial(_violated, rule, folding),
             monitor=monitored(rule),
         )
 

@@ -1,6 +1,7 @@
 """The run folder: what a run leaves on disk, readable after a kill at any moment."""
 
 import contextlib
+import math
 import shutil
 import time
 from pathlib import Path
@@ -27,6 +28,11 @@ from pemviz.runs.rollout_files import (
     write_part,
 )
 from pemviz.types import Signal, StageResult
+
+ALWAYS_WRITTEN = 100
+"""Stages after which ``result.json``, which tells of each, is written whatever it takes."""
+PAUSES = 20
+"""Later on it is written once this many times as long has passed as writing it took."""
 
 
 def create_run_folder(parent: Path, *, label: str) -> Path:
@@ -55,10 +61,10 @@ def create_run_folder(parent: Path, *, label: str) -> Path:
 class RunStore:
     """Observer that keeps a run folder up to date.
 
-    After every stage ``result.json`` is rewritten, and the stage's rollouts, those that the
-    configuration keeps, are in a file of their own; the end of the run joins these into
-    ``rollouts.npz``. The stages' files of a run that was stopped or failed stay, so that it can
-    be resumed.
+    After every stage, of very many now and then, ``result.json`` is rewritten, and the stage's
+    rollouts, those that the configuration keeps, are in a file of their own; the end of the run
+    joins these into ``rollouts.npz``. The stages' files of a run that was stopped or failed stay,
+    so that it can be resumed.
 
     Attributes:
         folder: The run folder; it exists already.
@@ -77,6 +83,7 @@ class RunStore:
         self._keep: KeepName = "all"
         self._parts: list[Path] = []
         self._proposals: dict[str, AnyArray] = {}
+        self._written, self._writing_s = -math.inf, 0.0
 
     def notify(self, event: Event) -> None:
         """Write what ``event`` adds.
@@ -132,7 +139,11 @@ class RunStore:
         write_part(part, part_arrays(stage, self._signals, rows=kept_rows(stage, self._keep)))
         if stage.learned is not None:
             self._write_proposals()
-        write_result(self.folder, result)
+        began = time.perf_counter()
+        if stage.stage < ALWAYS_WRITTEN or began - self._written >= PAUSES * self._writing_s:
+            write_result(self.folder, result)
+            self._written = time.perf_counter()
+            self._writing_s = self._written - began
 
     def _write_proposals(self) -> None:
         if self._proposals:

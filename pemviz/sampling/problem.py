@@ -56,12 +56,13 @@ class ScoredRule:
 
     Attributes:
         robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
-        violated: Signals ``[N, T]`` to the classical verdict ``[N]``.
+        violated: Signals ``[N, T]`` to the classical verdict ``[N]``; ``None``: the metric is the
+            classical one, below 0 where it is violated.
         monitor: Tells that it is broken from the states so far.
     """
 
     robustness: Callable[[Signals], FloatArray]
-    violated: Callable[[Signals], BoolArray]
+    violated: Callable[[Signals], BoolArray] | None
     monitor: Monitor
 
 
@@ -73,7 +74,8 @@ class Problem:
         simulator: The scenario.
         pem: The perception error model.
         robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
-        violated: Signals ``[N, T]`` to the classical verdict ``[N]``.
+        violated: Signals ``[N, T]`` to the classical verdict ``[N]``; ``None``: the metric is the
+            classical one, below 0 where it is violated.
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
         batch_time_limit_s: A batch that takes longer fails [s]; ``None``: no limit.
         run_batches: Who simulates the batches.
@@ -93,7 +95,7 @@ class Problem:
     simulator: Simulator
     pem: Pem
     robustness: Callable[[Signals], FloatArray]
-    violated: Callable[[Signals], BoolArray]
+    violated: Callable[[Signals], BoolArray] | None
     batch_rollouts: int = BATCH_ROLLOUTS
     batch_time_limit_s: float | None = None
     run_batches: BatchRunner = run_here
@@ -206,10 +208,11 @@ def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
     """Robustness and verdict of rollouts, and those of each rule."""
+    robustness, violated = _scores(problem, rollouts)
     return ScoredRollouts(
         rollouts=rollouts,
-        robustness=problem.robustness(rollouts.signals),
-        violated=problem.violated(rollouts.signals),
+        robustness=robustness,
+        violated=violated,
         **rule_scores(problem.rules, rollouts),
     )
 
@@ -223,7 +226,15 @@ class RuleScores(TypedDict):
 
 def rule_scores(rules: Mapping[str, ScoredRule], rollouts: RolloutBatch) -> RuleScores:
     """Robustness and verdict of rollouts under each rule."""
+    scores = {name: _scores(rule, rollouts) for name, rule in rules.items()}
     return {
-        "rule_robustness": {n: rule.robustness(rollouts.signals) for n, rule in rules.items()},
-        "broken": {name: rule.violated(rollouts.signals) for name, rule in rules.items()},
+        "rule_robustness": {name: robustness for name, (robustness, _) in scores.items()},
+        "broken": {name: broken for name, (_, broken) in scores.items()},
     }
+
+
+def _scores(by: Problem | ScoredRule, rollouts: RolloutBatch) -> tuple[FloatArray, BoolArray]:
+    robustness = by.robustness(rollouts.signals)
+    if by.violated is None:
+        return robustness, robustness < 0.0
+    return robustness, by.violated(rollouts.signals)

@@ -14,6 +14,9 @@ from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.draw import of_rows, simulate
 from pemviz.types import Proposal, RolloutBatch, Simulator
 
+VALUES_CHECKED = 1 << 16
+"""At once."""
+
 
 class SimulationError(RunError):
     """A simulator or model gave what is no number, or gave nothing in time."""
@@ -65,6 +68,15 @@ def run_here(simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]) -> Iter
         )
 
 
+def _are_numbers(by_step: FloatArray) -> bool:
+    """Whether all of ``[T, N]`` are finite; pieces are in the cache still for the second look."""
+    if by_step.size == 0:
+        return True
+    steps = max(1, VALUES_CHECKED // by_step.shape[1])
+    pieces = (by_step[step : step + steps] for step in range(0, len(by_step), steps))
+    return all(-LARGEST_NUMBER <= one.min() <= one.max() <= LARGEST_NUMBER for one in pieces)
+
+
 def check_numbers(
     rollouts: RolloutBatch, *, first_rollout: int, simulator: str, turns: int = 1
 ) -> None:
@@ -82,8 +94,9 @@ def check_numbers(
     named = [
         *((f"simulator {simulator}: {name}", values) for name, values in rollouts.signals.items()),
         ("error model: logit", rollouts.pem_logit),
-        ("proposal: logit", rollouts.proposal_logit),
     ]
+    if rollouts.proposal_logit is not rollouts.pem_logit:
+        named.append(("proposal: logit", rollouts.proposal_logit))
     if rollouts.latents is not None:
         latents = rollouts.latents
         moved = latents.start_mean, latents.noise_mean, latents.noise_share
@@ -92,7 +105,7 @@ def check_numbers(
             raise SimulationError(message)
     worst: tuple[int, int, str] | None = None
     for what, values in named:
-        if values.size == 0 or -LARGEST_NUMBER <= values.min() <= values.max() <= LARGEST_NUMBER:
+        if _are_numbers(values.T):
             continue
         allowed = np.abs(values) <= LARGEST_NUMBER  # false for NaN, as the comparison above
         by_step = np.argwhere(~allowed.T)

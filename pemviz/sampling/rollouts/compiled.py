@@ -54,7 +54,7 @@ class CompiledRollouts:
             miss=np.full(places, np.nan),
             shift=np.uint64(65 - places.bit_length()),
             taken=np.empty(places // 2, dtype=np.int64),
-            count=np.zeros(1, dtype=np.int64),
+            held=np.zeros(1, dtype=np.int64),
         )
 
     def simulate(self, uniforms: FloatArray) -> RolloutBatch:
@@ -63,16 +63,17 @@ class CompiledRollouts:
         (gap_m, ego_mps, lead_mps), tracks = self.begun(count)
         waiting = np.arange(count)
         while waiting.size:
-            known = int(self._answers.count[0])
+            known = int(self._answers.held[0])
             self.advance(tracks, uniforms, waiting)
             self._ask(known)
             waiting = waiting[tracks.reached[waiting] < steps]
+        logit = tracks.logit.T
         return RolloutBatch(
             signals={GAP: gap_m.T, EGO_SPEED: ego_mps.T, LEAD_SPEED: lead_mps.T},
             memory={SPEED_ERROR_INTEGRAL: tracks.integral_m.T},
             detected=tracks.detected.T,
-            pem_logit=tracks.logit.T,
-            proposal_logit=tracks.logit.T,
+            pem_logit=logit,
+            proposal_logit=logit,
         )
 
     def begun(self, count: int) -> tuple[FloatArray, loops.Tracks]:
@@ -104,13 +105,13 @@ class CompiledRollouts:
     def _ask(self, known: int) -> None:
         """Ask the error model about gaps that have taken places since there were ``known``."""
         answers = self._answers
-        places = answers.taken[known : int(answers.count[0])]
+        places = answers.taken[known : int(answers.held[0])]
         if places.size == 0 and known < answers.taken.size:
             return
         gap_m = answers.bits[places].view(np.float64)
         logit = self.pem.logit(self.simulator.salient({GAP: gap_m}))
         answers.logit[places], answers.miss[places] = logit, expit(-logit)
-        if answers.count[0] == answers.taken.size:
+        if answers.held[0] == answers.taken.size:
             self._make_room()
 
     def _make_room(self) -> None:

@@ -32,7 +32,7 @@ class Answers(NamedTuple):
         miss: Probability of a miss there; NaN where the model has not been asked.
         shift: Of 64-bit hashes.
         taken: The places that are taken, in the order in which they were.
-        count: How many these are, ``[1]``.
+        held: How many these are, ``[1]``.
     """
 
     bits: Any
@@ -40,7 +40,7 @@ class Answers(NamedTuple):
     miss: FloatArray
     shift: Any
     taken: IntArray
-    count: IntArray
+    held: IntArray
 
 
 class Tracks(NamedTuple):
@@ -150,10 +150,10 @@ def advance(
                 place = (key * MULTIPLIER) >> answers.shift
                 while bits[place] not in (key, EMPTY):
                     place = (place + ONE) & mask
-                if bits[place] != key and answers.count[0] < answers.taken.size:
+                if bits[place] != key and answers.held[0] < answers.taken.size:
                     bits[place] = key
-                    answers.taken[answers.count[0]] = place
-                    answers.count[0] += 1
+                    answers.taken[answers.held[0]] = place
+                    answers.held[0] += 1
                 miss = answers.miss[place]
                 detected = not uniforms[n, step] < miss  # true for NaN
                 tracks.logit[step, n] = answers.logit[place]
@@ -172,8 +172,8 @@ def insert(answers: Answers, bits: Any, logit: FloatArray, miss: FloatArray) -> 
         while answers.bits[place] != EMPTY:
             place = (place + ONE) & mask
         answers.bits[place], answers.logit[place], answers.miss[place] = bits[n], logit[n], miss[n]
-        answers.taken[answers.count[0]] = place
-        answers.count[0] += 1
+        answers.taken[answers.held[0]] = place
+        answers.held[0] += 1
 
 
 def replay(
