@@ -14,6 +14,7 @@ from pemviz.arrays import (
     FloatArray,
     IntArray,
     Rows,
+    are_alike,
     read_only,
     row_sums,
 )
@@ -213,34 +214,19 @@ class RolloutBatch(Batch):
     @cached_property
     def log_q(self) -> FloatArray:
         """Log likelihood ``[N, T-1]`` of each outcome under the proposal [nats]."""
-        if self._follows_model:
+        if are_alike(self.proposal_logit, self.pem_logit):  # plain simulation
             return self.log_p
         return read_only(outcome_log_likelihood(self.proposal_logit, self.detected))
-
-    @cached_property
-    def _follows_model(self) -> bool:
-        """Whether outcomes were drawn from the error model: plain simulation."""
-        proposal, pem = self.proposal_logit, self.pem_logit
-        return proposal is pem or np.array_equal(proposal, pem)
 
     @cached_property
     def log_weight(self) -> FloatArray:
         """Log importance weight ``[N]``: sum over outcomes and latents of log p - log q [nats]."""
         of_outcomes = np.zeros(self.count)
-        if not self._follows_model:
+        if not are_alike(self.proposal_logit, self.pem_logit):
             of_outcomes = row_sums(np.subtract(self.log_p, self.log_q, order="C"))
         if self.latents is None:
             return read_only(of_outcomes)
         return read_only(of_outcomes + self.latents.log_weight)
-
-    def log_p_of(self, rows: Rows) -> FloatArray:
-        """Log likelihood ``[M]`` of all outcomes of some rollouts under the error model [nats].
-
-        Computed for these alone, unless it is known of all.
-        """
-        if "log_p" in vars(self):
-            return row_sums(self.log_p[rows])
-        return row_sums(outcome_log_likelihood(self.pem_logit[rows], self.detected[rows]))
 
     def decision_states(self) -> StateBatch:
         """The states at which perception acted, arrays ``[N, T-1]``."""

@@ -24,6 +24,7 @@ from pemviz.latents import LatentCounts
 from pemviz.pem import PositionErrorModel
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.rules import RuleAnswer
+from pemviz.sampling.rollouts.likelihoods import log_p_of
 from pemviz.sampling.value_twisted.reference import Reference
 from pemviz.types import Estimate, StageKind, StageResult
 
@@ -275,7 +276,7 @@ def rank_rollouts(
         share = contributions(chosen.log_weight, violated=violated)
     carries = carrying(share)
     order = np.lexsort((robustness, ~carries))[:count]
-    nll = -chosen.log_p_of(order)
+    nll = -log_p_of(chosen, order)
     return [
         RankedRollout(
             repetition=stage.repetition,

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.sampling.rollouts.likelihoods import log_p_of
 from pemviz.types import ScoredRollouts
 
 LARGEST_PART = 20_000
@@ -69,7 +70,7 @@ def weighed(scored: ScoredRollouts) -> WeighedRollouts:
         count=rollouts.count,
         row=row,
         log_weight=rollouts.log_weight[row] if row.size else np.empty(0),
-        log_p=rollouts.log_p_of(row),
+        log_p=log_p_of(rollouts, row),
         broken={name: broken[row] for name, broken in scored.broken.items()},
     )
 
