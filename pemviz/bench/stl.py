@@ -15,6 +15,7 @@ from pemviz.arrays import FloatArray
 from pemviz.bench.figures import Figure
 from pemviz.errors import RunError
 from pemviz.stl import Agm, Classical, Formula, Metric, SmoothCumulative, parse, robustness
+from pemviz.stl.compiled import compiled_loops, loops_from_the_start
 
 ROLLOUTS, STATES = 10_000, 100
 
@@ -64,11 +65,12 @@ def stl_figures(*, repeats: int = 15, rtamt_python: str | None = None) -> Sequen
     """
     batch = random_batch(rollouts=ROLLOUTS, states=STATES)
     python = rtamt_python or os.environ.get(ORACLE_PYTHON)
-    return (
-        *_against_hand_written(batch, repeats),
-        *_between_metrics(batch, repeats, python),
-        *_with_size(max(2, repeats // 5)),
-    )
+    with loops_from_the_start(False):  # where the label does not say otherwise
+        return (
+            *_against_hand_written(batch, repeats),
+            *_between_metrics(batch, repeats, python),
+            *_with_size(max(2, repeats // 5)),
+        )
 
 
 def random_batch(*, rollouts: int, states: int) -> dict[str, FloatArray]:
@@ -139,13 +141,10 @@ def _against_hand_written(batch: Mapping[str, FloatArray], repeats: int) -> Iter
 def _between_metrics(
     batch: Mapping[str, FloatArray], repeats: int, python: str | None
 ) -> Iterator[Figure]:
-    formula = parse(ALWAYS)
-
-    def evaluate(metric: Metric) -> Callable[[], FloatArray]:
-        return lambda: robustness(formula, batch, metric)
-
-    times_s = _best_times_s([evaluate(metric) for metric in METRICS.values()], repeats)
-    per_rollout_s = {name: time_s / ROLLOUTS for name, time_s in zip(METRICS, times_s, strict=True)}
+    per_rollout_s = _per_rollout_s(batch, repeats, compiled=False)
+    compiled_s: Mapping[str, float] = {}
+    if compiled_loops() is not None:
+        compiled_s = _per_rollout_s(batch, repeats, compiled=True)
     for name, time_s in per_rollout_s.items():
         yield Figure(f"stl, {name} of {ALWAYS}, per rollout", time_s * 1e6, "us")
         if name != "classical":
@@ -157,6 +156,21 @@ def _between_metrics(
         yield Figure(f"stl, rtamt of {ALWAYS}, per rollout", rtamt_s * 1e6, "us")
         for name, time_s in per_rollout_s.items():
             yield Figure(f"stl, rtamt / {name}", rtamt_s / time_s, "", "at least 1000")
+        for name, time_s in compiled_s.items():
+            yield Figure(f"stl, rtamt / {name}, compiled", rtamt_s / time_s, "", "at least 3000")
+
+
+def _per_rollout_s(
+    batch: Mapping[str, FloatArray], repeats: int, *, compiled: bool
+) -> Mapping[str, float]:
+    formula = parse(ALWAYS)
+
+    def evaluate(metric: Metric) -> Callable[[], FloatArray]:
+        return lambda: robustness(formula, batch, metric)
+
+    with loops_from_the_start(compiled):
+        times_s = _best_times_s([evaluate(metric) for metric in METRICS.values()], repeats)
+    return {name: time_s / ROLLOUTS for name, time_s in zip(METRICS, times_s, strict=True)}
 
 
 def time_rtamt(python: str, gaps: FloatArray) -> float:

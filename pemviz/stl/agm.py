@@ -16,13 +16,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import InputError
 from pemviz.stl.bounds import Interval, check_interval, margin_range
 from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Predicate
 from pemviz.stl.numbers import NumberSemantics
-from pemviz.stl.windows import fold, sliding
+from pemviz.stl.windows import fold, half_of, sliding
 
 SCENARIO_BOUNDS: Mapping[str, Interval] = {
     "gap": (-25.0, 25.0),
@@ -88,13 +88,22 @@ class AgmSemantics(NumberSemantics):
     def truth(self, like: FloatArray, steps: int) -> FloatArray:
         return self.constant(1.0, like, steps)
 
-    def predicate(self, predicate: Predicate, margin: FloatArray) -> FloatArray:
+    def scale(self, predicate: Predicate) -> float | None:
+        """What margins are multiplied by; ``None`` where no signal has a say.
+
+        Raises:
+            InputError: The declared bounds give the predicate no range.
+        """
         low, high = self._range(predicate)
-        if low == high:  # no signal has a say: as true and false
+        return None if low == high else 1.0 / (high - low)
+
+    def predicate(self, predicate: Predicate, margin: FloatArray) -> FloatArray:
+        scale = self.scale(predicate)
+        if scale is None:  # as true and false
             return np.sign(margin)
         if self.metric.clip:
-            margin = _clip(predicate, margin, low, high)
-        margin *= 1.0 / (high - low)
+            margin = _clip(predicate, margin, *self._range(predicate))
+        margin *= scale
         return margin
 
     def negate(self, value: FloatArray) -> FloatArray:
@@ -152,7 +161,26 @@ def _conclude(means: Means, count: int, *, ties_fail: bool) -> FloatArray:
     """The conjunction of ``count`` values; ``ties_fail``: whether a value of 0 fails."""
     least, failing, growth = means
     fails = least <= 0.0 if ties_fail else least < 0.0
+    return _mean(fails, failing, growth, count)
+
+
+def _mean(fails: BoolArray, failing: FloatArray, growth: FloatArray, count: int) -> FloatArray:
     return np.where(fails, failing / count, np.expm1(growth / count))
+
+
+def conclude_all(
+    fails: BoolArray, failing: FloatArray, growth: FloatArray, count: int
+) -> FloatArray:
+    """The conjunction ``[n]`` of ``count`` values a rollout.
+
+    Args:
+        fails: Whether any of them fails, ``[n]``.
+        failing: The sum of min(value, 0), ``[n]``; counts where one fails.
+        growth: prod(1 + value) - 1 of each of `compounded` groups, ``[groups, n]``; counts where
+            none fails.
+        count: How many values.
+    """
+    return _mean(fails, failing, fold(np.add, np.log1p(growth))[0], count)
 
 
 def _over_windows(values: FloatArray, width: int, *, ties_fail: bool) -> FloatArray:
@@ -160,29 +188,37 @@ def _over_windows(values: FloatArray, width: int, *, ties_fail: bool) -> FloatAr
     if len(values) > width:
         return _conclude(sliding(_join, _means(values), width), width, ties_fail=ties_fail)
     least = values.min(axis=0, keepdims=True)
+    failing = fold(np.add, np.minimum(values, 0.0))
     growth = fold(np.add, np.log1p(_compound(values)))
-    failing = fold(np.add, np.minimum(values, 0.0, out=values))
     return _conclude((least, failing, growth), width, ties_fail=ties_fail)
 
 
-def _compound(values: FloatArray) -> FloatArray:
-    """prod(1 + value) - 1 over groups of about 16 steps, [s, n] -> [about s / 16, n].
+HALVINGS = 4
+"""Before logarithms are taken, so that one serves up to 16 steps."""
 
-    So one logarithm serves many steps. To full accuracy where all values are positive.
+
+def compounded(steps: int) -> int:
+    """The number of groups that `_compound` makes of so many steps."""
+    for _ in range(HALVINGS):
+        steps = half_of(steps) if steps > 1 else 1
+    return steps
+
+
+def _compound(values: FloatArray) -> FloatArray:
+    """prod(1 + value) - 1 over groups of steps, [s, n] -> [compounded(s), n], in place.
+
+    To full accuracy where all values are positive. The steps are folded as by `fold`.
     """
-    for _ in range(4):
-        half = len(values) // 2
-        if half == 0:
-            break
-        product = _compound_pair(values[:half], values[half : 2 * half])
-        if len(values) % 2:
-            product[0] = _compound_pair(product[0], values[-1])
-        values = product
+    for _ in range(HALVINGS):
+        if len(values) > 1:
+            half = half_of(len(values))
+            _compound_pair(values[: len(values) - half], values[half:])
+            values = values[:half]
     return values
 
 
-def _compound_pair(left: FloatArray, right: FloatArray) -> FloatArray:
+def _compound_pair(left: FloatArray, right: FloatArray) -> None:
+    """Into ``left``."""
     product = left * right
-    product += left
-    product += right
-    return product
+    left += product
+    left += right

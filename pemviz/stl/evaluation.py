@@ -15,6 +15,7 @@ from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_n
 from pemviz.stl.classical import Classical, ClassicalSemantics
 from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Predicate, Product, Quotient
+from pemviz.stl.folds import folded_robustness
 from pemviz.stl.formulas import Formula, Implies, Not, Truth
 from pemviz.stl.semantics import Semantics, evaluate, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulative, SmoothCumulativeSemantics
@@ -144,8 +145,14 @@ def _by_blocks(
     used, (rollouts, states) = _select(formula, signals)
     check_horizon(formula, states)
     steps = states - formula.horizon_steps() if steps is None else steps
+    semantics = _semantics(metric)
+    if steps == 1:
+        with np.errstate(all="ignore"):
+            folded = folded_robustness(formula, used, semantics)
+        if folded is not None:
+            return _all_finite(folded.T, formula)
     needed, predicates = steps + formula.horizon_steps(), predicates_to_check(formula)
-    named, semantics = formula.signals(), _semantics(metric)
+    named = formula.signals()
     result = np.empty((rollouts, steps))
     size = _block_rollouts(formula, states)
 
@@ -157,9 +164,13 @@ def _by_blocks(
         with np.errstate(all="ignore"):  # what is not finite is reported, or meant
             _check_margins(predicates, block, start)
             result[rows] = evaluate(formula, semantics, block, start=0, steps=steps).T
-    if not np.isfinite(result).all() and not any(isinstance(p, Truth) for p in formula.walk()):
+    return _all_finite(result, formula)
+
+
+def _all_finite(robustness: FloatArray, formula: Formula) -> FloatArray:
+    if not np.isfinite(robustness).all() and not any(isinstance(p, Truth) for p in formula.walk()):
         raise InputError("robustness is beyond the largest number; rescale the signals")
-    return result
+    return robustness
 
 
 def _time_first(values: AnyArray) -> FloatArray:

@@ -20,6 +20,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
+from pemviz.stl.dominant import LARGEST_EXPONENT, DominantSteps
 from pemviz.stl.expressions import Predicate
 from pemviz.stl.numbers import NumberSemantics
 from pemviz.stl.windows import fold, sliding
@@ -83,19 +84,7 @@ class SmoothCumulativeSemantics(NumberSemantics):
     def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
         if len(margin) > width:
             return self.always(self.predicate(predicate, margin), width)
-        # exp(-beta r) of a predicate's r is a sigmoid: no logarithm is needed per step.
-        grown = np.multiply(margin, self.sign * self.metric.beta)
-        np.clip(grown, -LARGEST_EXPONENT, LARGEST_EXPONENT, out=grown)
-        np.exp(grown, out=grown)
-        grown += 1.0
-        total = fold(np.add, np.reciprocal(grown, out=grown) if self.sign > 0.0 else grown)
-        result = np.log(total) / -self.metric.beta
-        # Where the sum came near the ends of double precision, the careful way is needed.
-        extreme = ~((total > 1e-280) & (total < 1e280))[0]
-        if extreme.any():
-            value = self.predicate(predicate, margin[:, extreme])
-            result[:, extreme] = self.always(value, width)
-        return result
+        return DominantSteps(self.metric.beta, self.sign > 0.0, width).always(margin)
 
     def eventually(self, value: FloatArray, width: int) -> FloatArray:
         if len(value) == width:
@@ -112,10 +101,6 @@ class SmoothCumulativeSemantics(NumberSemantics):
                 target = right[offset - first : offset - first + steps]
                 result -= np.logaddexp(held, -beta * target) / beta
         return result
-
-
-LARGEST_EXPONENT = 700.0
-"""Exponentials beyond it (below minus it) leave double precision, at ten times the cost."""
 
 
 def _exp(exponents: FloatArray) -> FloatArray:

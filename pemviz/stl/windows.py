@@ -73,7 +73,7 @@ def _doubled(combine: Combine[ArrayT], parts: Parts[ArrayT], stretch: int) -> Pa
 
 
 def fold(ufunc: Callable[..., Any], values: FloatArray) -> FloatArray:
-    """``ufunc`` over the whole time axis, half upon half, in place.
+    """``ufunc`` over the whole time axis, half upon half of the next power of two, in place.
 
     Unlike numpy's own reductions it adds in an order that does not depend on the number
     of rollouts, and its rounding error grows with log T only.
@@ -86,10 +86,13 @@ def fold(ufunc: Callable[..., Any], values: FloatArray) -> FloatArray:
         [1, n], a view of ``values``.
     """
     while len(values) > 1:
-        half = len(values) // 2
-        folded = values[:half]
-        ufunc(folded, values[half : 2 * half], out=folded)
-        if len(values) % 2:
-            ufunc(folded[0], values[-1], out=folded[0])
-        values = folded
+        half = half_of(len(values))
+        folded = values[: len(values) - half]
+        ufunc(folded, values[half:], out=folded)
+        values = values[:half]
     return values
+
+
+def half_of(steps: int) -> int:
+    """Half of the least power of two that is ``steps`` or more, of two steps or more."""
+    return 1 << ((steps - 1).bit_length() - 1)

@@ -1,0 +1,242 @@
+"""Robustness of formulas that join folds of single signals, by compiled loops.
+
+A fold asks of one signal, compared with one number, that it hold always or eventually over an
+interval of steps. It is read where it lies: no margins, no transposed blocks.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, FloatArray
+from pemviz.errors import InputError
+from pemviz.stl.agm import AgmSemantics, compounded, conclude_all
+from pemviz.stl.classical import ClassicalSemantics
+from pemviz.stl.compiled import DECISION
+from pemviz.stl.dominant import LARGEST_EXPONENT, DominantSteps
+from pemviz.stl.expressions import Constant, Predicate, Signal
+from pemviz.stl.formulas import And, Formula, Implies, Not, Or
+from pemviz.stl.semantics import Semantics
+from pemviz.stl.smooth_cumulative import SmoothCumulativeSemantics
+from pemviz.stl.temporal import Always, Eventually
+
+BLOCK_VALUES = 1 << 19
+"""Values of one signal that are folded at once."""
+
+COPIED_VALUES = 1 << 16
+"""The same where rollouts' values do not lie in one piece, and are copied so."""
+
+EXPONENTS = 1 << 16
+"""Exponentials that are taken at once."""
+
+FINITE = (-sys.float_info.max, sys.float_info.max)
+
+
+class UnservedError(Exception):
+    """The loops cannot tell: numpy answers, or tells what is wrong."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A signal compared with a number, always or eventually.
+
+    Attributes:
+        name: The signal's.
+        offset: The number.
+        above: Whether the predicate holds above it.
+        formula: The always or eventually.
+    """
+
+    name: str
+    offset: float
+    above: bool
+    formula: Always | Eventually
+
+    @property
+    def always(self) -> bool:
+        """Whether it must hold always."""
+        return isinstance(self.formula, Always)
+
+    @property
+    def predicate(self) -> Predicate:
+        """What must hold."""
+        assert isinstance(self.formula.operand, Predicate)  # noqa: S101  or it is no fold
+        return self.formula.operand
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """The first step, and the one after the last."""
+        return self.formula.first, self.formula.last + 1
+
+    @property
+    def sign(self) -> float:
+        """Of the distances (value - offset) * sign that a conjunction of all steps folds."""
+        return 1.0 if self.above is self.always else -1.0
+
+
+def fold_of(formula: Formula) -> Fold | None:
+    """``formula`` as a fold, if it is one."""
+    if not isinstance(formula, Always | Eventually):
+        return None
+    match formula.operand:
+        case Predicate(left=Signal(name=name), right=Constant(value=offset)) as predicate:
+            return Fold(name, offset, predicate.is_lower_bound, formula)
+        case Predicate(left=Constant(value=offset), right=Signal(name=name)) as predicate:
+            return Fold(name, offset, not predicate.is_lower_bound, formula)
+        case _:
+            return None
+
+
+def leaves(formula: Formula) -> Iterator[Formula]:
+    """The parts that and, or, not and implies join."""
+    if isinstance(formula, And | Or | Implies | Not):
+        for part in formula.children():
+            assert isinstance(part, Formula)  # noqa: S101  they join formulas alone
+            yield from leaves(part)
+    else:
+        yield formula
+
+
+def is_served(
+    formula: Formula, semantics: Semantics[FloatArray], signals: Mapping[str, AnyArray]
+) -> bool:
+    """Whether the loops know all of ``formula``, at step 0, under this metric."""
+    if any(values.dtype != np.float64 or not values.size for values in signals.values()):
+        return False
+    folds = [fold_of(leaf) for leaf in leaves(formula)]
+    match semantics:
+        case ClassicalSemantics():
+            return all(folds)
+        case AgmSemantics(metric=metric):
+            known = not metric.clip and all(name in metric.bounds for name in signals)
+            return known and all(folds)
+        case SmoothCumulativeSemantics():
+            return all(fold and isinstance(fold.formula, Always) for fold in folds)
+        case _:
+            return False
+
+
+class FoldedRobustness:
+    """Robustness ``[1, N]`` at step 0 of a formula that `is_served`."""
+
+    def __init__(self, loops: Any, signals: Mapping[str, AnyArray]) -> None:
+        self._loops, self._signals = loops, signals
+
+    def __call__(self, formula: Formula, semantics: Semantics[FloatArray]) -> FloatArray:
+        """The values.
+
+        Raises:
+            UnservedError: A signal is not fit to be asked.
+            InputError: The metric's bounds give a predicate no range.
+        """
+        match formula:
+            case Not(operand=operand):
+                return semantics.negate(self(operand, semantics.opposite()))
+            case And(parts=parts):
+                return semantics.conjunction([self(part, semantics) for part in parts])
+            case Or(parts=parts):
+                return semantics.disjunction([self(part, semantics) for part in parts])
+            case Implies(premise=premise, conclusion=conclusion):
+                negated = semantics.negate(self(premise, semantics.opposite()))
+                return semantics.disjunction([negated, self(conclusion, semantics)])
+            case _:
+                return self._folded(formula, semantics)
+
+    def _folded(self, formula: Formula, semantics: Semantics[FloatArray]) -> FloatArray:
+        fold = fold_of(formula)
+        assert fold is not None  # noqa: S101  it is served
+        values = self._signals[fold.name]
+        result = np.empty((1, len(values)))
+        in_rows = values.flags.c_contiguous
+        size = max(1, (BLOCK_VALUES if in_rows else COPIED_VALUES) // values.shape[1])
+        for start in range(0, len(values), size):
+            block = np.ascontiguousarray(values[start : start + size])
+            result[0, start : start + size] = self._of_block(block, fold, semantics)
+        return result
+
+    def _of_block(
+        self, block: FloatArray, fold: Fold, semantics: Semantics[FloatArray]
+    ) -> FloatArray:
+        match semantics:
+            case AgmSemantics():
+                return self._agm(block, fold, semantics)
+            case SmoothCumulativeSemantics():
+                return self._smooth(block, fold, semantics)
+            case _:
+                return self._classical(block, fold)
+
+    def _classical(self, block: FloatArray, fold: Fold) -> FloatArray:
+        task = self._loops.task_of(block, fold.window, fold.offset, fold.sign, FINITE)
+        keys = np.empty((2, len(block)), dtype=np.int64)
+        if not self._loops.all_extremes(task, *keys):
+            raise UnservedError
+        least, most = self._loops.ordered(keys).view(np.float64)
+        # Rounding keeps order, so that the least margin is the least value's.
+        if fold.above:
+            return (least if fold.always else most) - fold.offset
+        return fold.offset - (most if fold.always else least)
+
+    def _agm(self, block: FloatArray, fold: Fold, semantics: AgmSemantics) -> FloatArray:
+        scale = semantics.scale(fold.predicate)
+        if scale is None:
+            raise UnservedError
+        bounds = semantics.metric.bounds[fold.name]
+        task = self._loops.task_of(block, fold.window, fold.offset, fold.sign * scale, bounds)
+        count, width = len(block), fold.formula.width
+        fails, failing = np.empty(count, dtype=np.bool_), np.zeros(count)
+        growth = np.zeros((compounded(width), count))
+        if not self._loops.mean_parts(task, fold.always, fails, failing, growth):
+            raise UnservedError
+        value = conclude_all(fails, failing, growth, width)
+        return value if fold.always else -value
+
+    def _smooth(
+        self, block: FloatArray, fold: Fold, semantics: SmoothCumulativeSemantics
+    ) -> FloatArray:
+        count, width = len(block), fold.formula.width
+        steps = DominantSteps(semantics.metric.beta, semantics.sign > 0.0, width)
+        task = self._loops.task_of(block, fold.window, fold.offset, fold.sign, FINITE)
+        near = self._loops.Near(
+            steps.beta, steps.positive, steps.reach, LARGEST_EXPONENT, np.empty(count),
+            np.empty(count + 1, dtype=np.int64), np.empty(max(EXPONENTS, width + 8)),
+        )  # fmt: skip
+        total, done = np.zeros(count), 0
+        while done < count:
+            end, allowed = self._loops.exponents_near(task, near, done)
+            if not allowed:
+                raise UnservedError
+            powers = near.exponents[: near.ends[end]]
+            np.exp(powers, out=powers)
+            shift = steps.shift(near.base[done:end])
+            self._loops.add_powers(near.ends[done:], powers, shift, total[done:end], steps.positive)
+            done = end
+        return steps.result(near.base, total)
+
+
+def folded_robustness(
+    formula: Formula, signals: Mapping[str, AnyArray], semantics: Semantics[FloatArray]
+) -> FloatArray | None:
+    """Robustness ``[1, N]`` at step 0 by compiled loops.
+
+    ``None`` where they do not know the formula, are not there, or are not worth their loading; or
+    where something is wrong, which numpy then tells.
+
+    Args:
+        formula: Whose horizon fits.
+        signals: ``[N, T]`` by name, those that the formula uses.
+        semantics: The metric's.
+    """
+    if not is_served(formula, semantics, signals):
+        return None
+    loops = DECISION.loops_for(sum(values.size for values in signals.values()))
+    if loops is None:
+        return None
+    try:
+        return FoldedRobustness(loops, signals)(formula, semantics)
+    except (UnservedError, InputError):
+        return None
