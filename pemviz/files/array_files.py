@@ -45,14 +45,14 @@ def read_arrays(path: Path) -> dict[str, AnyArray]:
             arrays: dict[str, AnyArray] = {}
             for entry in archive.infolist():
                 name = entry.filename.removesuffix(ENDING)
-                _check_entry(entry, archive_bytes=size)
+                check_entry(entry, archive_bytes=size)
                 if name in arrays:
                     message = f"holds {name!r} twice"
                     raise ValueError(message)
                 with archive.open(entry) as content:
-                    arrays[name] = _read_array(content, name, size=entry.file_size)
+                    arrays[name] = read_array(content, name, size=entry.file_size)
             return arrays
-    except _DAMAGE as error:
+    except DAMAGE as error:
         reason = str(error) or type(error).__name__
         message = f"arrays {path}: cannot be read ({reason})"
         raise InputError(message) from error
@@ -77,13 +77,13 @@ def load_tensors(path: Path) -> dict[str, AnyArray]:
     return tensors
 
 
-_DAMAGE = (
+DAMAGE = (
     OSError, ValueError, KeyError, EOFError, RuntimeError, OverflowError,
     zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
 
 
-def _check_entry(entry: zipfile.ZipInfo, *, archive_bytes: int) -> None:
+def check_entry(entry: zipfile.ZipInfo, *, archive_bytes: int) -> None:
     """Refuse an entry that is no array or claims more than the archive can hold.
 
     Raises:
@@ -101,8 +101,13 @@ def _check_entry(entry: zipfile.ZipInfo, *, archive_bytes: int) -> None:
         raise ValueError(message)
 
 
-def _read_array(content: IO[bytes], name: str, *, size: int) -> AnyArray:
-    dtype, order, shape, used = _read_header(content, name)
+def read_array(content: IO[bytes], name: str, *, size: int) -> AnyArray:
+    """The array of an entry of ``size`` bytes.
+
+    Raises:
+        ValueError: Saying what is wrong.
+    """
+    dtype, order, shape, used = read_header(content, name)
     count = math.prod(shape)
     if count * dtype.itemsize != size - used:
         message = (
@@ -122,8 +127,12 @@ def _read_array(content: IO[bytes], name: str, *, size: int) -> AnyArray:
     return flat.reshape(shape, order="F" if order == "True" else "C")
 
 
-def _read_header(content: IO[bytes], name: str) -> tuple[np.dtype, str, tuple[int, ...], int]:
-    """Type, order and shape, and how many bytes the header takes."""
+def read_header(content: IO[bytes], name: str) -> tuple[np.dtype, str, tuple[int, ...], int]:
+    """Type, order and shape, and how many bytes the header takes.
+
+    Raises:
+        ValueError: It is no header of an array of numbers.
+    """
     start = content.read(8)
     if start[:6] != MAGIC or start[6:] not in (b"\x01\x00", b"\x02\x00"):
         message = f"{name}: is no array of numpy's format 1.0 or 2.0"

@@ -6,7 +6,8 @@ import numpy as np
 
 from pemviz.analysis.contribution import contributions
 from pemviz.arrays import FloatArray
-from pemviz.panel.run_data import RunData, final_violations
+from pemviz.panel.run_data import RunData
+from pemviz.panel.tables import final_violations
 from pemviz.sampling.registry import by_name
 
 

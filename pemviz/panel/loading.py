@@ -11,31 +11,31 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.analysis.detection_curves import gap_grid, initial_states, pem_curve
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.config import ExperimentConfig
 from pemviz.config.encounters import NO_FAMILY
 from pemviz.errors import InputError
 from pemviz.files.array_files import load_tensors
-from pemviz.panel.run_data import (
-    ProposalCurve,
-    RunData,
-    check_table,
-    detection_probability,
-    numbered,
-    own_scenario,
-    thinned,
-)
+from pemviz.files.mapped_arrays import LARGEST_READ_BYTES, map_arrays
+from pemviz.panel.run_data import ProposalCurve, RunData, detection_probability, own_scenario
+from pemviz.panel.tables import check_table, checked_rows, numbered, thinned
 from pemviz.pem import load_pem
 from pemviz.proposals.gap_network import gap_network_from_arrays
 from pemviz.runs.back_ends import build_back_end
 from pemviz.runs.result_file import RESULT_FILE
-from pemviz.runs.rollout_files import load_rollouts
+from pemviz.runs.rollout_files import load_rollouts, stage_files
 from pemviz.runs.same_run import read_whole_run
+from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.types import Simulator, StageKind
 
-LARGEST_ROLLOUTS_BYTES = 4 * 1024**3
+READ_BYTES = 64 * 1024**2
+"""Larger files of rollouts stay on disk."""
+VISITED_ROLLOUTS = 20_000
+"""Of which curves are means, those of all stages together."""
+GROUP_ROWS = 20
+MOST_CURVES = 200
 BIN_M = 0.25
 DRAWN_BACK_END = "vectorized"
 _INDEX = re.compile("[0-9]{1,9}")
@@ -66,8 +66,13 @@ class LoadedRuns:
             return run
 
 
-def load_run(folder: Path) -> RunData:
+def load_run(folder: Path, *, most_read_bytes: int = READ_BYTES) -> RunData:
     """Read a run folder.
+
+    Args:
+        folder: The folder.
+        most_read_bytes: A larger ``rollouts.npz`` is not read: what it holds of each step stays
+            on disk, and is read and checked when it is looked at.
 
     Raises:
         InputError: Something in it is absent or damaged.
@@ -75,15 +80,23 @@ def load_run(folder: Path) -> RunData:
     result = read_whole_run(folder)
     config = result.config
     own = _own_scenario(config)
-    table = _rollouts(folder, config, own)
-    parts = thinned((numbered(table),), stages=result.stages) if table else ()
+    table, mapped = _rollouts(folder, config, own, most_read_bytes=most_read_bytes)
+    table = numbered(table) if table else {}
+    parts = (table,) if table else ()
+    if not mapped and sum(values.nbytes for values in table.values()) > most_read_bytes:
+        parts = thinned(parts, stages=result.stages)
     drawn = sum(stage.rollouts for stage in result.stages)
     simulated = max(drawn, table["violated"].size) if table else 0  # a folder may keep fewer
-    if own is not None:  # no gap to draw curves against
-        return RunData(
-            result=result, gap_m=np.empty(0), pem_detection=np.empty(0), parts=parts,
-            simulated=simulated, folder=folder, own=own,
-        )  # fmt: skip
+    run = RunData(
+        result=result, gap_m=np.empty(0), pem_detection=np.empty(0), parts=parts,
+        simulated=simulated, folder=folder, own=own, mapped=mapped,
+    )  # fmt: skip
+    return _with_curves(run, table, folder) if own is None else run  # else no gap to draw against
+
+
+def _with_curves(run: RunData, table: Mapping[str, AnyArray], folder: Path) -> RunData:
+    """The run with curves of the error model and of proposals against the gap."""
+    config = run.config
     simulator = VectorizedSimulator(config.scenario)
     gap_m = gap_grid(simulator)
     try:
@@ -91,18 +104,18 @@ def load_run(folder: Path) -> RunData:
         pem_detection = pem_curve(simulator=simulator, pem=pem, gap_m=gap_m)
         curves = _learned_curves(folder, config, gap_m=gap_m)
     except InputError:  # the error model's file may be elsewhere by now: the rollouts tell too
-        pem_detection = _visited_curve(table, "log_p", gap_m=gap_m)
+        every = np.arange(table["violated"].size if table else 0)
+        visited = _spread(every, most=VISITED_ROLLOUTS)
+        pem_detection = _visited_curve(_visited(table, visited, folder), "log_p", gap_m=gap_m)
         curves = _learned_curves(folder, config, gap_m=gap_m)
+    curves_from = None
     if not curves and table:
-        curves = _visited_curves(table, gap_m=gap_m)
-    return RunData(
-        result=result,
-        gap_m=gap_m,
-        pem_detection=pem_detection,
-        curves=curves,
-        parts=parts,
-        simulated=simulated,
-        folder=folder,
+        follows_model = by_name(config.method).follows_model
+        curves, curves_from = _visited_curves(
+            table, folder, follows_model=follows_model, gap_m=gap_m
+        )
+    return replace(
+        run, gap_m=gap_m, pem_detection=pem_detection, curves=curves, curves_from=curves_from
     )
 
 
@@ -121,17 +134,24 @@ def _own_scenario(config: ExperimentConfig) -> Simulator | SlotSimulator | None:
 
 
 def _rollouts(
-    folder: Path, config: ExperimentConfig, own: Simulator | SlotSimulator | None
-) -> dict[str, AnyArray]:
-    whole = folder / "rollouts.npz"
-    if whole.exists() and whole.stat().st_size > LARGEST_ROLLOUTS_BYTES:
-        message = f"rollouts {whole}: larger than 4 GB, too large to show here"
+    folder: Path,
+    config: ExperimentConfig,
+    own: Simulator | SlotSimulator | None,
+    *,
+    most_read_bytes: int,
+) -> tuple[dict[str, AnyArray], bool]:
+    """The table of rollouts, empty if there is none, and whether its steps stay on disk."""
+    whole, parts = folder / "rollouts.npz", stage_files(folder)
+    if not whole.exists() and not parts:
+        return {}, False
+    size = sum(file.stat().st_size for file in parts or [whole])
+    mapped = not parts and size > most_read_bytes
+    if parts and size > LARGEST_READ_BYTES:
+        message = f"rollouts {folder}: stages of over 4 GB are too large to show before they end"
         raise InputError(message)
-    if not whole.exists() and not any((folder / "stages").glob("*.npz")):
-        return {}
-    table = load_rollouts(folder)
-    check_table(table, config, where=str(folder), simulator=own)
-    return table
+    table = map_arrays(whole) if mapped else load_rollouts(folder)
+    check_table(table, config, where=str(folder), simulator=own, mapped=mapped)
+    return table, mapped
 
 
 def _learned_curves(
@@ -163,17 +183,40 @@ def _learned_curves(
 
 
 def _visited_curves(
-    table: Mapping[str, AnyArray], *, gap_m: FloatArray
-) -> tuple[ProposalCurve, ...]:
-    """What every stage's rollouts were drawn from, where they have been."""
+    table: Mapping[str, AnyArray], folder: Path, *, follows_model: bool, gap_m: FloatArray
+) -> tuple[tuple[ProposalCurve, ...], int | None]:
+    """What every stage's rollouts were drawn from, where some of them have been.
+
+    Of the error model itself one curve is enough. Beside the curves how many rollouts of a stage
+    that is, where any has more.
+    """
     curves: list[ProposalCurve] = []
-    keys = np.unique(np.stack([table["repetition"], table["stage"]], axis=1), axis=0)
-    for repetition, stage in keys[-200:].tolist():
-        chosen = (table["repetition"] == repetition) & (table["stage"] == stage)
-        part = {name: table[name][chosen] for name in ("gap_m", "detected", "log_p", "log_q")}
+    key = table["repetition"].astype(np.int64) * (1 << 32) + table["stage"]
+    order = np.argsort(key, kind="stable")
+    stages = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    stages = stages[-1:] if follows_model else stages[-MOST_CURVES:]
+    most = VISITED_ROLLOUTS // len(stages)
+    for rows in stages:
+        repetition, stage = (int(table[name][rows[0]]) for name in ("repetition", "stage"))
+        part = _visited(table, _spread(rows, most=most), folder)
         detection = _visited_curve(part, "log_q", gap_m=gap_m)
         curves.append(ProposalCurve(repetition, stage, "learn", gap_m, detection))
-    return tuple(curves)
+    return tuple(curves), most if any(rows.size > most for rows in stages) else None
+
+
+def _spread(rows: IntArray, *, most: int) -> IntArray:
+    """At most ``most`` of some rows, in short groups which are spread evenly: few pages."""
+    if rows.size <= most:
+        return rows
+    groups = most // GROUP_ROWS
+    firsts = np.linspace(0, rows.size - GROUP_ROWS, groups).round().astype(np.int64)
+    return rows[(firsts[:, None] + np.arange(GROUP_ROWS)).ravel()]
+
+
+def _visited(table: Mapping[str, AnyArray], rows: IntArray, folder: Path) -> dict[str, AnyArray]:
+    """What curves are made of, of some rollouts."""
+    names = ("gap_m", "detected", "log_p", "log_q") if table else ()
+    return checked_rows(table, names, rows, where=str(folder))
 
 
 def _visited_curve(

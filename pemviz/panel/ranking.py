@@ -16,8 +16,9 @@ from pemviz.analysis.contribution import carrying
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
 from pemviz.panel.contribution import shares
-from pemviz.panel.run_data import RunData, signals_of, verdicts
-from pemviz.runs.rollout_files import latents_of
+from pemviz.panel.run_data import RunData
+from pemviz.panel.scans import AT_ONCE, Progress, Report, Scan, row_parts
+from pemviz.panel.tables import latent_names, verdicts
 from pemviz.runs.slot_outcomes import slots_of
 from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
 from pemviz.sampling.elite_threshold import elite_threshold
@@ -63,16 +64,40 @@ def rank(
     Raises:
         InputError: The metric cannot score them: agm, with bounds that rollouts leave.
     """
+    robustness = run.scans.value(*_scoring(run, metric, rule))
     return run.memo.get(
         ("ranking", metric, among, by_share, rule),
-        lambda: _rank(run, metric, among=among, by_share=by_share, rule=rule),
+        lambda: _rank(run, robustness, metric, among=among, by_share=by_share, rule=rule),
     )
 
 
+def scoring(run: RunData, metric: MetricName, *, rule: str | None = None) -> Progress | None:
+    """Have the scores that :func:`rank` needs computed; ``None`` once they are there.
+
+    It returns at once: scores of a large run are computed on a thread of their own.
+    """
+    return run.scans.begin(*_scoring(run, metric, rule), count=run.kept)
+
+
+def is_scored(run: RunData, metric: MetricName) -> bool:
+    """Whether a ranking by a metric can be shown without a wait."""
+    key, _ = _scoring(run, metric, None)
+    return metric == run.config.metric or run.kept <= AT_ONCE or run.scans.known(key)
+
+
+def _scoring(run: RunData, metric: MetricName, rule: str | None) -> tuple[object, Scan[FloatArray]]:
+    return ("robustness", metric, rule), lambda report: _robustness(run, metric, rule, report)
+
+
 def _rank(
-    run: RunData, metric: MetricName, *, among: Among, by_share: bool, rule: str | None
+    run: RunData,
+    robustness: FloatArray,
+    metric: MetricName,
+    *,
+    among: Among,
+    by_share: bool,
+    rule: str | None,
 ) -> Ranking:
-    robustness = run.memo.get(("robustness", metric, rule), lambda: _robustness(run, metric, rule))
     share = shares(run, rule=rule) if run.parts else np.empty(0)
     carries = carrying(share)
     chosen = np.arange(share.size)
@@ -80,15 +105,16 @@ def _rank(
         chosen = np.flatnonzero(carries)
     else:
         among = "all"
-    keys = (robustness[chosen], -share[chosen])
-    order = chosen[np.lexsort(keys if by_share else keys[:1])].astype(np.int64)
+    order = chosen[np.argsort(robustness[chosen], kind="stable")]
+    if by_share:
+        order = order[np.argsort(-share[order], kind="stable")]
     return Ranking(
-        metric=metric, robustness=robustness, share=share, order=order, among=among,
-        by_share=by_share, rule=rule,
+        metric=metric, robustness=robustness, share=share, order=order.astype(np.int64),
+        among=among, by_share=by_share, rule=rule,
     )  # fmt: skip
 
 
-def _robustness(run: RunData, metric: MetricName, rule: str | None) -> FloatArray:
+def _robustness(run: RunData, metric: MetricName, rule: str | None, report: Report) -> FloatArray:
     """Robustness ``[N]`` under the metric, of the specification or of one rule."""
     if not run.parts:
         return np.empty(0)
@@ -98,9 +124,13 @@ def _robustness(run: RunData, metric: MetricName, rule: str | None) -> FloatArra
     formulas = {None: run.config.spec} | {one.name: one.formula for one in run.config.rules}
     config = replace(run.config, metric=metric, spec=formulas[rule], rules=())
     formula = build_formula(config, simulator)
-    beyond = latents_of(run.rollouts) is not None or may_leave_bounds(simulator)
+    beyond = bool(latent_names(run.rollouts)) or may_leave_bounds(simulator)
     scale = build_metric(config, simulator, beyond=beyond)
-    return np.asarray(stl.robustness(formula, signals_of(run), scale), dtype=np.float64)
+    found = np.empty(run.kept)
+    for rows in row_parts(run.kept):
+        found[rows] = stl.robustness(formula, run.signals(rows), scale)
+        report(rows.stop)
+    return found
 
 
 @dataclass(frozen=True)
@@ -143,9 +173,15 @@ def row(run: RunData, ranking: Ranking, place: int) -> RankedRow:
 
 def _errors(run: RunData, index: int) -> int:
     """How often perception errs in a rollout, in whichever slot."""
-    detected, slots = run.rollouts["detected"][index], slots_of(run.simulator)
+    return int(_error_counts(run, slice(index, index + 1))[0])
+
+
+def _error_counts(run: RunData, rows: slice) -> IntArray:
+    """The same ``[R]`` of several."""
+    detected, slots = run.steps(["detected"], rows)["detected"], slots_of(run.simulator)
     nominal = np.array([slot.nominal for slot in slots], dtype=np.bool_) if slots else True
-    return int(np.count_nonzero(detected != nominal))
+    wrong = detected != nominal
+    return np.count_nonzero(wrong, axis=tuple(range(1, wrong.ndim))).astype(np.int64)
 
 
 def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:
@@ -155,9 +191,10 @@ def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:
     :mod:`pemviz.sampling.elite_threshold`.
     """
     chosen = np.zeros(ranking.robustness.size, dtype=np.bool_)
-    stages = np.stack([run.rollouts["repetition"], run.rollouts["stage"]], axis=1)
-    for stage in np.unique(stages, axis=0):
-        rows = np.flatnonzero((stages == stage).all(axis=1))
+    repetition, stage = (run.rollouts[name] for name in ("repetition", "stage"))
+    key = repetition.astype(np.int64) * (1 << 32) + stage
+    order = np.argsort(key, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
         robustness = ranking.robustness[rows]
         threshold = elite_threshold(robustness, sigma=sigma)
         chosen[rows] = elites_of_stage(robustness, threshold=threshold)
@@ -176,12 +213,25 @@ def ranking_csv(run: RunData, ranking: Ranking) -> str:
         ["rank", "repetition", "stage", "rollout", f"robustness_{ranking.metric}", "violated",
          "share_of_answer", "log_weight_nats", "pem_nll_nats", "misses", *rules]
     )  # fmt: skip
-    for place in range(ranking.order.size):
-        entry = row(run, ranking, place)
+    table = run.rollouts
+    broken = {one.name: verdicts(table, rule=one.name) for one in run.config.rules}
+    violated = verdicts(table, rule=ranking.rule)
+    columns = [table[name] for name in ("repetition", "stage", "rollout")]
+    (misses, nll), log_weight = _misses_and_nll(run), run.log_weight
+    for place, index in enumerate(ranking.order.tolist()):
+        names = " ".join(name for name, breaks in broken.items() if breaks[index])
         writer.writerow(
-            [entry.rank, entry.repetition, entry.stage, entry.rollout, repr(entry.robustness),
-             entry.violated, repr(entry.share), repr(entry.log_weight),
-             repr(float(run.pem_nll[entry.index])), entry.misses,
-             *(" ".join(entry.broken) for _ in rules)]
+            [place + 1, *(int(column[index]) for column in columns),
+             repr(float(ranking.robustness[index])), bool(violated[index]),
+             repr(float(ranking.share[index])), repr(float(log_weight[index])),
+             repr(float(nll[index])), int(misses[index]), *(names for _ in rules)]
         )  # fmt: skip
     return text.getvalue()
+
+
+def _misses_and_nll(run: RunData) -> tuple[IntArray, FloatArray]:
+    """Errors ``[N]`` of each rollout, and its negative log-likelihood ``[N]`` [nats]."""
+    misses, nll = np.empty(run.kept, dtype=np.int64), np.empty(run.kept)
+    for rows in row_parts(run.kept):
+        misses[rows], nll[rows] = _error_counts(run, rows), run.pem_nll(rows)
+    return misses, nll

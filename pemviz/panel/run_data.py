@@ -1,7 +1,7 @@
 """A run as the panel shows it, be it under way, just finished or read from a folder."""
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -9,14 +9,16 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, row_sums
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.latents import Latents
-from pemviz.runs.result import RunResult, StageSummary
-from pemviz.runs.rollout_files import BROKEN, ROLLOUT, latents_of, log_weights
-from pemviz.runs.slot_outcomes import slots_of
+from pemviz.panel.scans import Report, Scans, row_parts
+from pemviz.panel.tables import checked_rows, latent_names
+from pemviz.runs.result import RunResult
+from pemviz.runs.rollout_files import latents_of, log_weights
 from pemviz.runs.specification import asked_signals
+from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.scenario import GAP, scenario_signals
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.scene import drawn_scene
@@ -27,10 +29,6 @@ Value = TypeVar("Value")
 
 CLEARANCE = "clearance"
 """Signal of scenarios with several cars: how far the ego is from the nearest [m]."""
-KEPT_ROLLOUTS = 20_000
-FARTHEST = 1e9
-"""Beyond any gap [m], speed [m/s] or log likelihood of a step [nats]."""
-PER_ROLLOUT = ("repetition", "stage", "robustness", "violated")
 
 
 @dataclass(frozen=True)
@@ -77,10 +75,13 @@ class RunData:
         pem_detection: ``[G]`` P(detected) under the error model.
         curves: Proposals in the order in which they were learned.
         parts: Tables of rollouts with the keys of ``rollouts.npz``, each table some stages.
-        simulated: How many rollouts were simulated; tables may hold fewer, see ``thinned``.
+        simulated: How many rollouts were simulated; tables may hold fewer, see
+            :func:`pemviz.panel.tables.thinned`.
         folder: Where the run lies on disk, if it does.
         running: Whether it goes on.
         own: The scenario, in its own steps, if it is another than the braking scenario.
+        mapped: Whether the tables' arrays of steps lie on disk, unchecked; :meth:`steps` reads.
+        curves_from: How many rollouts of a stage its curve is the mean of, where that is not all.
     """
 
     result: RunResult
@@ -92,7 +93,10 @@ class RunData:
     folder: Path | None = None
     running: bool = False
     own: Simulator | SlotSimulator | None = None
+    mapped: bool = False
+    curves_from: int | None = None
     memo: Memo = field(default_factory=Memo, init=False)
+    scans: Scans = field(default_factory=Scans, init=False)
 
     @property
     def name(self) -> str:
@@ -150,91 +154,82 @@ class RunData:
         last = self.curves[-1].repetition
         return tuple(curve for curve in self.curves if curve.repetition == last)
 
-    @cached_property
-    def log_weight(self) -> FloatArray:
-        """Log importance weights ``[N]`` of the rollouts kept [nats]."""
-        return log_weights(self.rollouts)
+    def steps(self, names: Iterable[str], rows: int | slice | IntArray) -> dict[str, AnyArray]:
+        """Rows ``[R, ...]`` of the tables' arrays; of one rollout ``[1, ...]``.
 
-    @cached_property
-    def pem_nll(self) -> FloatArray:
-        """Negative log-likelihoods ``[N]`` of the rollouts kept under the error model [nats]."""
-        return -row_sums(np.asarray(self.rollouts["log_p"], dtype=np.float64))
+        Raises:
+            InputError: They lie on disk, and hold numbers that cannot be a run's.
+        """
+        chosen = slice(rows, rows + 1) if isinstance(rows, int) else rows
+        if self.mapped:
+            return checked_rows(self.rollouts, names, chosen, where=str(self.folder))
+        return {name: self.rollouts[name][chosen] for name in names}
+
+    def signals(self, rows: int | slice | IntArray) -> dict[str, FloatArray]:
+        """Signals ``[R, T]`` of rollouts by the names that specifications use.
+
+        Raises:
+            InputError: As :meth:`steps`.
+        """
+        keys = {signal.name: signal.key for signal in self.simulator.signals}
+        found = self.steps(keys.values(), rows)
+        return {name: np.asarray(found[key], dtype=np.float64) for name, key in keys.items()}
+
+    def latents(self, rows: int | slice | IntArray) -> Latents | None:
+        """Latents of rollouts; ``None`` if there are none.
+
+        Raises:
+            InputError: They lie on disk, and are no finite numbers.
+        """
+        names = latent_names(self.rollouts) if self.parts else ()
+        try:
+            return latents_of(self.steps(names, rows)) if names else None
+        except ValueError as error:
+            message = f"rollouts {self.folder}: {error}"
+            raise InputError(message) from error
+
+    @property
+    def log_weight(self) -> FloatArray:
+        """Log importance weights ``[N]`` of the rollouts kept [nats].
+
+        Raises:
+            InputError: As :meth:`steps`.
+        """
+        return self.scans.value("log weight", self._log_weight)
+
+    def weigh(self) -> None:
+        """Have log weights computed, if there are rollouts: what follows needs no wait.
+
+        Raises:
+            InputError: As :meth:`steps`.
+        """
+        if self.parts:
+            _ = self.log_weight
+
+    def _log_weight(self, report: Report) -> FloatArray:
+        if not self.mapped:
+            return log_weights(self.rollouts)
+        if by_name(self.config.method).follows_model:  # drawn from the error model itself
+            return np.zeros(self.kept)
+        names = {"log_p", "log_q", *latent_names(self.rollouts)}
+        found = np.empty(self.kept)
+        for rows in row_parts(self.kept):
+            try:
+                found[rows] = log_weights(self.steps(names, rows))
+            except ValueError as error:
+                message = f"rollouts {self.folder}: {error}"
+                raise InputError(message) from error
+            report(rows.stop)
+        return found
+
+    def pem_nll(self, rows: slice | IntArray) -> FloatArray:
+        """Negative log-likelihoods ``[R]`` of rollouts under the error model [nats]."""
+        return -row_sums(np.asarray(self.steps(["log_p"], rows)["log_p"], dtype=np.float64))
 
 
 def detection_probability(log_likelihood: FloatArray, detected: BoolArray) -> FloatArray:
     """P(detected) ``[...]`` from the log likelihood of outcomes ``[...]``."""
     return np.where(detected, np.exp(log_likelihood), -np.expm1(log_likelihood))
-
-
-def signals_of(run: RunData) -> dict[str, FloatArray]:
-    """The kept rollouts' signals ``[N, T]`` by the names that specifications use."""
-    return {
-        signal.name: np.asarray(run.rollouts[signal.key], dtype=np.float64)
-        for signal in run.simulator.signals
-    }
-
-
-def latents_of_run(run: RunData) -> Latents | None:
-    """The latents of the kept rollouts; ``None`` if there are none."""
-    return run.memo.get("latents", lambda: latents_of(run.rollouts) if run.parts else None)
-
-
-def thinned(
-    parts: Sequence[Mapping[str, AnyArray]],
-    *,
-    stages: Sequence[StageSummary],
-    limit: int = KEPT_ROLLOUTS,
-) -> tuple[Mapping[str, AnyArray], ...]:
-    """At most ``limit`` rollouts, in their order.
-
-    If there are more: of the final stages' violations those of largest weight, up to half of
-    what is kept, and beside them the least robust of all others.
-
-    Args:
-        parts: Tables of rollouts.
-        stages: The run's stages, as far as it has come.
-        limit: How many rollouts are kept.
-    """
-    if sum(part["violated"].shape[0] for part in parts) <= limit:
-        return tuple(parts)
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    violations = np.flatnonzero(final_violations(joined, stages=stages))
-    log_weight = log_weights(joined)[violations]
-    heavy = violations[np.argsort(-log_weight, kind="stable")[: limit // 2]]
-    order = np.argsort(joined["robustness"], kind="stable")
-    others = order[~np.isin(order, heavy)][: limit - heavy.size]
-    chosen = np.sort(np.concatenate([heavy, others]))
-    return ({name: values[chosen] for name, values in joined.items()},)
-
-
-def final_violations(
-    table: Mapping[str, AnyArray], *, stages: Sequence[StageSummary], rule: str | None = None
-) -> BoolArray:
-    """Which rollouts ``[N]`` of a table violate, or break a rule, and belong to a final stage."""
-    chosen = np.zeros(table["violated"].shape, dtype=np.bool_)
-    for stage in stages:
-        if stage.kind == "final":
-            chosen |= (table["repetition"] == stage.repetition) & (table["stage"] == stage.stage)
-    return chosen & verdicts(table, rule=rule)
-
-
-def verdicts(table: Mapping[str, AnyArray], *, rule: str | None) -> BoolArray:
-    """Which rollouts ``[N]`` of a table violate the specification or, if given, break a rule."""
-    return np.asarray(table["violated" if rule is None else f"{BROKEN}{rule}"], dtype=np.bool_)
-
-
-def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
-    """The table with each rollout's index in its stage under ``rollout``."""
-    if ROLLOUT in part:
-        return dict(part)
-    key = part["repetition"].astype(np.int64) * (1 << 32) + part["stage"].astype(np.int64)
-    order = np.argsort(key, kind="stable")
-    ordered = key[order]
-    starts = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]])
-    lengths = np.diff(np.r_[starts, key.size])
-    index = np.empty(key.size, dtype=np.int64)
-    index[order] = np.arange(key.size) - np.repeat(starts, lengths)
-    return {**part, ROLLOUT: index}
 
 
 def own_scenario(
@@ -259,60 +254,3 @@ def own_scenario(
         )
         raise InputError(message)
     return simulator
-
-
-def check_table(
-    table: Mapping[str, AnyArray],
-    config: ExperimentConfig,
-    *,
-    where: str,
-    simulator: Simulator | SlotSimulator | None = None,
-) -> None:
-    """Check a table read from disk against what its configuration promises.
-
-    Raises:
-        InputError: An array is absent, or its shape, type or numbers cannot be a run's.
-    """
-    scenario = VectorizedSimulator(config.scenario) if simulator is None else simulator
-    slots = len(slots_of(scenario))
-    acted = (scenario.states - 1, slots) if slots > 1 else (scenario.states - 1,)
-    shapes = {signal.key: (scenario.states,) for signal in scenario.signals}
-    shapes |= dict.fromkeys(("detected", "log_p", "log_q"), acted)
-    count = table["violated"].size if "violated" in table else 0
-    broken = [f"{BROKEN}{rule.name}" for rule in config.rules]
-    numbers = [ROLLOUT] if ROLLOUT in table else []
-    for name in (*PER_ROLLOUT, *numbers, *broken, *shapes):
-        shape = (count, *shapes.get(name, ()))
-        if name not in table or table[name].shape != shape:
-            state = "is absent" if name not in table else f"has shape {table[name].shape}"
-            message = f"rollouts {where}: {name} {state}, must have shape {shape}"
-            raise InputError(message)
-        fault = _fault(name, table[name])
-        if fault is not None:
-            message = f"rollouts {where}: {name} {fault}"
-            raise InputError(message)
-    try:
-        latents_of(table)
-    except ValueError as error:
-        message = f"rollouts {where}: {error}"
-        raise InputError(message) from error
-
-
-def _fault(name: str, values: AnyArray) -> str | None:
-    """What is wrong with an array's type or numbers, in words; ``None`` if nothing is."""
-    kind = "b" if name.startswith(BROKEN) else _KINDS.get(name, "f")
-    if values.dtype.kind != kind:
-        return f"holds {values.dtype}, must hold {_KIND_WORDS[kind]}"
-    if kind == "i" and not np.all((values >= 0) & (values < 2**31)):
-        return "must lie between 0 and 2147483647"
-    if name in ("log_p", "log_q") and not np.all((values <= 0.0) & (values >= -FARTHEST)):
-        return f"must hold logarithms of probabilities, {-FARTHEST:g} to 0"
-    if name == "robustness" and np.any(np.isnan(values)):
-        return "must hold numbers, not NaN"
-    if name not in PER_ROLLOUT and kind == "f" and not np.all(np.abs(values) <= FARTHEST):
-        return f"must hold numbers between {-FARTHEST:g} and {FARTHEST:g}"
-    return None
-
-
-_KINDS = {"detected": "b", "violated": "b", "repetition": "i", "stage": "i", ROLLOUT: "i"}
-_KIND_WORDS = {"b": "truth values", "i": "whole numbers", "f": "floating-point numbers"}

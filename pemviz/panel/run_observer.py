@@ -9,7 +9,8 @@ import numpy as np
 
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
 from pemviz.arrays import FloatArray
-from pemviz.panel.run_data import ProposalCurve, RunData, numbered, thinned
+from pemviz.panel.run_data import ProposalCurve, RunData
+from pemviz.panel.tables import numbered, thinned
 from pemviz.runs.events import Event, RepetitionDone, RolloutsDone, RunDone, RunFailed, RunStarted
 from pemviz.runs.events import StageDone as StageDoneEvent
 from pemviz.runs.result import RunResult
@@ -98,7 +99,7 @@ class Watcher:
                     done=self._done_before + event.done,
                 )
             case StageDoneEvent():
-                self._add_stage(event.stage)
+                self._add_stage(event.stage, event.result)
                 self._set_result(event.result)
             case RepetitionDone():
                 self._set_result(event.result)
@@ -138,7 +139,7 @@ class Watcher:
         if self.run is not None:
             self.run = replace(self.run, result=result)
 
-    def _add_stage(self, stage: StageResult) -> None:
+    def _add_stage(self, stage: StageResult, result: RunResult) -> None:
         run, started = self.run, self._started
         if run is None or started is None:
             return
@@ -150,7 +151,7 @@ class Watcher:
         self.run = replace(
             run,
             curves=run.curves if curve is None else (*run.curves, curve),
-            parts=thinned((*run.parts, part), stages=run.result.stages),
+            parts=thinned((*run.parts, part), stages=result.stages),
             simulated=run.simulated + count,
         )
 

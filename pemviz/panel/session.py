@@ -102,6 +102,8 @@ class Session:
         self.player.advance()
         if time.monotonic() - self._refreshed_s >= REFRESH_S:
             self._refresh()
+            for tab in (self.trajectories, self.weights, self.compare):
+                tab.go_on()
         if time.monotonic() - self._listed_s >= LIST_S:
             self._listed_s = time.monotonic()
             self.recordings.look()

@@ -13,7 +13,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import elites, rank, ranking_csv, row
-from pemviz.panel.run_data import check_table, numbered, thinned
+from pemviz.panel.tables import check_table, numbered, thinned
 from pemviz.panel.views.headline import headline
 from pemviz.panel.views.ranking_table import ranking_table
 from pemviz.panel.views.why import failures_of, longest_runs

@@ -1,6 +1,6 @@
 """Runs of a scenario that tells where its cars are, in the panel."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,9 +13,10 @@ from pemviz.errors import InputError
 from pemviz.latents import Latents
 from pemviz.panel import loading
 from pemviz.panel.ranking import rank, row
-from pemviz.panel.run_data import check_table, own_scenario
+from pemviz.panel.run_data import own_scenario
 from pemviz.panel.run_observer import Watcher
 from pemviz.panel.scene_page import scene_html
+from pemviz.panel.tables import check_table
 from pemviz.panel.tabs.encounters import asked_simulator, check_encounter
 from pemviz.panel.views.compare import metric_curves, metrics_page
 from pemviz.panel.views.details import details, rule_robustness
@@ -141,8 +142,9 @@ def test_the_rollout_shown_has_the_robustness_of_each_rule_and_its_start_in_word
     noise = np.zeros((60, 40, 1))
     still = 0.0 * start
     latents = Latents(start, still, still + 1.0, noise, noise, noise[..., 0], noise + 1.0)
-    with_latents = replace(shown, parts=(table,))
-    with_latents.memo.get("latents", lambda: latents)
+    arrays = {f"latents.{field.name}": getattr(latents, field.name) for field in fields(Latents)}
+    kept = {name: values for name, values in arrays.items() if values is not None}
+    with_latents = replace(shown, parts=(table | kept,))
     page = details(with_latents, entry)
     assert "Standard normals at its start: 0.5." in page
     assert "Standard normals of its steps" in page

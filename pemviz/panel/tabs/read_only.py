@@ -9,7 +9,7 @@ from pemviz.panel.tabs.chart import Chart
 from pemviz.panel.tabs.trajectories import TrajectoriesTab
 from pemviz.panel.views.headline import headline, status
 from pemviz.panel.views.learning import learning, learning_words, proposal_curves
-from pemviz.panel.views.weights import heaviest_curves, weights_page
+from pemviz.panel.views.weights import heaviest_curves, looking_at_gaps, weights_page
 from pemviz.panel.views.why import why
 from pemviz.reports.pictures.causes import SHOWN_CHAINS, shown_chains
 
@@ -69,6 +69,7 @@ class WeightsTab:
         self._trajectories = trajectories
         self._window = window
         self._run: RunData | None = None
+        self.waiting = False
         self.number = gui.add_number("Show rollout", 0, min=0, max=10_000_000, step=1,
             hint=NUMBER_HINT)  # fmt: skip
         self._page = gui.add_html("")
@@ -88,8 +89,15 @@ class WeightsTab:
     def _draw(self) -> None:
         shown = self._trajectories.shown
         selected = None if shown is None or self._run is None else shown.index
+        run = self._run
+        self.waiting = run is not None and not run.running and looking_at_gaps(run) is not None
         page = weights_page(self._run, target=element_id(self.number), selected=selected)
         set_html(self._page, page)
+
+    def go_on(self) -> None:
+        """Tell how far the look at all rollouts is, while it goes on."""
+        if self.waiting:
+            self._draw()
 
     def _mark(self) -> None:
         """Another rollout is shown."""

@@ -1,15 +1,21 @@
 """The Recordings tab: runs that are kept; loading, settings, notes, downloads, deleting."""
 
+import threading
 from collections.abc import Callable
+from functools import partial
+from html import escape
+from pathlib import Path
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.ranking import rank, ranking_csv
+from pemviz.panel.run_data import RunData
 from pemviz.panel.scene_page import scene_html
 from pemviz.panel.tabs.player import Player
 from pemviz.panel.views.recordings import delete_question, recordings_table, viewer_link
+from pemviz.reports.pictures.html import block, quiet
 from pemviz.runs.same_run import read_whole_run
 
 NONE = "no runs yet"
@@ -48,6 +54,7 @@ class RecordingsTab:
         self._list_runs = list_runs
         self._moment = (-1, False)
         self._seen: object = None
+        self._opening: Path | None = None
         self._add_choice()
         self._add_notes()
         self.name.on_update(browser.on(self._chosen))
@@ -115,10 +122,36 @@ class RecordingsTab:
         self.notes.value = self._browser.hub.recordings.notes(self.name.value)
 
     def _load(self) -> None:
-        hub = self._browser.hub
-        self._browser.look_at(hub.loaded.get(hub.recordings.folder(self.name.value)))
+        """Read the run on a thread of its own, and show it unless another is asked for."""
+        browser, hub, name = self._browser, self._browser.hub, self.name.value
+        folder = hub.recordings.folder(name)
+        self._opening = folder
+
+        def show(run: RunData) -> None:
+            if self._opening == folder:
+                self._opening = None
+                set_html(self._link, "")
+                browser.look_at(run)
+
+        def fail(error: Exception) -> None:
+            self._opening = None
+            set_html(self._link, "")
+            raise error
+
+        def read() -> None:
+            try:
+                run = hub.loaded.get(folder)
+                run.weigh()
+            except Exception as error:  # the session's thread tells it
+                browser.post(partial(fail, error))
+            else:
+                browser.post(partial(show, run))
+
+        set_html(self._link, block(quiet(f"Opening {escape(name)} ...")))
+        threading.Thread(target=read, name="pemviz-open", daemon=True).start()
 
     def _back(self) -> None:
+        self._opening = None
         self._browser.look_at(None)
 
     def _settings(self) -> None:

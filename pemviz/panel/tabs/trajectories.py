@@ -9,10 +9,11 @@ import viser
 from pemviz.config import MetricName
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, element_id, set_html
-from pemviz.panel.ranking import Among, RankedRow, Ranking, rank, row
+from pemviz.panel.ranking import Among, RankedRow, Ranking, rank, row, scoring
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tabs.player import FROM_ABOVE, FROM_BEHIND, Player
 from pemviz.panel.views.details import details
+from pemviz.panel.views.page import progress_words
 from pemviz.panel.views.ranking_table import ranking_table
 from pemviz.reports.pictures.html import block, quiet
 
@@ -65,6 +66,7 @@ class TrajectoriesTab:
         self._add_keys()
         self._run: RunData | None = None
         self._ranking: Ranking | None = None
+        self._waiting: tuple[int | None, bool] | None = None
         self._picked: tuple[str, int, int, int] | None = None
         self._shown_s = 0.0
         self._listeners: list[Callable[[], None]] = []
@@ -124,13 +126,12 @@ class TrajectoriesTab:
         run = self._run
         if run is None:
             return
-        self._ranking = ranking = rank(
-            run,
-            self._metric(),
-            among=self._chosen(self.among.value, AMONG, "among"),
-            by_share=self._chosen(self.first.value, BY_SHARE, "first"),
-            rule=self._rule(run),
-        )
+        ranking = self._asked_ranking(run)
+        self._waiting = (place, by_hand) if ranking is None else None
+        if ranking is None:
+            return
+        self._ranking = ranking
+        self._offer_places(ranking)
         if not ranking.order.size:
             set_html(self._table, block(quiet("No rollouts yet.")))
             return
@@ -152,6 +153,34 @@ class TrajectoriesTab:
         if before is None or before.index != entry.index:
             for listener in self._listeners:
                 listener()
+
+    def _offer_places(self, ranking: Ranking) -> None:
+        last = max(int(ranking.order.size), 1)
+        if self.place.max != last:
+            self.place.max = last
+
+    def _asked_ranking(self, run: RunData) -> Ranking | None:
+        """The ranking that was asked for; while its scores are computed, how far they are."""
+        self._waiting = None
+        metric, rule = self._metric(), self._rule(run)
+        progress = scoring(run, metric, rule=rule)
+        if progress is not None:
+            words = f"Scored under {metric} so far: {progress_words(progress)}."
+            set_html(self._table, block(quiet(words)))
+            return None
+        return rank(
+            run,
+            metric,
+            among=self._chosen(self.among.value, AMONG, "among"),
+            by_share=self._chosen(self.first.value, BY_SHARE, "first"),
+            rule=rule,
+        )
+
+    def go_on(self) -> None:
+        """Show the ranking that was asked for as soon as its scores are there, else how far."""
+        if self._waiting is not None:
+            place, by_hand = self._waiting
+            self._show(place=place, by_hand=by_hand)
 
     def pick(self, *, repetition: int, stage: int, rollout: int) -> None:
         """Show a rollout, among all if it is not among those ranked."""

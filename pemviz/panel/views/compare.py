@@ -11,8 +11,9 @@ from pemviz.colors import BLACK, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
 from pemviz.config.toml_files import every_setting
 from pemviz.errors import InputError
-from pemviz.panel.ranking import Ranking, elites, rank, row
+from pemviz.panel.ranking import Ranking, elites, is_scored, rank, row, scoring
 from pemviz.panel.run_data import RunData
+from pemviz.panel.scans import Progress
 from pemviz.panel.views.curves import (
     RUN_COLORS,
     RUN_DASHES,
@@ -33,6 +34,22 @@ from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 METRIC_DASHES = {"agm": (7.0, 3.0), "smooth-cumulative": (2.0, 3.0)}
 LETTERS = "ABCDEF"
 MOST_RUNS = len(LETTERS)
+
+
+def comparing(run: RunData | None, *, asked: bool) -> Progress | bool:
+    """How far the metrics' scores are: whether they are there, or how many rollouts are scored.
+
+    Args:
+        run: The run shown.
+        asked: Whether to have those of a large run computed, which takes a while.
+    """
+    if run is None or not run.parts or run.running:
+        return True
+    missing: Sequence[MetricName] = tuple(m for m in metric_names() if not is_scored(run, m))
+    if not missing or not asked:
+        return not missing
+    waits = (scoring(run, metric) for metric in missing)  # one after the other
+    return next((progress for progress in waits if progress is not None), True)
 
 
 def metrics_page(run: RunData | None) -> str:
@@ -57,7 +74,7 @@ def _metric_curves(run: RunData) -> Curves:
     lines = [
         Line(
             f"{metric}, {signal_label(charted)}",
-            np.asarray(run.rollouts[charted.key][row(run, ranking, 0).index], np.float64),
+            run.signals(row(run, ranking, 0).index)[charted.name][0],
             METRICS.get(metric, BLACK),
             width=3.4 - 0.8 * place,
             dash=METRIC_DASHES.get(metric, ()),

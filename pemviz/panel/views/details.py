@@ -11,7 +11,7 @@ from pemviz.arrays import FloatArray
 from pemviz.colors import MISSED
 from pemviz.latents import Latents
 from pemviz.panel.ranking import RankedRow
-from pemviz.panel.run_data import RunData, latents_of_run, signals_of
+from pemviz.panel.run_data import RunData
 from pemviz.panel.views.curves import RUN_COLORS
 from pemviz.reports.pictures.html import block, grid, heading, number, quiet
 from pemviz.reports.pictures.svg import Axis, Plot
@@ -32,12 +32,12 @@ def details(run: RunData, entry: RankedRow, *, contact: str = "") -> str:
         entry: The rollout.
         contact: When and how fast the cars touched, in words.
     """
-    latents = latents_of_run(run)
+    latents = run.latents(entry.index)
     parts = [
         _rules(run, entry),
         quiet(f"{contact[0].upper()}{contact[1:]}.") if contact else "",
-        "" if latents is None else _start(run, latents, entry.index),
-        "" if latents is None else _noise(run, latents, entry.index),
+        "" if latents is None else _start(run, latents),
+        "" if latents is None else _noise(run, latents),
     ]
     shown = "".join(parts)
     return block(heading("The rollout shown") + shown) if shown else ""
@@ -45,7 +45,7 @@ def details(run: RunData, entry: RankedRow, *, contact: str = "") -> str:
 
 def rule_robustness(run: RunData, index: int) -> dict[str, float]:
     """Classical robustness of a rollout in each rule, by name."""
-    signals = {name: values[index : index + 1] for name, values in signals_of(run).items()}
+    signals = run.signals(index)
     found: dict[str, float] = {}
     for rule in run.config.rules:
         config = replace(run.config, spec=rule.formula, rules=())
@@ -66,16 +66,16 @@ def _rules(run: RunData, entry: RankedRow) -> str:
     return grid(["rule", "robustness", ""], lines, name="Rules of the rollout") if lines else ""
 
 
-def _start(run: RunData, latents: Latents, index: int) -> str:
+def _start(run: RunData, latents: Latents) -> str:
     """The values it started with, where the scenario names them; else the latents themselves."""
-    drawn, mean = latents.start[index], latents.start_mean[index]
+    drawn, mean = latents.start[0], latents.start_mean[0]
     if not drawn.size:
         return ""
     named = named_starts(run.simulator)
     if named is None:
         around = f", drawn around {_listed(mean)}" if np.any(mean) else ""
         return quiet(f"Standard normals at its start: {_listed(drawn)}{around}.")
-    values = named.start_values(latents.start[index : index + 1])
+    values = named.start_values(latents.start)
     words = [
         f"{escape(signal.name.replace('_', ' '))} {number(float(values[signal.name][0]))} "
         f"{escape(signal.unit)}"
@@ -84,9 +84,9 @@ def _start(run: RunData, latents: Latents, index: int) -> str:
     return quiet(f"It started with {', '.join(words)}.")
 
 
-def _noise(run: RunData, latents: Latents, index: int) -> str:
+def _noise(run: RunData, latents: Latents) -> str:
     """The latents of its steps against time."""
-    noise: FloatArray = latents.noise[index, :, :MOST_NOISE]
+    noise: FloatArray = latents.noise[0, :, :MOST_NOISE]
     if not noise.size:
         return ""
     reach = max(3.0, float(np.max(np.abs(noise))) * 1.05)

@@ -77,13 +77,18 @@ def proposal_curves(run: RunData | None) -> Curves | None:
         lines.append(Line(name, values, color, width=2.6 if age == 0 else 1.4))
     model = Line(f"error model ({_shown_pem(run)})", run.pem_detection, PEM, 2.0, (7.0, 3.0))
     return Curves(
-        title="P(detected) over the gap",
+        title=f"P(detected) over the gap{_from(run)}",
         x=run.gap_m,
         x_label="gap [m]",
         y_label="P(detected)",
         lines=(*lines, model),
         y_range=(0.0, 1.0),
     )
+
+
+def _from(run: RunData) -> str:
+    """How many rollouts curves are means of, where that is not all."""
+    return "" if run.curves_from is None else f" (from {run.curves_from:,} rollouts a stage)"
 
 
 def _spread(curves: Sequence[ProposalCurve]) -> list[ProposalCurve]:

@@ -3,6 +3,7 @@
 What goes into it is told apart by the classes of its HTML; the style sheet here lays it out.
 """
 
+from pemviz.panel.scans import Progress
 from pemviz.reports.pictures.html import STYLE as TEXT
 
 COLUMN_PX = 420
@@ -51,6 +52,11 @@ top:auto!important;bottom:{MARGIN_PX}px!important}}
 def page(*cells: str) -> str:
     """A page's cells, side by side where there is room."""
     return f"<div class='{ANALYSIS}' style='{TEXT}'>{''.join(cells)}</div>"
+
+
+def progress_words(progress: Progress) -> str:
+    """How far a look at all rollouts is."""
+    return f"{progress.done:,} of {progress.count:,} rollouts"
 
 
 def cell(body: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.colors import BLUE, DETECTED, GREY, MISSED, car_color
 from pemviz.panel.ranking import RankedRow
-from pemviz.panel.run_data import RunData, latents_of_run
+from pemviz.panel.run_data import RunData
 from pemviz.panel.views.page import PLOTS, SPEEDS
 from pemviz.panel.views.rollout import CURSOR, HEIGHT, PLOT_WIDTH, row_title
 from pemviz.reports.pictures.svg import Axis, Plot, svg, text
@@ -73,17 +73,14 @@ def road_track(run: RunData, entry: RankedRow) -> RoadTrack | None:
     """The rollout of a row of the ranking; ``None`` for the braking scenario, drawn by its gap."""
     if run.own is None:
         return None
-    table, index, simulator = run.rollouts, entry.index, run.own
-    signals = {
-        signal.name: np.asarray(table[signal.key][index], dtype=np.float64)
-        for signal in simulator.signals
-    }
-    detected = np.asarray(table["detected"][index], dtype=np.bool_)
+    index, simulator = entry.index, run.own
+    signals = {name: values[0] for name, values in run.signals(index).items()}
+    detected = np.asarray(run.steps(["detected"], index)["detected"][0], dtype=np.bool_)
     memory = {}
     if drawn_tracks(simulator) is not None and episodic(simulator) is None:
-        latents = latents_of_run(run)
-        start = None if latents is None else latents.start[index]
-        noise = None if latents is None else latents.noise[index]
+        latents = run.latents(index)
+        start = None if latents is None else latents.start[0]
+        noise = None if latents is None else latents.noise[0]
         memory = remembered(simulator, detected=detected, start=start, noise=noise)
     drawn = drawn_rollout(simulator, signals=signals, detected=detected, memory=memory)
     if drawn is None:

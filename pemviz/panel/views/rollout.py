@@ -71,12 +71,10 @@ class Track:
 
 def track(run: RunData, entry: RankedRow) -> Track:
     """The rollout of a row of the ranking."""
-    table, index = run.rollouts, entry.index
-    signals = {
-        signal.name: np.asarray(table[signal.key][index], dtype=np.float64)
-        for signal in scenario_signals(run.config.scenario)
-    }
-    detected = np.asarray(table["detected"][index], dtype=np.bool_)
+    keys = {signal.name: signal.key for signal in scenario_signals(run.config.scenario)}
+    table = run.steps([*keys.values(), "detected", "log_p", "log_q"], entry.index)
+    signals = {name: np.asarray(table[key][0], dtype=np.float64) for name, key in keys.items()}
+    detected = np.asarray(table["detected"][0], dtype=np.bool_)
     return Track(
         title=row_title(entry),
         scenario=run.config.scenario,
@@ -84,8 +82,8 @@ def track(run: RunData, entry: RankedRow) -> Track:
         ego_speed_mps=signals["ego_speed"],
         lead_speed_mps=signals["lead_speed"],
         detected=detected,
-        pem_detection=detection_probability(table["log_p"][index], detected),
-        proposal_detection=detection_probability(table["log_q"][index], detected),
+        pem_detection=detection_probability(table["log_p"][0], detected),
+        proposal_detection=detection_probability(table["log_q"][0], detected),
         violated=entry.violated,
         contact=first_contact(signals[GAP], dt_s=run.config.scenario.dt_s),
     )

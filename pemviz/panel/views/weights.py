@@ -9,6 +9,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
 from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData
+from pemviz.panel.scans import Progress, Report, Scan, row_parts
 from pemviz.panel.views.curves import (
     RUN_COLORS,
     RUN_DASHES,
@@ -18,7 +19,7 @@ from pemviz.panel.views.curves import (
     signal_label,
     signal_name,
 )
-from pemviz.panel.views.page import cell, page, wide
+from pemviz.panel.views.page import cell, page, progress_words, wide
 from pemviz.reports.pictures.html import clickable_points, number, percent, quiet
 from pemviz.reports.pictures.svg import Axis, Plot, text
 from pemviz.sampling.registry import by_name
@@ -44,7 +45,11 @@ def weights_page(run: RunData | None, *, target: str, selected: int | None) -> s
     if run.running:
         return page(wide(quiet("Drawn when the run under way is done.")))
     before, after = run.memo.get(("weights", target), lambda: _weights(run, target=target))
-    gaps = run.memo.get("least gaps", lambda: _least_gaps(run))
+    waiting = looking_at_gaps(run)
+    if waiting is not None:
+        gaps = quiet(f"Least gaps: {progress_words(waiting)}.")
+    else:
+        gaps = run.memo.get("least gaps", lambda: _least_gaps(run))
     return page(cell(before + _ring(run, selected) + after), cell(gaps))
 
 
@@ -68,14 +73,22 @@ class Points:
 
 
 def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> Points:
-    """Those that contribute most to the answer, and of the others some, evenly by robustness."""
+    """Violations, the least robust, and of the others some.
+
+    If there are more than ``most``: of the violations those that contribute most, up to half of
+    ``most``; of the others some evenly by robustness, from the least robust on.
+    """
     robustness = np.asarray(run.rollouts["robustness"], dtype=np.float64)
+    violated = np.asarray(run.rollouts["violated"], dtype=np.bool_)
     share = shares(run)
     usable = np.flatnonzero(np.isfinite(robustness) & np.isfinite(run.log_weight))
     chosen = usable
     if usable.size > most:
-        heavy = usable[np.argsort(-share[usable], kind="stable")[: most // 2]]
-        rest = np.setdiff1d(usable, heavy)
+        violations = usable[violated[usable]]
+        heavy = violations[np.argsort(-share[violations], kind="stable")[: most // 2]]
+        others = np.ones(share.size, dtype=np.bool_)
+        others[heavy] = False
+        rest = usable[others[usable]]
         rest = rest[np.argsort(robustness[rest], kind="stable")]
         places = np.linspace(0, rest.size - 1, most - heavy.size).round().astype(np.int64)
         chosen = np.sort(np.concatenate([heavy, rest[places]]))
@@ -83,7 +96,7 @@ def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> Points:
         index=chosen.astype(np.int64),
         robustness=robustness[chosen],
         log10_weight=run.log_weight[chosen] / LN10,
-        violated=np.asarray(run.rollouts["violated"][chosen], dtype=np.bool_),
+        violated=violated[chosen],
         share=share[chosen],
     )
 
@@ -92,7 +105,7 @@ def _weights(run: RunData, *, target: str) -> tuple[str, str]:
     """The plot of weights over robustness, in two pieces between which the ring is put."""
     if not by_name(run.config.method).has_likelihood_ratios:
         return quiet("Splitting's rollouts carry no weights: there is nothing to draw here."), ""
-    points = drawn_points(run)
+    points = run.memo.get("drawn points", lambda: drawn_points(run))
     plot = _weight_axes(run, points)
     plot.vline(0.0, color=VERMILLION, label="0")
     shapes = "".join(_point(run, plot, points, place) for place in range(points.index.size))
@@ -106,8 +119,9 @@ def _weights(run: RunData, *, target: str) -> tuple[str, str]:
     )
     if points.index.size < run.simulated:
         words += (
-            f" Drawn are {points.index.size:,} of {run.simulated:,}: those that contribute most, "
-            "and of the others some."
+            f" Drawn are {points.index.size:,} of {run.simulated:,}: violations, if over "
+            f"{MOST_POINTS // 2} those that contribute most, and of the others some evenly by "
+            "robustness, from the least robust on."
         )
     return before, after + quiet(words)
 
@@ -200,7 +214,7 @@ def _heaviest_curves(run: RunData) -> Curves | None:
         Line(
             f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))})"
             f"{in_brackets(charted.unit)}",
-            np.asarray(run.rollouts[charted.key][index], dtype=np.float64),
+            run.signals(index)[charted.name][0],
             RUN_COLORS[place],
             dash=RUN_DASHES[place],
         )
@@ -248,13 +262,32 @@ def least_gaps(run: RunData) -> LeastGaps | None:
         return None
     if run.distance is None:
         return None
-    gap_m = np.min(np.asarray(table[run.distance.key][chosen], dtype=np.float64), axis=1)
+    gap_m = run.scans.value(*_nearest(run))[chosen]
     order = np.argsort(gap_m, kind="stable")
     log10 = np.empty(0)
     if by_name(run.config.method).has_likelihood_ratios:
         log_weight = run.log_weight[chosen][order]
         log10 = (np.logaddexp.accumulate(log_weight) - math.log(drawn)) / LN10
     return LeastGaps(gap_m[order], np.arange(1, order.size + 1) / drawn, log10)
+
+
+def looking_at_gaps(run: RunData) -> Progress | None:
+    """Have every rollout's least gap found; ``None`` once they are there."""
+    return None if run.distance is None else run.scans.begin(*_nearest(run), count=run.kept)
+
+
+def _nearest(run: RunData) -> tuple[object, Scan[FloatArray]]:
+    """The least gap ``[N]`` [m] of each rollout, as a scan of the run."""
+
+    def scan(report: Report) -> FloatArray:
+        key = "" if run.distance is None else run.distance.key
+        found = np.empty(run.kept)
+        for rows in row_parts(run.kept):
+            found[rows] = np.min(np.asarray(run.steps([key], rows)[key], np.float64), axis=1)
+            report(rows.stop)
+        return found
+
+    return "least gap", scan
 
 
 def _least_gaps(run: RunData) -> str:

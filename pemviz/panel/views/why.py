@@ -7,10 +7,11 @@ from html import escape
 import numpy as np
 
 from pemviz.analysis.contribution import contributions
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.contribution import log_contributions
-from pemviz.panel.run_data import RunData, final_violations
+from pemviz.panel.run_data import RunData
+from pemviz.panel.tables import final_violations
 from pemviz.panel.views.models import models_part
 from pemviz.panel.views.page import PLOT_PX, cell, page, wide
 from pemviz.reports.pictures.causes import cause_sections
@@ -41,6 +42,7 @@ UNWEIGHTED = (
     "its standard error comes from how far its independent runs differ."
 )
 MOST_BANDS = 250
+MOST_EXPLAINED = 20_000
 
 
 def why(run: RunData | None, *, target: str = "", start_target: str = "") -> str:
@@ -100,12 +102,14 @@ class Failures:
         missed: ``[F, T-1]``; with several slots, whether perception errs about any of them.
         pem_miss: ``[F, T-1]`` probability of that under the error model.
         weight: ``[F]`` importance weights, summing to 1.
+        violations: How many violations these stand for, themselves included.
     """
 
     gap_m: FloatArray | None
     missed: BoolArray
     pem_miss: FloatArray
     weight: FloatArray
+    violations: int
 
 
 def failures_of(run: RunData) -> Failures | None:
@@ -119,19 +123,41 @@ def failures_of(run: RunData) -> Failures | None:
     if not np.any(chosen):
         return None
     weight = contributions(log_contributions(run), violated=chosen)[chosen]
-    detected = np.asarray(rollouts["detected"][chosen], dtype=np.bool_)
-    log_p = np.asarray(rollouts["log_p"][chosen], dtype=np.float64)
+    places, weight = standing_for_all(weight, most=MOST_EXPLAINED)
+    rows = np.flatnonzero(chosen)[places].astype(np.int64)
+    gap_m = ["gap_m"] if run.own is None else []
+    table = run.steps(["detected", "log_p", *gap_m], rows)
+    detected = np.asarray(table["detected"], dtype=np.bool_)
+    log_p = np.asarray(table["log_p"], dtype=np.float64)
     missed, pem_miss = ~detected, np.where(detected, -np.expm1(log_p), np.exp(log_p))
-    if run.own is None:
-        gap_m = np.asarray(rollouts["gap_m"][chosen, :-1], dtype=np.float64)
-        return Failures(gap_m=gap_m, missed=missed, pem_miss=pem_miss, weight=weight)
-    slots = slots_of(run.own)
+    if run.own is not None:
+        slots = slots_of(run.own)
+        missed, pem_miss = ~faultless(detected, slots=slots), _any_error(pem_miss, slots=slots)
     return Failures(
-        gap_m=None,
-        missed=~faultless(detected, slots=slots),
-        pem_miss=_any_error(pem_miss, slots=slots),
+        gap_m=np.asarray(table["gap_m"][:, :-1], dtype=np.float64) if gap_m else None,
+        missed=missed,
+        pem_miss=pem_miss,
         weight=weight,
+        violations=int(np.count_nonzero(chosen)),
     )
+
+
+def standing_for_all(weight: FloatArray, *, most: int) -> tuple[IntArray, FloatArray]:
+    """Places ``[M]`` of at most ``most`` of ``[N]`` weights, and weights ``[M]`` of the same sum.
+
+    The heavier half is of the largest weights. Of the others, in the order of their weights, each
+    chosen one stands for as many neighbours as any, and has the weight of them all.
+    """
+    if weight.size <= most:
+        return np.arange(weight.size), weight
+    order = np.argsort(-weight, kind="stable")
+    heavy, rest = order[: most // 2], order[most // 2 :]
+    edges = np.linspace(0, rest.size, most - heavy.size + 1).round().astype(np.int64)
+    standing = weight.copy()
+    middle = rest[(edges[:-1] + edges[1:]) // 2]
+    standing[middle] = np.add.reduceat(weight[rest], edges[:-1])
+    places = np.sort(np.concatenate([heavy, middle]))
+    return places, standing[places]
 
 
 def _any_error(missed: FloatArray, *, slots: Sequence[Slot]) -> FloatArray:
@@ -157,6 +183,12 @@ def _misses(run: RunData) -> list[str]:
         "Bars: share of steps missed in violations, weighted by how likely each is under the "
         f"error model. Black: what the error model itself says{given}."
     )
+    if failures.missed.shape[0] < failures.violations:
+        note += (
+            f" From {failures.missed.shape[0]:,} of {failures.violations:,} violations: the half "
+            "of these that contribute most, and of the others an even choice, each of which "
+            "stands for its neighbours in weight."
+        )
     sentence = miss_sentence(failures, misses=deciding_misses(run), dt_s=_dt_s(run))
     where = title + quiet(sentence)
     if failures.gap_m is None:
