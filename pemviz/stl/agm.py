@@ -22,7 +22,7 @@ from pemviz.stl.bounds import Interval, check_interval, margin_range
 from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Predicate
 from pemviz.stl.numbers import NumberSemantics
-from pemviz.stl.windows import fold, half_of, sliding
+from pemviz.stl.windows import fold, half_of, running, sliding
 
 SCENARIO_BOUNDS: Mapping[str, Interval] = {
     "gap": (-25.0, 25.0),
@@ -128,6 +128,9 @@ class AgmSemantics(NumberSemantics):
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
         steps, width = len(left) - last, last - first + 1
+        if steps == 1:
+            met = self.conjunction([right, _conjunctions_so_far(left)[first:]])
+            return self.eventually(met, width)
         sums = tuple(np.zeros((steps, left.shape[1])) for _ in range(2))
         held, failed = (
             (np.full_like(sums[0], math.inf), *sums),
@@ -157,14 +160,16 @@ def _join(earlier: Means, later: Means) -> Means:
     return np.minimum(earlier[0], later[0]), earlier[1] + later[1], earlier[2] + later[2]
 
 
-def _conclude(means: Means, count: int, *, ties_fail: bool) -> FloatArray:
+def _conclude(means: Means, count: int | FloatArray, *, ties_fail: bool) -> FloatArray:
     """The conjunction of ``count`` values; ``ties_fail``: whether a value of 0 fails."""
     least, failing, growth = means
     fails = least <= 0.0 if ties_fail else least < 0.0
     return _mean(fails, failing, growth, count)
 
 
-def _mean(fails: BoolArray, failing: FloatArray, growth: FloatArray, count: int) -> FloatArray:
+def _mean(
+    fails: BoolArray, failing: FloatArray, growth: FloatArray, count: int | FloatArray
+) -> FloatArray:
     return np.where(fails, failing / count, np.expm1(growth / count))
 
 
@@ -191,6 +196,14 @@ def _over_windows(values: FloatArray, width: int, *, ties_fail: bool) -> FloatAr
     failing = fold(np.add, np.minimum(values, 0.0))
     growth = fold(np.add, np.log1p(_compound(values)))
     return _conclude((least, failing, growth), width, ties_fail=ties_fail)
+
+
+def _conjunctions_so_far(values: FloatArray) -> FloatArray:
+    """Conjunction of the steps up to each, [T, n]."""
+    least, failing, growth = _means(values)
+    means = running(np.minimum, least), running(np.add, failing), running(np.add, growth)
+    counts = np.arange(1.0, len(values) + 1.0)[:, None]
+    return _conclude(means, counts, ties_fail=True)
 
 
 HALVINGS = 4

@@ -23,7 +23,7 @@ from pemviz.errors import InputError
 from pemviz.stl.dominant import LARGEST_EXPONENT, DominantSteps
 from pemviz.stl.expressions import Predicate
 from pemviz.stl.numbers import NumberSemantics
-from pemviz.stl.windows import fold, sliding
+from pemviz.stl.windows import fold, running, sliding
 
 Part: TypeAlias = Literal["positive", "negative"]
 
@@ -93,6 +93,9 @@ class SmoothCumulativeSemantics(NumberSemantics):
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
         beta, steps = self.metric.beta, len(left) - last
+        if steps == 1:
+            met = self.conjunction([right, _soft_minima_so_far(left, beta)[first:]])
+            return self.eventually(met, last - first + 1)
         held = np.full((steps, left.shape[1]), -math.inf)  # log sum exp(-beta left) over [t, t']
         result = np.zeros_like(held)
         for offset in range(last + 1):
@@ -138,6 +141,21 @@ def _soft_minimum_over_time(values: FloatArray, beta: float) -> FloatArray:
     """The soft minimum over all steps, [T, n] -> [1, n]."""
     least = values.min(axis=0, keepdims=True)
     return _unshifted(least, fold(np.add, _exponentials(values, least, beta)), beta)
+
+
+def _soft_minima_so_far(values: FloatArray, beta: float) -> FloatArray:
+    """The soft minimum of the steps up to each, [T, n], each shifted by the minimum up to there."""
+    least = running(np.minimum, values.copy())
+    total = _exp((values - least) * -beta)
+    kept = _exp(np.diff(least, axis=0) * beta)
+    finite = np.isfinite(least)
+    if not finite.all():
+        total[~finite] = 0.0
+        kept[np.isnan(kept)] = 0.0
+    for step in range(len(kept)):
+        kept[step] *= total[step]
+        total[step + 1] += kept[step]
+    return np.where(finite, least - np.log(total) / beta, least)
 
 
 def _unshifted(least: FloatArray, total: FloatArray, beta: float) -> FloatArray:

@@ -8,6 +8,7 @@ instead of ``width`` passes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, Protocol, Self, TypeVar
 
 from pemviz.arrays import FloatArray
@@ -96,3 +97,10 @@ def fold(ufunc: Callable[..., Any], values: FloatArray) -> FloatArray:
 def half_of(steps: int) -> int:
     """Half of the least power of two that is ``steps`` or more, of two steps or more."""
     return 1 << ((steps - 1).bit_length() - 1)
+
+
+def running(ufunc: Callable[..., Any], values: FloatArray) -> FloatArray:
+    """``ufunc`` over the steps up to each, [T, n], in place; numpy's own takes rollouts in turn."""
+    for before, now in pairwise(values):
+        ufunc(before, now, out=now)
+    return values
