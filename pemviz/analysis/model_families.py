@@ -24,7 +24,7 @@ from pemviz.pem.models.pieces import logit_along
 from pemviz.pem.models.protocol import chain_log_likelihood
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 from pemviz.sampling.estimates.meanings import SMALL_ESS
-from pemviz.types import ScoredRollouts, Simulator
+from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
 
 MOST_VIOLATIONS = 2_000
 """Of a stage: families differ by far more than 1 / sqrt of it."""
@@ -68,37 +68,72 @@ def families_beside(pem: Pem) -> tuple[Pem, ...]:
 
 
 @dataclass(frozen=True)
-class FamilyRatios(Batch):
-    """Violations with what F other families make of them.
+class SomeViolations(Batch):
+    """Some of the violations of N rollouts.
 
     Attributes:
-        rollout: Index of each among N rollouts, ``[V]``.
-        log_ratio: Log p_f / p of each under each family, ``[V, F]``.
+        rollout: Index of each, ``[V]``.
         log_stands_for: Log of how many violations each stands for, ``[V]``.
     """
 
     rollout: IntArray
-    log_ratio: FloatArray
     log_stands_for: FloatArray
 
 
-def family_ratios(
-    scored: ScoredRollouts, *, simulator: Simulator, families: Sequence[Pem]
-) -> FamilyRatios:
-    """What ``families`` make of a stage's violations, of many an evenly spaced part.
+@dataclass(frozen=True)
+class Violating(SomeViolations):
+    """Violations with their rollouts, as families are asked of them.
 
-    Args:
-        scored: A stage's rollouts.
-        simulator: That they come from.
-        families: F models.
+    Attributes:
+        rollouts: ``[V]``.
     """
+
+    rollouts: RolloutBatch
+
+
+@dataclass(frozen=True)
+class FamilyRatios(SomeViolations):
+    """Violations with what F other families make of them.
+
+    Attributes:
+        log_ratio: Log p_f / p of each under each family, ``[V, F]``.
+    """
+
+    log_ratio: FloatArray
+
+
+def violating(scored: ScoredRollouts) -> Violating:
+    """A stage's violations, of many an evenly spaced part."""
     violations = np.flatnonzero(scored.violated)
     count = violations.size
     if count > MOST_VIOLATIONS:
         violations = violations[np.arange(MOST_VIOLATIONS) * count // MOST_VIOLATIONS]
-    if count == 0:
-        return FamilyRatios(violations, np.empty((0, len(families))), np.empty(0))
-    failing = scored.rollouts.take(violations)
+    return Violating(
+        rollout=violations,
+        rollouts=scored.rollouts.take(violations),
+        log_stands_for=np.full(
+            violations.size, math.log(count / violations.size) if count else 0.0
+        ),
+    )
+
+
+def family_ratios(
+    asked: Violating, *, simulator: Simulator, families: Sequence[Pem]
+) -> FamilyRatios:
+    """What ``families`` make of violations.
+
+    Of several stages together sooner than one by one: what it takes to ask a model along the gap
+    hardly grows with the number of rollouts.
+
+    Args:
+        asked: The violations.
+        simulator: That they come from.
+        families: F models.
+    """
+    if asked.rollout.size == 0:
+        empty = np.empty((0, len(families)))
+        return FamilyRatios(asked.rollout, asked.log_stands_for, empty)
+    failing = asked.rollouts
     salient = simulator.salient(failing.decision_states().signals)
     log_p = row_sums(failing.log_p)
     columns = [
@@ -106,9 +141,9 @@ def family_ratios(
         for model in families
     ]
     return FamilyRatios(
-        rollout=violations,
+        rollout=asked.rollout,
+        log_stands_for=asked.log_stands_for,
         log_ratio=np.stack(columns, axis=1),
-        log_stands_for=np.full(violations.size, math.log(count / violations.size)),
     )
 
 

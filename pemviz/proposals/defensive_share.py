@@ -1,5 +1,8 @@
 """Mixing a proposal with the error model, outcome by outcome."""
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 
 from pemviz.arrays import FloatArray, namespace
@@ -12,21 +15,42 @@ def share_for(*, drawn_steps: float, steps: int) -> float:
     return min(drawn_steps / steps, LARGEST_SHARE)
 
 
-def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
-    """The mixture of a proposal (weight 1 - share) and the error model (share), as logits.
+@dataclass(frozen=True)
+class Defence:
+    """The share of the error model in mixtures with any number of proposals.
 
-    Hesterberg's defensive mixture (1995), applied to every outcome: a single outcome's
-    weight is at most 1 / share, whatever the proposal. ``share`` lies in (0, 1).
+    Attributes:
+        share: Of the error model, in (0, 1).
+        detected: Log of the share times its probability of a detection, ``[...]``.
+        missed: The same of a miss.
     """
-    xp = namespace(logit)
-    detected, missed = (
-        xp.logaddexp(
-            _log_expit(sign * logit) + float(np.log1p(-share)),
-            _log_expit(sign * pem_logit) + float(np.log(share)),
+
+    share: float
+    detected: FloatArray
+    missed: FloatArray
+
+    @classmethod
+    def of(cls, pem_logit: FloatArray, *, share: float) -> Self:
+        """Of an error model's logits ``[...]``."""
+        log_share = float(np.log(share))
+        return cls(
+            share, _log_expit(pem_logit) + log_share, _log_expit(-1.0 * pem_logit) + log_share
         )
-        for sign in (1.0, -1.0)
-    )
-    return detected - missed
+
+    def of_proposal(self, logit: FloatArray) -> FloatArray:
+        """The mixture with a proposal (weight 1 - share) of logits ``[...]``, as logits.
+
+        Hesterberg's defensive mixture (1995), applied to every outcome: a single outcome's
+        weight is at most 1 / share, whatever the proposal.
+        """
+        xp, log_rest = namespace(logit), float(np.log1p(-self.share))
+        detected = xp.logaddexp(_log_expit(logit) + log_rest, self.detected)
+        return detected - xp.logaddexp(_log_expit(-1.0 * logit) + log_rest, self.missed)
+
+
+def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
+    """The mixture of a proposal and the error model, as logits; see :class:`Defence`."""
+    return Defence.of(pem_logit, share=share).of_proposal(logit)
 
 
 def _log_expit(logit: FloatArray) -> FloatArray:

@@ -6,12 +6,20 @@ comes back.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from pemviz.analysis.explanation import explain
-from pemviz.analysis.model_families import FamilyRatios, family_answers, family_ratios
+from pemviz.analysis.model_families import (
+    MOST_VIOLATIONS,
+    FamilyRatios,
+    SomeViolations,
+    Violating,
+    family_answers,
+    family_ratios,
+    violating,
+)
 from pemviz.analysis.model_uncertainty import (
     ENOUGH_FAILURES,
     data_bound,
@@ -47,26 +55,28 @@ from pemviz.sampling.rollouts.batches import run_here
 from pemviz.sampling.value_twisted.reference import reference, reference_of_few_states
 from pemviz.types import StageResult
 
+Told = TypeVar("Told", bound=SomeViolations)
+
 
 @dataclass(frozen=True)
-class _Weighed:
-    """Other families' ratios of V among N rollouts, with these violations' log weights ``[V]``."""
+class _Weighed(Generic[Told]):
+    """V of N rollouts' violations, or what families make of them, with log weights ``[V]``."""
 
-    ratios: FamilyRatios
+    told: Told
     log_weight: FloatArray
     count: int
 
-    @staticmethod
-    def concatenate(parts: "Sequence[_Weighed]") -> "_Weighed":
+    @classmethod
+    def concatenate(cls, parts: "Sequence[_Weighed[Told]]") -> "_Weighed[Told]":
         """All of at least one part, as if drawn in one."""
         counts = [part.count for part in parts]
         firsts = np.cumsum([0, *counts], dtype=np.int64)[:-1]
         moved = [
-            replace(part.ratios, rollout=part.ratios.rollout + first)
+            replace(part.told, rollout=part.told.rollout + first)
             for part, first in zip(parts, firsts, strict=True)
         ]
         log_weight = np.concatenate([part.log_weight for part in parts])
-        return _Weighed(FamilyRatios.concatenate(moved), log_weight, sum(counts))
+        return cls(type(moved[0]).concatenate(moved), log_weight, sum(counts))
 
 
 @dataclass(frozen=True)
@@ -77,8 +87,9 @@ class Interpreted:
         result: The result.
         members: The answers of the error model's ensemble on which ``result.pem_interval``
             rests, one for each part of a final batch that was asked.
-        of_repetition: What other families make of the violations of the stages since the last
-            repetition ended, with the stages' own log weights.
+        unasked: Violations of the latest stages, of which other families are asked once there are
+            many, or the repetition is done; with the stages' own log weights.
+        of_repetition: What they make of those before, since the last repetition ended.
         of_repetitions: The same of each repetition that is done, with the log weights that its
             estimate averages.
         stage_starts: What violations of the stages since the last repetition ended started from.
@@ -87,8 +98,9 @@ class Interpreted:
 
     result: RunResult
     members: tuple[MemberEstimates, ...] = ()
-    of_repetition: tuple[_Weighed, ...] = ()
-    of_repetitions: tuple[_Weighed, ...] = ()
+    unasked: tuple[_Weighed[Violating], ...] = ()
+    of_repetition: tuple[_Weighed[FamilyRatios], ...] = ()
+    of_repetitions: tuple[_Weighed[FamilyRatios], ...] = ()
     stage_starts: tuple[StageStarts, ...] = ()
     starts: tuple[Violations, ...] = ()
 
@@ -113,7 +125,7 @@ def interpret(
         return
     pools = isinstance(experiment.method, PoolsStages)
     if stage.kind == "final" or pools:
-        interpreted = _asked_of_families(interpreted, experiment, stage)
+        interpreted = _told_families(interpreted, experiment, stage)
     if stage.kind != "final":
         if pools:
             yield interpreted
@@ -169,17 +181,30 @@ def _asked_of_members(
     return replace(interpreted, result=result, members=members)
 
 
-def _asked_of_families(
+def _told_families(
     interpreted: Interpreted, experiment: Experiment, stage: StageResult
 ) -> Interpreted:
-    """What other families of models make of the stage's violations."""
+    """The stage's violations, kept for other families; asked of at once if there are many."""
     if not experiment.families:
         return interpreted
+    told, rollouts = violating(stage.scored), stage.scored.rollouts
+    weighed = _Weighed(told, rollouts.log_weight[told.rollout], rollouts.count)
+    unasked = (*interpreted.unasked, weighed)
+    interpreted = replace(interpreted, unasked=unasked)
+    many = sum(part.told.rollout.size for part in unasked) >= MOST_VIOLATIONS
+    return _asked_of_families(interpreted, experiment) if many else interpreted
+
+
+def _asked_of_families(interpreted: Interpreted, experiment: Experiment) -> Interpreted:
+    """What other families of models make of the violations that they were not asked of yet."""
+    if not interpreted.unasked:
+        return interpreted
+    asked = _Weighed.concatenate(interpreted.unasked)
     simulator, families = experiment.problem.simulator, experiment.families
-    ratios = family_ratios(stage.scored, simulator=simulator, families=families)
-    rollouts = stage.scored.rollouts
-    weighed = _Weighed(ratios, rollouts.log_weight[ratios.rollout], rollouts.count)
-    return replace(interpreted, of_repetition=(*interpreted.of_repetition, weighed))
+    ratios = family_ratios(asked.told, simulator=simulator, families=families)
+    weighed = _Weighed(ratios, asked.log_weight, asked.count)
+    of_repetition = (*interpreted.of_repetition, weighed)
+    return replace(interpreted, unasked=(), of_repetition=of_repetition)
 
 
 def interpret_repetition(
@@ -192,17 +217,17 @@ def interpret_repetition(
         experiment: What is run.
         state: The method's, after its last stage.
     """
-    interpreted = _starts_told(interpreted, experiment, state)
+    interpreted = _asked_of_families(_starts_told(interpreted, experiment, state), experiment)
     if not interpreted.of_repetition:
         return interpreted
     weighed, method = _Weighed.concatenate(interpreted.of_repetition), experiment.method
     if isinstance(method, PoolsStages):
         of_all = method.pooled_log_weight(state)
-        weighed = replace(weighed, log_weight=of_all[weighed.ratios.rollout])
+        weighed = replace(weighed, log_weight=of_all[weighed.told.rollout])
     of_repetitions = (*interpreted.of_repetitions, weighed)
     pooled = _Weighed.concatenate(of_repetitions)
     families = family_answers(
-        pooled.ratios,
+        pooled.told,
         families=experiment.families,
         log_weight=pooled.log_weight,
         of=pooled.count,

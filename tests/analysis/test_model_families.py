@@ -12,6 +12,7 @@ from pemviz.analysis.model_families import (
     families_beside,
     family_answers,
     family_ratios,
+    violating,
 )
 from pemviz.config.toml_files import load_preset
 from pemviz.pem import load_pem
@@ -42,7 +43,7 @@ def answered(scored, ratios):
 def test_every_family_gets_its_own_answer(count, toy_problem):
     """Six z-tests at 4 standard errors: false alarm 4e-4 together; the seed is fixed."""
     scored = drawn(toy_problem, count=count)
-    ratios = family_ratios(scored, simulator=toy_problem.simulator, families=FAMILIES)
+    ratios = family_ratios(violating(scored), simulator=toy_problem.simulator, families=FAMILIES)
     assert ratios.rollout.size == min(MOST_VIOLATIONS, scored.violated.sum())
     answers = answered(scored, ratios)
     steps = scored.rollouts.detected.shape[1]
@@ -58,7 +59,7 @@ def test_every_family_gets_its_own_answer(count, toy_problem):
 def test_all_violations_give_the_plain_importance_sampling_average(toy_problem):
     scored = drawn(toy_problem)
     assert scored.violated.sum() <= MOST_VIOLATIONS
-    ratios = family_ratios(scored, simulator=toy_problem.simulator, families=FAMILIES)
+    ratios = family_ratios(violating(scored), simulator=toy_problem.simulator, families=FAMILIES)
     answers = answered(scored, ratios)
     misses, steps = (~scored.rollouts.detected).sum(axis=1), scored.rollouts.detected.shape[1]
     for answer, miss in zip(answers, MISS, strict=True):
@@ -75,10 +76,11 @@ def test_stages_together_are_one_batch(toy_problem):
     half = scored.violated.size // 2
     parts = [scored.take(slice(half)), scored.take(slice(half, None))]
     pieces = [
-        family_ratios(part, simulator=toy_problem.simulator, families=FAMILIES) for part in parts
+        family_ratios(violating(part), simulator=toy_problem.simulator, families=FAMILIES)
+        for part in parts
     ]
     pieces[1] = replace(pieces[1], rollout=pieces[1].rollout + half)
-    whole = family_ratios(scored, simulator=toy_problem.simulator, families=FAMILIES)
+    whole = family_ratios(violating(scored), simulator=toy_problem.simulator, families=FAMILIES)
     joined = FamilyRatios.concatenate(pieces)
     assert np.array_equal(joined.rollout, whole.rollout)
     assert np.array_equal(joined.log_ratio, whole.log_ratio)
@@ -92,7 +94,7 @@ def test_without_violations_there_is_no_answer(toy_problem):
         seeds=np.random.SeedSequence(0),
     )
     assert not safe.violated.any()
-    ratios = family_ratios(safe, simulator=toy_problem.simulator, families=FAMILIES)
+    ratios = family_ratios(violating(safe), simulator=toy_problem.simulator, families=FAMILIES)
     assert answered(safe, ratios) == ()
 
 

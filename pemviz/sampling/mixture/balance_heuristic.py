@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, log_sum_exp
-from pemviz.proposals.defensive_share import defended
+from pemviz.proposals.defensive_share import Defence
 from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
 from pemviz.sampling.mixture.aims import Rule, still_open, where_open
@@ -198,8 +198,9 @@ def log_ratios(
         latents: The rollouts', where there are any.
     """
     found = [np.zeros((count, len(proposals))) for _ in under]
+    ratio = _Ratio.of(decisions, defensive)
     for column, one in enumerate(proposals):
-        step = _log_ratio(decisions, one.coefficients, defensive)
+        step = ratio.under(one.coefficients)
         step = where_open(step, still_open(decisions.broken, rules, one.rule) if one.rule else None)
         for each, rule in zip(found, under, strict=True):
             until = still_open(decisions.broken, rules, rule)
@@ -214,9 +215,27 @@ def log_ratios(
     return found
 
 
-def _log_ratio(decisions: Decisions, coefficients: FloatArray, defensive: float) -> FloatArray:
-    """Of each decision, ``[M]``."""
-    raised = decisions.offset + shift(decisions.basis, coefficients)
-    raised = defended(raised, decisions.offset, share=defensive)
-    sign = np.where(decisions.missed, -1.0, 1.0)
-    return np.logaddexp(0.0, sign * decisions.offset) - np.logaddexp(0.0, sign * raised)
+@dataclass(frozen=True)
+class _Ratio:
+    """Log q / p of M decisions under any coefficients, with what all of them have in common."""
+
+    decisions: Decisions
+    defence: Defence
+    sign: FloatArray
+    against_model: FloatArray
+
+    @classmethod
+    def of(cls, decisions: Decisions, defensive: float) -> "_Ratio":
+        sign = np.where(decisions.missed, -1.0, 1.0)
+        return cls(
+            decisions,
+            Defence.of(decisions.offset, share=defensive),
+            sign,
+            against_model=np.logaddexp(0.0, sign * decisions.offset),
+        )
+
+    def under(self, coefficients: FloatArray) -> FloatArray:
+        """Of each decision, ``[M]``."""
+        decisions = self.decisions
+        raised = self.defence.of_proposal(decisions.offset + shift(decisions.basis, coefficients))
+        return self.against_model - np.logaddexp(0.0, self.sign * raised)

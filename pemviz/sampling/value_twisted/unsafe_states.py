@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -25,6 +26,39 @@ class StateRule:
     first: int
     last: int
     predicate: Formula
+
+    def broken(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Which states with signals ``[N]`` violate the predicate.
+
+        Raises:
+            InputError: A number is not finite, or becomes so.
+        """
+        if is_tensor(next(iter(signals.values()))):
+            return self._margin(signals) < 0.0
+        if self._compares_numbers and all(_finite(signals.get(name)) for name in self._named):
+            margin = self._margin(signals)
+            if np.isfinite(margin).all():
+                return margin < 0.0
+        # the whole evaluation, which tells what is wrong and where
+        return stl.violated(self.predicate, {name: v[:, None] for name, v in signals.items()})
+
+    def _margin(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """By how much the predicate holds, ``[N]``."""
+        single = {name: values[None] for name, values in signals.items()}
+        return evaluate(self.predicate, ClassicalSemantics(), single, start=0, steps=1)[0]
+
+    @cached_property
+    def _named(self) -> frozenset[str]:
+        return self.predicate.signals()
+
+    @cached_property
+    def _compares_numbers(self) -> bool:
+        """Whether all that it compares is signals with numbers."""
+        return all(
+            isinstance(predicate.left, Signal) and isinstance(predicate.right, Constant)
+            for predicate in self.predicate.walk()
+            if isinstance(predicate, Predicate)
+        )
 
 
 @dataclass(frozen=True)
@@ -52,7 +86,7 @@ class UnsafeStates:
         unsafe = xp.zeros(like.shape, dtype=xp.bool, device=like.device)
         for rule in self.rules:
             if rule.first <= step <= rule.last:
-                unsafe |= _broken(rule.predicate, states.signals)
+                unsafe |= rule.broken(states.signals)
         return unsafe
 
     def possible(self, bounds: SignalBounds, *, after: int) -> BoolArray | bool:
@@ -70,12 +104,8 @@ class UnsafeStates:
         return self
 
 
-def _broken(predicate: Formula, signals: Mapping[str, FloatArray]) -> BoolArray:
-    """Whether states ``[N]`` violate a predicate; here their numbers are checked as well."""
-    if is_tensor(next(iter(signals.values()))):
-        single = {name: values[None] for name, values in signals.items()}
-        return evaluate(predicate, ClassicalSemantics(), single, start=0, steps=1)[0] < 0.0
-    return stl.violated(predicate, {name: values[:, None] for name, values in signals.items()})
+def _finite(values: FloatArray | None) -> bool:
+    return values is not None and values.dtype == np.float64 and bool(np.isfinite(values).all())
 
 
 def _breakable(predicate: Formula, bounds: SignalBounds) -> BoolArray | bool:
