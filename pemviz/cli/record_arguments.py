@@ -14,7 +14,7 @@ from pemviz.config.ranges import Range, check_value
 from pemviz.config.rule_words import read_rules, read_starts
 from pemviz.config.toml_files import load_config, load_preset, with_own_rules
 from pemviz.errors import ConfigError
-from pemviz.sampling.registry import SHIPPED
+from pemviz.sampling.registry import SHIPPED, by_name
 
 Port = Annotated[int, Range(low=1, high=65535)]
 
@@ -90,6 +90,8 @@ class RecordArguments:
     live: Port | None = None
     """Also serve the recording, while the run goes on, to live rerun viewers on this port of
     the loopback interface; 1 to 65535."""
+    notes: tyro.conf.Suppress[tuple[str, ...]] = ()
+    """Lines to tell before the run begins; no option."""
 
     @property
     def limits(self) -> GateLimits:
@@ -129,7 +131,21 @@ def parse(words: Sequence[str]) -> RecordArguments:
     arguments = replace(arguments, experiment=with_own_rules(arguments.experiment))
     arguments.experiment.validate()  # before anything slow is imported
     _ = arguments.limits
-    return arguments
+    return replace(arguments, notes=ignored_notes(arguments.experiment, start=start.experiment))
+
+
+def ignored_notes(config: ExperimentConfig, *, start: ExperimentConfig) -> tuple[str, ...]:
+    """A line for each setting that differs from ``start`` though the method does not look at it."""
+    if config.method not in {method.name for method in SHIPPED}:  # not imported before it runs
+        return ()
+    looked_at = by_name(config.method).settings
+    known = set[str]().union(*(method.settings for method in SHIPPED))
+    return tuple(
+        f"{name} = {getattr(config, name)}: {config.method} does not look at it, but at "
+        f"{', '.join(sorted(looked_at))}"
+        for name in sorted(known - looked_at)
+        if getattr(config, name) != getattr(start, name)
+    )
 
 
 def _with_tracker(arguments: RecordArguments) -> RecordArguments:
