@@ -6,15 +6,15 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from pemviz.config import DEVICES
+from pemviz.config import DEVICES, KeepName
 from pemviz.errors import ConfigError, RunError
 from pemviz.sampling.rollouts.devices import missing_cuda
 
 GRID = ("1000x100", "10000x100", "100000x100", "1000000x100", "10000x500", "10000x2000")
-DISK_BYTES_PER_STEP = 120
+DISK_BYTES_PER_STEP: Mapping[KeepName, float] = {"all": 120.0, "violations": 0.3}
 """Of a run folder at its largest, when the parts of the final batch are joined."""
 
 
@@ -30,6 +30,8 @@ class ScaleStudy:
     """Rollouts and states of a rollout, as 1000x100."""
     devices: tuple[str, ...] = ("cpu", "cuda")
     """Where to compute: cpu, torch-cpu, cuda or cuda:N."""
+    keep: KeepName = "all"
+    """What is kept: all rollouts, or violations, which take hardly any disk space."""
     json: bool = False
     """Print the figures as one JSON object and nothing else."""
 
@@ -74,28 +76,34 @@ def run_scale(study: ScaleStudy) -> Iterator[ScaleRow]:
             message = f"devices = {device!r}: must be cpu, torch-cpu, cuda or cuda:N"
             raise ConfigError(message)
     return (
-        _row(rollouts=rollouts, states=states, device=device)
+        _row(rollouts=rollouts, states=states, device=device, keep=study.keep)
         for device in study.devices
         for rollouts, states in cases
     )
 
 
 def _sizes(case: str) -> tuple[int, int]:
-    match = re.fullmatch(r"([0-9]{1,8})x([0-9]{1,6})", case)
+    match = re.fullmatch(r"([0-9]{1,9})x([0-9]{1,6})", case)
     if match is None or int(match[1]) < 2 or not 2 <= int(match[2]) <= 100_000:
         message = f"cases = {case!r}: must be rollouts and states, such as 1000x100; both from 2"
         raise ConfigError(message)
     return int(match[1]), int(match[2])
 
 
-def _row(*, rollouts: int, states: int, device: str) -> ScaleRow:
+def _row(*, rollouts: int, states: int, device: str, keep: KeepName) -> ScaleRow:
     steps = rollouts * (states - 1)
-    reason = _why_not(device=device, steps=steps)
+    reason = _why_not(device=device, disk_bytes=steps * DISK_BYTES_PER_STEP[keep])
     if reason:
         return ScaleRow(rollouts=rollouts, states=states, device=device, skipped=reason)
     with tempfile.TemporaryDirectory(prefix="pemviz-scale-") as folder:
         measured = _in_a_process(
-            {"rollouts": rollouts, "states": states, "device": device, "folder": folder}
+            {
+                "rollouts": rollouts,
+                "states": states,
+                "device": device,
+                "keep": keep,
+                "folder": folder,
+            }
         )
     return ScaleRow(
         rollouts=rollouts,
@@ -109,13 +117,15 @@ def _row(*, rollouts: int, states: int, device: str) -> ScaleRow:
     )
 
 
-def _why_not(*, device: str, steps: int) -> str:
+def _why_not(*, device: str, disk_bytes: float) -> str:
     """Why a case cannot run here; empty if it can."""
     index = re.fullmatch(r"cuda(?::([0-9]+))?", device)
     missing = missing_cuda(int(index[1] or 0)) if index else ""
-    needed, free = DISK_BYTES_PER_STEP * steps, shutil.disk_usage(tempfile.gettempdir()).free
-    if not missing and needed > free:
-        missing = f"needs {needed / 1e9:.1f} GB in {tempfile.gettempdir()}, free {free / 1e9:.1f}"
+    free = shutil.disk_usage(tempfile.gettempdir()).free
+    if not missing and disk_bytes > free:
+        missing = (
+            f"needs {disk_bytes / 1e9:.1f} GB in {tempfile.gettempdir()}, free {free / 1e9:.1f}"
+        )
     return missing
 
 

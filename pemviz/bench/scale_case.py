@@ -7,14 +7,16 @@ from pathlib import Path
 
 from numpy.random import SeedSequence
 
-from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.config import ExperimentConfig, KeepName, ScenarioConfig
 from pemviz.proposals.fixed import PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out
 from pemviz.sampling.problem import sample
 
 
-def run_case(*, rollouts: int, states: int, device: str, folder: Path) -> dict[str, float]:
+def run_case(
+    *, rollouts: int, states: int, device: str, folder: Path, keep: KeepName = "all"
+) -> dict[str, float]:
     """Keep one Monte Carlo run of ``rollouts`` rollouts of ``states`` states in ``folder``.
 
     Returns:
@@ -26,6 +28,7 @@ def run_case(*, rollouts: int, states: int, device: str, folder: Path) -> dict[s
         final_rollouts=rollouts,
         spec=f"always[0,{states - 1}] (gap >= 2.0)",
         device=device,
+        keep=keep,
         scenario=ScenarioConfig(states=states),
     )
     experiment = build_experiment(config)
@@ -63,6 +66,7 @@ if __name__ == "__main__":
         rollouts=asked["rollouts"],
         states=asked["states"],
         device=asked["device"],
+        keep=asked["keep"],
         folder=Path(asked["folder"]),
     )
     print(json.dumps(figures))

@@ -159,8 +159,9 @@ class ExperimentConfig:
     """Learning stages (K); 1 to 1000."""
     rollouts: Annotated[int, Range(low=2, high=1_000_000)] = 100
     """Rollouts a stage, pre-training included (N_kappa); 2 to 1000000."""
-    final_rollouts: Annotated[int, Range(low=2, high=10_000_000)] = 100
-    """Rollouts that the estimate is formed from (N_e); 2 to 10000000."""
+    final_rollouts: Annotated[int, Range(low=2, high=1_000_000_000)] = 100
+    """Rollouts that the estimate is formed from (N_e); 2 to 10000000, with monte-carlo and keep
+    violations to 1000000000."""
     epochs: Annotated[int, Range(low=1, high=100_000)] = 500
     """Full-batch training steps of the proposal network at each stage; 1 to 100000."""
     learning_rate: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] = 1e-3

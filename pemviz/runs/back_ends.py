@@ -35,6 +35,8 @@ from pemviz.types import Simulator
 SLOW_BATCH_ROLLOUTS = 50
 SUMO_BATCH_ROLLOUTS = 512
 OWN_BATCH_ROLLOUTS = 500
+MOST_ROLLOUTS = 10_000_000
+"""Final rollouts that are weighted, or all kept: 4 GB a million of 100 states."""
 FIT_ANYWHERE = "use mixture, with splitting as an independent check"
 
 
@@ -241,12 +243,28 @@ def _single_outcome(simulator: Simulator | SlotSimulator | LatentSimulator) -> S
     return UnrolledSimulator(simulator) if isinstance(simulator, SlotSimulator) else simulator
 
 
+def _check_rollouts(config: ExperimentConfig) -> None:
+    """Refuse more rollouts than are to be weighted, or kept.
+
+    Raises:
+        ConfigError: In one line that names what takes more.
+    """
+    counted = by_name(config.method).interval_basis == "counts"
+    if config.final_rollouts > MOST_ROLLOUTS and not (counted and config.keep == "violations"):
+        message = (
+            f"final_rollouts = {config.final_rollouts}: must be at most {MOST_ROLLOUTS}; "
+            "more take method monte-carlo and keep = 'violations'"
+        )
+        raise ConfigError(message)
+
+
 def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
     """Check that the back end has what the method needs.
 
     Raises:
         ConfigError: It has not; the line names methods that fit.
     """
+    _check_rollouts(config)
     name = back_end.simulator.name
     lacking: dict[Need, str] = {}
     counts = latent_counts(back_end.simulator)

@@ -148,6 +148,8 @@ def _with_starts(
 
 def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageResult) -> Interpreted:
     """Of a final batch in parts, the part with most failures explains best."""
+    if stage.failures == 0:
+        return interpreted
     if any(part.failures >= stage.failures for part in _parts_before(interpreted.result, stage)):
         return interpreted
     explanation = explain(
@@ -170,8 +172,9 @@ def _asked_of_members(
 ) -> Interpreted:
     """The answers of the ensemble's models, from as many failures as are enough."""
     result, ensemble = interpreted.result, experiment.ensemble
-    before = sum(part.failures for part in _parts_before(result, stage))
-    if ensemble is None or before >= ENOUGH_FAILURES:
+    if ensemble is None:
+        return interpreted
+    if sum(part.failures for part in _parts_before(result, stage)) >= ENOUGH_FAILURES:
         return interpreted
     simulator = experiment.problem.simulator
     answers = member_estimates(stage.scored, simulator=simulator, ensemble=ensemble)

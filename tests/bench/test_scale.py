@@ -25,6 +25,10 @@ def test_a_case_is_measured_in_a_process_of_its_own(capsys):
     assert 0.0 < row["simulation_ns_per_step"] < row["run_ns_per_step"]
     assert 50.0 < row["peak_mb"] < 380.0
     assert row["disk_mb"] > 50 * (3 * 20 + 2 * 19) * 8 / 1e6
+    sparing = ["bench", "scale", "--cases", "50x20", "--devices", "cpu", "--keep", "violations"]
+    assert main([*sparing, "--json"]) == 0
+    (less,) = json.loads(capsys.readouterr().out)["scale"]
+    assert less["disk_mb"] < row["disk_mb"]
 
 
 HELD = """
@@ -50,7 +54,7 @@ def test_what_cannot_run_says_why(monkeypatch):
     assert row.skipped.startswith("torch ")
     assert cells(row) == (missing, "50", "20", "-", "-", "-", "-", "-")
     assert reasons([row]) == [f"{missing}, 50 rollouts of 20: skipped, {row.skipped}"]
-    monkeypatch.setattr(scale, "DISK_BYTES_PER_STEP", 10**18)
+    monkeypatch.setattr(scale, "DISK_BYTES_PER_STEP", {"all": 1e18, "violations": 0.0})
     (row,) = run_scale(ScaleStudy(cases=("50x20",), devices=("cpu",)))
     assert row.skipped.startswith("needs ")
 

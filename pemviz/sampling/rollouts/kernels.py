@@ -1,7 +1,6 @@
 """The braking scenario's loops, compiled by numba where it is installed."""
 
 import importlib
-import importlib.util
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import FloatArray
+from pemviz.compiling import is_installed
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking import loops
 from pemviz.simulators.braking.scenario import LEAD_SPEED
@@ -60,11 +60,6 @@ def _translated(njit: Callable[[Any], Any]) -> Loops:
         return njit(FunctionType(function.__code__, names, function.__name__))
 
     return Loops(*map(translated, (loops.advance, loops.insert, loops.replay)))
-
-
-def is_installed() -> bool:
-    """Whether numba is there; asked without importing it."""
-    return importlib.util.find_spec("numba") is not None
 
 
 def are_loaded() -> bool:
