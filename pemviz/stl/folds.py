@@ -1,4 +1,4 @@
-"""Robustness of formulas that join folds of single signals, by compiled loops.
+"""Robustness of formulas that join folds of single signals, mostly by compiled loops.
 
 A fold asks of one signal, compared with one number, that it hold always or eventually over an
 interval of steps. It is read where it lies: no margins, no transposed blocks.
@@ -78,6 +78,15 @@ class Fold:
         """Of the distances (value - offset) * sign that a conjunction of all steps folds."""
         return 1.0 if self.above is self.always else -1.0
 
+    def classical(self, least: FloatArray, most: FloatArray) -> FloatArray:
+        """Classical robustness, from the extremes of the signal over the steps.
+
+        Rounding keeps order, so that the least margin is that of the least or largest value.
+        """
+        if self.above:
+            return (least if self.always else most) - self.offset
+        return self.offset - (most if self.always else least)
+
 
 def fold_of(formula: Formula) -> Fold | None:
     """``formula`` as a fold, if it is one."""
@@ -151,6 +160,8 @@ class FoldedRobustness:
         fold = fold_of(formula)
         assert fold is not None  # noqa: S101  it is served
         values = self._signals[fold.name]
+        if needs_no_loops(semantics, {fold.name: values}):
+            return _classical_by_step(values.T, fold)
         result = np.empty((1, len(values)))
         in_rows = values.flags.c_contiguous
         size = max(1, (BLOCK_VALUES if in_rows else COPIED_VALUES) // values.shape[1])
@@ -176,10 +187,7 @@ class FoldedRobustness:
         if not self._loops.all_extremes(task, *keys):
             raise UnservedError
         least, most = self._loops.ordered(keys).view(np.float64)
-        # Rounding keeps order, so that the least margin is the least value's.
-        if fold.above:
-            return (least if fold.always else most) - fold.offset
-        return fold.offset - (most if fold.always else least)
+        return fold.classical(least, most)
 
     def _agm(self, block: FloatArray, fold: Fold, semantics: AgmSemantics) -> FloatArray:
         scale = semantics.scale(fold.predicate)
@@ -218,6 +226,31 @@ class FoldedRobustness:
         return steps.result(near.base, total)
 
 
+def needs_no_loops(semantics: Semantics[FloatArray], signals: Mapping[str, AnyArray]) -> bool:
+    """Whether numpy's minimum and maximum over steps are as good.
+
+    They are for the classical metric where rollouts lie side by side in memory.
+    """
+    is_classical = isinstance(semantics, ClassicalSemantics)
+    return is_classical and all(values.T.flags.c_contiguous for values in signals.values())
+
+
+def _classical_by_step(values: FloatArray, fold: Fold) -> FloatArray:
+    """Classical robustness ``[1, N]`` from ``values [T, N]``, all finite, by numpy alone."""
+    steps, rollouts = values.shape
+    result, size = np.empty((1, rollouts)), max(1, COPIED_VALUES // steps)
+    before, after = (slice(0, fold.window[0]), slice(fold.window[1], steps))
+    for start in range(0, rollouts, size):
+        block = values[:, start : start + size]
+        within = block[slice(*fold.window)]
+        least, most = within.min(axis=0), within.max(axis=0)
+        ends = [least, most, *(part for part in (block[before], block[after]) if part.size)]
+        if not all(np.isfinite(end).all() for end in ends):
+            raise UnservedError
+        result[0, start : start + size] = fold.classical(least, most)
+    return result
+
+
 def folded_robustness(
     formula: Formula, signals: Mapping[str, AnyArray], semantics: Semantics[FloatArray]
 ) -> FloatArray | None:
@@ -233,9 +266,11 @@ def folded_robustness(
     """
     if not is_served(formula, semantics, signals):
         return None
-    loops = DECISION.loops_for(sum(values.size for values in signals.values()))
-    if loops is None:
-        return None
+    loops = None
+    if not needs_no_loops(semantics, signals):
+        loops = DECISION.loops_for(sum(values.size for values in signals.values()))
+        if loops is None:
+            return None
     try:
         return FoldedRobustness(loops, signals)(formula, semantics)
     except (UnservedError, InputError):
