@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError, PemvizError
+from pemviz.panel.loading import load_run
 from pemviz.panel.run_data import RunData, own_scenario
 from pemviz.panel.run_observer import Progress, Watcher
 from pemviz.runs.engine import run as run_engine
@@ -183,3 +184,13 @@ class Controller:
                 observers=[watcher],
                 should_stop=self._stop.is_set,
             )
+            self._show_all(watcher.run, folder)
+
+    def _show_all(self, run: RunData | None, folder: Path) -> None:
+        """Show all rollouts that the folder of a run keeps, if it was too large to hold them."""
+        if run is None or run.kept == run.simulated:
+            return
+        stored = load_run(folder)
+        if stored.kept > run.kept:
+            whole = replace(run, parts=stored.parts, mapped=stored.mapped)
+            self._change(lambda state: replace(state, run=whole))

@@ -260,13 +260,30 @@ def test_a_run_under_way_keeps_the_heaviest_violations_of_its_final_stage(
     controller, naive_run, monkeypatch
 ):
     monkeypatch.setattr(run_observer, "thinned", partial(thinned, limit=8))
-    controller.start(NAIVE)
+    controller.start(NAIVE, keep=False)
     run = wait_until(controller).run
     assert (run.kept, run.simulated) == (8, 60)
     table = naive_run.rollouts
     weight = np.where(table["violated"], naive_run.log_weight, -np.inf)
     assert np.isin(np.argsort(-weight, kind="stable")[:4], run.rollouts["rollout"]).all()
     assert int(np.argmin(table["robustness"])) in run.rollouts["rollout"]
+
+
+def test_a_run_too_large_to_hold_shows_all_its_rollouts_once_it_is_done(controller, monkeypatch):
+    monkeypatch.setattr(run_observer, "thinned", partial(thinned, limit=8))
+    held = []
+    publish = controller._publish
+
+    def watch(run, progress):
+        held.append(run.kept)
+        publish(run, progress)
+
+    monkeypatch.setattr(controller, "_publish", watch)
+    controller.start(NAIVE)
+    run = wait_until(controller).run
+    assert max(held) == 8
+    assert run.kept == run.simulated == 60
+    assert rank(run, "classical").order.size == 60
 
 
 def test_points_drawn_hold_violations_up_to_half_and_the_least_robust(naive_run):

@@ -1,5 +1,6 @@
 """Runs of a scenario that tells where its cars are, in the panel."""
 
+import re
 from dataclasses import fields, replace
 from types import SimpleNamespace
 
@@ -66,6 +67,29 @@ def test_a_run_read_from_its_folder_shows_what_it_showed_under_way(ran, monkeypa
     np.testing.assert_array_equal(again.drawn.states.x_m, before.drawn.states.x_m)
     np.testing.assert_array_equal(again.drawn.answers, before.drawn.answers)
     assert road_plots(again) == road_plots(before)
+
+
+def with_cars(track, count):
+    """The rollout with the car behind the ego there several times, each faster than the last."""
+    drawn = track.drawn
+    others = tuple(replace(drawn.cars[1], name=f"the car number {i}") for i in range(1, count))
+    pick = [0, *[1] * (count - 1)]
+    states = {f.name: getattr(drawn.states, f.name) for f in fields(drawn.states)}
+    many = {name: v[:, pick] if v.ndim == 2 else v for name, v in states.items()}
+    many["speed_mps"] = many["speed_mps"] * np.r_[1.0, 0.5 + 0.1 * np.arange(count - 1)]
+    cars = (drawn.cars[0], *others)
+    drawn = replace(drawn, cars=cars, states=replace(drawn.states, **many))
+    return replace(track, drawn=drawn)
+
+
+def test_names_of_many_cars_stand_beside_the_lines_of_their_speeds(ran):
+    few = road_track(ran.run, first(ran.run))
+    for count, beside in ((3, False), (7, True)):
+        _, speeds, _ = road_plots(with_cars(few, count))
+        right = float(re.search(r"<rect x='42' y='[\d.]+' width='([\d.]+)'", speeds)[1]) + 42.0
+        names = [float(x) for x in re.findall(r"<text x='([\d.]+)'[^>]*>the car num", speeds)]
+        assert len(names) == count - 1
+        assert all((x > right) == beside for x in names)
 
 
 def test_tracks_of_a_rollout_are_those_that_its_controller_had(ran):

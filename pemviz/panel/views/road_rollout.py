@@ -26,6 +26,10 @@ from pemviz.simulators.scene import drawn_tracks
 from pemviz.types import Signal
 
 NAME_CHARACTERS = 16
+MARGIN = 8
+MOST_INSIDE = 3
+"""Cars whose names have room among the lines of their speeds; of more they stand beside these."""
+LEGEND_BESIDE, BESIDE_CHARACTERS = 96, 12
 SHADES = {NOT_ASKED: GREY, RIGHT: DETECTED, WRONG: MISSED}
 
 
@@ -111,7 +115,8 @@ def road_plots_at(plots: Sequence[str], chosen: RoadTrack, step: int, *, speed: 
     for place, (drawn, plot) in enumerate(zip(plots, _axes(chosen), strict=True)):
         x = plot.px(float(chosen.time_s[step]))
         line = f"<path d='M{x:.1f} {plot.top}V{plot.bottom}' stroke='{CURSOR}' stroke-width='1.4'/>"
-        words = text(values[place], plot.right, plot.top - 9, anchor="end", color=CURSOR)
+        end = PLOT_WIDTH - MARGIN
+        words = text(values[place], end, plot.top - 9, anchor="end", color=CURSOR)
         named = "" if place else f" data-cursor='{step}'"
         shown.append(f"{drawn}<g{named}>{line}{words}</g></svg>")
     asked, speeds, perception = shown
@@ -153,13 +158,17 @@ def _axes(chosen: RoadTrack) -> tuple[Plot, Plot, Plot]:
     name = chosen.asked.name.replace("_", " ")
     fastest = max(float(np.max(drawn.states.speed_mps, initial=0.0)), 1.0)
     rows = Axis(len(drawn.slots) + 0.5, 0.5, "", ticks=())
-    size = {"width": PLOT_WIDTH, "height": HEIGHT, "left": 42, "right": 8, "top": 22}
+    size = {"width": PLOT_WIDTH, "height": HEIGHT, "left": 42, "right": MARGIN, "top": 22}
+    beside = LEGEND_BESIDE if len(drawn.cars) > MOST_INSIDE else MARGIN
     return (
         Plot(
             title=name.capitalize(), x=time, y=Axis(low - margin, high + margin, name + unit),
             **size,
         ),
-        Plot(title="Speeds", x=time, y=Axis(0.0, fastest * 1.08, "speed [m/s]"), **size),
+        Plot(
+            title="Speeds", x=time, y=Axis(0.0, fastest * 1.08, "speed [m/s]"),
+            **(size | {"right": beside}),
+        ),
         Plot(title="Perception", x=time, y=rows, **(size | {"left": 100, "title_at": 4})),
     )  # fmt: skip
 
@@ -174,7 +183,13 @@ def _plots(chosen: RoadTrack) -> tuple[Plot, Plot, Plot]:
         dash = "" if car == 0 else "6 3"
         speeds.line(time_s, there, color=car_color(car), width=2.2, dash=dash)
         entries.append((_short(shape.name), car_color(car), dash))
-    speeds.legend(entries, x=speeds.left + 8, y=speeds.bottom - 6 - 14 * len(entries))
+    if len(entries) > MOST_INSIDE:
+        short = [
+            (_short(name, most=BESIDE_CHARACTERS), color, dash) for name, color, dash in entries
+        ]
+        speeds.legend(short, x=speeds.right + 4, y=speeds.top + 8)
+    else:
+        speeds.legend(entries, x=speeds.left + 8, y=speeds.bottom - 6 - 14 * len(entries))
     _draw_answers(perception, chosen)
     if drawn.contact_step is not None:
         at_s = drawn.contact_step * drawn.dt_s
@@ -201,9 +216,5 @@ def _draw_answers(plot: Plot, chosen: RoadTrack) -> None:
         plot.note(_short(slot.name), plot.left - 4, middle + 4, anchor="end")
 
 
-def _short(name: str) -> str:
-    return (
-        name
-        if len(name) <= NAME_CHARACTERS
-        else f"{name[: NAME_CHARACTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
-    )
+def _short(name: str, *, most: int = NAME_CHARACTERS) -> str:
+    return name if len(name) <= most else f"{name[: most - 1]}\N{HORIZONTAL ELLIPSIS}"

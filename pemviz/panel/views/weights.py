@@ -75,8 +75,9 @@ class Points:
 def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> Points:
     """Violations, the least robust, and of the others some.
 
-    If there are more than ``most``: of the violations those that contribute most, up to half of
-    ``most``; of the others some evenly by robustness, from the least robust on.
+    If there are more than ``most``: of the violations those that contribute most, the least robust
+    where several contribute the same, up to half of ``most``; of the others some evenly by
+    robustness, from the least robust on.
     """
     robustness = np.asarray(run.rollouts["robustness"], dtype=np.float64)
     violated = np.asarray(run.rollouts["violated"], dtype=np.bool_)
@@ -85,7 +86,8 @@ def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> Points:
     chosen = usable
     if usable.size > most:
         violations = usable[violated[usable]]
-        heavy = violations[np.argsort(-share[violations], kind="stable")[: most // 2]]
+        keys = (robustness[violations], -share[violations])
+        heavy = violations[np.lexsort(keys)[: most // 2]]
         others = np.ones(share.size, dtype=np.bool_)
         others[heavy] = False
         rest = usable[others[usable]]
