@@ -165,7 +165,7 @@ def test_the_limits_arithmetic_is_the_loops_own():
         rollouts.simulate(uniforms)
         limit_work(rollouts, uniforms).arithmetic()
         _, tracks = rollouts.begun(64)
-        rollouts.advance(tracks, uniforms)
+        rollouts.advance(tracks, uniforms, np.arange(64))
     assert (tracks.reached == 11).all()  # no gap is new: numpy has nothing to do
 
 

@@ -275,6 +275,16 @@ def test_loops_are_loaded_when_they_begin_to_pay(monkeypatch):
         assert decision.loops_for(1) == "loops"
 
 
+def test_comparisons_choose_the_way_and_leave_no_trace(monkeypatch):
+    monkeypatch.setattr(compiled, "compiled_loops", lambda: "loops")
+    before = compiled.DECISION.values
+    with compiled.loops_from_the_start(True):
+        assert compiled.DECISION.loops_for(1) == "loops"
+    with compiled.loops_from_the_start(False):
+        assert compiled.DECISION.loops_for(10**18) is None
+    assert compiled.DECISION.values == before
+
+
 def test_without_numba_numpy_answers(monkeypatch):
     monkeypatch.setattr(compiled, "is_installed", lambda: False)
     assert compiled.compiled_loops.__wrapped__() is None
