@@ -1,6 +1,6 @@
 """The proposal that conditions on violation: each outcome weighted by what follows from it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ class TwistedTables:
     """
 
     states: CellTable
-    coarse: tuple[CellTable, ...]
+    coarse: Sequence[CellTable]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,10 +98,10 @@ class TwistedProposal:
         if all(name in columns for name in self.names):
             cells = [self.distance] * len(self.names)
             logit, found = tables.states.find(cell_keys([columns[n] for n in self.names], cells))
-        for table, cells in zip(tables.coarse, self.coarse_cells, strict=True):
+        for table, cells in enumerate(self.coarse_cells):
             left = np.flatnonzero(~found)
             if left.size == 0:
                 break
             keys = cell_keys([columns[name][left] for name in self.signal_names], cells)
-            logit[left], found[left] = table.find(keys)
+            logit[left], found[left] = tables.coarse[table].find(keys)
         return logit, found

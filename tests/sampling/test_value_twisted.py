@@ -264,3 +264,14 @@ def test_dynamics_of_the_twin_are_those_of_the_simulator():
                 np.testing.assert_allclose(
                     values[kept], after.states.signals[name][node[kept]], atol=3e-6
                 )
+
+
+def test_averages_are_made_when_asked_for_and_once():
+    simulator, pem = ToySimulator(initial_gap=3, states=12), ToyPem(at_zero=1.0)
+    proposal = build_twisted_proposal(twin=simulator, pem=pem, unsafe=toy_unsafe)
+    coarse = proposal.tables[2].coarse
+    assert len(coarse) == len(proposal.coarse_cells) > 1
+    assert coarse[1] is coarse[1]
+    assert list(coarse[1:]) == [coarse[index] for index in range(1, len(coarse))]
+    with pytest.raises(IndexError):
+        coarse[len(coarse)]

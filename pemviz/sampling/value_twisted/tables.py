@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import overload
 
 import numpy as np
 
@@ -138,11 +139,45 @@ def _tables(
     miss, hit = both_log_likelihoods(logit[counts])
     miss += log_share[counts]
     hit += log_share[counts]
-    coarse: list[CellTable] = []
-    for sizes in cells:
-        pause()
-        coarse.append(averaged(cell_keys(signals, sizes), log_miss=miss, log_hit=hit))
-    return TwistedTables(states=_sorted(keys, logit[counts]), coarse=tuple(coarse))
+    pause()
+    return TwistedTables(
+        states=_sorted(keys, logit[counts]), coarse=_WhenAsked(cells, signals, miss, hit)
+    )
+
+
+class _WhenAsked(Sequence[CellTable]):
+    """Averages over cells of several sizes, each made when it is first asked for.
+
+    Rollouts of a twin that is right come to single states that are known, or hardly count.
+    """
+
+    def __init__(
+        self,
+        cells: Sequence[Sequence[float]],
+        signals: Sequence[FloatArray],
+        log_miss: FloatArray,
+        log_hit: FloatArray,
+    ) -> None:
+        self._cells = cells
+        self._of_states = (signals, log_miss, log_hit)
+        self._made: dict[int, CellTable] = {}
+
+    def __len__(self) -> int:
+        return len(self._cells)
+
+    @overload
+    def __getitem__(self, index: int) -> CellTable: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[CellTable]: ...
+    def __getitem__(self, index: int | slice) -> CellTable | Sequence[CellTable]:
+        if isinstance(index, slice):
+            return [self[one] for one in range(len(self))[index]]
+        one = range(len(self))[index]
+        if one not in self._made:
+            signals, log_miss, log_hit = self._of_states
+            keys = cell_keys(signals, self._cells[one])
+            self._made[one] = averaged(keys, log_miss=log_miss, log_hit=log_hit)
+        return self._made[one]
 
 
 def averaged(keys: IntArray, *, log_miss: FloatArray, log_hit: FloatArray) -> CellTable:
