@@ -8,8 +8,9 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import viser
 
@@ -18,6 +19,7 @@ from pemviz.panel.loading import LoadedRuns
 from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.run_data import RunData
 
+Value = TypeVar("Value")
 OpenRecording = Callable[[Path], str]
 
 
@@ -75,6 +77,32 @@ class Browser:
         """Have the session's thread do something."""
         self._work.put(work)
 
+    def beside(
+        self,
+        work: Callable[[], Value],
+        then: Callable[[Value], None],
+        *,
+        ended: Callable[[], None] | None = None,
+    ) -> None:
+        """Do ``work`` on a thread of its own, and have the session's thread do ``then`` with it.
+
+        What ``work`` raises is raised there, and told to the person; ``ended`` is done before
+        either.
+        """
+        ended = _nothing if ended is None else ended
+
+        def carry_out() -> None:
+            try:
+                found = work()
+            except Exception as error:  # the session's thread tells it
+                self.post(ended)
+                self.post(partial(_fail, error))
+            else:
+                self.post(ended)
+                self.post(partial(then, found))
+
+        threading.Thread(target=carry_out, name="pemviz-beside", daemon=True).start()
+
     def later(self, name: str, work: Callable[[], None]) -> None:
         """Have the session's thread do something once it has nothing else to do.
 
@@ -111,6 +139,10 @@ class Browser:
     def refresh(self) -> None:
         """Look again at the shared state at the next turn."""
         self.shown_version = -1
+
+
+def _fail(error: Exception) -> None:
+    raise error
 
 
 def _nothing() -> None:

@@ -14,6 +14,7 @@ from pemviz.errors import InputError
 from pemviz.files.array_files import read_arrays
 from pemviz.files.mapped_arrays import map_arrays
 from pemviz.panel import run_observer, scans
+from pemviz.panel.browser import Browser
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import elites, rank, ranking_csv, row, scoring
 from pemviz.panel.tables import thinned
@@ -218,6 +219,29 @@ def test_a_scan_tells_how_far_it_is_and_is_done_once():
     assert some.begin("key", scan, count=count) is None
     assert some.known("key")
     assert len(calls) == 1
+
+
+def test_work_beside_a_page_is_told_in_its_own_thread():
+    browser, seen, caller = Browser(None, None), [], threading.get_ident()
+
+    def ended():
+        seen.append("ended")
+
+    def fails():
+        message = "cannot be read"
+        raise InputError(message)
+
+    def then(thread):
+        seen.append((thread != caller, threading.get_ident() == caller))
+
+    browser.beside(threading.get_ident, then, ended=ended)
+    for _ in range(2):
+        browser.next_work(pause_s=30.0)()
+    browser.beside(fails, then, ended=ended)
+    browser.next_work(pause_s=30.0)()
+    with pytest.raises(InputError, match="cannot be read"):
+        browser.next_work(pause_s=30.0)()
+    assert seen == ["ended", (True, True), "ended"]
 
 
 def test_what_a_scan_raises_is_told_to_everybody_who_asks():

@@ -1,6 +1,5 @@
 """The Recordings tab: runs that are kept; loading, settings, notes, downloads, deleting."""
 
-import threading
 from collections.abc import Callable
 from functools import partial
 from html import escape
@@ -127,28 +126,18 @@ class RecordingsTab:
         folder = hub.recordings.folder(name)
         self._opening = folder
 
+        def read() -> RunData:
+            run = hub.loaded.get(folder)
+            run.weigh()
+            return run
+
         def show(run: RunData) -> None:
             if self._opening == folder:
                 self._opening = None
-                set_html(self._link, "")
                 browser.look_at(run)
 
-        def fail(error: Exception) -> None:
-            self._opening = None
-            set_html(self._link, "")
-            raise error
-
-        def read() -> None:
-            try:
-                run = hub.loaded.get(folder)
-                run.weigh()
-            except Exception as error:  # the session's thread tells it
-                browser.post(partial(fail, error))
-            else:
-                browser.post(partial(show, run))
-
         set_html(self._link, block(quiet(f"Opening {escape(name)} ...")))
-        threading.Thread(target=read, name="pemviz-open", daemon=True).start()
+        browser.beside(read, show, ended=lambda: set_html(self._link, ""))
 
     def _back(self) -> None:
         self._opening = None
@@ -192,7 +181,19 @@ class RecordingsTab:
         self._browser.tell("Deleted", name, color="blue")
 
     def _download(self) -> None:
-        filename, content = self._downloaded(self.download.value, self.name.value)
+        browser, word, name = self._browser, self.download.value, self.name.value
+        if word == "CSV":
+            folder = browser.hub.recordings.folder(name)
+            browser.tell("CSV", f"The ranking of {name} is being written.", color="blue")
+            browser.beside(partial(self._csv, folder), partial(self._send, f"{name}.csv"))
+            return
+        self._send(*self._downloaded(word, name))
+
+    def _csv(self, folder: Path) -> bytes:
+        run = self._browser.hub.loaded.get(folder)
+        return ranking_csv(run, rank(run, run.config.metric)).encode()
+
+    def _send(self, filename: str, content: bytes) -> None:
         self._browser.client.send_file_download(filename, content, save_immediately=True)
 
     def _downloaded(self, word: str, name: str) -> tuple[str, bytes]:
@@ -202,9 +203,6 @@ class RecordingsTab:
             return f"{name}.rrd", folder.content(name, "run.rrd")
         if word == "result.json":
             return f"{name}.json", folder.content(name, "result.json")
-        if word == "CSV":
-            run = self._browser.hub.loaded.get(folder.folder(name))
-            return f"{name}.csv", ranking_csv(run, rank(run, run.config.metric)).encode()
         chosen = self._player.track
         if chosen is None:
             message = "no rollout is shown: pick one in the Trajectories tab"
