@@ -40,9 +40,9 @@ def record(arguments: RecordArguments) -> int:
         if done is not None:
             return _tell_done(arguments, done, reports=reports)
     experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
+    check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
     for note in (*arguments.notes, *device_notes(experiment)):
         print(f"pemviz: {note}", file=sys.stderr)
-    check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
     folder = arguments.source.resume or create_run_folder(
         arguments.out, label=arguments.experiment.method
     )
