@@ -82,7 +82,7 @@ def test_an_automaton_says_what_the_formula_says_on_every_rollout(spec, automato
     for step in range(STATES):
         at_step = {name: values[:, step] for name, values in signals.items()}
         reading = np.where(reading >= 0, automaton(step, at_step, reading), reading)
-    violated = problem.violated(signals)
+    violated = problem.robustness(signals) < 0.0  # classical: that is the verdict
     np.testing.assert_array_equal(reading == VIOLATED, violated)
     assert 0 < violated.sum() < bits.size
     logit = model.logit(walk.salient(signals))[:, :-1]
