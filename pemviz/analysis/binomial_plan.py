@@ -8,7 +8,7 @@ probability p has no more than k is a binomial tail too.
 import math
 from dataclasses import dataclass
 
-from scipy.special import betaincc
+from scipy.special import betaincc, gammaincinv
 
 POWER = 0.9
 MOST_LABELS = 10_000_000
@@ -39,13 +39,21 @@ def fewest_obstacles(missed: int, *, bound: float, confidence: float) -> int:
         return missed
     if missed == 0:
         return math.ceil(math.log(alpha) / math.log1p(-bound) * (1.0 - SLACK))
-    few, many = missed, 2 * missed + 1
-    while _at_most(missed, many, bound) > alpha * (1.0 + SLACK):
-        few, many = many, 2 * many
+
+    def shows(obstacles: int) -> bool:
+        return _at_most(missed, obstacles, bound) <= alpha * (1.0 + SLACK)
+
+    # Poisson's answer, which is near where the bound is small
+    guess = math.ceil(float(gammaincinv(missed + 1.0, confidence)) / bound)
+    many, step = max(missed + 1, guess), max(1, guess // 100)
+    while not shows(many):
+        many, step = many + step, 2 * step
+    few, step = many - 1, max(1, guess // 100)
+    while few > missed and shows(few):
+        few, many, step = max(few - step, missed), few, 2 * step
     while many - few > 1:
         middle = (few + many) // 2
-        shows = _at_most(missed, middle, bound) <= alpha * (1.0 + SLACK)
-        few, many = (few, middle) if shows else (middle, many)
+        few, many = (few, middle) if shows(middle) else (middle, many)
     return many
 
 
