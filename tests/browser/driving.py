@@ -6,6 +6,8 @@ from tests.browser.conftest import WAIT_MS
 
 # viser's page sends one change in 50 ms and forgets all but the last: no person is so quick
 THROTTLE_MS = 200
+THINKING_MS = 2000
+"""Between what a person chooses and what they then write."""
 
 
 def tab(page, name):

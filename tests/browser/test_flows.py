@@ -14,6 +14,7 @@ from pemviz.panel.viewers import Viewers
 from pemviz.sampling.registry import SHIPPED
 from tests.browser.conftest import WAIT_MS, Panel
 from tests.browser.driving import (
+    THINKING_MS,
     beside,
     charted,
     choose,
@@ -314,6 +315,7 @@ def test_recordings_load_compare_and_download(open_page, shots, panel, first_run
     page.screenshot(path=shots / "compare-three-runs.png")
     tab(page, "Recordings")
     choose(page, "Run", other.name)
+    page.wait_for_timeout(THINKING_MS)  # the chosen run's own notes replace what stands there
     beside(page, "Notes").fill("older drawing <b>")
     page.get_by_role("button", name="Save notes").click()
     page.locator("table[aria-label=Recordings] i", has_text="older drawing <b>").wait_for()
