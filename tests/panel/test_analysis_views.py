@@ -148,6 +148,14 @@ def test_probabilities_are_read_as_typed():
     assert read_number("  ", name="target") is None
 
 
+def test_counts_are_whole_numbers_however_large(naive_run):
+    large = {"rollouts_in_estimate": 1_000_000, "rollouts_simulated": 12_000_000, "failures": 3}
+    run = with_result(naive_run, estimate=replace(naive_run.result.estimate, **large))
+    shown = headline.headline(run)
+    assert "3 of 1000000 rollouts" in shown
+    assert "12000000 simulated" in shown
+
+
 def test_the_answer_is_judged_by_a_limit(naive_run):
     assert "Fail above" not in headline.headline(naive_run)
     assert "passed" not in headline.headline(naive_run, limit=1e-300)

@@ -60,9 +60,8 @@ def _answer(run: RunData) -> str:
     rules = run.config.rules
     what = f"any of {len(rules)} rules" if rules else run.config.spec
     counts = (
-        f"{number(estimate.failures, 6)} of {number(estimate.rollouts_in_estimate, 6)} rollouts"
-        f"{aimed_text(estimate)} violate {what}, "
-        f"{number(estimate.rollouts_simulated, 6)} simulated"
+        f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts"
+        f"{aimed_text(estimate)} violate {what}, {estimate.rollouts_simulated} simulated"
     )
     lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
     asked = beyond_default_text(run.result)
