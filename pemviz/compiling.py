@@ -5,7 +5,9 @@ import importlib.util
 import logging
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
 
 LOG = logging.getLogger(__name__)
 
@@ -20,24 +22,32 @@ def is_loaded() -> bool:
     return "numba" in sys.modules
 
 
-def translated(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A decorator: the function, compiled when it is first called; as it is without numba.
+def with_numba(build: Callable[[Callable[..., Any]], Result]) -> Result | None:
+    """What ``build`` makes of numba's compiler; ``None`` without it, or where it fails.
 
     What is compiled is kept on disk: beside the source, else in the user's cache folder, and
-    where neither can be written to each process compiles for itself. Importing a module that is
-    decorated so imports numba.
+    where neither can be written to each process compiles for itself.
     """
     if not is_installed():
-        return function
+        return None
     try:
         numba = importlib.import_module("numba")
         try:
-            return numba.njit(cache=True)(function)
+            return build(numba.njit(cache=True))
         except RuntimeError:  # no folder to keep it in
-            return numba.njit(function)
+            return build(numba.njit)
     except Exception as error:  # an installation of others may raise anything
         LOG.warning("numba cannot be used (%s); numpy computes", error)
-        return function
+        return None
+
+
+def translated(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A decorator: the function, compiled when it is first called; as it is without numba.
+
+    Importing a module that is decorated so imports numba.
+    """
+    compiled = with_numba(lambda njit: njit(function))
+    return function if compiled is None else compiled
 
 
 def is_translated(function: Callable[..., Any]) -> bool:

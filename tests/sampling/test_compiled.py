@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pemviz import compiling
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.pem import as_pem, load_pem
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts import compiled, compiled_replay, kernels
+from pemviz.sampling.rollouts import compiled, compiled_replay
 from pemviz.sampling.rollouts.batches import BatchTask, run_here
 from pemviz.sampling.rollouts.compiled import CompiledRollouts, CompiledRunner, is_served
 from pemviz.sampling.rollouts.draw import replay, simulate
@@ -188,7 +189,7 @@ def test_without_a_numba_that_works_numpy_simulates(broken, monkeypatch, caplog)
             return lambda _: (_ for _ in ()).throw(RuntimeError("cannot cache function"))
         return function
 
-    monkeypatch.setattr(kernels, "is_installed", lambda: broken != "absent")
+    monkeypatch.setattr(compiling, "is_installed", lambda: broken != "absent")
     monkeypatch.setitem(sys.modules, "numba", SimpleNamespace(njit=njit))
     compiled_loops.cache_clear()
     try:
@@ -199,7 +200,7 @@ def test_without_a_numba_that_works_numpy_simulates(broken, monkeypatch, caplog)
     finally:
         compiled_loops.cache_clear()
     assert (found is None) == (broken != "no cache")
-    assert ("numpy simulates" in caplog.text) == (broken == "fails")
+    assert ("numpy computes" in caplog.text) == (broken == "fails")
     expected = next(run_here(SIMULATOR, PEM, [BatchTask(PemProposal(), uniforms)]))
     assert_same(batches[0], expected)
 

@@ -1,7 +1,5 @@
 """The braking scenario's loops, compiled by numba where it is installed."""
 
-import importlib
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -11,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.compiling import is_installed
+from pemviz.compiling import with_numba
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking import loops
 from pemviz.simulators.braking.scenario import LEAD_SPEED
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
-LOG = logging.getLogger(__name__)
 KEPT_SCENARIOS = 8
 """Of which the lead car's speeds are remembered."""
 
@@ -33,22 +30,8 @@ class Loops:
 
 @cache
 def compiled_loops() -> Loops | None:
-    """The compiled functions; ``None`` without numba, or with one that fails here.
-
-    What is compiled is kept on disk: beside the source, else in the user's cache folder, and
-    where neither can be written to each process compiles for itself.
-    """
-    if not is_installed():
-        return None
-    try:
-        numba = importlib.import_module("numba")
-        try:
-            return _translated(numba.njit(cache=True))
-        except RuntimeError:  # no folder to keep it in
-            return _translated(numba.njit)
-    except Exception as error:  # an installation of others may raise anything
-        LOG.warning("numba cannot be used (%s); numpy simulates", error)
-        return None
+    """The compiled functions; ``None`` without numba, or with one that fails here."""
+    return with_numba(_translated)
 
 
 def _translated(njit: Callable[[Any], Any]) -> Loops:
