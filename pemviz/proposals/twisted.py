@@ -1,11 +1,11 @@
 """The proposal that conditions on violation: each outcome weighted by what follows from it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.twisted_cells import CellTable, cell_keys
 from pemviz.types import StateBatch
@@ -59,23 +59,24 @@ class TwistedProposal:
     log_probability: float
     exact: bool
     left_out: float
+    certain: Callable[[StateBatch], BoolArray] | None = None
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]``; the step may differ along the last axis."""
         shape = pem_logit.shape
         step = np.broadcast_to(states.step, shape).ravel()
-        columns = {
-            name: np.broadcast_to(values, shape).ravel()
-            for name, values in (*states.signals.items(), *states.memory.items())
-        }
         under_pem = pem_logit.ravel()
-        open_ = ~np.asarray(columns.get(self.violated, False), dtype=np.bool_)
+        violated = np.asarray(states.memory.get(self.violated, False), dtype=np.bool_)
+        open_ = ~np.broadcast_to(violated, shape).ravel()
         result = under_pem.copy()
         for value in np.unique(step):
             if value < len(self.tables):
                 chosen = np.flatnonzero((step == value) & open_)
-                here = {name: column[chosen] for name, column in columns.items()}
-                result[chosen] = self._logit_at(int(value), here, under_pem[chosen])
+                here = _at_step(int(value), states, shape=shape, rows=chosen)
+                if self.certain is not None and all(name in _columns(here) for name in self.names):
+                    left = np.flatnonzero(~self.certain(here))
+                    chosen, here = chosen[left], here.take(left)
+                result[chosen] = self._logit_at(int(value), _columns(here), under_pem[chosen])
         return result.reshape(shape)
 
     def arrays(self) -> Mapping[str, AnyArray]:
@@ -105,3 +106,18 @@ class TwistedProposal:
             keys = cell_keys([columns[name][left] for name in self.signal_names], cells)
             logit[left], found[left] = tables.coarse[table].find(keys)
         return logit, found
+
+
+def _at_step(
+    step: int, states: StateBatch, *, shape: tuple[int, ...], rows: IntArray
+) -> StateBatch:
+    """States ``[M]`` of one step, which ``rows [M]`` of all ``[...]`` are."""
+
+    def chosen(values: Mapping[str, AnyArray]) -> Mapping[str, AnyArray]:
+        return {name: np.broadcast_to(v, shape).ravel()[rows] for name, v in values.items()}
+
+    return StateBatch(np.array(step), chosen(states.signals), chosen(states.memory))
+
+
+def _columns(states: StateBatch) -> Mapping[str, AnyArray]:
+    return {**states.signals, **states.memory}

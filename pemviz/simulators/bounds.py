@@ -1,4 +1,4 @@
-"""How far signals can go from a state on, whatever perception reports."""
+"""How far signals can go from a state on, and do go, whatever perception reports."""
 
 from collections.abc import Mapping
 from typing import Protocol, TypeAlias, runtime_checkable
@@ -28,20 +28,48 @@ class BoundsSignals(Protocol):
         ...
 
 
+@runtime_checkable
+class TellsReached(Protocol):
+    """A simulator that says how far its signals go at least.
+
+    States from which a rule is broken whatever follows need not be followed at all. A class answers
+    for its own ``step`` alone: one that inherits the method is not asked.
+    """
+
+    def signals_reached(self, states: StateBatch, *, steps: int) -> SignalBounds:
+        """What signals reach at some of the next ``steps`` states, from states ``[N]``.
+
+        True of every sequence of outcomes, and of rounding: at one of those states the signal is
+        at most the first, at one at least the second; a signal that is left out may stay.
+        """
+        ...
+
+
 def tells_bounds(simulator: Simulator) -> bool:
     """Whether a simulator, or what it wraps, bounds its signals."""
-    return _telling(simulator) is not None
+    return isinstance(_telling(simulator, "signal_bounds"), BoundsSignals)
+
+
+def tells_reached(simulator: Simulator) -> bool:
+    """Whether a simulator, or what it wraps, says what its signals reach."""
+    return isinstance(_telling(simulator, "signals_reached"), TellsReached)
 
 
 def signal_bounds(simulator: Simulator, states: StateBatch, *, steps: int) -> SignalBounds:
     """As :meth:`BoundsSignals.signal_bounds`, of what a simulator wraps; empty if none tells."""
-    telling = _telling(simulator)
-    return {} if telling is None else telling.signal_bounds(states, steps=steps)
+    telling = _telling(simulator, "signal_bounds")
+    return telling.signal_bounds(states, steps=steps) if isinstance(telling, BoundsSignals) else {}
 
 
-def _telling(simulator: Simulator) -> BoundsSignals | None:
+def signals_reached(simulator: Simulator, states: StateBatch, *, steps: int) -> SignalBounds:
+    """As :meth:`TellsReached.signals_reached`, of what a simulator wraps; empty if none tells."""
+    telling = _telling(simulator, "signals_reached")
+    return telling.signals_reached(states, steps=steps) if isinstance(telling, TellsReached) else {}
+
+
+def _telling(simulator: Simulator, method: str) -> Simulator | None:
+    """The simulator within all wrappers, if its own class has the method."""
     scenario = simulator
     while isinstance(scenario, WrappedSimulator):
         scenario = scenario.scenario
-    own = "signal_bounds" in vars(type(scenario))
-    return scenario if own and isinstance(scenario, BoundsSignals) else None
+    return scenario if method in vars(type(scenario)) else None

@@ -1,6 +1,6 @@
 """States that a simulator says cannot violate any more are followed no further; nothing else is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -14,10 +14,14 @@ from pemviz.pem.models.memory import Memory
 from pemviz.sampling.memory import RememberingPem
 from pemviz.sampling.value_twisted import reachable_states
 from pemviz.sampling.value_twisted.merging import Merger, TooManyStates
-from pemviz.sampling.value_twisted.reachable_states import explore
+from pemviz.sampling.value_twisted.reachable_states import (
+    SAFE_NODE,
+    UNSAFE_NODE,
+    explore,
+)
 from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
 from pemviz.sampling.value_twisted.values import solve
-from pemviz.simulators.bounds import signal_bounds, tells_bounds
+from pemviz.simulators.bounds import signal_bounds, signals_reached, tells_bounds, tells_reached
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.latents import begun
 from pemviz.simulators.remembering import remembering
@@ -76,6 +80,43 @@ def test_signals_stay_within_bounds_whatever_is_detected(config, seed, miss):
                 assert (later.signals[name] <= high).all()
 
 
+@given(config=configs, seed=st.integers(0, 2**32 - 1), miss=st.floats(0.0, 1.0))
+@settings(deadline=None, max_examples=60)
+def test_signals_reach_what_is_told_whatever_is_detected(config, seed, miss):
+    rng = np.random.default_rng(seed)
+    simulator = remembering(VectorizedSimulator(config))
+    states = [begun(simulator, count=30)]
+    for _ in range(simulator.states - 1):
+        # half of the rollouts as chance has it, the others detect all from some step on
+        late = np.arange(30) < min(len(states), 15)
+        states.append(simulator.step(states[-1], late | (rng.random(30) >= miss)))
+    for first in (0, 1, int(rng.integers(2, 39))):
+        steps = int(rng.integers(1, 40 - first))
+        later = states[first + 1 : first + steps + 1]
+        reached = signals_reached(simulator, states[first], steps=steps)
+        assert set(reached) == {"gap"}
+        at_most, at_least = reached["gap"]
+        assert (np.min([one.signals["gap"] for one in later], axis=0) <= at_most).all()
+        assert (np.max([one.signals["gap"] for one in later], axis=0) >= at_least).all()
+    assert signals_reached(simulator, states[-1], steps=0) == {}
+
+
+@pytest.mark.parametrize("lead_brakes_s", [0.0, 0.3, 99.0])
+@pytest.mark.parametrize("at", [0, 3, 10])
+def test_an_ego_that_brakes_all_the_time_comes_no_nearer_than_told(lead_brakes_s, at):
+    config = replace(SHORT, lead_brake_time_s=lead_brakes_s, lead_deceleration_mps2=5.0)
+    simulator = VectorizedSimulator(config)
+    states = simulator.initial(count=1)
+    for _ in range(at):
+        states = simulator.step(states, np.full(1, False))
+    at_most, _ = signals_reached(simulator, states, steps=23 - at)["gap"]
+    gaps = []
+    for _ in range(23 - at):
+        states = simulator.step(states, np.full(1, True))
+        gaps.append(states.signals["gap"])
+    assert min(gaps) == pytest.approx(at_most, abs=2e-3)
+
+
 def test_the_gap_of_an_ego_that_never_brakes_reaches_its_bound():
     config = ScenarioConfig(speed_gain_per_s=1e6)  # full acceleration once below its target
     simulator = VectorizedSimulator(config)
@@ -107,17 +148,48 @@ def test_the_same_states_count_with_and_without_bounds(spec, tau_s):
         told, silent = remembering(told), remembering(silent)
         pem = RememberingPem(PEM, Memory(tau_s), SHORT.dt_s)
     assert tells_bounds(told)
+    assert tells_reached(told)
     assert not tells_bounds(silent)
+    assert not tells_reached(silent)
     one, other = graph_of(told, spec, pem=pem), graph_of(silent, spec, pem=pem)
     assert one.exact
     assert other.exact
     assert len(one.layers) == len(other.layers) > 10
-    for mine, theirs in zip(one.layers, other.layers, strict=True):
-        np.testing.assert_array_equal(mine.after_miss, theirs.after_miss)
-        np.testing.assert_array_equal(mine.after_hit, theirs.after_hit)
-        np.testing.assert_allclose(mine.pem_logit, theirs.pem_logit, rtol=1e-12)
+    doomed = doomed_states(other)
+    same = np.zeros(1, dtype=int)  # which of theirs each of mine is
+    for step, (mine, theirs) in enumerate(zip(one.layers, other.layers, strict=True)):
+        np.testing.assert_allclose(mine.pem_logit, theirs.pem_logit[same], rtol=1e-12)
+        assert np.unique(same).size == same.size == mine.count
+        assert doomed[step][np.setdiff1d(np.arange(theirs.count), same)].all()
+        following = np.full(one.layers[step + 1].count if step + 1 < len(one.layers) else 0, -1)
+        after = np.concatenate([doomed[step + 1], [True, False]])
+        for my_node, their_node in (
+            (mine.after_miss, theirs.after_miss[same]),
+            (mine.after_hit, theirs.after_hit[same]),
+        ):
+            np.testing.assert_array_equal(my_node == SAFE_NODE, their_node == SAFE_NODE)
+            assert after[their_node[my_node == UNSAFE_NODE]].all()
+            assert (their_node[my_node >= 0] >= 0).all()
+            following[my_node[my_node >= 0]] = their_node[my_node >= 0]
+        same = following
     expected = pytest.approx(solve(other).log_probability, abs=1e-12)
     assert solve(one).log_probability == expected
+
+
+def doomed_states(graph):
+    """By layer, and after the last, from which states ``[n]`` all sequences of outcomes violate."""
+    doomed = [np.empty(0, dtype=bool)]
+    for layer in reversed(graph.layers):
+        after = np.concatenate([doomed[0], [True, False]])
+        doomed.insert(0, after[layer.after_miss] & after[layer.after_hit])
+    return doomed
+
+
+def test_states_that_must_violate_are_hardly_looked_at():
+    told, silent = graph_of(VectorizedSimulator(SHORT)), graph_of(Silent(SHORT))
+    all_doomed, found = (sum(map(np.count_nonzero, doomed_states(g))) for g in (silent, told))
+    assert all_doomed > 0.4 * sum(layer.count for layer in silent.layers)
+    assert found < 0.01 * all_doomed
 
 
 def test_hardly_any_other_states_are_looked_at():
@@ -135,8 +207,11 @@ def test_an_approximation_is_the_same_with_and_without_bounds(monkeypatch):
         return Merger(*args, **kwargs)
 
     monkeypatch.setattr(reachable_states, "Merger", merger)
-    one = graph_of(VectorizedSimulator(SHORT), largest_layer=300)
-    other = graph_of(Silent(SHORT), largest_layer=300)
+    told = graph_of(VectorizedSimulator(SHORT)).layers
+    exactly.clear()
+    too_few = max(layer.count for layer in told) // 2
+    one = graph_of(VectorizedSimulator(SHORT), largest_layer=too_few)
+    other = graph_of(Silent(SHORT), largest_layer=too_few)
     assert exactly == [True, False, False]
     assert not one.exact
     for mine, theirs in zip(one.layers, other.layers, strict=True):

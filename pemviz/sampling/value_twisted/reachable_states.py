@@ -13,6 +13,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.pem.models.pieces import logit_along
+from pemviz.sampling.value_twisted.certain import CertainViolation, certain_violation
 from pemviz.sampling.value_twisted.merging import (
     LARGEST_LAYER,
     Merger,
@@ -35,7 +36,9 @@ UNSAFE_NODE = -2
 
 @dataclass(frozen=True)
 class Layer:
-    """The live states of one step: not unsafe, and some sequence of outcomes leads to violation.
+    """The live states of one step: some sequence of outcomes leads to violation, but none must.
+
+    States from which every sequence does are UNSAFE_NODE, as far as the twin tells of them.
 
     Attributes:
         states: Arrays ``[n]``.
@@ -64,14 +67,17 @@ class StateGraph:
         start: Where rollouts start: an index in the first layer, or SAFE_NODE or UNSAFE_NODE; of a
             quantised start one for each of its K cells, ``[K]``.
         exact: Whether only states closer than MERGE_DISTANCE were taken for one. A state is then
-            left out if and only if no sequence of outcomes leads from it to a violation.
+            left out if and only if no sequence of outcomes leads from it to a violation, or every
+            one for certain.
         log_start: Log of the probability of each start, ``[K]``.
+        certain: Which states were left out since every one does; ``None``: no such.
     """
 
     layers: tuple[Layer, ...]
     start: int | IntArray
     exact: bool
     log_start: FloatArray = field(default_factory=lambda: np.zeros(1))
+    certain: CertainViolation | None = None
 
 
 def explore(
@@ -85,9 +91,10 @@ def explore(
 ) -> StateGraph:
     """The graph of all states that matter.
 
-    Forward, both outcomes are taken at every state until nothing can be violated any more;
-    backward, a state is live if one of the two leads to a live or an unsafe one. No order among
-    states or outcomes is assumed: a specification may have several sides, and a miss may help.
+    Forward, both outcomes are taken at every state until, as far as the twin tells, nothing can be
+    violated any more or something must be; backward, a state is live if one of the two leads to a
+    live or an unsafe one. No order among states or outcomes is assumed: a specification may have
+    several sides, and a miss may help.
 
     Args:
         twin: A scenario whose ``step`` is cheap for many states.
@@ -100,20 +107,24 @@ def explore(
     Raises:
         TooManyStates: There are more than ``most_states``.
     """
-    walk = _Walk(twin, unsafe, pause, bounded=tells_bounds(twin))
+    certain = certain_violation(twin, unsafe)
+    walk = _Walk(twin, unsafe, pause, bounded=tells_bounds(twin), certain=certain)
 
     def explored(walk: _Walk) -> StateGraph:
-        merger = Merger(largest_layer, pause, most_states=most_states, exactly=walk.bounded)
+        exactly = walk.bounded or walk.certain is not None
+        merger = Merger(largest_layer, pause, most_states=most_states, exactly=exactly)
         cells = start_cells(twin)
         if cells is not None:
-            return _from_cells(walk, cells, pem, merger)
-        return _from_start(walk, pem, merger)
+            graph = _from_cells(walk, cells, pem, merger)
+        else:
+            graph = _from_start(walk, pem, merger)
+        return replace(graph, certain=walk.certain)
 
     try:
         return explored(walk)
     except MustMergeNeighbours:
-        # an approximation by neighbours asks those too that nothing can be violated from
-        return explored(replace(walk, bounded=False))
+        # an approximation by neighbours asks those too whose value is known
+        return explored(replace(walk, bounded=False, certain=None))
 
 
 @dataclass(frozen=True)
@@ -125,12 +136,14 @@ class _Walk:
         unsafe: What violates the specification.
         pause: Called after every step of the twin.
         bounded: Whether the twin's own bounds tell states that are followed no further.
+        certain: Which states are followed no further since they violate for certain.
     """
 
     twin: Simulator
     unsafe: Unsafe
     pause: Pause
     bounded: bool
+    certain: CertainViolation | None
 
     @property
     def last_step(self) -> int:
@@ -141,6 +154,11 @@ class _Walk:
     def children(self, states: StateBatch) -> StateBatch:
         """The states ``[2n]`` after a miss, then after a hit, at states ``[n]``."""
         return StateBatch.concatenate([self._after(states, hit=hit) for hit in (False, True)])
+
+    def must_violate(self, states: StateBatch) -> BoolArray:
+        """Whether states are unsafe, or lead to unsafe ones for certain, ``[N]``."""
+        is_unsafe = self.unsafe(states)
+        return is_unsafe if self.certain is None else is_unsafe | self.certain(states)
 
     def may_violate(self, states: StateBatch) -> BoolArray | bool:
         """Whether some sequence of outcomes may lead from states to an unsafe one, ``[N]``.
@@ -162,7 +180,7 @@ class _Walk:
 def _from_start(walk: _Walk, pem: DetectorModel, merger: Merger) -> StateGraph:
     """The graph of all states that matter from one start."""
     start = walk.twin.initial(count=1)
-    if walk.unsafe(start)[0]:
+    if walk.must_violate(start)[0]:
         return StateGraph(layers=(), start=UNSAFE_NODE, exact=True)
     moves = _all_moves(walk, start, merger)
     live = _live(moves)
@@ -176,7 +194,7 @@ def _from_start(walk: _Walk, pem: DetectorModel, merger: Merger) -> StateGraph:
 def _from_cells(walk: _Walk, cells: StartCells, pem: DetectorModel, merger: Merger) -> StateGraph:
     """The graph of all states that matter from any of a quantised start's cells."""
     starts = begun(walk.twin, count=cells.count, start=cells.medians)
-    node = np.where(walk.unsafe(starts), UNSAFE_NODE, SAFE_NODE)
+    node = np.where(walk.must_violate(starts), UNSAFE_NODE, SAFE_NODE)
     layers: tuple[Layer, ...] = ()
     open_ = np.flatnonzero(node == SAFE_NODE)
     if open_.size:
@@ -195,13 +213,13 @@ def _all_moves(walk: _Walk, start: StateBatch, merger: Merger) -> Sequence[AnyAr
     states = start
     for step in range(walk.last_step):
         children = walk.children(states)
-        is_unsafe = walk.unsafe(children)
-        node = np.where(is_unsafe, np.int32(UNSAFE_NODE), np.int32(SAFE_NODE))
+        decided = walk.must_violate(children)
+        node = np.where(decided, np.int32(UNSAFE_NODE), np.int32(SAFE_NODE))
         moves.append(node.reshape(2, -1))
-        open_ = np.flatnonzero(~is_unsafe & walk.may_violate(children))
+        open_ = np.flatnonzero(~decided & walk.may_violate(children))
         if open_.size == 0 or step + 1 == walk.last_step:
             break
-        every = open_.size == is_unsafe.size
+        every = open_.size == decided.size
         states, index = merger.merge(children if every else children.take(open_))
         node[open_] = index
     return moves

@@ -97,6 +97,7 @@ def tabulated(
         log_probability=values.log_probability,
         exact=graph.exact,
         left_out=left_out,
+        certain=graph.certain,
     )
 
 

@@ -1,7 +1,7 @@
 """Specifications that single states decide: ``always (predicate on the state)``."""
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -99,6 +99,24 @@ class UnsafeStates:
             np.logical_or, (_breakable(rule.predicate, bounds) for rule in later), False
         )
 
+    def certain(self, reached: Callable[[int], SignalBounds], *, after: int) -> BoolArray | bool:
+        """Whether signals break a rule after step ``after`` whatever they do beyond what is told.
+
+        Args:
+            reached: Of a number of steps, what signals reach ``[N]`` at some of as many next
+                states: at one at most the first value, at one at least the second.
+            after: The step that they start from.
+
+        Returns:
+            ``[N]``, or one for all; False where it is not known.
+        """
+        result: BoolArray | bool = False
+        for rule in self.rules:
+            if self.turns * rule.first <= after + 1 <= self.turns * rule.last:
+                told = reached(self.turns * rule.last - after)
+                result = np.logical_or(result, _surely_broken(rule.predicate, told))
+        return result
+
     def moved(self, move: Move) -> Self:  # noqa: ARG002
         """Itself: it holds no arrays."""
         return self
@@ -120,6 +138,20 @@ def _breakable(predicate: Formula, bounds: SignalBounds) -> BoolArray | bool:
             return low < value if predicate.is_lower_bound else high > value
         case _:
             return True
+
+
+def _surely_broken(predicate: Formula, reached: SignalBounds) -> BoolArray | bool:
+    """Whether signals that reach values ``[N]``, each at some state, violate a predicate at one."""
+    match predicate:
+        case And(parts=parts):
+            return functools.reduce(
+                np.logical_or, (_surely_broken(part, reached) for part in parts)
+            )
+        case Predicate(left=Signal(name=name), right=Constant(value=value)) if name in reached:
+            at_most, at_least = reached[name]
+            return at_most < value if predicate.is_lower_bound else at_least > value
+        case _:  # of an Or, all parts must be broken at one state
+            return False
 
 
 def unsafe_states(formula: Formula, *, turns: int = 1) -> UnsafeStates | None:

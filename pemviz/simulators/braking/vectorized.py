@@ -83,6 +83,45 @@ class VectorizedSimulator(BrakingScenario):
             LEAD_SPEED: (0.0, lead_mps),
         }
 
+    def signals_reached(self, states: StateBatch, *, steps: int) -> SignalBounds:
+        """What signals reach at some of the next ``steps`` states, from states ``[N]``.
+
+        Gaps stay largest if the ego brakes as hard as it can all the time. What they are then once
+        it is no faster than the lead car, or stands, is told: about the smallest that they become.
+        """
+        if steps < 1:
+            return {}
+        config, dt_s = self.config, self.config.dt_s
+        gap_m, ego_mps = states.signals[GAP], states.signals[EGO_SPEED]
+        lead_mps = float(states.signals[LEAD_SPEED].max(initial=0.0))
+        lost_mps = dt_s * max(config.emergency_deceleration_mps2, config.maximum_deceleration_mps2)
+        braked = ego_mps / lost_mps
+        gained_mps = lost_mps - dt_s * config.lead_deceleration_mps2
+        if gained_mps > 0.0:
+            braked = np.minimum(braked, (ego_mps - lead_mps) / gained_mps, out=braked)
+        braked = np.ceil(braked, out=braked).clip(1.0, steps, out=braked)
+        reached_m = self._longest_ways_m(lead_mps, first=int(states.step), steps=steps)[
+            braked.astype(np.int64)
+        ]
+        reached_m += gap_m
+        # of a standing ego this is short of its way, and the gap too large
+        reached_m -= dt_s * braked * (ego_mps - (0.5 * lost_mps) * (braked - 1.0))
+        reached_m += ROUNDING
+        return {GAP: (reached_m, -np.inf)}
+
+    def _longest_ways_m(self, speed_mps: float, *, first: int, steps: int) -> FloatArray:
+        """How far a lead car goes at most in 0 to ``steps`` steps from step ``first`` on [m]."""
+        dt_s, lost_mps = self.config.dt_s, self.config.lead_deceleration_mps2 * self.config.dt_s
+        after = np.arange(steps + 1.0)
+        unbraked = math.floor(self.config.lead_brake_time_s / dt_s + ROUNDING) + 1 - first
+        braked = (after - max(unbraked, 0)).clip(0.0)
+        if lost_mps > 0.0:
+            braking = braked.clip(max=math.ceil(speed_mps / lost_mps))
+            standing = braked - braking
+        else:
+            braking, standing = braked, 0.0
+        return dt_s * (speed_mps * (after - standing) - lost_mps * braking * (braking - 1.0) / 2.0)
+
     def _shortest_way_m(self, speed_mps: float, *, first: int, steps: int) -> float:
         """How far a lead car goes at least from step ``first`` on [m]."""
         dt_s, lost_mps = self.config.dt_s, self.config.lead_deceleration_mps2 * self.config.dt_s
