@@ -56,7 +56,10 @@ class PoolsStages(Protocol[State_contra]):
     """A method whose estimate averages the rollouts of all stages, weighted together."""
 
     def pooled_log_weight(self, state: State_contra) -> FloatArray:
-        """Log weights ``[N]`` of all rollouts of a repetition that is done, as drawn."""
+        """Log weights ``[N]`` of all rollouts of a repetition that is done, as drawn.
+
+        NaN where a rollout does not violate and its weight is not known.
+        """
         ...
 
 

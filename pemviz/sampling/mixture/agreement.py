@@ -14,7 +14,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.sampling.estimates.diagnostics import parts_disagreement, pilots_alone
 from pemviz.sampling.estimates.estimate import log_stratified_error
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
-from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights, log_shares
+from pemviz.sampling.mixture.balance_heuristic import Pool, log_shares
 from pemviz.sampling.mixture.draws import PILOTS
 from pemviz.types import Diagnostic
 
@@ -42,7 +42,7 @@ def disagreements(pool: Pool, *, final: slice) -> Sequence[Diagnostic]:
 
 def _among_itself(pool: Pool, part: slice) -> LogEstimate:
     component = pool.component[part]
-    return _of(balance_weights(pool.log_ratio[part], component), pool.violated[part], component)
+    return _of(pool.weights_among(part), pool.violated[part], component)
 
 
 def _of(log_weight: FloatArray, violated: BoolArray, component: IntArray) -> LogEstimate:
@@ -66,7 +66,7 @@ def _share_of_pilots(pool: Pool) -> float:
     """Of the estimate, from failures for which pilots were most of what could draw them."""
     if not pool.violated.any():
         return 0.0
-    log_joint = pool.log_ratio[pool.violated] + log_shares(pool.log_ratio, pool.component)
+    log_joint = pool.failing_log_ratio + log_shares(pool.log_ratio, pool.component)
     by_pilots = np.exp(log_joint[:, PILOTS] - np.asarray(log_sum_exp(log_joint, axis=1)))
     log_weight = pool.log_weight[pool.violated]
     alone = by_pilots > MORE_THAN_HALF

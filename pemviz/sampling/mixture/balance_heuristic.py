@@ -14,6 +14,9 @@ from pemviz.sampling.mixture.aims import Rule, still_open, where_open
 from pemviz.sampling.mixture.latents import latent_ratios
 from pemviz.types import RolloutBatch
 
+ROWS_AT_ONCE = 1 << 14
+"""Of ratios, whose exponentials take several times their own memory."""
+
 
 @dataclass(frozen=True)
 class Decisions(Batch):
@@ -58,7 +61,7 @@ class Pool:
         component: What each rollout was drawn from, ``[N]``: 0 is the pilots' family, k the
             k-th fitted proposal.
         proposals: Each fitted one, K in all.
-        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[N, 1 + K]``:
+        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[H, 1 + K]``:
             of what it was until the rule at hand was broken.
         robustness: ``[N]``.
         violated: ``[N]``.
@@ -68,6 +71,8 @@ class Pool:
         rule_log_ratio: ``log_ratio`` under each, where there are several.
         latents: Of all rollouts but the final ones, where there are any.
         rule: The one at hand.
+        held: The H rollouts that ``log_ratio`` is known of, ascending; ``None``: all. Of a large
+            final batch those that hold only count.
     """
 
     decisions: Decisions
@@ -82,6 +87,7 @@ class Pool:
     rule_log_ratio: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     latents: LatentDecisions | None = None
     rule: Rule = None
+    held: IntArray | None = None
 
     @property
     def count(self) -> int:
@@ -139,14 +145,41 @@ class Pool:
     def log_weight(self) -> FloatArray:
         """Log weights ``[N]`` by the balance heuristic: log p / sum_k (n_k / N) q_k.
 
-        Veach & Guibas 1995; every rollout counts as a draw from the mixture.
+        Veach & Guibas 1995; every rollout counts as a draw from the mixture. NaN of those that
+        are not held.
         """
-        return balance_weights(self.log_ratio, self.component)
+        return self.weights_among(slice(None))
+
+    def weights_among(self, part: slice) -> FloatArray:
+        """Log weights ``[n]`` of a part of the rollouts, as draws from that part's own mixture."""
+        component = self.component[part]
+        if self.held is None:
+            return balance_weights(self.log_ratio[part], component)
+        first, stop, _ = part.indices(self.count)
+        rows = slice(*np.searchsorted(self.held, (first, stop)).tolist())
+        found = np.full(component.size, np.nan)
+        found[self.held[rows] - first] = balance_weights(self.log_ratio[rows], component)
+        return found
+
+    @property
+    def failing_log_ratio(self) -> FloatArray:
+        """``log_ratio`` of the F rollouts that violate, ``[F, 1 + K]``."""
+        return self.log_ratio[self.violated if self.held is None else self.violated[self.held]]
 
 
 def balance_weights(log_ratio: FloatArray, component: IntArray) -> FloatArray:
-    """-log sum_k (n_k / N) exp(log_ratio_k) for ratios ``[N, K]`` and components ``[N]``."""
-    return -np.asarray(log_sum_exp(log_ratio + log_shares(log_ratio, component), axis=1))
+    """-log sum_k (n_k / N) exp(log_ratio_k), ``[H]``.
+
+    Args:
+        log_ratio: Of H of the rollouts, ``[H, K]``.
+        component: Of all that the shares are counted of, ``[N]``.
+    """
+    shares = log_shares(log_ratio, component)
+    found = np.empty(len(log_ratio))
+    for first in range(0, len(log_ratio), ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        found[rows] = -np.asarray(log_sum_exp(log_ratio[rows] + shares, axis=1))
+    return found
 
 
 def log_shares(log_ratio: FloatArray, component: IntArray) -> FloatArray:

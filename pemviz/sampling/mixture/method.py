@@ -60,7 +60,7 @@ from pemviz.sampling.estimates.estimate import (
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.aims import Aims
-from pemviz.sampling.mixture.balance_heuristic import Pool, balance_weights
+from pemviz.sampling.mixture.balance_heuristic import Pool
 from pemviz.sampling.mixture.draws import PILOTS, components, divided
 from pemviz.sampling.mixture.fit import (
     Fit,
@@ -179,7 +179,9 @@ class MixtureSampling:
             state,
             stage=state.stage + 1,
             basis=basis,
-            pool=_pooled(state, basis, scored, component, last=last),
+            pool=_pooled(
+                state, basis, scored, component, last=last, large=last and self._is_in_parts
+            ),
             frozen=(*state.frozen, size) if last else (),
         )
         result = final_stage(
@@ -212,7 +214,6 @@ class MixtureSampling:
             message = "the final rollouts have not been drawn yet"
             raise ValueError(message)
         final = slice(pool.count - sum(state.frozen), None)
-        component = pool.component[final]
         many = state.turns > 1 and state.starts > 1
         found = mixture_estimate(
             method=self.name,
@@ -220,7 +221,7 @@ class MixtureSampling:
             violated=pool.violated,
             component=pool.component,
             log_p=pool.log_p,
-            frozen_log_weight=balance_weights(pool.log_ratio[final], component),
+            frozen_log_weight=pool.weights_among(final),
             frozen=final,
             adaptation=SLOTS_AND_STARTS_ADAPTATION if many else ADAPTATION,
         )
@@ -231,12 +232,19 @@ class MixtureSampling:
         return replace(found, diagnostics=(*found.diagnostics, unlatched()))
 
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
-        """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were drawn."""
+        """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were drawn.
+
+        NaN of those of a large final batch that hold.
+        """
         pool = state.pool
         return np.empty(0) if pool is None else pool.log_weight
 
     def _final_sizes(self) -> tuple[int, ...]:
         return part_sizes(self.final_rollouts, largest=self.largest_part)
+
+    @property
+    def _is_in_parts(self) -> bool:
+        return len(self._final_sizes()) > 1
 
     def _explores(self, stage: int) -> bool:
         """Whether a stage belongs to the first half of those that learn."""
@@ -364,6 +372,7 @@ def _pooled(
     component: IntArray,
     *,
     last: bool,
+    large: bool,
 ) -> Pool:
     new = [] if state.frozen else state.fits
     return extended(
@@ -381,6 +390,7 @@ def _pooled(
             rules=state.rules,
         ),
         last=last,
+        large=large,
     )
 
 

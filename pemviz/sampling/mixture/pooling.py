@@ -1,5 +1,6 @@
 """A stage's rollouts join the pool: how likely each is under every proposal, old and new."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +21,10 @@ from pemviz.sampling.mixture.balance_heuristic import (
 from pemviz.sampling.mixture.latents import fresh_latents
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, ScoredRollouts
+
+FAILING_AT_ONCE = 2_000
+"""Of a large final batch's violations: each decision's monomials take as much as a rollout's steps
+otherwise do."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ def extended(
     optimism: Sequence[FloatArray],
     terms: Terms,
     last: bool = False,
+    large: bool = False,
 ) -> Pool:
     """The pool with more rollouts.
 
@@ -69,16 +75,29 @@ def extended(
             rollouts, which it was fitted to, ``[N]``.
         terms: What likelihoods are taken with.
         last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
+        large: Of these no more is kept than an average needs: the ratios of those that violate.
     """
     proposals = (*(pool.proposals if pool else ()), *new)
-    count = scored.rollouts.count
+    if pool is None:
+        return _pool_of(scored, drawn_from, proposals, terms)
+    fresh = (_failing_of if large else _pool_of)(scored, drawn_from, proposals, terms)
+    return _joined(_under_new(pool, new, optimism, terms), fresh, last=last)
+
+
+def _pool_of(
+    scored: ScoredRollouts,
+    drawn_from: IntArray,
+    proposals: tuple[FittedMoves, ...],
+    terms: Terms,
+) -> Pool:
+    """The pool of ``scored`` alone."""
     decisions, latents, by_pilots = _fresh(scored.rollouts, terms)
-    by_fitted = _of_fitted(decisions, latents, proposals, terms, count=count)
+    by_fitted = _of_fitted(decisions, latents, proposals, terms, count=scored.rollouts.count)
     after = [
         np.hstack([pilots[:, None], fitted])
         for pilots, fitted in zip(by_pilots, by_fitted, strict=True)
     ]
-    fresh = Pool(
+    return Pool(
         decisions=decisions,
         component=drawn_from,
         proposals=proposals,
@@ -91,9 +110,34 @@ def extended(
         rule_log_ratio=dict(zip(terms.rules, after[1:], strict=True)),
         latents=latents,
     )
-    if pool is None:
-        return fresh
-    return _joined(_under_new(pool, new, optimism, terms), fresh, last=last)
+
+
+def _failing_of(
+    scored: ScoredRollouts,
+    drawn_from: IntArray,
+    proposals: tuple[FittedMoves, ...],
+    terms: Terms,
+) -> Pool:
+    """The same of the violating rollouts alone, a few at a time; the others count."""
+    rows = np.flatnonzero(scored.violated).astype(np.int64)
+    edges = np.linspace(0, rows.size, -(-rows.size // FAILING_AT_ONCE) + 1).astype(int)
+    some = [rows[slice(*pair)] for pair in itertools.pairwise(edges.tolist())] or [rows]
+    parts = [_pool_of(scored.take(few), drawn_from[few], proposals, terms) for few in some]
+    log_p = np.full(drawn_from.size, np.nan)
+    log_p[rows] = np.concatenate([part.log_p for part in parts])
+    ratios = [[part.rule_log_ratio[rule] for part in parts] for rule in terms.rules]
+    return replace(
+        parts[0],
+        component=drawn_from,
+        log_ratio=np.concatenate([part.log_ratio for part in parts]),
+        robustness=scored.robustness,
+        violated=scored.violated,
+        log_p=log_p,
+        rule_robustness=scored.rule_robustness,
+        broken=scored.broken,
+        rule_log_ratio=dict(zip(terms.rules, map(np.concatenate, ratios), strict=True)),
+        held=rows,
+    )
 
 
 def _under_new(
@@ -178,10 +222,16 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
     latents = pool.latents
     if latents is not None and fresh.latents is not None and not last:
         latents = latents.joined(fresh.latents)
-    moved = replace(fresh.decisions, rollout=fresh.decisions.rollout + pool.count)
+    decisions, held = pool.decisions, pool.held
+    if not last:
+        moved = replace(fresh.decisions, rollout=fresh.decisions.rollout + pool.count)
+        decisions = Decisions.concatenate([decisions, moved])
+    if fresh.held is not None:
+        before = np.arange(pool.count, dtype=np.int64) if held is None else held
+        held = np.concatenate([before, fresh.held + pool.count])
     return replace(
         fresh,
-        decisions=pool.decisions if last else Decisions.concatenate([pool.decisions, moved]),
+        decisions=decisions,
         component=np.concatenate([pool.component, fresh.component]),
         log_ratio=np.vstack([pool.log_ratio, fresh.log_ratio]),
         robustness=np.concatenate([pool.robustness, fresh.robustness]),
@@ -191,6 +241,7 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
         broken=_appended(pool.broken, fresh.broken),
         rule_log_ratio=_appended(pool.rule_log_ratio, fresh.rule_log_ratio),
         latents=latents,
+        held=held,
     )
 
 

@@ -1,0 +1,69 @@
+"""Of a large final batch mixture keeps the ratios of violations alone, and answers the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.runs.experiment import build_experiment
+from pemviz.sampling.mixture.method import MixtureSampling
+from tests.lattice_walk import ToyPem, ToySimulator
+
+WALK = ToySimulator(initial_gap=4, largest_gap=6, states=13)
+RULES = {"touch": "always[0,12] (gap >= 0.5)", "deep": "always[0,12] (gap >= -2.5)"}
+
+
+@pytest.fixture(scope="module")
+def ends():
+    """Of the same run in four parts: rows of all kept, of violations alone, these in pieces."""
+    found = {}
+    for name, whole, at_once in (("all", True, 2000), ("few", False, 2000), ("pieces", False, 7)):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("pemviz.sampling.mixture.pooling.FAILING_AT_ONCE", at_once)
+            if whole:
+                patch.setattr(MixtureSampling, "_is_in_parts", False)
+            found[name] = end()
+    return found
+
+
+def end():
+    config = ExperimentConfig(method="mixture", rollouts=60, stages=3, final_rollouts=300, seed=5)
+    experiment = build_experiment(
+        config.with_rules(RULES), simulator=WALK, pem=ToyPem(at_zero=1.6), twin=WALK
+    )
+    method, problem = replace(experiment.method, largest_part=90), experiment.problem
+    state = method.init(problem, repetition=0)
+    while not method.is_done(state):
+        state, stage = method.step(problem, state)
+    assert stage.stage == 7
+    return method, state
+
+
+@pytest.mark.parametrize("name", ["few", "pieces"])
+@pytest.mark.parametrize("rule", [None, *RULES])
+def test_answers_are_the_same_to_the_last_bit(ends, name, rule):
+    (method, whole), (_, few) = ends["all"], ends[name]
+    if rule is not None:
+        whole, few = (method.under_rule(state, rule) for state in (whole, few))
+    expected, violated = method.estimate(whole), whole.pool.violated
+    assert 20 < expected.failures < 500
+    assert method.estimate(few) == expected
+    weights = method.pooled_log_weight(few)
+    np.testing.assert_array_equal(weights[violated], method.pooled_log_weight(whole)[violated])
+    np.testing.assert_array_equal(few.pool.violated, violated)
+    np.testing.assert_array_equal(few.pool.component, whole.pool.component)
+
+
+def test_no_ratio_of_a_final_rollout_that_holds_is_kept(ends):
+    whole, few = (ends[name][1].pool for name in ("all", "pieces"))
+    learned, final = 4 * 60, slice(4 * 60, None)
+    violations = int(whole.violated[final].sum())
+    assert 20 < violations < 300
+    assert few.count == whole.count == learned + 300
+    assert len(whole.log_ratio) == whole.count
+    for ratio in (few.log_ratio, *few.rule_log_ratio.values()):
+        assert len(ratio) == learned + violations
+    held = np.flatnonzero(~np.isnan(few.log_weight))
+    expected = np.r_[np.arange(learned), learned + np.flatnonzero(whole.violated[final])]
+    np.testing.assert_array_equal(held, expected)
