@@ -152,6 +152,15 @@ def row_sums(values: FloatArray) -> FloatArray:
     return np.sum(values if values.ndim == 2 else values.reshape(len(values), length), axis=1)
 
 
+def softplus(values: FloatArray) -> FloatArray:
+    """log(1 + exp(v)) for values of any shape ``[...]``, never overflowing.
+
+    As ``np.logaddexp(0, v)`` within a last digit, from functions that numpy has vectorised.
+    """
+    rest = np.exp(-np.abs(values))
+    return np.maximum(values, 0.0) + np.log1p(rest, out=rest)
+
+
 def log_sum_exp(values: FloatArray, *, axis: int | None = None) -> Any:
     """Log of the sum of exponentials over an axis, or over all of ``values [...]``.
 

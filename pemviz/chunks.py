@@ -1,4 +1,4 @@
-"""Evaluation of row functions in chunks of fixed size, each distinct row once.
+"""Evaluation of row functions in chunks, each distinct row once.
 
 A matrix product may round a row differently in batches of different sizes. In chunks of
 one size, the last padded, a row's result depends on nothing but the row; so rows that are
@@ -18,14 +18,22 @@ FEWEST = 4 * ROWS
 MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # odd; 2^64 over the golden ratio
 
 
-def map_rows(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
+def map_rows(
+    function: Callable[[FloatArray], FloatArray], rows: FloatArray, *, multiple: int = ROWS
+) -> FloatArray:
     """Apply ``function`` (``[ROWS, D]`` to ``[ROWS]``) to rows ``[N, D]``, giving ``[N]``.
 
     Tensors go through in one piece: on a device no last digit is promised.
+
+    Args:
+        function: What is applied.
+        rows: To what.
+        multiple: Of so many rows the function gives a row the same: a divisor of ``ROWS``, to a
+            multiple of which the last chunk is padded.
     """
     if is_tensor(rows):
         return function(rows)
-    return map_distinct(lambda distinct: _map_chunks(function, distinct), rows)
+    return map_distinct(lambda distinct: _map_chunks(function, distinct, multiple), rows)
 
 
 def map_distinct(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
@@ -87,13 +95,15 @@ def _hashes(columns: Sequence[NDArray[np.uint64]], count: int) -> NDArray[np.uin
     return result
 
 
-def _map_chunks(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
+def _map_chunks(
+    function: Callable[[FloatArray], FloatArray], rows: FloatArray, multiple: int
+) -> FloatArray:
     count = rows.shape[0]
     result = np.empty(count)
     for start in range(0, count, ROWS):
         chunk = rows[start : start + ROWS]
         size = chunk.shape[0]
-        if size < ROWS:
-            chunk = np.concatenate([chunk, np.zeros((ROWS - size, rows.shape[1]))])
-        result[start : start + size] = function(np.ascontiguousarray(chunk))[:size]
+        if size % multiple:
+            chunk = np.concatenate([chunk, np.zeros((-size % multiple, rows.shape[1]))])
+        result[start : start + size] = function(chunk)[:size]
     return result

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, namespace
+from pemviz.arrays import BoolArray, FloatArray, is_tensor, namespace
 
 LARGEST_SHARE = 0.1
 
@@ -15,44 +15,74 @@ def share_for(*, drawn_steps: float, steps: int) -> float:
     return min(drawn_steps / steps, LARGEST_SHARE)
 
 
+def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
+    """The mixture of a proposal (weight 1 - share) and the error model, as logits ``[...]``.
+
+    Hesterberg's defensive mixture (1995), applied to every outcome: a single outcome's weight is
+    at most 1 / share, whatever the proposal.
+
+    Args:
+        logit: The proposal's.
+        pem_logit: The error model's.
+        share: Of the error model, in (0, 1).
+    """
+    xp, log_share, log_rest = namespace(logit), float(np.log(share)), float(np.log1p(-share))
+    detected, missed = (
+        xp.logaddexp(_log_expit(sign * logit) + log_rest, _log_expit(sign * pem_logit) + log_share)
+        for sign in (1.0, -1.0)
+    )
+    return detected - missed
+
+
 @dataclass(frozen=True)
-class Defence:
-    """The share of the error model in mixtures with any number of proposals.
+class AgainstModel:
+    """How much likelier outcomes ``[M]`` are under mixtures with proposals than by the error model.
+
+    An outcome of logit a under the model and a + d under a proposal is (1 + e^-a) / (1 + e^-(a+d))
+    times as likely under the latter. With E = e^-|a| that is (1 + E) / (1 + E e^-d) where a > 0,
+    else (1 + E) / (E + e^-d): nothing overflows.
 
     Attributes:
+        sign: 1 for a miss, -1 for a detection.
+        fixed: The denominator's term without the proposal.
+        moved: What e^-d is multiplied by there.
+        scale: 1 - share times the numerator.
         share: Of the error model, in (0, 1).
-        detected: Log of the share times its probability of a detection, ``[...]``.
-        missed: The same of a miss.
     """
 
+    sign: FloatArray
+    fixed: FloatArray
+    moved: FloatArray
+    scale: FloatArray
     share: float
-    detected: FloatArray
-    missed: FloatArray
 
     @classmethod
-    def of(cls, pem_logit: FloatArray, *, share: float) -> Self:
-        """Of an error model's logits ``[...]``."""
-        log_share = float(np.log(share))
+    def of(cls, miss_logit: FloatArray, missed: BoolArray, *, share: float) -> Self:
+        """Of outcomes ``[M]`` and the error model's logits of a miss there."""
+        sign = np.where(missed, 1.0, -1.0)
+        model = sign * miss_logit
+        small = np.exp(-np.abs(model))
+        likely = model > 0.0
         return cls(
-            share, _log_expit(pem_logit) + log_share, _log_expit(-1.0 * pem_logit) + log_share
+            sign=sign,
+            fixed=np.where(likely, 1.0, small),
+            moved=np.where(likely, small, 1.0),
+            scale=(1.0 - share) * (1.0 + small),
+            share=share,
         )
 
-    def of_proposal(self, logit: FloatArray) -> FloatArray:
-        """The mixture with a proposal (weight 1 - share) of logits ``[...]``, as logits.
-
-        Hesterberg's defensive mixture (1995), applied to every outcome: a single outcome's
-        weight is at most 1 / share, whatever the proposal.
-        """
-        xp, log_rest = namespace(logit), float(np.log1p(-self.share))
-        detected = xp.logaddexp(_log_expit(logit) + log_rest, self.detected)
-        return detected - xp.logaddexp(_log_expit(-1.0 * logit) + log_rest, self.missed)
-
-
-def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
-    """The mixture of a proposal and the error model, as logits; see :class:`Defence`."""
-    return Defence.of(pem_logit, share=share).of_proposal(logit)
+    def log_ratio(self, raised: FloatArray) -> FloatArray:
+        """Log q / p of each outcome, ``[M]``, under proposals that raise misses' logits ``[M]``."""
+        denominator = np.exp(-self.sign * raised)
+        denominator *= self.moved
+        denominator += self.fixed
+        ratio = np.divide(self.scale, denominator, out=denominator)
+        ratio += self.share
+        return np.log(ratio, out=ratio)
 
 
 def _log_expit(logit: FloatArray) -> FloatArray:
+    if not is_tensor(logit):
+        return -np.logaddexp(0.0, -logit)
     xp = namespace(logit)
     return -xp.logaddexp(-logit, xp.zeros_like(logit))

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
@@ -69,7 +70,7 @@ class PolynomialBasis:
     spread: FloatArray
     degree: int
 
-    @property
+    @cached_property
     def exponents(self) -> tuple[tuple[int, ...], ...]:
         """Feature indices that are multiplied in each of the ``B`` monomials."""
         features = range(len(self.mean))
@@ -83,11 +84,18 @@ class PolynomialBasis:
         """Monomials ``[n, B]`` of features ``[n, D]``, standardised and kept within +-3."""
         standard = ((values - self.mean) / self.spread).clip(-STANDARD_RANGE, STANDARD_RANGE)
         shape = (values.shape[0], len(self.exponents))
-        result = namespace(values).ones(shape, dtype=values.dtype, device=values.device)
-        for column, chosen in enumerate(self.exponents):
-            for feature in chosen:
-                result[:, column] *= standard[:, feature]
+        xp = namespace(values)
+        result = xp.ones(shape, dtype=values.dtype, device=values.device)
+        by_monomial, by_feature = result.T, standard.T
+        for column, (lower, feature) in enumerate(self._factors, start=1):
+            xp.multiply(by_monomial[lower], by_feature[feature], out=by_monomial[column])
         return result
+
+    @cached_property
+    def _factors(self) -> tuple[tuple[int, int], ...]:
+        """Of each monomial but the constant, the one it is a feature times, and the feature."""
+        place = {chosen: column for column, chosen in enumerate(self.exponents)}
+        return tuple((place[chosen[:-1]], chosen[-1]) for chosen in self.exponents[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +123,14 @@ class OffsetLogisticProposal:
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]``."""
-        xp, shape = namespace(pem_logit), pem_logit.shape
-        acts = acting(self.features, states, shape, violated=self.violated)
+        acts = acting(self.features, states, pem_logit.shape, violated=self.violated)
+        return self.logit_where(acts, states, pem_logit)
+
+    def logit_where(self, acts: BoolArray, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+        """The same, of which ``acts [...]`` says where it leaves the error model."""
+        xp = namespace(pem_logit)
         values = self.features.values(states)
-        values = xp.broadcast_to(values, (*shape, len(self.basis.mean)))[acts]
+        values = xp.broadcast_to(values, (*pem_logit.shape, len(self.basis.mean)))[acts]
         result = xp.asarray(pem_logit, copy=True)
         under_pem = pem_logit[acts]
         by_row = self.coefficients.ndim > 1

@@ -7,12 +7,14 @@ from typing import cast
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, softplus
 
 NEWTON_STEPS = 40
 SHORTEST_STEP = 1e-9
 SUFFICIENT_DECREASE = 1e-4
 GOOD_ENOUGH = 1e-4
+BY_OUTCOME = ("logit", "miss", "cross_entropy")
+"""What a fit knows of each outcome by itself, whatever the weights."""
 LARGEST_LEVERAGE = 0.8
 """Larger ones count as this: what a linear model suggests grows without bound towards 1."""
 
@@ -68,17 +70,22 @@ class LogisticFit:
         return cast(FloatArray, expit(self.logit))
 
     @cached_property
+    def cross_entropy(self) -> FloatArray:
+        """Minus the log likelihood of each outcome, ``[M]`` [nats]."""
+        return softplus(np.where(self.outcomes.missed, -self.logit, self.logit))
+
+    @cached_property
     def summed_loss(self) -> float:
         """Weighted cross-entropy plus ``ridge . coefficients^2 / 2`` [nats]."""
-        entropy = np.logaddexp(0.0, np.where(self.outcomes.missed, -self.logit, self.logit))
-        return float(self.outcomes.weight @ entropy + 0.5 * self.ridge @ self.coefficients**2)
+        entropy = self.outcomes.weight @ self.cross_entropy
+        return float(entropy + 0.5 * self.ridge @ self.coefficients**2)
 
     @cached_property
     def curvature(self) -> FloatArray:
         """Second derivatives of the summed loss, ``[B, B]``."""
         outcomes, miss = self.outcomes, self.miss
-        scaled = outcomes.basis * (outcomes.weight * miss * (1.0 - miss))[:, None]
-        return scaled.T @ outcomes.basis + np.diag(self.ridge)
+        scaled = outcomes.basis.T * (outcomes.weight * miss * (1.0 - miss))
+        return scaled @ outcomes.basis + np.diag(self.ridge)
 
     def descent(self) -> FloatArray:
         """The summed loss's derivatives, downwards, ``[B]``."""
@@ -86,9 +93,25 @@ class LogisticFit:
         gradient = outcomes.basis.T @ (outcomes.weight * (outcomes.missed - self.miss))
         return gradient - self.ridge * self.coefficients
 
+    def improved(self) -> "LogisticFit":
+        """The fit after one of Newton's steps; itself if that would make little difference."""
+        gradient = self.descent()
+        direction = cast(FloatArray, np.linalg.solve(self.curvature, gradient))
+        decrease = float(gradient @ direction)
+        if decrease < GOOD_ENOUGH:
+            return self
+        return _lower(self, direction, decrease) or self
+
+    def reweighted(self, weight: FloatArray) -> "LogisticFit":
+        """The same coefficients for outcomes of other weights ``[M]``."""
+        changed = replace(self, outcomes=replace(self.outcomes, weight=weight))
+        known = {name: vars(self)[name] for name in BY_OUTCOME if name in vars(self)}
+        vars(changed).update(known)
+        return changed
+
 
 def fit_offset_logistic(
-    outcomes: WeightedOutcomes, *, ridge: FloatArray, start: FloatArray, steps: int = NEWTON_STEPS
+    outcomes: WeightedOutcomes, *, ridge: FloatArray, start: FloatArray
 ) -> LogisticFit:
     """Minimise the weighted cross-entropy plus ``ridge . coefficients^2 / 2``.
 
@@ -98,19 +121,13 @@ def fit_offset_logistic(
         outcomes: What is learned from.
         ridge: Penalty of each coefficient, above 0, ``[B]``.
         start: Coefficients to start from, ``[B]``.
-        steps: At most so many of Newton's steps.
     """
     fit = LogisticFit(start.copy(), outcomes, ridge)
-    for _ in range(steps):
-        gradient = fit.descent()
-        direction = cast(FloatArray, np.linalg.solve(fit.curvature, gradient))
-        decrease = float(gradient @ direction)
-        if decrease < GOOD_ENOUGH:
+    for _ in range(NEWTON_STEPS):
+        better = fit.improved()
+        if better is fit:
             break
-        lower = _lower(fit, direction, decrease)
-        if lower is None:
-            break
-        fit = lower
+        fit = better
     return fit
 
 
@@ -125,6 +142,14 @@ def _lower(fit: LogisticFit, direction: FloatArray, decrease: float) -> Logistic
     return None if tried.summed_loss >= fit.summed_loss else tried
 
 
+def group_sums(values: FloatArray, group: IntArray, *, count: int) -> FloatArray:
+    """Sums ``[count, B]`` over each group of ``values [M, B]``, whose groups ``[M]`` ascend."""
+    first = np.flatnonzero(np.diff(group, prepend=-1))
+    sums = np.zeros((count, values.shape[1]))
+    sums[group[first]] = np.add.reduceat(values, first, axis=0)
+    return sums
+
+
 def leave_one_out_loss(
     fit: LogisticFit, *, group: IntArray, count: int, first_order: bool = True
 ) -> FloatArray:
@@ -135,8 +160,8 @@ def leave_one_out_loss(
 
     Args:
         fit: The model.
-        group: Which of ``count`` groups each of its outcomes belongs to, ``[M]``; weights are equal
-            within a group.
+        group: Which of ``count`` groups each of its outcomes belongs to, ``[M]``, ascending;
+            weights are equal within a group.
         count: Number of groups.
         first_order: Else times (1 - h / 2) / (1 - h)^2 with h the group's leverage in the direction
             in which it pulls: what the square of a residual e grows by if a linear model is fitted
@@ -147,13 +172,7 @@ def leave_one_out_loss(
     """
     outcomes = fit.outcomes
     residual = outcomes.missed - fit.miss
-    score = np.stack(
-        [
-            np.bincount(group, weights=column * residual, minlength=count)
-            for column in outcomes.basis.T
-        ],
-        axis=1,
-    )
+    score = group_sums(outcomes.basis * residual[:, None], group, count=count)
     weight = np.zeros(count)
     weight[group] = outcomes.weight
     pull = np.linalg.solve(fit.curvature, score.T).T

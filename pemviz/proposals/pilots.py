@@ -165,6 +165,10 @@ class PilotProposal:
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[N]``, at states ``[N]`` of the same N rollouts."""
         acts = acting(self.features, states, pem_logit.shape, violated=self.violated)
+        return self.logit_where(acts, states, pem_logit)
+
+    def logit_where(self, acts: BoolArray, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+        """The same, of which ``acts [N]`` says who may leave the error model."""
         step = states.step * 1.0
         within = acts & (self.first <= step) & (self.stop > step)
         if self.slot is not None:

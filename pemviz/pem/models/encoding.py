@@ -33,11 +33,21 @@ def check_rows(rows: FloatArray) -> None:
         raise PemError(f"salient row {row}: {SALIENT_COLUMNS[column]} is {rows[row, column]}")
     for name, allowed in (("class_id", CLASS_NAMES), ("occlusion", OCCLUSION_NAMES)):
         values = rows[:, COLUMN[name]]
+        if _is_one_of(values, len(allowed)):
+            continue
         wrong = (values < 0) | (values >= len(allowed)) | (values != np.floor(values))
         if wrong.any():
             row = int(np.argmax(wrong))
             labels = ", ".join(f"{index} {label}" for index, label in enumerate(allowed))
             raise PemError(f"salient row {row}: {name} is {values[row]:g}, allowed: {labels}")
+
+
+def _is_one_of(values: FloatArray, count: int) -> bool:
+    """Whether values ``[n]`` are one number from 0 to ``count`` - 1, as in most scenarios."""
+    if not values.size:
+        return True
+    first = float(values[0])
+    return first in range(count) and bool((values == first).all())
 
 
 def paper_inputs(rows: FloatArray, *, pose_mean: FloatArray, pose_std: FloatArray) -> FloatArray:

@@ -19,6 +19,9 @@ from pemviz.pem.models.encoding import PAPER_INPUTS, POSE_COLUMNS, check_rows, p
 from pemviz.pem.models.protocol import as_rows
 from pemviz.pem.models.tensors import check_finite, tensors_digest
 
+LANES = 8
+"""Columns that a processor's widest registers hold: `forward` gives each the same in any multiple
+of so many."""
 FARTHEST = 1e6
 """Far beyond any x, y, z [m] or angle [rad] that a scenario holds."""
 
@@ -85,7 +88,7 @@ class NetworkPem(Carded):
         rows, shape = as_rows(salient)
         check_rows(rows)
         answer = _Forward(self.pose_mean, self.pose_std, self.layers)
-        return map_rows(answer.logit, rows).reshape(shape)
+        return map_rows(answer.logit, rows, multiple=LANES).reshape(shape)
 
     def moved(self, move: Move) -> "_Forward":
         """What answers for tensors."""
@@ -110,7 +113,8 @@ def forward(layers: Sequence[Layer], inputs: FloatArray) -> FloatArray:
     """Output [n] of a rectified network on inputs [features, n].
 
     numpy's own einsum adds up feature by feature, vectorised over n: unlike a matrix product of
-    the linear algebra library, what one column gives cannot depend on the others or on threads.
+    the linear algebra library, what one column gives cannot depend on the others or on threads,
+    nor, while there are several, on how many they are.
     """
     xp, hidden = namespace(inputs), inputs
     zero = xp.zeros((), dtype=inputs.dtype, device=inputs.device)

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, log_sum_exp
-from pemviz.proposals.defensive_share import Defence
+from pemviz.proposals.defensive_share import AgainstModel
 from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
 from pemviz.sampling.mixture.aims import Rule, still_open, where_open
@@ -231,9 +231,9 @@ def log_ratios(
         latents: The rollouts', where there are any.
     """
     found = [np.zeros((count, len(proposals))) for _ in under]
-    ratio = _Ratio.of(decisions, defensive)
+    against = AgainstModel.of(decisions.offset, decisions.missed, share=defensive)
     for column, one in enumerate(proposals):
-        step = ratio.under(one.coefficients)
+        step = against.log_ratio(shift(decisions.basis, one.coefficients))
         step = where_open(step, still_open(decisions.broken, rules, one.rule) if one.rule else None)
         for each, rule in zip(found, under, strict=True):
             until = still_open(decisions.broken, rules, rule)
@@ -246,29 +246,3 @@ def log_ratios(
             for each, rule in zip(found, under, strict=True)
         ]
     return found
-
-
-@dataclass(frozen=True)
-class _Ratio:
-    """Log q / p of M decisions under any coefficients, with what all of them have in common."""
-
-    decisions: Decisions
-    defence: Defence
-    sign: FloatArray
-    against_model: FloatArray
-
-    @classmethod
-    def of(cls, decisions: Decisions, defensive: float) -> "_Ratio":
-        sign = np.where(decisions.missed, -1.0, 1.0)
-        return cls(
-            decisions,
-            Defence.of(decisions.offset, share=defensive),
-            sign,
-            against_model=np.logaddexp(0.0, sign * decisions.offset),
-        )
-
-    def under(self, coefficients: FloatArray) -> FloatArray:
-        """Of each decision, ``[M]``."""
-        decisions = self.decisions
-        raised = self.defence.of_proposal(decisions.offset + shift(decisions.basis, coefficients))
-        return self.against_model - np.logaddexp(0.0, self.sign * raised)

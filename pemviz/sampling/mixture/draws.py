@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move, moved, namespace
-from pemviz.proposals.offset_logistic import OffsetLogisticProposal, StateFeatures
+from pemviz.proposals.offset_logistic import OffsetLogisticProposal, StateFeatures, acting
 from pemviz.proposals.pilots import PilotFamily, PilotProposal
 from pemviz.sampling.mixture.aims import Aims
 from pemviz.sampling.mixture.latents import DividedLatents
@@ -27,7 +27,8 @@ class DividedProposal:
     """A proposal for each of N rollouts: a pilot's or a fitted one's.
 
     Attributes:
-        pilots: Of all N rollouts; without a step for those that are not pilots.
+        pilots: Of all N rollouts; without a step for those that are not pilots. What they look
+            at is what the fitted ones do.
         fitted: With coefficients ``[N, B]``, 0 for pilots; ``None`` if all are pilots.
         piloted: Which are, ``[N]``.
         aims: The rule that each is to break, and until when it leaves the error model.
@@ -42,13 +43,18 @@ class DividedProposal:
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[N]``, at states ``[N]`` of the same N rollouts."""
-        by_pilots = self.pilots.logit(states, pem_logit)
-        if self.fitted is None:
+        pilots, fitted = self.pilots, self.fitted
+        acts = acting(pilots.features, states, pem_logit.shape, violated=pilots.violated)
+        if not acts.any():
+            return pem_logit
+        by_pilots = pilots.logit_where(acts, states, pem_logit)
+        if fitted is None:
             return by_pilots
-        xp, by_fitted = namespace(pem_logit), self.fitted.logit(states, pem_logit)
+        acts = acts & ~self.piloted
         if self.aims.rules:
-            by_fitted = xp.where(self.aims.reached(states.memory), pem_logit, by_fitted)
-        return xp.where(self.piloted, by_pilots, by_fitted)
+            acts &= ~self.aims.reached(states.memory)
+        by_fitted = fitted.logit_where(acts, states, pem_logit)
+        return namespace(pem_logit).where(self.piloted, by_pilots, by_fitted)
 
     def start_mean(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
         """Of the latents at the start, ``[N, S]``.

@@ -21,10 +21,7 @@ from pemviz.proposals.latent_means import (
     next_round,
     scores,
 )
-from pemviz.proposals.offset_logistic_fit import (
-    WeightedOutcomes,
-    fit_offset_logistic,
-)
+from pemviz.proposals.offset_logistic_fit import LogisticFit, WeightedOutcomes, group_sums
 
 MOST_WAYS = 4
 LEAST_SCATTER = 4.0
@@ -58,13 +55,9 @@ class WeightedRollouts:
         """Number of rollouts E."""
         return self.weight.size
 
-    def weighted(self, weight: FloatArray) -> "WeightedRollouts":
-        """The same rollouts with weights ``[E]``."""
-        outcomes = self.outcomes
-        changed = WeightedOutcomes(
-            outcomes.basis, outcomes.missed, outcomes.offset, weight[self.rollout]
-        )
-        return WeightedRollouts(changed, self.rollout, weight, self.latents)
+    def cross_entropy(self, coefficients: FloatArray) -> FloatArray:
+        """Minus the log likelihood of each decision under a proposal's ``[B]``, ``[M]`` [nats]."""
+        return LogisticFit(coefficients, self.outcomes, np.zeros_like(coefficients)).cross_entropy
 
     def resampled(self, count: int) -> "WeightedRollouts":
         """About ``count`` rollouts of equal weight, drawn systematically; all if they are fewer."""
@@ -107,14 +100,29 @@ class Ways:
         """Coefficients and means of each proposal."""
         return list(zip(self.coefficients, self.means, strict=True))
 
-    def log_joint(self, rollouts: WeightedRollouts) -> FloatArray:
-        """Log of share times likelihood of each rollout under each proposal, ``[E, C]``."""
-        columns = [_log_likelihood(rollouts, *one) for one in self.each]
+    def log_joint(
+        self, rollouts: WeightedRollouts, cross_entropies: Sequence[FloatArray] | None = None
+    ) -> FloatArray:
+        """Log of share times likelihood of each rollout under each proposal, ``[E, C]``.
+
+        Args:
+            rollouts: E.
+            cross_entropies: Of their decisions under each proposal, ``[M]``, where they are known.
+        """
+        known = cross_entropies or [rollouts.cross_entropy(one) for one in self.coefficients]
+        columns = [_log_likelihood(rollouts, *one) for one in zip(known, self.means, strict=True)]
         return np.stack(columns, axis=1) + np.log(self.share)
 
-    def responsibilities(self, rollouts: WeightedRollouts) -> FloatArray:
-        """How likely each rollout is to have come from each proposal, ``[E, C]``."""
-        joint = self.log_joint(rollouts)
+    def responsibilities(
+        self, rollouts: WeightedRollouts, cross_entropies: Sequence[FloatArray] | None = None
+    ) -> FloatArray:
+        """How likely each rollout is to have come from each proposal, ``[E, C]``.
+
+        Args:
+            rollouts: E.
+            cross_entropies: As :meth:`log_joint` takes them.
+        """
+        joint = self.log_joint(rollouts, cross_entropies)
         return np.exp(joint - np.asarray(log_sum_exp(joint, axis=1))[:, None])
 
 
@@ -186,29 +194,24 @@ def _split(
     upper = place > _cut(place, rollouts.weight * shares[:, worst])
     shares = np.hstack([shares, (shares[:, worst] * upper)[:, None]])
     shares[upper, worst] = 0.0
-    start = np.vstack([ways.coefficients, ways.coefficients[worst]])
+    start = (*ways.coefficients, ways.coefficients[worst])
+    fits = [LogisticFit(one, rollouts.outcomes, ridges[0]) for one in start]
     means, tried = (*ways.means, ways.means[worst]), ways
     for _ in range(ROUNDS):
-        share = rollouts.weight @ shares
+        weights = (rollouts.weight[:, None] * shares).T
+        share = weights.sum(axis=1)
         if share.min() <= 0.0:
             return None
-        start = np.stack(
-            [
-                fit_offset_logistic(
-                    rollouts.weighted(rollouts.weight * shares[:, index]).outcomes,
-                    ridge=ridges[0],
-                    start=one,
-                    steps=1,
-                ).coefficients
-                for index, one in enumerate(start)
-            ]
-        )
+        fits = [
+            fit.reweighted(weight[rollouts.rollout]).improved()
+            for fit, weight in zip(fits, weights, strict=True)
+        ]
         means = tuple(
-            _next_means(one, rollouts, rollouts.weight * shares[:, index], ridges[1])
-            for index, one in enumerate(means)
+            _next_means(one, rollouts, weight, ridges[1])
+            for one, weight in zip(means, weights, strict=True)
         )
-        tried = Ways(start, share / share.sum(), means)
-        shares = tried.responsibilities(rollouts)
+        tried = Ways(np.stack([f.coefficients for f in fits]), share / share.sum(), means)
+        shares = tried.responsibilities(rollouts, [fit.cross_entropy for fit in fits])
     return tried
 
 
@@ -238,13 +241,7 @@ def _scatter(
     outcomes = rollouts.outcomes
     miss = expit(outcomes.offset + outcomes.basis @ coefficients)
     residual = outcomes.missed - miss
-    score = np.stack(
-        [
-            np.bincount(rollouts.rollout, weights=column * residual, minlength=rollouts.count)
-            for column in outcomes.basis.T
-        ],
-        axis=1,
-    )
+    score = group_sums(outcomes.basis * residual[:, None], rollouts.rollout, count=rollouts.count)
     by_decision = weight[rollouts.rollout] * miss * (1.0 - miss)
     known = outcomes.basis.T @ (outcomes.basis * by_decision[:, None]) + np.diag(ridges[0])
     if means is not None and rollouts.latents is not None:
@@ -270,13 +267,9 @@ def _cut(place: FloatArray, weight: FloatArray) -> float:
 
 
 def _log_likelihood(
-    rollouts: WeightedRollouts, coefficients: FloatArray, means: LatentMeans | None
+    rollouts: WeightedRollouts, cross_entropy: FloatArray, means: LatentMeans | None
 ) -> FloatArray:
-    outcomes = rollouts.outcomes
-    logit = outcomes.offset + outcomes.basis @ coefficients
-    against = np.where(outcomes.missed, -logit, logit)
-    loss = np.logaddexp(0.0, against)
-    found = -np.bincount(rollouts.rollout, weights=loss, minlength=rollouts.count)
+    found = -np.bincount(rollouts.rollout, weights=cross_entropy, minlength=rollouts.count)
     if means is not None and rollouts.latents is not None:
         found = found + means.log_ratio(rollouts.latents)
     return found.astype(np.float64)

@@ -35,12 +35,18 @@ class StateRule:
         """
         if is_tensor(next(iter(signals.values()))):
             return self._margin(signals) < 0.0
-        if self._compares_numbers and all(_finite(signals.get(name)) for name in self._named):
+        if self._compares_numbers and all(self._is_known(signals.get(n)) for n in self._named):
             margin = self._margin(signals)
             if np.isfinite(margin).all():
                 return margin < 0.0
         # the whole evaluation, which tells what is wrong and where
         return stl.violated(self.predicate, {name: v[:, None] for name, v in signals.items()})
+
+    def _is_known(self, values: FloatArray | None) -> bool:
+        """Whether values ``[N]`` are finite, or would show in the margin if they were not."""
+        if values is None or values.dtype != np.float64:
+            return False
+        return isinstance(self.predicate, Predicate) or bool(np.isfinite(values).all())
 
     def _margin(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """By how much the predicate holds, ``[N]``."""
@@ -120,10 +126,6 @@ class UnsafeStates:
     def moved(self, move: Move) -> Self:  # noqa: ARG002
         """Itself: it holds no arrays."""
         return self
-
-
-def _finite(values: FloatArray | None) -> bool:
-    return values is not None and values.dtype == np.float64 and bool(np.isfinite(values).all())
 
 
 def _breakable(predicate: Formula, bounds: SignalBounds) -> BoolArray | bool:

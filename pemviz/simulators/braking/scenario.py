@@ -198,8 +198,9 @@ def lead_car_salient(config: ScenarioConfig, signals: Mapping[str, FloatArray]) 
         HEADING_AWAY_RAD,
     )
     xp = namespace(gap_m)
-    salient = xp.empty((len(fixed), *gap_m.shape), dtype=xp.float64, device=gap_m.device)
-    for column, value in zip(salient, fixed, strict=True):
-        column[...] = value
+    shape = (len(fixed), *gap_m.shape)
+    salient = xp.empty(shape, dtype=xp.float64, device=gap_m.device)
+    values = xp.asarray(fixed, dtype=xp.float64, device=gap_m.device)
+    salient[...] = values.reshape(-1, *[1] * gap_m.ndim)
     salient[9] = gap_m + config.lead_length_m / 2
     return xp.moveaxis(salient, 0, -1)
