@@ -17,6 +17,9 @@ from pemviz.pem.models.trees import TreesPem
 
 SingleModel = NetworkPem | TreesPem
 
+LARGEST_LOGIT = 700.0
+"""Beyond it exp(-logit) comes to the smallest number there is."""
+
 
 @dataclass(frozen=True, eq=False)
 class EnsemblePem(Carded):
@@ -68,6 +71,21 @@ class EnsemblePem(Carded):
 
 def mean_probability_logit(logits: FloatArray) -> FloatArray:
     """Logit [n] of the mean over members of the probabilities with logits [n, members]."""
+    size = np.abs(logits)
+    small = np.exp(-size)
+    large = 1.0 / (1.0 + small)
+    small *= large
+    likely = logits > 0.0
+    detected = np.where(likely, large, small).sum(axis=1)
+    missed = np.where(likely, small, large).sum(axis=1)
+    far = size.max(axis=1) > LARGEST_LOGIT
+    with np.errstate(divide="ignore"):
+        found = np.log(detected) - np.log(missed)
+    return np.where(far, _mean_by_logs(logits), found) if far.any() else found
+
+
+def _mean_by_logs(logits: FloatArray) -> FloatArray:
+    """The same where probabilities may be too small for a number."""
     log_detected = np.asarray(log_sum_exp(-np.logaddexp(0.0, -logits), axis=1))
     log_missed = np.asarray(log_sum_exp(-np.logaddexp(0.0, logits), axis=1))
     return log_detected - log_missed

@@ -40,22 +40,35 @@ def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
     if type(pem) is not NetworkPem:
         return pem.logit(np.asarray(salient))
     rows, shape = as_rows(salient)
+    return _along(pem, rows, _varying_pose(rows)).reshape(shape)
+
+
+def _varying_pose(rows: FloatArray) -> int | None:
+    """The one column in which rows ``[n, 11]`` differ; ``None`` where interpolating won't do."""
+    if len(rows) < FEWEST_ROWS:
+        return None
     varying = [column for column, values in enumerate(rows.T) if (values != values[:1]).any()]
-    if len(rows) < FEWEST_ROWS or len(varying) != 1 or varying[0] not in POSE_INDEX:
-        return pem.logit(rows).reshape(shape)
-    along = rows[:, varying[0]]
+    # a model itself says which row is not finite
+    known = len(varying) == 1 and bool(np.isfinite(rows).all())
+    return varying[0] if known and varying[0] in POSE_INDEX else None
+
+
+def _along(pem: DetectorModel, rows: FloatArray, column: int | None) -> FloatArray:
+    """Logit ``[n]`` of rows ``[n, 11]`` that differ in a ``column`` alone, if in one."""
+    if column is None or type(pem) is not NetworkPem:
+        return pem.logit(rows)
+    along = rows[:, column]
     low, high = float(along.min()), float(along.max())
-    if not (np.isfinite(low) and np.isfinite(high)):
-        return pem.logit(rows).reshape(shape)  # which says which row is wrong
-    asked = kinks(pem, rows[0], column=varying[0], low=low, high=high)
+    asked = kinks(pem, rows[0], column=column, low=low, high=high)
     at_kinks = np.repeat(rows[:1], asked.size, axis=0)
-    at_kinks[:, varying[0]] = asked
-    return np.interp(along, asked, pem.logit(at_kinks)).reshape(shape)
+    at_kinks[:, column] = asked
+    return np.interp(along, asked, pem.logit(at_kinks))
 
 
 def _mean_along(pem: EnsemblePem, rows: FloatArray) -> FloatArray:
     """Logit ``[n]`` of the members' mean P(detected)."""
-    logits = np.stack([logit_along(member, rows) for member in pem.members], axis=1)
+    column = _varying_pose(rows)
+    logits = np.stack([_along(member, rows, column) for member in pem.members], axis=1)
     return map_rows(mean_probability_logit, logits)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pemviz.arrays import AnyArray, FloatArray
-from pemviz.chunks import map_rows
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
 from pemviz.files.text_files import open_text, read_numbers
@@ -74,10 +73,9 @@ class TabulatedPem(Carded):
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""
         rows, shape = as_rows(salient)
         check_rows(rows)
-        return map_rows(self._logit_of_chunk, rows).reshape(shape)
+        return self._logit_at(rows[:, COLUMN["z_m"]]).reshape(shape)
 
-    def _logit_of_chunk(self, rows: FloatArray) -> FloatArray:
-        z_m = rows[:, COLUMN["z_m"]]
+    def _logit_at(self, z_m: FloatArray) -> FloatArray:
         if self.between == "step":
             index = np.searchsorted(self.distance_m, z_m, side="right") - 1
             return self.table_logit[np.maximum(index, 0)]
