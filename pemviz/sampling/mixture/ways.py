@@ -243,7 +243,8 @@ def _scatter(
     residual = outcomes.missed - miss
     score = group_sums(outcomes.basis * residual[:, None], rollouts.rollout, count=rollouts.count)
     by_decision = weight[rollouts.rollout] * miss * (1.0 - miss)
-    known = outcomes.basis.T @ (outcomes.basis * by_decision[:, None]) + np.diag(ridges[0])
+    scaled = outcomes.basis * np.sqrt(by_decision)[:, None]
+    known = scaled.T @ scaled + np.diag(ridges[0])
     if means is not None and rollouts.latents is not None:
         score = np.hstack([score, scores(means, rollouts.latents)])
         of_means = information(means, rollouts.latents, weight, ridge=ridges[1])
