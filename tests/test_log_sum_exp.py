@@ -1,4 +1,4 @@
-"""Sums of exponentials in log space are scipy's, to the last bit."""
+"""Exponentials in log space: sums are scipy's, to the last bit; softplus is numpy's."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.special import logsumexp
 
-from pemviz.arrays import log_sum_exp
+from pemviz.arrays import log_sum_exp, softplus
 
 NUMBERS = st.floats(-1e4, 1e4) | st.sampled_from([-np.inf, np.inf, 0.0, -0.0, 1.0])
 
@@ -32,3 +32,9 @@ def test_of_nothing_the_sum_is_zero(shape):
     values = np.zeros(shape)
     np.testing.assert_array_equal(log_sum_exp(values), -np.inf)
     np.testing.assert_array_equal(log_sum_exp(values, axis=0), np.full(shape[1:], -np.inf))
+
+
+@given(arrays(np.float64, array_shapes(max_dims=2, max_side=40), elements=NUMBERS))
+def test_softplus_is_the_log_of_one_more(values):
+    np.testing.assert_allclose(softplus(values), np.logaddexp(0.0, values), rtol=4e-16)
+    assert softplus(np.array([-700.0, 0.0, 700.0])).tolist() == [np.exp(-700.0), np.log(2.0), 700.0]

@@ -62,8 +62,8 @@ class RunStore:
 
     After every stage its rollouts, those that the configuration keeps, are in a file of their own;
     the end of the run joins these into ``rollouts.npz``. ``result.json`` and the proposals are
-    rewritten after stages too, of quick ones now and then. The stages' files of a run that was stopped or failed stay,
-    so that it can be resumed.
+    rewritten after stages too, of quick ones now and then. The stages' files of a run that was
+    stopped or failed stay, so that it can be resumed.
 
     Attributes:
         folder: The run folder; it exists already.

@@ -1,6 +1,7 @@
 """Networks asked along one pose variable by their pieces answer as they do row by row."""
 
 from dataclasses import replace
+from decimal import Decimal, localcontext
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +13,7 @@ from pemviz.config import ScenarioConfig
 from pemviz.errors import PemError
 from pemviz.pem import load_pem
 from pemviz.pem.models.encoding import PAPER_INPUTS
+from pemviz.pem.models.ensemble import mean_probability_logit
 from pemviz.pem.models.network import Layer
 from pemviz.pem.models.pieces import FEWEST_ROWS, kinks, logit_along
 from pemviz.pem.models.protocol import COLUMN
@@ -71,6 +73,21 @@ def test_an_ensemble_along_the_gap():
     ensemble = load_pem("ml-nn-ensemble")
     expected = ensemble.logit(salient)
     np.testing.assert_allclose(logit_along(ensemble, salient), expected, rtol=0.0, atol=1e-12)
+
+
+@given(st.lists(st.floats(-1000.0, 1000.0), min_size=2, max_size=12), st.integers(0, 2**32))
+def test_the_mean_of_members_is_that_of_their_probabilities(logits, seed):
+    """In 60 digits, and the same to the last bit beside rows of any size."""
+    values = np.array(logits)
+    with localcontext(prec=60):
+        shares = [1 / (1 + (-Decimal(v)).exp()) for v in logits]
+        rests = [1 / (1 + Decimal(v).exp()) for v in logits]
+        expected = float((sum(shares) / sum(rests)).ln())
+    (found,) = mean_probability_logit(values[None])
+    # near 0 what is left of the logs of two means of at least 0.3
+    assert found == pytest.approx(expected, rel=1e-14, abs=2e-15)
+    others = np.random.default_rng(seed).uniform(-1000.0, 1000.0, (5, values.size))
+    assert mean_probability_logit(np.vstack([others, values]))[-1] == found
 
 
 @pytest.mark.parametrize("pem", ["lr", "gb-raw"])

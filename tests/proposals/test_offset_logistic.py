@@ -15,8 +15,10 @@ from pemviz.proposals.offset_logistic import (
     SignalFeatures,
 )
 from pemviz.proposals.offset_logistic_fit import (
+    LogisticFit,
     WeightedOutcomes,
     fit_offset_logistic,
+    group_sums,
     leave_one_out_loss,
 )
 from pemviz.simulators.latched import VIOLATED
@@ -69,6 +71,34 @@ def test_fit_recovers_known_coefficients():
     fit = fit_offset_logistic(data, ridge=np.full(3, NO_RIDGE), start=np.zeros(3))
     errors = np.sqrt(np.diag(np.linalg.inv(fit.curvature)))
     assert (np.abs(fit.coefficients - truth) < 5 * errors).all()
+
+
+@given(st.lists(st.integers(0, 9), max_size=60), st.integers(0, 2**32))
+def test_sums_of_groups_are_those_of_adding_up(groups, seed):
+    group = np.sort(np.array(groups, dtype=np.int64))
+    values = np.random.default_rng(seed).normal(size=(group.size, 3))
+    expected = np.zeros((12, 3))
+    np.add.at(expected, group, values)
+    np.testing.assert_allclose(group_sums(values, group, count=12), expected, atol=1e-13)
+
+
+def test_other_weights_are_another_fit():
+    """What is carried over to a fit of other weights is what it would come to by itself."""
+    generator = np.random.default_rng(8)
+    basis = np.column_stack([np.ones(50), generator.normal(size=50)])
+    given_weights = [generator.random(50) for _ in range(2)]
+    fits = [
+        LogisticFit(
+            np.array([0.3, -0.2]),
+            outcomes(basis=basis, missed=basis[:, 1] > 0, offset=np.full(50, -1.0), weight=weight),
+            np.full(2, 0.1),
+        )
+        for weight in given_weights
+    ]
+    assert fits[0].improved() is not fits[0]  # it has computed everything
+    carried = fits[0].reweighted(given_weights[1])
+    assert carried.summed_loss == fits[1].summed_loss != fits[0].summed_loss
+    np.testing.assert_array_equal(carried.improved().coefficients, fits[1].improved().coefficients)
 
 
 def test_leave_one_out_agrees_with_fitting_again():
