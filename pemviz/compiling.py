@@ -5,6 +5,7 @@ import importlib.util
 import logging
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -33,7 +34,7 @@ def with_numba(build: Callable[[Callable[..., Any]], Result]) -> Result | None:
     try:
         numba = importlib.import_module("numba")
         try:
-            return build(numba.njit(cache=True))
+            return build(partial(numba.njit, cache=True))
         except RuntimeError:  # no folder to keep it in
             return build(numba.njit)
     except Exception as error:  # an installation of others may raise anything
@@ -47,6 +48,12 @@ def translated(function: Callable[..., Any]) -> Callable[..., Any]:
     Importing a module that is decorated so imports numba.
     """
     compiled = with_numba(lambda njit: njit(function))
+    return function if compiled is None else compiled
+
+
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `translated`, and part of what calls it: for what is called at every turn of a loop."""
+    compiled = with_numba(lambda njit: njit(forceinline=True)(function))
     return function if compiled is None else compiled
 
 

@@ -28,7 +28,7 @@ def compiled_loops() -> Any:
     if not is_installed():
         return None
     loops = importlib.import_module("pemviz.stl.loops")
-    return loops if is_translated(loops.extremes) else None
+    return loops if loops.WIDE is not None and is_translated(loops.mean_parts) else None
 
 
 class Decision:

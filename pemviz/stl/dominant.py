@@ -61,7 +61,7 @@ class DominantSteps:
     def always(self, margin: FloatArray) -> FloatArray:
         """The soft minimum over all of ``margin [width, n]``, [1, n]."""
         base = self.base(margin.min(axis=0))
-        near = margin < base + self.reach
+        near = margin <= base + self.reach  # the least one wherever that is rounded to
         if FEW * np.count_nonzero(near) <= near.size:
             total = self._few(margin, base, near)
         else:

@@ -4,16 +4,23 @@ Each reads rows ``values [n, T]`` of a signal, and folds its distances ``(value 
 from a threshold over the steps from ``start`` to before ``stop``. The same arithmetic in the same
 order as :mod:`pemviz.stl.agm` and :mod:`pemviz.stl.dominant`, so that both give the same numbers to
 the last bit. Slices of a row, not sums of indices, are what lets a compiler see that steps are
-neighbours. Imported when it is time to compile: see :mod:`pemviz.stl.compiled`.
+neighbours; where it does not see it, steps are taken eight at a time, :mod:`pemviz.stl.lanes`.
+Imported when it is time to compile: see :mod:`pemviz.stl.compiled`.
 """
 
+import importlib
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.compiling import translated
+from pemviz.compiling import inlined, translated, with_numba
+from pemviz.stl.lanes import LANES, filled, loaded, pack, smaller, store
 
+WIDE = with_numba(lambda _: importlib.import_module("pemviz.stl.wide_lanes"))
+"""Having taught numba what lanes are; ``None`` without numba."""
+LANES_AS_OF = "0bab148e30f4f280"
+"""Of their files, so that what numba keeps of this one is made anew when they change."""
 MAGNITUDE = 0x7FFF_FFFF_FFFF_FFFF
 """All bits of a double but its sign."""
 CERTAIN = 1e-17
@@ -66,7 +73,7 @@ def task_of(
     return Task(values, values.view(np.int64), *window, offset, factor, int(keys[0]), int(keys[1]))
 
 
-@translated
+@inlined
 def ordered(bits: Any) -> Any:
     """Whole numbers in the order of doubles, from these doubles' bits; and back again.
 
@@ -76,7 +83,7 @@ def ordered(bits: Any) -> Any:
     return bits ^ ((bits >> 63) & MAGNITUDE)
 
 
-@translated
+@inlined
 def _extremes(bits: IntArray) -> tuple[Any, Any]:
     least, most = MAGNITUDE, -MAGNITUDE - 1
     for t in range(bits.size):
@@ -85,7 +92,7 @@ def _extremes(bits: IntArray) -> tuple[Any, Any]:
     return least, most
 
 
-@translated
+@inlined
 def extremes(task: Task, i: int) -> tuple[Any, Any, bool]:
     """`ordered`, the least and largest value of row i at the steps; whether all T are allowed."""
     row = task.bits[i]
@@ -106,32 +113,73 @@ def all_extremes(task: Task, least: IntArray, most: IntArray) -> bool:
     return good
 
 
-@translated
+@inlined
 def _least_distance(task: Task, least: int, most: int) -> Any:
     """That of a row with these `extremes`."""
     value = np.int64(ordered(least if task.factor > 0.0 else most)).view(np.float64)
     return (value - task.offset) * task.factor
 
 
-@translated
-def _sum(part: FloatArray) -> None:
-    half = part.size // 2
-    while half > 0:
-        other = part[half:]
-        for t in range(half):
-            part[t] += other[t]
-        half //= 2
+@inlined
+def _aligned(size: int) -> FloatArray:
+    """Zeros that begin where eight of them lie in one line of the cache."""
+    zeros = np.zeros(size + LANES)
+    first = -(zeros.ctypes.data // 8) % LANES
+    return zeros[first : first + size]
 
 
-@translated
+@inlined
+def _distances(task: Task, flat: FloatArray, begin: Any, part: FloatArray) -> None:
+    """Of a row whose steps begin at ``flat[begin]``, written to ``part``."""
+    offset, factor, width = filled(task.offset), filled(task.factor), task.stop - task.start
+    whole = width - width % LANES
+    for t in range(whole, width):
+        part[t] = (flat[begin + t] - task.offset) * task.factor
+    for t in range(0, whole, LANES):
+        store((loaded(flat, begin + t) - offset) * factor, part, t)
+
+
+@inlined
+def _sum_of_negative(part: FloatArray) -> Any:
+    """The sum of min(number, 0) over ``part``, which is overwritten."""
+    zero, size = filled(0.0), part.size
+    for t in range(0, size, LANES):
+        store(smaller(loaded(part, t), zero), part, t)
+    while size >= 4 * LANES:  # two halvings at once
+        size //= 4
+        for t in range(0, size, LANES):
+            even = loaded(part, t) + loaded(part, 2 * size + t)
+            odd = loaded(part, size + t) + loaded(part, 3 * size + t)
+            store(even + odd, part, t)
+    if size > LANES:
+        store(loaded(part, 0) + loaded(part, LANES), part, 0)
+    even = (part[0] + part[4]) + (part[2] + part[6])
+    return even + ((part[1] + part[5]) + (part[3] + part[7]))
+
+
+@inlined
+def _joined(left: Any, right: Any) -> Any:
+    return left + left * right + right
+
+
+@inlined
 def _compound(part: FloatArray, groups: int) -> None:
-    half = part.size // 2
-    while half >= groups and half > 0:
-        other = part[half:]
-        for t in range(half):
-            product = part[t] * other[t]
-            part[t] = part[t] + product + other[t]
-        half //= 2
+    """prod(1 + number) - 1 of each of ``groups`` groups of ``part``, into its first places."""
+    size, least = part.size, max(groups, LANES)
+    while size >= 4 * least:  # two halvings at once
+        size //= 4
+        for t in range(0, size, LANES):
+            even = _joined(loaded(part, t), loaded(part, 2 * size + t))
+            odd = _joined(loaded(part, size + t), loaded(part, 3 * size + t))
+            store(_joined(even, odd), part, t)
+    if size > least:
+        size //= 2
+        for t in range(0, size, LANES):
+            store(_joined(loaded(part, t), loaded(part, size + t)), part, t)
+    while size > groups:
+        size //= 2
+        for t in range(size):
+            part[t] = _joined(part[t], part[size + t])
 
 
 @translated
@@ -145,23 +193,19 @@ def mean_parts(task: Task, ties: bool, fails: Any, failing: FloatArray, growth: 
         failing: ``[n]``: where one does, the sum of min(distance, 0).
         growth: ``[groups, n]``: where none does, prod(1 + distance) - 1 of each group.
     """
-    width, size, good = task.stop - task.start, 1, True
+    width, size, good = task.stop - task.start, LANES, True
     while size < width:
         size *= 2
-    part = np.zeros(size)  # what is beyond the steps stays 0, which changes neither fold
+    flat = task.values.reshape(-1)
+    part = _aligned(size)  # what is beyond the steps stays 0, which changes neither fold
     for i in range(fails.size):
         low, high, allowed = extremes(task, i)
         least = _least_distance(task, low, high)
         good &= allowed
         fails[i] = least < 0.0 or (ties and least == 0.0)
-        row = task.values[i][task.start : task.stop]
-        for t in range(width):
-            part[t] = (row[t] - task.offset) * task.factor
+        _distances(task, flat, i * task.values.shape[1] + task.start, part)
         if fails[i]:
-            for t in range(width):
-                part[t] = min(part[t], 0.0)
-            _sum(part)
-            failing[i] = part[0]
+            failing[i] = _sum_of_negative(part)
         else:
             _compound(part, growth.shape[0])
             for t in range(growth.shape[0]):
@@ -175,7 +219,7 @@ class Near(NamedTuple):
     Attributes:
         beta: Sharpness.
         positive: Which part.
-        reach: A step counts whose distance is less than this above the row's base.
+        reach: A step counts whose distance is at most this above the row's base.
         largest: Exponent; above it stands this one.
         base: ``[n]``, written to.
         ends: ``[n + 1]``: row i's exponents stand from ``ends[i]`` to ``ends[i + 1]``.
@@ -200,33 +244,35 @@ def exponents_near(task: Task, near: Near, first: int) -> tuple[int, bool]:
         values are allowed.
     """
     width, count, good = task.stop - task.start, 0, True
-    whole = width // 8
-    counts = np.zeros(8 * (whole + 1), dtype=np.uint8)
-    eight_count = counts.view(np.uint64)
     near.ends[first] = 0
     for i in range(first, near.base.size):
-        if count + counts.size > near.exponents.size:
+        if count + width + LANES > near.exponents.size:
             return i, good
         low, high, allowed = extremes(task, i)
         least = _least_distance(task, low, high)
         good &= allowed
         base = max(least, 0.0) if near.positive else min(least, 0.0)
-        edge, row = base + near.reach, task.values[i][task.start : task.stop]
         near.base[i] = base
-        for t in range(width):
-            counts[t] = (row[t] - task.offset) * task.factor < edge
-        for k in range(whole):
-            if eight_count[k] != 0:
-                for t in range(8 * k, 8 * k + 8):
-                    exponent = ((row[t] - task.offset) * task.factor - base) * -near.beta
-                    near.exponents[count] = min(exponent, near.largest)
-                    count += int(counts[t])
-        for t in range(8 * whole, width):
-            exponent = ((row[t] - task.offset) * task.factor - base) * -near.beta
-            near.exponents[count] = min(exponent, near.largest)
-            count += int(counts[t])
+        count = _packed(task.values[i][task.start : task.stop], task, near, base, count)
         near.ends[i + 1] = count
     return near.base.size, good
+
+
+@inlined
+def _packed(row: FloatArray, task: Task, near: Near, base: Any, count: Any) -> Any:
+    """Write the exponents of one row from place ``count`` on; the place after the last."""
+    offset, factor, edge = filled(task.offset), filled(task.factor), filled(base + near.reach)
+    bases, rate, largest = filled(base), filled(-near.beta), filled(near.largest)
+    whole = row.size - row.size % LANES
+    for t in range(0, whole, LANES):
+        distance = (loaded(row, t) - offset) * factor
+        exponent = smaller((distance - bases) * rate, largest)
+        count = pack(exponent, distance, edge, near.exponents, count)
+    for t in range(whole, row.size):
+        one = (row[t] - task.offset) * task.factor
+        near.exponents[count] = min((one - base) * -near.beta, near.largest)
+        count += int(one <= base + near.reach)
+    return count
 
 
 @translated
