@@ -192,6 +192,21 @@ def test_states_that_must_violate_are_hardly_looked_at():
     assert found < 0.01 * all_doomed
 
 
+@pytest.mark.parametrize("simulator", [VectorizedSimulator, Silent])
+def test_states_that_are_walked_to_once_more_are_those_that_were_kept(simulator, monkeypatch):
+    kept = graph_of(simulator(SHORT))
+    monkeypatch.setattr(reachable_states, "KEPT_STATES", 20)
+    again = graph_of(simulator(SHORT))
+    assert len(kept.layers) == len(again.layers) > 10
+    for one, other in zip(kept.layers, again.layers, strict=True):
+        np.testing.assert_array_equal(one.after_miss, other.after_miss)
+        np.testing.assert_array_equal(one.after_hit, other.after_hit)
+        for name in SIGNALS:
+            np.testing.assert_allclose(
+                one.states.signals[name], other.states.signals[name], rtol=1e-12
+            )
+
+
 def test_hardly_any_other_states_are_looked_at():
     live = sum(layer.count for layer in graph_of(Silent(SHORT)).layers)
     assert graph_of(VectorizedSimulator(SHORT), most_states=round(1.2 * live)).exact

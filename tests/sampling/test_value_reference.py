@@ -1,7 +1,7 @@
 """The reference, and what is said where an estimate disagrees with it."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from pemviz.sampling.estimates.diagnostics import reference_disagreement
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
+from pemviz.sampling.rollouts.batches import run_here
 from pemviz.sampling.value_twisted import reference as reference_module
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling
 from pemviz.sampling.value_twisted.reference import (
@@ -57,6 +58,36 @@ def test_reference_is_the_exact_answer():
     exact = exact_log_probability(PROBLEM, twin=SIMULATOR)
     assert exact is not None
     assert math.exp(exact) == pytest.approx(TRUTH, rel=1e-12)
+
+
+@dataclass(frozen=True)
+class Tabled(ToySimulator):
+    """Simulators that differ in arrays, which dataclasses cannot compare."""
+
+    table: np.ndarray = field(default_factory=lambda: np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("simulator", "twin", "batches"),
+    [
+        (ToySimulator(initial_gap=5, states=20), SIMULATOR, 1),
+        (Tabled(initial_gap=5, states=20), Tabled(initial_gap=5, states=20), 3),
+        (ToySimulator(initial_gap=4, states=20), SIMULATOR, 3),
+    ],
+)
+def test_rollouts_of_a_scenario_that_is_its_own_twin_are_drawn_together(simulator, twin, batches):
+    sizes = []
+
+    def run_batches(simulator, pem, tasks):
+        tasks = list(tasks)
+        sizes.extend(len(task.uniforms) for task in tasks)
+        return run_here(simulator, pem, tasks)
+
+    problem = replace(PROBLEM, simulator=simulator, run_batches=run_batches, batch_rollouts=300)
+    found = reference(problem, twin=twin, rollouts=700)
+    assert len(sizes) == batches
+    alone = replace(problem, batch_rollouts=700, run_batches=run_here)
+    assert found == reference(alone, twin=twin, rollouts=700)
 
 
 def test_few_states_are_gone_through_unasked(monkeypatch):

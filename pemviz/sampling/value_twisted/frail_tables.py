@@ -164,7 +164,7 @@ def _known(graph: StateGraph, solved: _Solved) -> tuple[KnownValues, ...]:
     """What the proposal looks up, of states that more than a negligible share leads by."""
     chosen = [counting(solved.pooled, index) for index in range(len(graph.layers))]
     keys = [_keys(layer.states, counts) for layer, counts in zip(graph.layers, chosen, strict=True)]
-    orders = [np.argsort(each, kind="stable") for each in keys]
+    orders = [np.argsort(each) for each in keys]
     places = [_places(counts, order) for counts, order in zip(chosen, orders, strict=True)]
     places.append(np.empty(0, dtype=np.int64))
     return tuple(

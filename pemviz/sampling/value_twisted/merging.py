@@ -58,7 +58,8 @@ class Merger:
         self._most = most_states
         self._exactly = exactly
         self._pause = pause
-        self._total = 0
+        self.total = 0
+        """How many states there are by now."""
         self._share = FIRST_COARSE_SHARE
         self.exact = True
         """Whether all states taken for one so far were closer than MERGE_DISTANCE."""
@@ -76,9 +77,9 @@ class Merger:
         self._pause()
         first, index = distinct(cell_keys(columns, [MERGE_DISTANCE] * len(columns)))
         self._pause()
-        if self._most is not None and self._total + first.size > self._most:
+        if self._most is not None and self.total + first.size > self._most:
             raise TooManyStates
-        if self._total + first.size > LARGEST_TOTAL:
+        if self.total + first.size > LARGEST_TOTAL:
             self._largest = min(self._largest, COARSE_LAYER)
         if first.size > self._largest:
             if self._exactly:
@@ -86,7 +87,7 @@ class Merger:
             self._largest = min(self._largest, COARSE_LAYER)
             self.exact = False
             first, index = self._coarsely(columns)
-        self._total += first.size
+        self.total += first.size
         return states.take(first), index
 
     def _coarsely(self, columns: list[FloatArray]) -> tuple[IntArray, IntArray]:

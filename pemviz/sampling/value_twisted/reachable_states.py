@@ -32,6 +32,9 @@ Unsafe = Callable[[StateBatch], BoolArray]
 
 SAFE_NODE = -1
 UNSAFE_NODE = -2
+KEPT_STATES = 4_000_000
+"""So many states in all are kept until it is known which are live; of more, live ones are walked to
+once more."""
 
 
 @dataclass(frozen=True)
@@ -182,12 +185,12 @@ def _from_start(walk: _Walk, pem: DetectorModel, merger: Merger) -> StateGraph:
     start = walk.twin.initial(count=1)
     if walk.must_violate(start)[0]:
         return StateGraph(layers=(), start=UNSAFE_NODE, exact=True)
-    moves = _all_moves(walk, start, merger)
-    live = _live(moves)
+    explored = _explored(walk, start, merger)
+    live = _live(explored.moves)
     if not live or not live[0].any():
         return StateGraph(layers=(), start=SAFE_NODE, exact=merger.exact)
     return StateGraph(
-        layers=_live_layers(walk, start, moves, live, pem), start=0, exact=merger.exact
+        layers=_live_layers(walk, start, explored, live, pem), start=0, exact=merger.exact
     )
 
 
@@ -199,18 +202,31 @@ def _from_cells(walk: _Walk, cells: StartCells, pem: DetectorModel, merger: Merg
     open_ = np.flatnonzero(node == SAFE_NODE)
     if open_.size:
         distinct, index = merger.merge(starts.take(open_))
-        moves = _all_moves(walk, distinct, merger)
-        live = _live(moves)
+        explored = _explored(walk, distinct, merger)
+        live = _live(explored.moves)
         if live and live[0].any():
-            layers = _live_layers(walk, distinct.take(live[0]), moves, live, pem)
+            layers = _live_layers(walk, distinct.take(live[0]), explored, live, pem)
             node[open_] = np.where(live[0], np.cumsum(live[0]) - 1, SAFE_NODE)[index]
     return StateGraph(layers, start=node, exact=merger.exact, log_start=cells.log_p)
 
 
-def _all_moves(walk: _Walk, start: StateBatch, merger: Merger) -> Sequence[AnyArray]:
-    """By step, where a miss and a hit lead from every reachable state, ``[2, n]`` int32."""
+@dataclass(frozen=True)
+class _Explored:
+    """All reachable states.
+
+    Attributes:
+        moves: By step, where a miss and a hit lead from every one, ``[2, n]`` int32.
+        kept: By step, the states ``[n]``; ``None`` where they are too many, or approximate.
+    """
+
+    moves: Sequence[AnyArray]
+    kept: Sequence[StateBatch] | None
+
+
+def _explored(walk: _Walk, start: StateBatch, merger: Merger) -> _Explored:
     moves: list[AnyArray] = []
     states = start
+    kept: list[StateBatch] = [start]
     for step in range(walk.last_step):
         children = walk.children(states)
         decided = walk.must_violate(children)
@@ -222,7 +238,11 @@ def _all_moves(walk: _Walk, start: StateBatch, merger: Merger) -> Sequence[AnyAr
         every = open_.size == decided.size
         states, index = merger.merge(children if every else children.take(open_))
         node[open_] = index
-    return moves
+        if merger.exact and merger.total <= KEPT_STATES:
+            kept.append(states)
+        else:
+            kept.clear()
+    return _Explored(moves, kept if len(kept) == len(moves) else None)
 
 
 def _live(moves: Sequence[AnyArray]) -> Sequence[BoolArray]:
@@ -239,25 +259,30 @@ def _live(moves: Sequence[AnyArray]) -> Sequence[BoolArray]:
 def _live_layers(
     walk: _Walk,
     start: StateBatch,
-    moves: Sequence[AnyArray],
+    explored: _Explored,
     live: Sequence[BoolArray],
     pem: DetectorModel,
 ) -> tuple[Layer, ...]:
-    """The layers of live states, walked through once more: states were not kept."""
+    """The layers of live states, walked through once more where states were not kept."""
     layers: list[Layer] = []
     states = start
-    for step, (move, alive) in enumerate(zip(moves, live, strict=True)):
+    for step, (move, alive) in enumerate(zip(explored.moves, live, strict=True)):
         after = live[step + 1] if step + 1 < len(live) else np.empty(0, dtype=np.bool_)
         number = np.concatenate(
             [np.where(after, np.cumsum(after) - 1, SAFE_NODE), [UNSAFE_NODE, SAFE_NODE]]
         )
-        node = number[move[:, alive]]
+        node = number[move if alive.all() else move[:, alive]]
         logit = logit_along(pem, walk.twin.salient(states.signals))
         walk.pause()
         layers.append(Layer(states, logit, after_miss=node[0], after_hit=node[1]))
         if not after.any():
             break
-        states = walk.children(states).take(_first_arrivals(node.ravel(), int(after.sum())))
+        if explored.kept is None:
+            first = _first_arrivals(node.ravel(), int(after.sum()))
+            states = walk.children(states).take(first)
+        else:
+            reached = explored.kept[step + 1]
+            states = reached if after.all() else reached.take(after)
     return tuple(layers)
 
 

@@ -7,6 +7,7 @@ from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.sampling.estimates.diagnostics import reason, undermining
 from pemviz.sampling.frailty import FrailModel, without_frailty
 from pemviz.sampling.problem import Problem, nothing_finished
+from pemviz.sampling.rollouts.final_batch import largest_part
 from pemviz.sampling.value_twisted.frail import OwnOutcomes, frail_log_probability
 from pemviz.sampling.value_twisted.merging import TooManyStates
 from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
@@ -61,6 +62,10 @@ def reference(
     )
     # what an interrupted run left is its own method's, not the reference's
     problem = replace(problem.without_rules(), finished=nothing_finished)
+    if _are_same(problem.simulator, twin):
+        # as cheap as a twin is, rollouts that are drawn together ask the model less often
+        together = max(problem.batch_rollouts, largest_part(states=twin.states))
+        problem = replace(problem, batch_rollouts=together)
     state = method.init(problem, repetition=0)
     while not method.is_done(state):
         state, _ = method.step(problem, state)
@@ -71,6 +76,14 @@ def reference(
         log10_probability=estimate.log10_probability,
         warnings=tuple(map(reason, undermining(estimate.diagnostics, basis="weights"))),
     )
+
+
+def _are_same(simulator: Simulator, twin: Simulator) -> bool:
+    """Whether the scenario is its own twin; False where they cannot be compared."""
+    try:
+        return simulator is twin or bool(simulator == twin)
+    except ValueError:  # arrays among their parts
+        return False
 
 
 def reference_of_few_states(problem: Problem, *, twin: Simulator) -> Reference | None:

@@ -198,5 +198,5 @@ def averaged(keys: IntArray, *, log_miss: FloatArray, log_hit: FloatArray) -> Ce
 
 
 def _sorted(keys: IntArray, logit: FloatArray) -> CellTable:
-    order = np.argsort(keys, kind="stable")
+    order = np.argsort(keys)  # no key is there twice: states that share one were merged
     return CellTable(keys=keys[order], logit=logit[order])
