@@ -93,8 +93,9 @@ def robustness_distribution(*, stages: Sequence[StageResult], unit: str = "m") -
     Raises:
         InputError: There is no rollout with a finite robustness.
     """
-    robustness = _joined([stage.scored.robustness for stage in stages])
-    violated = _joined([stage.scored.violated for stage in stages]).astype(np.bool_)
+    scores = [stage.drawn or stage.scored for stage in stages]
+    robustness = _joined([scored.robustness for scored in scores])
+    violated = _joined([scored.violated for scored in scores]).astype(np.bool_)
     finite = np.isfinite(robustness)
     if not finite.any():
         message = "robustness_distribution: there is no rollout with a finite robustness"

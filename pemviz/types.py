@@ -20,6 +20,7 @@ from pemviz.arrays import (
 )
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 from pemviz.display import ShownInNotebooks
+from pemviz.drawn import Drawn
 from pemviz.latents import Latents
 
 StageKind = Literal["pretrain", "learn", "final"]
@@ -272,19 +273,6 @@ class ScoredRollouts(Batch):
         return {"timings_s": {part: sum(b.timings_s[part] for b in batches) for part in parts}}
 
 
-@dataclass(frozen=True)
-class FinishedStage:
-    """What an interrupted run left of one stage.
-
-    Attributes:
-        scored: Its rollouts.
-        kept: See :class:`StageResult`.
-    """
-
-    scored: ScoredRollouts
-    kept: Mapping[str, AnyArray]
-
-
 DiagnosticKind = Literal[
     "no-failure",
     "few-failures",
@@ -368,7 +356,7 @@ class StageResult:
         stage: 0 is pre-training, 1 to K learn, K + 1 is final, or the first part of a large
             final batch; where nothing is learned, the parts count from 0.
         kind: What the stage is for.
-        scored: Its rollouts.
+        scored: Its rollouts; of a large one that is learned from perhaps the least robust alone.
         sampled_from: The proposal that they were drawn from.
         learned: The proposal fitted to them; ``None`` in a final stage.
         threshold: The stage's level of robustness; ``None`` where there is none.
@@ -381,6 +369,7 @@ class StageResult:
         timings_s: Wall time by part of the work [s].
         kept: What the method needs beside the rollouts to go on from here in another process,
             by name; what it computes again at no cost is left out.
+        drawn: What is known of all rollouts where ``scored`` holds some of them; else ``None``.
     """
 
     repetition: int
@@ -398,3 +387,9 @@ class StageResult:
     loss: float | None
     timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
     kept: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
+    drawn: Drawn | None = None
+
+    @property
+    def count(self) -> int:
+        """How many rollouts were drawn."""
+        return self.scored.rollouts.count if self.drawn is None else self.drawn.count

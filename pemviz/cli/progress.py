@@ -43,7 +43,7 @@ class ProgressBar:
             case RolloutsDone():
                 self._move(self._done_before + event.done)
             case StageDone():
-                self._done_before += event.stage.scored.rollouts.count
+                self._done_before += event.stage.count
                 text = stage_line(summarise_stage(event.stage), repetitions=self._repetitions)
                 self._move(self._done_before, description=text)
             case _:

@@ -194,8 +194,10 @@ class ExperimentConfig:
     range over refits, tracked sequences that would fix the memory time; a few seconds."""
     keep: KeepName = "all"
     """Which rollouts the run folder keeps: all, or violations: of the final rollouts those that
-    violate and the twenty least robust of each stage; learning stages are kept whole. Results are
-    the same; a stage that is not kept whole is simulated again when a stopped run goes on."""
+    violate and the twenty least robust of each stage; learning stages are kept whole, of large
+    ones of adaptive (over 20,000 rollouts of 100 states) the 5,000 least robust and an even sample.
+    Results are the same; a final stage not kept whole is simulated again when a stopped run goes
+    on."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
     encounter: EncounterConfig = field(default_factory=EncounterConfig)

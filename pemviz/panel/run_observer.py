@@ -9,12 +9,13 @@ import numpy as np
 
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
 from pemviz.arrays import FloatArray
+from pemviz.drawn import numbers_of
 from pemviz.panel.run_data import ProposalCurve, RunData
-from pemviz.panel.tables import numbered, thinned
+from pemviz.panel.tables import thinned
 from pemviz.runs.events import Event, RepetitionDone, RolloutsDone, RunDone, RunFailed, RunStarted
 from pemviz.runs.events import StageDone as StageDoneEvent
 from pemviz.runs.result import RunResult
-from pemviz.runs.rollout_files import stage_arrays
+from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator, StageResult
@@ -143,10 +144,11 @@ class Watcher:
         run, started = self.run, self._started
         if run is None or started is None:
             return
-        count = stage.scored.rollouts.count
+        count = stage.count
         self._done_before += count
         self.progress = replace(self.progress, done=self._done_before, stage=stage.stage + 1)
-        part = numbered(stage_arrays(stage, started.signals))
+        part = stage_arrays(stage, started.signals)
+        part[ROLLOUT] = numbers_of(stage.scored.rollouts.count, stage.drawn)
         curve = self._curve(stage, started)
         self.run = replace(
             run,

@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.proposals.gap_network import HIDDEN_UNITS, GapNetwork
 from pemviz.proposals.gap_network_gradient import GapLoss, Parameters
+from pemviz.proposals.outcome_sums import OutcomeSums
 
 EPOCHS_BETWEEN_PAUSES = 50
+POOLED_AT_ONCE = 4_096
+"""Rollouts."""
 FORGETTING = (0.9, 0.999)
 """Adam's rates of its two moments."""
 LEAST_SIZE = 1e-8
@@ -39,19 +42,18 @@ def pool_outcomes(
     *, gap_m: FloatArray, detected: BoolArray, rollout_weight: FloatArray
 ) -> OutcomeTable:
     """Pool outcomes ``[N, T-1]`` of rollouts with weights ``[N]`` that sum to 1."""
-    steps = detected.shape[1]
-    weight = np.repeat(rollout_weight / steps, steps)
-    distinct, index = np.unique(gap_m.ravel(), return_inverse=True)
-    hit = detected.ravel()
-    return OutcomeTable(
-        gap_m=distinct,
-        detected_weight=_sum_by(index, weight * hit, distinct.size),
-        missed_weight=_sum_by(index, weight * ~hit, distinct.size),
-    )
+    sums = OutcomeSums.of_none()
+    for first in range(0, len(detected), POOLED_AT_ONCE):
+        rows = slice(first, first + POOLED_AT_ONCE)
+        sums = sums.with_rollouts(
+            gap_m=gap_m[rows], detected=detected[rows], rollout_weight=rollout_weight[rows]
+        )
+    return table_of(sums)
 
 
-def _sum_by(index: AnyArray, weight: FloatArray, size: int) -> FloatArray:
-    return np.asarray(np.bincount(index, weights=weight, minlength=size), dtype=np.float64)
+def table_of(sums: OutcomeSums) -> OutcomeTable:
+    """Sums over rollouts with weights that sum to 1, as a network is trained on them."""
+    return OutcomeTable(gap_m=sums.gap_m, detected_weight=sums.detected, missed_weight=sums.missed)
 
 
 def initial_gap_network(*, seed: int) -> GapNetwork:

@@ -79,11 +79,11 @@ class StageFigures:
 def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
     """The stage's figures, with the interval of its own estimate."""
     interval = by_name(method).stage_interval
-    bounds = stage_interval(stage.scored, interval=interval, method=method)
+    bounds = stage_interval(stage.scored, interval=interval, method=method, drawn=stage.drawn)
     return StageFigures(
         stage=stage.stage,
         kind=stage.kind,
-        rollouts=stage.scored.rollouts.count,
+        rollouts=stage.count,
         elites=stage.elites,
         threshold=stage.threshold,
         failures=stage.failures,
@@ -154,7 +154,8 @@ def log_robustness(
     file: RecordingFile, stage: StageResult, *, unit: str, limit: int = HISTOGRAM_BINS
 ) -> None:
     """The distribution of the stage's robustness, as a histogram's outline; red: violated."""
-    values = stage.scored.robustness[np.isfinite(stage.scored.robustness)]
+    values = (stage.drawn or stage.scored).robustness
+    values = values[np.isfinite(values)]
     if values.size == 0:
         return
     counts, edges = np.histogram(values, bins=min(limit, max(10, values.size // 5)))

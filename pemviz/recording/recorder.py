@@ -178,7 +178,11 @@ class Recorder:
         log_rollouts(
             file,
             stage,
-            kept=choose(stage.scored.robustness, run.quota),
+            kept=choose(
+                stage.scored.robustness,
+                run.quota,
+                even=None if stage.drawn is None else stage.drawn.even,
+            ),
             signals=run.started.signals,
             slots=run.slots,
             dt_s=run.started.simulator.dt_s,

@@ -7,11 +7,12 @@ import rerun as rr
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.colors import HOLDS, PEM_ON_BLACK, VIOLATED, Rgba, rgba
+from pemviz.drawn import numbers_of
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.slot_outcomes import faultless, faultless_probability
 from pemviz.simulators.slots import Slot
-from pemviz.types import ScoredRollouts, Signal, StageResult
+from pemviz.types import Signal, StageResult
 
 EMPHASISED = 5
 THICK = 2.5
@@ -35,7 +36,8 @@ def log_rollouts(
     scored = stage.scored
     rollouts = scored.rollouts
     steps = rollouts.detected.shape[1]
-    names = series_names(scored, kept)
+    number = numbers_of(rollouts.count, stage.drawn)
+    names = series_names(number[kept], scored.robustness[kept])
     shades = series_colors(scored.violated[kept])
     widths = series_widths(kept.size)
 
@@ -54,13 +56,17 @@ def log_rollouts(
     detected = faultless(rollouts.detected, slots=slots)
     _log_detections(file, stage.stage, detected[kept])
     times = StepTimes(stage=stage.stage, count=steps, dt_s=dt_s)
-    _log_missed_share(file, scored, ~detected, times=times, stage=stage.stage)
-    _log_table(file, stage, kept)
+    sample = slice(None) if stage.drawn is None else stage.drawn.even
+    _log_missed_share(
+        file, scored.violated[sample], ~detected[sample], times=times, stage=stage.stage
+    )
+    _log_table(file, stage, kept, number=number[kept])
 
 
-def series_names(scored: ScoredRollouts, kept: IntArray) -> list[str]:
-    """A name for each curve: the rollout's index in its stage and its robustness."""
-    return [f"rollout {i}, robustness {scored.robustness[i]:.3g}" for i in kept.tolist()]
+def series_names(number: IntArray, robustness: FloatArray) -> list[str]:
+    """A name for each curve ``[M]``: the rollout's index in its stage and its robustness."""
+    named = zip(number.tolist(), robustness.tolist(), strict=True)
+    return [f"rollout {rollout}, robustness {level:.3g}" for rollout, level in named]
 
 
 def series_colors(violated: BoolArray) -> list[Rgba]:
@@ -97,17 +103,20 @@ def _log_detections(file: RecordingFile, stage: int, detected: BoolArray) -> Non
 
 def _log_missed_share(
     file: RecordingFile,
-    scored: ScoredRollouts,
+    violated: BoolArray,
     missed: BoolArray,
     *,
     times: StepTimes,
     stage: int,
 ) -> None:
-    """The share of all rollouts that missed, for those that violate and those that do not."""
+    """The share of all rollouts that missed, for those that violate and those that do not.
+
+    Of a large stage that is not held whole, the share of an even sample.
+    """
     path = paths.rollouts(stage, paths.MISSED_SHARE)
     groups = {
-        "specification holds": (~scored.violated, rgba(HOLDS)),
-        "violated": (scored.violated, rgba(VIOLATED)),
+        "specification holds": (~violated, rgba(HOLDS)),
+        "violated": (violated, rgba(VIOLATED)),
     }
     present = {name: group for name, group in groups.items() if group[0].any()}
     file.style(
@@ -120,13 +129,15 @@ def _log_missed_share(
     file.series(path, shares, times=times)
 
 
-def _log_table(file: RecordingFile, stage: StageResult, kept: IntArray) -> None:
+def _log_table(
+    file: RecordingFile, stage: StageResult, kept: IntArray, *, number: IntArray
+) -> None:
     """What identifies and scores each curve, in the curves' order."""
     rollouts, scored = stage.scored.rollouts, stage.scored
     file.at_stage(
         paths.rollouts(stage.stage, paths.TABLE),
         rr.AnyValues(
-            rollout=kept,
+            rollout=number,
             robustness=scored.robustness[kept],
             violated=scored.violated[kept],
             log_weight=rollouts.log_weight[kept],

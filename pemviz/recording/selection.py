@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.types import RolloutBatch
 
 ROLLOUT_LIMIT = 3000
@@ -50,10 +50,15 @@ def quota(*, rollouts: int, stages: int, limit: int = ROLLOUT_LIMIT) -> Quota:
     return Quota(per_stage=max(SMALLEST_STAGE, limit // max(stages, 1)))
 
 
-def choose(robustness: FloatArray, kept: Quota) -> IntArray:
+def choose(robustness: FloatArray, kept: Quota, *, even: BoolArray | None = None) -> IntArray:
     """Indices of the kept rollouts ``[M]`` among ``[N]``, most robust first.
 
     A viewer draws in this order, so that the least robust end up on top.
+
+    Args:
+        robustness: ``[N]``.
+        kept: How many.
+        even: Which of the N are an even sample of more, ``[N]``, where the others are not.
     """
     order = np.argsort(-robustness, kind="stable").astype(np.int64)
     limit = kept.per_stage
@@ -61,6 +66,8 @@ def choose(robustness: FloatArray, kept: Quota) -> IntArray:
         return order
     least = limit // LEAST_ROBUST_SHARE
     others = np.sort(order[: order.size - least])
+    if even is not None:
+        others = others[even[others]]
     places = np.linspace(0, others.size - 1, limit - least).round().astype(np.int64)
     chosen = np.zeros(order.size, dtype=np.bool_)
     chosen[others[places]] = True

@@ -7,6 +7,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.colors import PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
+from pemviz.drawn import place_of
 from pemviz.recording import paths
 from pemviz.recording.latents import Randomness, log_noise, randomness
 from pemviz.recording.outcomes import OutcomeRow, log_outcomes
@@ -90,7 +91,8 @@ def _key(ranked: RankedRollout) -> tuple[int, int, int]:
 def _track(
     stage: StageResult, ranked: RankedRollout, simulator: Simulator | SlotSimulator
 ) -> Track:
-    rollouts, row, slots = stage.scored.rollouts, ranked.rollout, slots_of(simulator)
+    rollouts, slots = stage.scored.rollouts, slots_of(simulator)
+    row = place_of(ranked.rollout, stage.drawn)
     signals = {name: values[row].copy() for name, values in rollouts.signals.items()}
     memory = {name: values[row].copy() for name, values in rollouts.memory.items()}
     return Track(

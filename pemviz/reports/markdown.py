@@ -272,7 +272,8 @@ def _provenance(result: RunResult) -> list[str]:
     ]
     if config.keep == "violations":
         kept = f"violations, and the {LEAST_ROBUST} least robust of each final stage"
-        rows.insert(-2, ("rollouts in its files", f"{kept}; learning stages whole"))
+        kept += "; learning stages whole, large ones in part"
+        rows.insert(-2, ("rollouts in its files", kept))
     return ["### Provenance", markdown_table(("what", "value"), rows)]
 
 

@@ -59,7 +59,7 @@ class StageDone:
     """A stage is done; its arrays are read-only.
 
     Attributes:
-        stage: The stage with all its rollouts, in the scenario's own steps.
+        stage: The stage with its rollouts, in the scenario's own steps.
         result: The run's result so far.
     """
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from pemviz.errors import InputError
 from pemviz.runs.rollout_files import finished_stage, part_path
-from pemviz.types import FinishedStage, Signal
+from pemviz.sampling.finished import FinishedStage
+from pemviz.types import Signal
 
 LOG = logging.getLogger(__name__)
 

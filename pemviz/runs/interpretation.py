@@ -47,10 +47,10 @@ from pemviz.sampling.bursts.curve import (
     frailty_curve,
     memory_curve,
 )
+from pemviz.sampling.finished import nothing_finished
 from pemviz.sampling.frailty import frail_part
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model, without_memory
 from pemviz.sampling.method import PoolsStages
-from pemviz.sampling.problem import nothing_finished
 from pemviz.sampling.rollouts.batches import run_here
 from pemviz.sampling.value_twisted.reference import reference, reference_of_few_states
 from pemviz.types import StageResult

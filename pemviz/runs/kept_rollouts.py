@@ -1,7 +1,8 @@
 """Which rollouts a run folder keeps: all, or those that anyone will look at.
 
 A million rollouts of a hundred states take 4 GB, of which an answer rests on the violations alone,
-and views show those and the least robust. A stage that is learned from is small, and kept whole.
+and views show those and the least robust. A stage that is learned from is kept whole, or as far as
+it is held at all.
 """
 
 import numpy as np

@@ -10,6 +10,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.display import ShownInNotebooks
+from pemviz.drawn import place_of
 from pemviz.latents import Latents
 from pemviz.runs.events import Event, RunStarted, StageDone
 from pemviz.runs.result import RankedRollout
@@ -105,7 +106,7 @@ class LeastRobust:
     def _consider(self, stage: StageResult, first: RankedRollout) -> None:
         if (first.repetition, first.stage) != (stage.repetition, stage.stage):
             return
-        scored, index = stage.scored, first.rollout
+        scored, index = stage.scored, place_of(first.rollout, stage.drawn)
         signals = {name: np.array(v[index]) for name, v in scored.rollouts.signals.items()}
         states = scored.rollouts.detected.shape[1] + 1
         self.rollout = Rollout(

@@ -20,6 +20,7 @@ from pemviz.analysis.starts import DangerousStarts
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Range, Share
 from pemviz.display import ShownInNotebooks
+from pemviz.drawn import numbers_of
 from pemviz.latents import LatentCounts
 from pemviz.pem import PositionErrorModel
 from pemviz.runs.memory import RunMemory
@@ -197,7 +198,7 @@ def summarise_stage(stage: StageResult) -> StageSummary:
         repetition=stage.repetition,
         stage=stage.stage,
         kind=stage.kind,
-        rollouts=stage.scored.rollouts.count,
+        rollouts=stage.count,
         threshold=_finite(stage.threshold),
         elites=stage.elites,
         failures=stage.failures,
@@ -276,12 +277,13 @@ def rank_rollouts(
         share = contributions(chosen.log_weight, violated=violated)
     carries = carrying(share)
     order = np.lexsort((robustness, ~carries))[:count]
+    number = numbers_of(chosen.count, stage.drawn)
     nll = -log_p_of(chosen, order)
     return [
         RankedRollout(
             repetition=stage.repetition,
             stage=stage.stage,
-            rollout=int(index),
+            rollout=int(number[index]),
             robustness=float(robustness[index]),
             violated=bool(violated[index]),
             nll=float(nll[place]),

@@ -14,8 +14,9 @@ from pemviz.errors import InputError
 from pemviz.files.array_files import read_arrays
 from pemviz.files.atomic import write_atomically
 from pemviz.latents import Latents
+from pemviz.runs.drawn_arrays import ALL, ROLLOUT, drawn_arrays, drawn_of
+from pemviz.sampling.finished import FinishedStage
 from pemviz.types import (
-    FinishedStage,
     RolloutBatch,
     ScoredRollouts,
     Signal,
@@ -25,12 +26,12 @@ from pemviz.types import (
 
 PART_FOLDER = "stages"
 MEMORY, KEPT = "memory.", "kept."
+PARTS_OWN = MEMORY, KEPT, ALL
+"""Before the names of what stands in a stage's file alone."""
 BROKEN = "broken."
 """Before a rule's name: whether a rollout breaks it."""
 LATENTS = "latents."
 """Before the names of :class:`pemviz.latents.Latents`' arrays, of those that have columns."""
-ROLLOUT = "rollout"
-"""Each rollout's index in its stage, in files that do not hold all of them."""
 DRAWN = "drawn"
 """How many rollouts a stage drew, in its file if that does not hold all of them."""
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
@@ -122,9 +123,10 @@ def part_arrays(
         rows: Which of its rollouts the file holds, ascending; ``None``: all, unnumbered.
     """
     if rows is not None:
-        drawn = stage.scored.rollouts.count
         chosen = replace(stage, scored=stage.scored.take(rows))
-        return {**part_arrays(chosen, signals), ROLLOUT: rows, DRAWN: np.array(drawn)}
+        number = rows if stage.drawn is None else stage.drawn.row[rows]
+        numbers = {ROLLOUT: number, DRAWN: np.array(stage.count)}
+        return {**part_arrays(chosen, signals), **numbers, **drawn_arrays(stage.drawn)}
     rollouts = stage.scored.rollouts
     arrays = _stage_columns(stage, signals, {})
     arrays["pem_logit"] = rollouts.pem_logit
@@ -144,9 +146,10 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | Non
     """
     arrays = read_arrays(path)
     held = arrays["violated"].size if "violated" in arrays else 0
-    if DRAWN in arrays and not np.array_equal(arrays[DRAWN], held):
-        return None
     try:
+        drawn = drawn_of(arrays)
+        if drawn is None and DRAWN in arrays and not np.array_equal(arrays[DRAWN], held):
+            return None
         rollouts = RolloutBatch(
             signals={signal.name: arrays[signal.key] for signal in signals},
             memory=_without_prefix(arrays, MEMORY),
@@ -163,7 +166,7 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | Non
         message = f"stage {path}: {error}"
         raise InputError(message) from error
     _check_shapes(path, scored)
-    return FinishedStage(scored=scored, kept=_without_prefix(arrays, KEPT))
+    return FinishedStage(scored=scored, kept=_without_prefix(arrays, KEPT), drawn=drawn)
 
 
 def _without_prefix(arrays: Mapping[str, AnyArray], prefix: str) -> dict[str, AnyArray]:
@@ -247,7 +250,7 @@ def join_parts(parts: Sequence[Path], target: Path) -> None:
 def _documented(names: Sequence[str]) -> list[str]:
     """Of a stage's file, what stands in ``rollouts.npz``, in its order."""
     left_out = {DRAWN, *LOGITS.values()}
-    columns = [n for n in names if not n.startswith((MEMORY, KEPT)) and n not in left_out]
+    columns = [n for n in names if not n.startswith(PARTS_OWN) and n not in left_out]
     if "log_p" in columns:
         return columns
     after = columns.index("detected") + 1
@@ -313,5 +316,5 @@ def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[in
     return {
         name: (array.dtype.str, array.ndim, array.shape[1:])
         for name, array in table.items()
-        if not name.startswith((MEMORY, KEPT)) and name != DRAWN
+        if not name.startswith(PARTS_OWN) and name != DRAWN
     }

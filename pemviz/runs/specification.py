@@ -61,6 +61,7 @@ def build_problem(
         unsafe=unsafe_states(formula, turns=turns),
         monitor=whole.monitor,
         turns=turns,
+        thins=config.keep == "violations",
         rules={name: scored(rule) for name, rule in rules.items()},
     )
 

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.slots import unrolled
 from pemviz.simulators.latched import Monitor
 from pemviz.simulators.remembering import LAST, LAST_OUTCOME
 from pemviz.simulators.slots import ERROR, SLOT, UnrolledSimulator
-from pemviz.types import CERTAIN, FinishedStage, RolloutBatch, ScoredRollouts, Signal, Simulator
+from pemviz.types import CERTAIN, RolloutBatch, ScoredRollouts, Signal, Simulator
 
 Signals = Mapping[str, FloatArray]
 Finished = Callable[[int, int], FinishedStage | None]

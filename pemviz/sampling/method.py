@@ -6,6 +6,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from pemviz.arrays import FloatArray
+from pemviz.drawn import Drawn
 from pemviz.sampling.estimates.importance_weights import (
     effective_sample_size,
     log_mean_failing_weight,
@@ -117,19 +118,25 @@ def network_seed(*, seed: int, repetition: int) -> int:
 
 
 def importance_stage_figures(
-    scored: ScoredRollouts,
+    scored: ScoredRollouts, drawn: Drawn | None = None
 ) -> tuple[int, float, float | None, float | None]:
-    """Failures, probability, its log10 and the failing weights' effective sample size."""
-    failures = int(scored.violated.sum())
+    """Failures, probability, its log10 and the failing weights' effective sample size.
+
+    Args:
+        scored: A stage's rollouts.
+        drawn: All of them, where ``scored`` holds some alone.
+    """
+    violated = scored.violated if drawn is None else drawn.violated
+    failures = int(violated.sum())
     if failures == 0:
         return 0, 0.0, None, None
-    log_weight = scored.rollouts.log_weight
-    log_probability = log_mean_failing_weight(log_weight, scored.violated)
+    log_weight = scored.rollouts.log_weight if drawn is None else drawn.log_weight
+    log_probability = log_mean_failing_weight(log_weight, violated)
     return (
         failures,
         float(np.exp(log_probability)),
         log_probability / float(np.log(10.0)),
-        effective_sample_size(log_weight[scored.violated]),
+        effective_sample_size(log_weight[violated]),
     )
 
 

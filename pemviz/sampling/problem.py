@@ -10,6 +10,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem.models.protocol import Pem
+from pemviz.sampling.finished import FinishedStage, nothing_finished
 from pemviz.sampling.frailty import FrailPem, frail_part
 from pemviz.sampling.rollouts.batches import (
     BatchRunner,
@@ -24,7 +25,6 @@ from pemviz.sampling.rollouts.time_limit import call_within
 from pemviz.simulators.latched import Monitor
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import (
-    FinishedStage,
     Proposal,
     RolloutBatch,
     ScoredRollouts,
@@ -43,11 +43,6 @@ def _no_progress(done: int, total: int) -> None:
 
 def _no_pause() -> None:
     """Go on."""
-
-
-def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
-    """Every stage is carried out."""
-    return None
 
 
 @dataclass(frozen=True)
@@ -88,6 +83,8 @@ class Problem:
             specification, ``[N]``; ``None`` where the verdict takes more than single states.
         monitor: Tells violations from the states so far where ``unsafe`` does not.
         turns: Outcomes of a step of the scenario; each counts as a step here.
+        thins: Whether of a large stage that is learned from the least robust rollouts alone are
+            held, beside what is learned from.
         rules: Robustness and verdict of each rule by name, where the specification is that
             several are kept; they are scored beside it.
     """
@@ -105,6 +102,7 @@ class Problem:
     unsafe: Callable[[StateBatch], BoolArray] | None = None
     monitor: Monitor | None = None
     turns: int = 1
+    thins: bool = False
     rules: Mapping[str, ScoredRule] = field(default_factory=dict[str, ScoredRule])
 
     def without_rules(self) -> "Problem":

@@ -14,20 +14,29 @@ weights are divided by their sum; the estimate is of the final rollouts alone.
 """
 
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import AnyArray
+from pemviz.drawn import Drawn
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import GapNetwork, gap_network_from_arrays
-from pemviz.proposals.gap_network_fit import fit_gap_network, initial_gap_network, pool_outcomes
+from pemviz.proposals.gap_network_fit import fit_gap_network, initial_gap_network
+from pemviz.sampling.adaptive.candidates import FromAll, FromElites, Lesson
 from pemviz.sampling.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
-from pemviz.sampling.estimates.importance_weights import smoothed_weights
-from pemviz.sampling.method import importance_stage_figures, network_seed, sample_stage
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.finished import FinishedStage
+from pemviz.sampling.method import (
+    importance_stage_figures,
+    network_seed,
+    sample_stage,
+    stage_seeds,
+)
+from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.rollouts.thinning import Thinned, Whole, largest_held
 from pemviz.types import Estimate, Proposal, ScoredRollouts, StageKind, StageResult
 
 LOSS = "loss"
@@ -50,6 +59,26 @@ class AdaptiveState:
     network: GapNetwork
     batch: FinalBatch
     rollouts_simulated: int = 0
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """A stage's rollouts, and what was learned from them; see :class:`StageResult`."""
+
+    scored: ScoredRollouts
+    drawn: Drawn | None = None
+    network: GapNetwork | None = None
+    threshold: float | None = None
+    elites: int = 0
+    loss: float | None = None
+    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    @property
+    def kept(self) -> Mapping[str, AnyArray]:
+        """What another process needs to go on from here."""
+        if self.network is None:
+            return {}
+        return {**self.network.arrays(), LOSS: np.array(self.loss)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,37 +128,36 @@ class AdaptiveSampling:
     def step(self, problem: Problem, state: AdaptiveState) -> tuple[AdaptiveState, StageResult]:
         """Sample from the proposal; learn from the elites unless the stage is the last."""
         kind = self._kind(state.stage)
-        proposal: Proposal = PemProposal() if kind == "pretrain" else state.network
-        scored = sample_stage(
-            problem,
-            proposal=proposal,
-            count=state.batch.next_size if kind == "final" else self.rollouts,
-            seed=self.seed,
+        stage = self._final(problem, state) if kind == "final" else self._learning(problem, state)
+        failures, probability, log10_probability, ess = importance_stage_figures(
+            stage.scored, stage.drawn
+        )
+        result = StageResult(
             repetition=state.repetition,
             stage=state.stage,
+            kind=kind,
+            scored=stage.scored,
+            sampled_from=self._proposal(state),
+            learned=stage.network,
+            threshold=stage.threshold,
+            elites=stage.elites,
+            failures=failures,
+            probability=probability,
+            log10_probability=log10_probability,
+            ess=ess,
+            loss=stage.loss,
+            kept=stage.kept,
+            timings_s=stage.timings_s,
+            drawn=stage.drawn,
         )
         advanced = replace(
             state,
             stage=state.stage + 1,
-            rollouts_simulated=state.rollouts_simulated + scored.rollouts.count,
+            network=stage.network or state.network,
+            batch=state.batch.extended(stage.scored) if kind == "final" else state.batch,
+            rollouts_simulated=state.rollouts_simulated + result.count,
         )
-        if kind == "final":
-            result = self._result(state, scored, kind, proposal)
-            return replace(advanced, batch=state.batch.extended(scored)), result
-        threshold, chosen = self._chosen(kind, scored)
-        began = time.perf_counter()
-        network, loss = self._learn(problem, state, scored, chosen)
-        fit_s = time.perf_counter() - began
-        result = replace(
-            self._result(state, scored, kind, proposal),
-            learned=network,
-            threshold=threshold,
-            elites=int(chosen.sum()),
-            loss=loss,
-            kept={**network.arrays(), LOSS: np.array(loss)},
-            timings_s={**scored.timings_s, "fit": fit_s},
-        )
-        return replace(advanced, network=network), result
+        return advanced, result
 
     def under_rule(self, state: AdaptiveState, rule: str) -> AdaptiveState:
         """The same rollouts with the verdict of one rule."""
@@ -157,59 +185,80 @@ class AdaptiveSampling:
             return "pretrain"
         return "learn" if stage <= self.learning_stages else "final"
 
-    def _chosen(self, kind: StageKind, scored: ScoredRollouts) -> tuple[float | None, BoolArray]:
-        """The level and which rollouts are learned from: in pre-training, all."""
-        if kind == "pretrain":
-            return None, np.ones(scored.rollouts.count, dtype=np.bool_)
-        threshold = elite_threshold(scored.robustness, sigma=self.sigma)
-        return threshold, elites(scored.robustness, threshold=threshold)
+    def _proposal(self, state: AdaptiveState) -> Proposal:
+        """What the next stage is drawn from."""
+        return PemProposal() if state.stage == 0 else state.network
 
-    def _learn(
-        self, problem: Problem, state: AdaptiveState, scored: ScoredRollouts, chosen: BoolArray
-    ) -> tuple[GapNetwork, float]:
-        """The fitted network and its loss, as an interrupted run left them if it did."""
+    def _final(self, problem: Problem, state: AdaptiveState) -> _Stage:
+        scored = sample_stage(
+            problem,
+            proposal=self._proposal(state),
+            count=state.batch.next_size,
+            seed=self.seed,
+            repetition=state.repetition,
+            stage=state.stage,
+        )
+        return _Stage(scored, timings_s=scored.timings_s)
+
+    def _learning(self, problem: Problem, state: AdaptiveState) -> _Stage:
+        """A stage that is learned from: a batch at a time, of which all or some rollouts stay."""
         finished = problem.finished(state.repetition, state.stage)
         if finished is not None:
-            return gap_network_from_arrays(finished.kept), float(finished.kept[LOSS])
-        return self._fit(problem, state, scored, chosen)
-
-    def _fit(
-        self, problem: Problem, state: AdaptiveState, scored: ScoredRollouts, chosen: BoolArray
-    ) -> tuple[GapNetwork, float]:
-        rollouts = scored.rollouts
-        alpha = 0.0 if self._kind(state.stage) == "pretrain" else self.alpha
-        weight: FloatArray = smoothed_weights(rollouts.log_weight[chosen], alpha=alpha)
-        table = pool_outcomes(
-            gap_m=rollouts.decision_states().signals["gap"][chosen],
-            detected=rollouts.detected[chosen],
-            rollout_weight=weight,
-        )
-        return fit_gap_network(
+            problem.progress(self.rollouts, self.rollouts)
+            return self._restored(state, finished)
+        large = problem.thins and self.rollouts > self.largest_part
+        lesson, held = self._lesson(state), self._holding(problem, large=large)
+        for batch in sample_batches(
+            problem,
+            proposal=self._proposal(state),
+            count=self.rollouts,
+            seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
+        ):
+            lesson, held = lesson.extended(batch), held.extended(batch)
+        scored, drawn = held.done()
+        began = time.perf_counter()
+        learned = lesson.learned(scored.robustness if drawn is None else drawn.robustness)
+        network, loss = fit_gap_network(
             state.network,
-            table,
+            learned.table,
             epochs=self.epochs,
             learning_rate=self.learning_rate,
             pause=problem.pause,
         )
-
-    @staticmethod
-    def _result(
-        state: AdaptiveState, scored: ScoredRollouts, kind: StageKind, proposal: Proposal
-    ) -> StageResult:
-        failures, probability, log10_probability, ess = importance_stage_figures(scored)
-        return StageResult(
-            repetition=state.repetition,
-            stage=state.stage,
-            kind=kind,
-            scored=scored,
-            sampled_from=proposal,
-            learned=None,
-            threshold=None,
-            elites=0,
-            failures=failures,
-            probability=probability,
-            log10_probability=log10_probability,
-            ess=ess,
-            loss=None,
-            timings_s=scored.timings_s,
+        fit_s = time.perf_counter() - began
+        return _Stage(
+            scored,
+            drawn,
+            network=network,
+            threshold=learned.threshold,
+            elites=learned.elites,
+            loss=loss,
+            timings_s={**scored.timings_s, "fit": fit_s},
         )
+
+    def _restored(self, state: AdaptiveState, finished: FinishedStage) -> _Stage:
+        """As an interrupted run left it: what it learned is kept beside its rollouts."""
+        scored, drawn = finished.scored, finished.drawn
+        robustness = scored.robustness if drawn is None else drawn.robustness
+        threshold = None if state.stage == 0 else elite_threshold(robustness, sigma=self.sigma)
+        chosen = elites(robustness, threshold=np.inf if threshold is None else threshold)
+        return _Stage(
+            scored,
+            drawn,
+            network=gap_network_from_arrays(finished.kept),
+            threshold=threshold,
+            elites=int(chosen.sum()),
+            loss=float(finished.kept[LOSS]),
+            timings_s={**scored.timings_s, "fit": 0.0},
+        )
+
+    def _lesson(self, state: AdaptiveState) -> Lesson:
+        if state.stage == 0:
+            return FromAll.of(self.rollouts)
+        return FromElites.of(self.rollouts, sigma=self.sigma, alpha=self.alpha)
+
+    def _holding(self, problem: Problem, *, large: bool) -> Thinned | Whole:
+        if not large:
+            return Whole()
+        states = problem.simulator.states
+        return Thinned(count=self.rollouts, most=largest_held(states=states))

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from pemviz.drawn import Drawn
 from pemviz.sampling.description import StageInterval
 from pemviz.sampling.estimates.diagnostics import weight_diagnostics
 from pemviz.sampling.estimates.estimate import log_normal_interval, monte_carlo_estimate
@@ -31,7 +32,9 @@ class StageBounds:
     caveats: tuple[str, ...] = ()
 
 
-def stage_interval(scored: ScoredRollouts, *, interval: StageInterval, method: str) -> StageBounds:
+def stage_interval(
+    scored: ScoredRollouts, *, interval: StageInterval, method: str, drawn: Drawn | None = None
+) -> StageBounds:
     """Interval of P(violation) from one stage's rollouts, at 95 % unless it has caveats.
 
     Args:
@@ -39,21 +42,23 @@ def stage_interval(scored: ScoredRollouts, *, interval: StageInterval, method: s
         interval: ``binomial`` (Clopper and Pearson 1934), ``log-normal`` (from the weights of
             the violations), or another: the stage tells none.
         method: Name of the method, for the estimate.
+        drawn: All of them, where ``scored`` holds some alone and the method weighs them.
     """
     if interval == "binomial":
         estimate = monte_carlo_estimate(weighed(scored), method=method)
         return StageBounds(estimate.ci_low, estimate.ci_high, interval_caveats(estimate))
-    if interval != "log-normal" or not scored.violated.any():
+    violated = scored.violated if drawn is None else drawn.violated
+    if interval != "log-normal" or not violated.any():
         return StageBounds()
-    log_weight = scored.rollouts.log_weight
-    log_probability = log_mean_failing_weight(log_weight, scored.violated)
-    log_error = log_std_error(log_weight, scored.violated)
+    log_weight = scored.rollouts.log_weight if drawn is None else drawn.log_weight
+    log_probability = log_mean_failing_weight(log_weight, violated)
+    log_error = log_std_error(log_weight, violated)
     relative_error = math.exp(log_error - log_probability)
     low, high = log_normal_interval(log_probability, relative_error=relative_error)
     diagnostics = weight_diagnostics(
-        weight_figures(log_weight[scored.violated]),
-        failures=int(scored.violated.sum()),
-        rollouts=scored.rollouts.count,
+        weight_figures(log_weight[violated]),
+        failures=int(violated.sum()),
+        rollouts=violated.size,
         log10_probability=log_probability / math.log(10.0),
     )
     return StageBounds(low, high, caveats(diagnostics, method=method))

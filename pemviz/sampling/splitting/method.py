@@ -20,11 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.proposals.fixed import PemProposal
+from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.estimate import estimate_of_runs
 from pemviz.sampling.splitting.run import SplittingRun, split
-from pemviz.types import Estimate, FinishedStage, StageResult
+from pemviz.types import Estimate, StageResult
 
 RULE = "common_ancestry."
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.sampling.estimates.diagnostics import reason, undermining
+from pemviz.sampling.finished import nothing_finished
 from pemviz.sampling.frailty import FrailModel, without_frailty
-from pemviz.sampling.problem import Problem, nothing_finished
+from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import largest_part
 from pemviz.sampling.value_twisted.frail import OwnOutcomes, frail_log_probability
 from pemviz.sampling.value_twisted.merging import TooManyStates

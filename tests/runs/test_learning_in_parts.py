@@ -1,0 +1,138 @@
+"""Large stages that are learned from, held in part: the same run, in bounded memory."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.drawn import Drawn
+from pemviz.panel.loading import load_run
+from pemviz.recording.recorder import Recorder
+from pemviz.runs.drawn_arrays import drawn_arrays, drawn_of
+from pemviz.runs.events import StageDone
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.least_robust import LeastRobust
+from pemviz.runs.resume import carry_out
+from pemviz.runs.rollout_files import load_rollouts, part_path
+from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.recording.read_back import read_stages
+
+RULES = {"near": "always[0,99] (gap >= 2.0)", "far": "always[0,99] (gap >= 4.0)"}
+ALL = ExperimentConfig(
+    method="adaptive", stages=2, rollouts=150, final_rollouts=100, epochs=60, learning_rate=1e-2,
+    memory_s=0.2, seed=4,
+).with_rules(RULES)  # fmt: skip
+HELD, EVEN, LISTED = 25, 10, 20
+
+
+class Stages:
+    def __init__(self):
+        self.seen = []
+
+    def notify(self, event):
+        if isinstance(event, StageDone):
+            self.seen.append(event.stage)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """By what is kept, folder and stages; that of few, stopped after each stage and resumed."""
+    root, found = tmp_path_factory.mktemp("parts"), {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pemviz.sampling.rollouts.final_batch.LARGEST_PART", 60)
+        for name, value in (("HELD", HELD), ("EVEN", EVEN), ("LISTED", LISTED)):
+            patch.setattr(f"pemviz.sampling.rollouts.thinning.{name}", value)
+        for name, keep in (("all", "all"), ("few", "violations"), ("resumed", "violations")):
+            folder, stages, least = folder_of(root, name), Stages(), LeastRobust()
+            experiment = build_experiment(replace(ALL, keep=keep), batch_rollouts=100)
+            for stop_after in (2, 4) if name == "resumed" else ():
+                stop = StopAfter(stop_after)
+                carry_out(experiment, folder, observers=[stop], should_stop=stop)
+                if stop_after == 2:
+                    middle = part_path(folder, repetition=0, stage=1).read_bytes()
+            recorder = Recorder(folder / "run.rrd", frames=False)
+            recorders = [] if name == "resumed" else [recorder]
+            carry_out(experiment, folder, recorders=recorders, observers=[stages, least])
+            found[name] = folder, stages.seen, least.rollout
+    assert b"all.robustness" in middle
+    return found
+
+
+def test_a_run_tells_the_same_whatever_is_held(runs):
+    every, few = contents(runs["all"][0]), contents(runs["few"][0])
+    assert few["result"]["config"].pop("keep") == "violations"
+    assert few["result"] == every["result"]
+    assert few["proposals.safetensors"] == every["proposals.safetensors"]
+    assert str(runs["few"][2]) == str(runs["all"][2])
+    elites = [stage["elites"] for stage in every["result"]["stages"]]
+    assert elites[0] == 150
+    assert 8 <= elites[1] < 20
+    assert sum(stage["failures"] for stage in every["result"]["stages"]) > 0
+
+
+def test_a_resumed_run_has_the_same_bytes(runs):
+    assert contents(runs["resumed"][0]) == contents(runs["few"][0])
+
+
+def test_stages_hold_no_more_than_what_is_looked_at(runs):
+    for whole, few in zip(runs["all"][1], runs["few"][1], strict=True):
+        assert (few.count, few.failures) == (whole.count, whole.failures)
+        if few.kind == "final":
+            assert few.drawn is None
+            continue
+        held, scored = few.scored.rollouts.count, whole.scored
+        assert HELD <= held == few.drawn.row.size <= HELD + EVEN + 3 * LISTED < whole.count
+        np.testing.assert_array_equal(few.drawn.robustness, scored.robustness)
+        np.testing.assert_array_equal(few.drawn.log_weight, scored.rollouts.log_weight)
+        row = few.drawn.row
+        gap = few.scored.rollouts.signals["gap"]
+        np.testing.assert_array_equal(gap, scored.rollouts.signals["gap"][row])
+        assert not few.scored.rollouts.log_weight.flags.writeable
+
+
+def test_files_number_rollouts_by_their_stage(runs):
+    every, few = (load_rollouts(runs[name][0]) for name in ("all", "few"))
+    for stage in range(3):
+        rows = few["stage"] == stage
+        of_all = every["stage"] == stage
+        number = few["rollout"][rows]
+        assert number.size < of_all.sum() == 150
+        for name, values in every.items():
+            np.testing.assert_array_equal(few[name][rows], values[of_all][number], err_msg=name)
+    loaded = load_run(runs["few"][0])
+    assert loaded.kept == few["stage"].size < loaded.simulated == 550
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("all.every", np.array(0)),
+        ("all.violated", np.ones(9)),
+        ("all.robustness", np.array([0.0, np.nan, 1.0])),
+        ("all.log_weight", np.array([0.0, np.inf, 1.0])),
+        ("all.log_weight", np.zeros(4)),
+        ("rollout", np.array([2, 1])),
+        ("rollout", np.array([1, 3])),
+        ("rollout", np.array([1.0, 2.0])),
+    ],
+)
+def test_what_a_file_tells_of_all_rollouts_is_checked(name, value):
+    drawn = Drawn(np.array([0, 2]), 2, np.zeros(3), np.ones(3, dtype=np.bool_), np.zeros(3))
+    whole = {"rollout": drawn.row, "violated": np.ones(2, dtype=np.bool_), **drawn_arrays(drawn)}
+    assert drawn_of(whole).count == 3
+    assert drawn_of({"violated": whole["violated"]}) is None
+    with pytest.raises(ValueError, match="does not fit together"):
+        drawn_of({**whole, name: value})
+
+
+def test_a_recording_tells_of_all_rollouts(runs):
+    """Its curves are those of the same numbers, and figures count all."""
+    every, few = (read_stages(runs[name][0] / "run.rrd") for name in ("all", "few"))
+    for stage in range(3):
+        found, whole = few[stage], every[stage]
+        assert found.rollout.size < whole.rollout.size == 150
+        rows = np.searchsorted(whole.rollout, found.rollout)
+        np.testing.assert_array_equal(whole.rollout[rows], found.rollout)
+        np.testing.assert_array_equal(whole.robustness[rows], found.robustness)
+        np.testing.assert_allclose(whole.series["gap_m"][rows], found.series["gap_m"])
