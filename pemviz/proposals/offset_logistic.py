@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -129,8 +129,8 @@ class OffsetLogisticProposal:
     def logit_where(self, acts: BoolArray, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """The same, of which ``acts [...]`` says where it leaves the error model."""
         xp = namespace(pem_logit)
-        values = self.features.values(states)
-        values = xp.broadcast_to(values, (*pem_logit.shape, len(self.basis.mean)))[acts]
+        values = _filling(self.features.values(states), (*pem_logit.shape, len(self.basis.mean)))
+        values = values[acts]
         result = xp.asarray(pem_logit, copy=True)
         under_pem = pem_logit[acts]
         by_row = self.coefficients.ndim > 1
@@ -179,4 +179,9 @@ def acting(
     for over in (violated, CERTAIN):
         if over in states.memory:
             acts = acts & ~states.memory[over]
-    return namespace(acts).broadcast_to(acts, shape)
+    return _filling(acts, shape)
+
+
+def _filling(values: Any, shape: tuple[int, ...]) -> Any:
+    """The values, broadcast where their shape is not yet ``shape``."""
+    return values if values.shape == shape else namespace(values).broadcast_to(values, shape)

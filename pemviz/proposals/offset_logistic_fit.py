@@ -13,6 +13,8 @@ NEWTON_STEPS = 40
 SHORTEST_STEP = 1e-9
 SUFFICIENT_DECREASE = 1e-4
 GOOD_ENOUGH = 1e-4
+STEADY = 1e-4
+"""By how much weights may change, relative to the largest, and a fit stay good enough unasked."""
 BY_OUTCOME = ("logit", "miss", "cross_entropy")
 """What a fit knows of each outcome by itself, whatever the weights."""
 LARGEST_LEVERAGE = 0.8
@@ -96,12 +98,29 @@ class LogisticFit:
 
     def improved(self) -> "LogisticFit":
         """The fit after one of Newton's steps; itself if that would make little difference."""
-        gradient = self.descent()
-        direction = cast(FloatArray, np.linalg.solve(self.curvature, gradient))
-        decrease = float(gradient @ direction)
+        direction, decrease = self._step
         if decrease < GOOD_ENOUGH:
             return self
         return _lower(self, direction, decrease) or self
+
+    @cached_property
+    def _step(self) -> tuple[FloatArray, float]:
+        """Newton's step ``[B]``, and by how much it promises to lower the summed loss, twice."""
+        gradient = self.descent()
+        direction = cast(FloatArray, np.linalg.solve(self.curvature, gradient))
+        return direction, float(gradient @ direction)
+
+    def adapted(self, weight: FloatArray) -> "LogisticFit":
+        """The fit after one of Newton's steps for outcomes of other weights ``[M]``.
+
+        Itself, where it was found good enough for weights that hardly differ.
+        """
+        known = vars(self).get("_step")
+        if known is not None and known[1] < GOOD_ENOUGH:
+            before = self.outcomes.weight
+            if np.abs(weight - before).max(initial=0.0) <= STEADY * before.max(initial=0.0):
+                return self
+        return self.reweighted(weight).improved()
 
     def reweighted(self, weight: FloatArray) -> "LogisticFit":
         """The same coefficients for outcomes of other weights ``[M]``."""

@@ -21,6 +21,7 @@ from pemviz.arrays import (
     log_sum_exp,
     moved,
     namespace,
+    softplus,
 )
 from pemviz.proposals.offset_logistic import StateFeatures, acting
 from pemviz.types import RolloutBatch, StateBatch
@@ -121,12 +122,12 @@ class PilotFamily:
         count, steps = rollouts.detected.shape
         under_pem = -rollouts.pem_logit[acts]
         sign = np.where(rollouts.detected[acts], 1.0, -1.0)
-        by_pem = np.logaddexp(0.0, sign * under_pem)
+        by_pem = softplus(sign * under_pem)
         by_member = np.zeros((self.strength.size, count))
         step = np.zeros((count, steps))
         sums = np.zeros((steps + 1, count))
         for strength in np.unique(self.strength[self.strength != 0.0]):
-            step[acts] = by_pem - np.logaddexp(0.0, sign * raised(under_pem, strength))
+            step[acts] = by_pem - softplus(sign * raised(under_pem, strength))
             for raising, chosen in self._alike(strength):
                 np.cumsum((step * raising).T if self.turns > 1 else step.T, axis=0, out=sums[1:])
                 by_member[chosen] = sums[self.stop[chosen]] - sums[self.first[chosen]]

@@ -1,7 +1,8 @@
 """Rollouts and proposals on disk, a file a stage while a run goes on, then one for all."""
 
+import contextlib
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import IO, Any, cast
@@ -34,6 +35,10 @@ LATENTS = "latents."
 """Before the names of :class:`pemviz.latents.Latents`' arrays, of those that have columns."""
 DRAWN = "drawn"
 """How many rollouts a stage drew, in its file if that does not hold all of them."""
+MOST_OPEN = 64
+"""Stages' files that are open at a time while they are joined; of more each is opened in turn."""
+Opened = Callable[[], contextlib.AbstractContextManager[Any]]
+"""A stage's file, open for the time of a ``with``."""
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are asked for."""
 
@@ -235,16 +240,28 @@ def join_parts(parts: Sequence[Path], target: Path) -> None:
     """
 
     def write(stream: IO[bytes]) -> None:
-        with zipfile.ZipFile(stream, mode="w", compression=zipfile.ZIP_STORED) as archive:
-            with np.load(parts[0], allow_pickle=False) as first:
+        with (
+            contextlib.ExitStack() as kept,
+            zipfile.ZipFile(stream, mode="w", compression=zipfile.ZIP_STORED) as archive,
+        ):
+            stages = [_opened(part, kept if len(parts) <= MOST_OPEN else None) for part in parts]
+            with stages[0]() as first:
                 names = _documented(first.files)
-            rows = sum(_rows(part) for part in parts)
+            rows = sum(_rows(stage) for stage in stages)
             for name in names:
                 info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whenever it is written
                 with archive.open(info, mode="w", force_zip64=True) as entry:
-                    _join_array(entry, name, parts, rows=rows)
+                    _join_array(entry, name, stages, rows=rows)
 
     write_atomically(target, write)
+
+
+def _opened(part: Path, kept: contextlib.ExitStack | None) -> Opened:
+    """Opens a stage's file each time, or once, to be closed with those ``kept``."""
+    if kept is None:
+        return lambda: np.load(part, allow_pickle=False)
+    arrays = kept.enter_context(np.load(part, allow_pickle=False))
+    return lambda: contextlib.nullcontext(arrays)
 
 
 def _documented(names: Sequence[str]) -> list[str]:
@@ -264,15 +281,15 @@ def _array(arrays: Any, name: str) -> AnyArray:
     return arrays[name]
 
 
-def _rows(part: Path) -> int:
-    with np.load(part, allow_pickle=False) as arrays:
+def _rows(stage: Opened) -> int:
+    with stage() as arrays:
         return arrays["repetition"].shape[0]
 
 
-def _join_array(entry: IO[bytes], name: str, parts: Sequence[Path], *, rows: int) -> None:
+def _join_array(entry: IO[bytes], name: str, stages: Sequence[Opened], *, rows: int) -> None:
     header: dict[str, Any] | None = None
-    for part in parts:
-        with np.load(part, allow_pickle=False) as arrays:
+    for stage in stages:
+        with stage() as arrays:
             array = np.ascontiguousarray(_array(arrays, name))
         if header is None:
             shape = (rows, *array.shape[1:])

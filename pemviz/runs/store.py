@@ -29,7 +29,7 @@ from pemviz.runs.rollout_files import (
 )
 from pemviz.types import Signal, StageResult
 
-PAUSES = 20
+PAUSES = 50
 """While a run goes on, what tells of all its stages is written once this many times as long has
 passed as writing it took."""
 

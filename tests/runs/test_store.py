@@ -14,6 +14,7 @@ from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_text
 from pemviz.proposals.gap_network import gap_network_from_arrays
+from pemviz.runs import rollout_files
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.events import StageDone
 from pemviz.runs.rollout_files import load_rollouts
@@ -56,6 +57,17 @@ def test_rollouts_are_those_of_the_run(finished):
         np.testing.assert_array_equal(arrays["detected"][mine], rollouts.detected)
         np.testing.assert_array_equal(arrays["log_q"][mine], rollouts.log_q)
         np.testing.assert_array_equal(arrays["robustness"][mine], stage.scored.robustness)
+
+
+def test_stages_are_joined_alike_however_many_files_are_open(tmp_path, monkeypatch):
+    joined = []
+    for most_open in (64, 1):
+        monkeypatch.setattr(rollout_files, "MOST_OPEN", most_open)
+        folder = tmp_path / str(most_open)
+        folder.mkdir()
+        run_experiment(SMALL, run_id="test", observers=[RunStore(folder)])
+        joined.append((folder / "rollouts.npz").read_bytes())
+    assert joined[0] == joined[1]
 
 
 def test_plain_numpy_opens_the_rollouts(finished):
@@ -113,6 +125,7 @@ KILLED_RUN = """
 import sys
 from pathlib import Path
 from dataclasses import replace
+from pemviz.runs import rollout_files
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.store import RunStore
 from tests.runs.test_engine import SMALL

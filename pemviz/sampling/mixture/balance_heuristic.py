@@ -141,7 +141,7 @@ class Pool:
                 distinct.append(rule)
         return [self.under_rule(rule) for rule in distinct] or [self]
 
-    @property
+    @cached_property
     def log_weight(self) -> FloatArray:
         """Log weights ``[N]`` by the balance heuristic: log p / sum_k (n_k / N) q_k.
 

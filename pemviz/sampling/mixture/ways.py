@@ -203,8 +203,7 @@ def _split(
         if share.min() <= 0.0:
             return None
         fits = [
-            fit.reweighted(weight[rollouts.rollout]).improved()
-            for fit, weight in zip(fits, weights, strict=True)
+            fit.adapted(weight[rollouts.rollout]) for fit, weight in zip(fits, weights, strict=True)
         ]
         means = tuple(
             _next_means(one, rollouts, weight, ridges[1])

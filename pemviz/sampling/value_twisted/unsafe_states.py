@@ -50,7 +50,7 @@ class StateRule:
 
     def _margin(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """By how much the predicate holds, ``[N]``."""
-        single = {name: values[None] for name, values in signals.items()}
+        single = {name: signals[name][None] for name in self._named if name in signals}
         return evaluate(self.predicate, ClassicalSemantics(), single, start=0, steps=1)[0]
 
     @cached_property

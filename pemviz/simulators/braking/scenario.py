@@ -203,4 +203,4 @@ def lead_car_salient(config: ScenarioConfig, signals: Mapping[str, FloatArray]) 
     values = xp.asarray(fixed, dtype=xp.float64, device=gap_m.device)
     salient[...] = values.reshape(-1, *[1] * gap_m.ndim)
     salient[9] = gap_m + config.lead_length_m / 2
-    return xp.moveaxis(salient, 0, -1)
+    return salient.T if gap_m.ndim == 1 else xp.moveaxis(salient, 0, -1)
