@@ -101,6 +101,26 @@ def test_other_weights_are_another_fit():
     np.testing.assert_array_equal(carried.improved().coefficients, fits[1].improved().coefficients)
 
 
+def test_a_good_enough_fit_is_kept_while_weights_hardly_change():
+    generator = np.random.default_rng(9)
+    basis = np.column_stack([np.ones(80), generator.normal(size=80)])
+    missed, weight = generator.random(80) < 0.4, generator.random(80)
+
+    def data(weight):
+        return outcomes(basis=basis, missed=missed, offset=np.full(80, -0.5), weight=weight)
+
+    ridge = np.full(2, 0.1)
+    fit = fit_offset_logistic(data(weight), ridge=ridge, start=np.zeros(2))
+    assert fit.improved() is fit
+    assert fit.adapted(weight * (1.0 + 1e-6)) is fit
+    other = generator.random(80)
+    fresh = LogisticFit(fit.coefficients, data(other), ridge).improved()
+    adapted = fit.adapted(other)
+    assert adapted is not fit
+    np.testing.assert_array_equal(adapted.coefficients, fresh.coefficients)
+    np.testing.assert_array_equal(adapted.outcomes.weight, other)
+
+
 def test_leave_one_out_agrees_with_fitting_again():
     generator = np.random.default_rng(6)
     group = np.repeat(np.arange(60), 20)
