@@ -182,11 +182,10 @@ class FoldedRobustness:
                 return self._classical(block, fold)
 
     def _classical(self, block: FloatArray, fold: Fold) -> FloatArray:
-        task = self._loops.task_of(block, fold.window, fold.offset, fold.sign, FINITE)
-        keys = np.empty((2, len(block)), dtype=np.int64)
-        if not self._loops.all_extremes(task, *keys):
+        task = self._loops.Task(block, *fold.window, fold.offset, fold.sign, *FINITE)
+        least, most = np.empty((2, len(block)))
+        if not self._loops.all_extremes(task, least, most):
             raise UnservedError
-        least, most = self._loops.ordered(keys).view(np.float64)
         return fold.classical(least, most)
 
     def _agm(self, block: FloatArray, fold: Fold, semantics: AgmSemantics) -> FloatArray:
@@ -194,13 +193,12 @@ class FoldedRobustness:
         if scale is None:
             raise UnservedError
         bounds = semantics.metric.bounds[fold.name]
-        task = self._loops.task_of(block, fold.window, fold.offset, fold.sign * scale, bounds)
+        task = self._loops.Task(block, *fold.window, fold.offset, fold.sign * scale, *bounds)
         count, width = len(block), fold.formula.width
-        fails, failing = np.empty(count, dtype=np.bool_), np.zeros(count)
-        growth = np.zeros((compounded(width), count))
-        if not self._loops.mean_parts(task, fold.always, fails, failing, growth):
+        means = self._loops.means_of(count, width, compounded(width))
+        if not self._loops.mean_parts(task, fold.always, means):
             raise UnservedError
-        value = conclude_all(fails, failing, growth, width)
+        value = conclude_all(means.fails, means.failing, means.growth, width)
         return value if fold.always else -value
 
     def _smooth(
@@ -208,7 +206,7 @@ class FoldedRobustness:
     ) -> FloatArray:
         count, width = len(block), fold.formula.width
         steps = DominantSteps(semantics.metric.beta, semantics.sign > 0.0, width)
-        task = self._loops.task_of(block, fold.window, fold.offset, fold.sign, FINITE)
+        task = self._loops.Task(block, *fold.window, fold.offset, fold.sign, *FINITE)
         near = self._loops.Near(
             steps.beta, steps.positive, steps.reach, LARGEST_EXPONENT, np.empty(count),
             np.empty(count + 1, dtype=np.int64), np.empty(max(EXPONENTS, width + 8)),

@@ -3,26 +3,36 @@
 Each reads rows ``values [n, T]`` of a signal, and folds its distances ``(value - offset) * factor``
 from a threshold over the steps from ``start`` to before ``stop``. The same arithmetic in the same
 order as :mod:`pemviz.stl.agm` and :mod:`pemviz.stl.dominant`, so that both give the same numbers to
-the last bit. Slices of a row, not sums of indices, are what lets a compiler see that steps are
-neighbours; where it does not see it, steps are taken eight at a time, :mod:`pemviz.stl.lanes`.
-Imported when it is time to compile: see :mod:`pemviz.stl.compiled`.
+the last bit. Steps are taken eight at a time, :mod:`pemviz.stl.lanes`. Imported when it is time to
+compile: see :mod:`pemviz.stl.compiled`.
 """
 
 import importlib
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.compiling import inlined, translated, with_numba
-from pemviz.stl.lanes import LANES, filled, loaded, pack, smaller, store
+from pemviz.stl.lanes import (
+    LANES,
+    filled,
+    larger,
+    least_of,
+    loaded,
+    memory,
+    most_of,
+    pack,
+    smaller,
+    store,
+    sum_of,
+)
 
 WIDE = with_numba(lambda _: importlib.import_module("pemviz.stl.wide_lanes"))
 """Having taught numba what lanes are; ``None`` without numba."""
-LANES_AS_OF = "0bab148e30f4f280"
+LANES_AS_OF = "9622115aab77347a"
 """Of their files, so that what numba keeps of this one is made anew when they change."""
-MAGNITUDE = 0x7FFF_FFFF_FFFF_FFFF
-"""All bits of a double but its sign."""
 CERTAIN = 1e-17
 """1 plus this is 1."""
 
@@ -32,117 +42,140 @@ class Task(NamedTuple):
 
     Attributes:
         values: ``[n, T]``, rows in one piece.
-        bits: The same memory as whole numbers.
         start: First step.
         stop: The step after the last.
         offset: Of the signal.
         factor: Of its distance from there; negative where it is to be small.
-        low: Least value that is allowed at any of the T steps, as `ordered` has it.
+        low: Least value that is allowed at any of the T steps.
         high: Largest.
     """
 
     values: FloatArray
-    bits: IntArray
     start: int
     stop: int
     offset: float
     factor: float
-    low: int
-    high: int
+    low: float
+    high: float
 
 
-def task_of(
-    values: FloatArray,
-    window: tuple[int, int],
-    offset: float,
-    factor: float,
-    allowed: tuple[float, float],
-) -> Task:
-    """The task whose steps are from the first of ``window`` to before its second.
+class Rows(NamedTuple):
+    """A task to those who are called for every row.
 
-    Args:
-        values: ``[n, T]``, rows in one piece.
-        window: Steps.
+    Attributes:
+        values: Its memory.
+        states: T.
+        start: First step.
+        width: How many steps.
         offset: Of the signal.
         factor: Of its distance from there.
-        allowed: Least and largest value.
     """
-    low, high = allowed[0] or -0.0, allowed[1] or 0.0  # both zeros lie within a bound of zero
-    keys = np.array([low, high]).view(np.int64)
-    keys = keys ^ ((keys >> 63) & MAGNITUDE)
-    return Task(values, values.view(np.int64), *window, offset, factor, int(keys[0]), int(keys[1]))
+
+    values: Any
+    states: int
+    start: int
+    width: int
+    offset: float
+    factor: float
 
 
 @inlined
-def ordered(bits: Any) -> Any:
-    """Whole numbers in the order of doubles, from these doubles' bits; and back again.
+def _rows(task: Task) -> Rows:
+    states, width = task.values.shape[1], task.stop - task.start
+    return Rows(memory(task.values), states, task.start, width, task.offset, task.factor)
 
-    Unlike doubles their least does not depend on who is asked first, so that many are compared at
-    once. A NaN comes before all numbers or after them, by its sign.
+
+class Seen(NamedTuple):
+    """What eight neighbours each have seen of values.
+
+    Attributes:
+        least: The least one.
+        most: The largest.
+        wrong: NaN if one was not finite, otherwise 0.
     """
-    return bits ^ ((bits >> 63) & MAGNITUDE)
+
+    least: Any
+    most: Any
+    wrong: Any
 
 
 @inlined
-def _extremes(bits: IntArray) -> tuple[Any, Any]:
-    least, most = MAGNITUDE, -MAGNITUDE - 1
-    for t in range(bits.size):
-        key = ordered(bits[t])
-        least, most = min(least, key), max(most, key)
-    return least, most
+def _nothing() -> Seen:
+    return Seen(filled(math.inf), filled(-math.inf), filled(0.0))
 
 
 @inlined
-def extremes(task: Task, i: int) -> tuple[Any, Any, bool]:
-    """`ordered`, the least and largest value of row i at the steps; whether all T are allowed."""
-    row = task.bits[i]
-    least, most = _extremes(row[task.start : task.stop])
-    before_least, before_most = _extremes(row[: task.start])
-    after_least, after_most = _extremes(row[task.stop :])
-    allowed = min(least, before_least, after_least) >= task.low
-    return least, most, allowed & (max(most, before_most, after_most) <= task.high)
+def _with(seen: Seen, eight: Any) -> Seen:
+    least, most = smaller(seen.least, eight), larger(seen.most, eight)
+    return Seen(least, most, seen.wrong + (eight - eight))
+
+
+@inlined
+def _with_all(seen: Seen, values: Any, begin: Any, count: Any) -> Seen:
+    """With ``count`` values from ``values[begin]`` on; some may be seen twice."""
+    for t in range(0, count - LANES + 1, LANES):
+        seen = _with(seen, loaded(values, begin + t))
+    if count < LANES:
+        for t in range(count):
+            seen = _with(seen, filled(values[begin + t]))
+    elif count % LANES:
+        seen = _with(seen, loaded(values, begin + count - LANES))
+    return seen
+
+
+@inlined
+def _row(rows: Rows, i: int, seen: Seen) -> tuple[Seen, Seen]:
+    """What is seen of row i at the steps; and of all that was seen before and all T of it."""
+    begin, stop = i * rows.states, rows.start + rows.width
+    row = _with_all(_nothing(), rows.values, begin + rows.start, rows.width)
+    least, most = smaller(seen.least, row.least), larger(seen.most, row.most)
+    seen = Seen(least, most, seen.wrong + row.wrong)
+    if rows.width < rows.states:
+        seen = _with_all(seen, rows.values, begin, rows.start)
+        seen = _with_all(seen, rows.values, begin + stop, rows.states - stop)
+    return row, seen
+
+
+@inlined
+def _allowed(seen: Seen, low: float, high: float) -> bool:
+    inside = least_of(seen.least) >= low and most_of(seen.most) <= high
+    return inside and sum_of(seen.wrong) == 0.0
 
 
 @translated
-def all_extremes(task: Task, least: IntArray, most: IntArray) -> bool:
-    """`extremes` of each row, written to ``[n]``; whether all rows' values are allowed."""
-    good = True
+def all_extremes(task: Task, least: FloatArray, most: FloatArray) -> bool:
+    """The extremes of each row at the steps, to ``[n]``; whether all rows' values are allowed."""
+    rows, seen = _rows(task), _nothing()
     for i in range(least.size):
-        least[i], most[i], allowed = extremes(task, i)
-        good &= allowed
-    return good
+        row, seen = _row(rows, i, seen)
+        least[i], most[i] = least_of(row.least), most_of(row.most)
+    return _allowed(seen, task.low, task.high)
 
 
 @inlined
-def _least_distance(task: Task, least: int, most: int) -> Any:
-    """That of a row with these `extremes`."""
-    value = np.int64(ordered(least if task.factor > 0.0 else most)).view(np.float64)
-    return (value - task.offset) * task.factor
+def _least_distance(rows: Rows, row: Seen) -> Any:
+    value = least_of(row.least) if rows.factor > 0.0 else most_of(row.most)
+    return (value - rows.offset) * rows.factor
 
 
 @inlined
-def _aligned(size: int) -> FloatArray:
-    """Zeros that begin where eight of them lie in one line of the cache."""
-    zeros = np.zeros(size + LANES)
-    first = -(zeros.ctypes.data // 8) % LANES
-    return zeros[first : first + size]
+def _distances(rows: Rows, i: int, part: Any) -> None:
+    """Of row i, written to ``part``."""
+    begin, last = i * rows.states + rows.start, rows.width - LANES
+    if rows.width < LANES:
+        for t in range(rows.width):
+            part[t] = (rows.values[begin + t] - rows.offset) * rows.factor
+        return
+    offset, factor = filled(rows.offset), filled(rows.factor)
+    store((loaded(rows.values, begin + last) - offset) * factor, part, last)
+    for t in range(0, last, LANES):
+        store((loaded(rows.values, begin + t) - offset) * factor, part, t)
 
 
 @inlined
-def _distances(task: Task, flat: FloatArray, begin: Any, part: FloatArray) -> None:
-    """Of a row whose steps begin at ``flat[begin]``, written to ``part``."""
-    offset, factor, width = filled(task.offset), filled(task.factor), task.stop - task.start
-    whole = width - width % LANES
-    for t in range(whole, width):
-        part[t] = (flat[begin + t] - task.offset) * task.factor
-    for t in range(0, whole, LANES):
-        store((loaded(flat, begin + t) - offset) * factor, part, t)
-
-
-@inlined
-def _sum_of_negative(part: FloatArray) -> Any:
+def _sum_of_negative(part: Any, size: int) -> Any:
     """The sum of min(number, 0) over ``part``, which is overwritten."""
-    zero, size = filled(0.0), part.size
+    zero = filled(0.0)
     for t in range(0, size, LANES):
         store(smaller(loaded(part, t), zero), part, t)
     while size >= 4 * LANES:  # two halvings at once
@@ -153,8 +186,7 @@ def _sum_of_negative(part: FloatArray) -> Any:
             store(even + odd, part, t)
     if size > LANES:
         store(loaded(part, 0) + loaded(part, LANES), part, 0)
-    even = (part[0] + part[4]) + (part[2] + part[6])
-    return even + ((part[1] + part[5]) + (part[3] + part[7]))
+    return sum_of(loaded(part, 0))
 
 
 @inlined
@@ -163,9 +195,9 @@ def _joined(left: Any, right: Any) -> Any:
 
 
 @inlined
-def _compound(part: FloatArray, groups: int) -> None:
+def _compound(part: Any, size: int, groups: int) -> None:
     """prod(1 + number) - 1 of each of ``groups`` groups of ``part``, into its first places."""
-    size, least = part.size, max(groups, LANES)
+    least = max(groups, LANES)
     while size >= 4 * least:  # two halvings at once
         size //= 4
         for t in range(0, size, LANES):
@@ -182,35 +214,52 @@ def _compound(part: FloatArray, groups: int) -> None:
             part[t] = _joined(part[t], part[size + t])
 
 
-@translated
-def mean_parts(task: Task, ties: bool, fails: Any, failing: FloatArray, growth: FloatArray) -> bool:
-    """What agm's conjunction of all steps rests on; whether all rows' values are allowed.
+class Means(NamedTuple):
+    """What agm's conjunction of all steps rests on; written to.
 
-    Args:
-        task: What is folded.
-        ties: Whether a distance of 0 fails.
-        fails: ``[n]``, written to: whether a step fails.
+    Attributes:
+        fails: ``[n]``, whether a step fails.
         failing: ``[n]``: where one does, the sum of min(distance, 0).
         growth: ``[groups, n]``: where none does, prod(1 + distance) - 1 of each group.
+        part: Where it is worked out: zeros for all steps, a power of two of them.
     """
-    width, size, good = task.stop - task.start, LANES, True
-    while size < width:
-        size *= 2
-    flat = task.values.reshape(-1)
-    part = _aligned(size)  # what is beyond the steps stays 0, which changes neither fold
-    for i in range(fails.size):
-        low, high, allowed = extremes(task, i)
-        least = _least_distance(task, low, high)
-        good &= allowed
-        fails[i] = least < 0.0 or (ties and least == 0.0)
-        _distances(task, flat, i * task.values.shape[1] + task.start, part)
-        if fails[i]:
-            failing[i] = _sum_of_negative(part)
+
+    fails: BoolArray
+    failing: FloatArray
+    growth: FloatArray
+    part: FloatArray
+
+
+def means_of(count: int, width: int, groups: int) -> Means:
+    """Room for ``count`` rows."""
+    zeros = np.zeros(2 * max(width, LANES) + LANES)
+    first = -(zeros.ctypes.data // zeros.itemsize) % LANES  # eight lie in one line of the cache
+    part = zeros[first : first + max(1 << (width - 1).bit_length(), LANES)]
+    return Means(np.empty(count, np.bool_), np.zeros(count), np.zeros((groups, count)), part)
+
+
+@translated
+def mean_parts(task: Task, ties: bool, means: Means) -> bool:
+    """Of each row its `Means`; ``ties``: whether a distance of 0 fails.
+
+    Returns:
+        Whether all rows' values are allowed.
+    """
+    rows, seen, part = _rows(task), _nothing(), memory(means.part)
+    size, groups = means.part.size, means.growth.shape[0]
+    for i in range(means.fails.size):
+        row, seen = _row(rows, i, seen)
+        least = _least_distance(rows, row)
+        fails = least < 0.0 or (ties and least == 0.0)
+        means.fails[i] = fails
+        _distances(rows, i, part)  # beyond the steps 0 stays, which changes neither fold
+        if fails:
+            means.failing[i] = _sum_of_negative(part, size)
         else:
-            _compound(part, growth.shape[0])
-            for t in range(growth.shape[0]):
-                growth[t, i] = part[t]
-    return good
+            _compound(part, size, groups)
+            for t in range(groups):
+                means.growth[t, i] = part[t]
+    return _allowed(seen, task.low, task.high)
 
 
 class Near(NamedTuple):
@@ -235,6 +284,22 @@ class Near(NamedTuple):
     exponents: FloatArray
 
 
+class Packing(NamedTuple):
+    """What is `Near` to those who are called for every row.
+
+    Attributes:
+        rate: -beta.
+        reach: As there.
+        largest: As there.
+        exponents: Their memory.
+    """
+
+    rate: float
+    reach: float
+    largest: float
+    exponents: Any
+
+
 @translated
 def exponents_near(task: Task, near: Near, first: int) -> tuple[int, bool]:
     """``(distance - base) * -beta`` at each step that counts, of rows from ``first`` on.
@@ -243,36 +308,62 @@ def exponents_near(task: Task, near: Near, first: int) -> tuple[int, bool]:
         The row after the last that found room for all that it might have; whether all those rows'
         values are allowed.
     """
-    width, count, good = task.stop - task.start, 0, True
+    rows, seen, count, last = _rows(task), _nothing(), 0, first
+    packing = Packing(-near.beta, near.reach, near.largest, memory(near.exponents))
+    uncounted, room = _uncounted(rows.width), near.exponents.size - rows.width - LANES
     near.ends[first] = 0
-    for i in range(first, near.base.size):
-        if count + width + LANES > near.exponents.size:
-            return i, good
-        low, high, allowed = extremes(task, i)
-        least = _least_distance(task, low, high)
-        good &= allowed
+    while last < near.base.size and count <= room:
+        row, seen = _row(rows, last, seen)
+        least = _least_distance(rows, row)
         base = max(least, 0.0) if near.positive else min(least, 0.0)
-        near.base[i] = base
-        count = _packed(task.values[i][task.start : task.stop], task, near, base, count)
-        near.ends[i + 1] = count
-    return near.base.size, good
+        count = _packed(rows, last, packing, base, uncounted, count)
+        near.base[last], near.ends[last + 1] = base, count
+        last += 1
+    return last, _allowed(seen, task.low, task.high)
 
 
 @inlined
-def _packed(row: FloatArray, task: Task, near: Near, base: Any, count: Any) -> Any:
-    """Write the exponents of one row from place ``count`` on; the place after the last."""
-    offset, factor, edge = filled(task.offset), filled(task.factor), filled(base + near.reach)
-    bases, rate, largest = filled(base), filled(-near.beta), filled(near.largest)
-    whole = row.size - row.size % LANES
-    for t in range(0, whole, LANES):
-        distance = (loaded(row, t) - offset) * factor
-        exponent = smaller((distance - bases) * rate, largest)
-        count = pack(exponent, distance, edge, near.exponents, count)
-    for t in range(whole, row.size):
-        one = (row[t] - task.offset) * task.factor
-        near.exponents[count] = min((one - base) * -near.beta, near.largest)
-        count += int(one <= base + near.reach)
+def _uncounted(width: int) -> Any:
+    """Infinity for those of the last eight steps that stand in whole eights before them, else 0.
+
+    Of fewer than eight steps each is taken eight times, and counts once.
+    """
+    steps = np.zeros(2 * LANES)
+    if width < LANES:
+        steps[1:LANES] = math.inf
+        return loaded(steps, 0)
+    steps[:LANES] = math.inf
+    return loaded(steps, width % LANES)
+
+
+@inlined
+def _packed(  # noqa: PLR0917  (inlined, where keywords are not known)
+    rows: Rows, i: int, packing: Packing, base: Any, uncounted: Any, count: Any
+) -> Any:
+    """Write the exponents of row i's steps that count; the place after the last one."""
+    values, width, begin = rows.values, rows.width, i * rows.states + rows.start
+    for t in range(0, width - LANES + 1, LANES):
+        eight = loaded(values, begin + t)
+        count = _packed_eight(rows, packing, base, eight, filled(-0.0), count)
+    if width < LANES:
+        for t in range(width):
+            eight = filled(values[begin + t])
+            count = _packed_eight(rows, packing, base, eight, uncounted, count)
+    elif width % LANES:
+        eight = loaded(values, begin + width - LANES)
+        count = _packed_eight(rows, packing, base, eight, uncounted, count)
     return count
+
+
+@inlined
+def _packed_eight(  # noqa: PLR0917  (as above)
+    rows: Rows, packing: Packing, base: Any, eight: Any, uncounted: Any, count: Any
+) -> Any:
+    """The same of eight steps, to whose distances ``uncounted`` is added."""
+    distance = (eight - filled(rows.offset)) * filled(rows.factor)
+    exponent = smaller((distance - filled(base)) * filled(packing.rate), filled(packing.largest))
+    edge = filled(base + packing.reach)
+    return pack(exponent, distance + uncounted, edge, packing.exponents, count)
 
 
 @translated

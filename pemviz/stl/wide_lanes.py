@@ -20,6 +20,7 @@ REGISTER = ir.VectorType(ir.DoubleType(), lanes.LANES)
 FLAGS = ir.VectorType(ir.IntType(1), lanes.LANES)
 NUMBER = ir.IntType(32)
 PLACE = ir.IntType(64)
+MEMORY = types.CPointer(types.float64)
 
 PACKS = binding.llvm_version_info[0] >= 19
 """Whether LLVM can pack lanes by itself."""
@@ -43,14 +44,16 @@ class LanesModel(models.PrimitiveModel):
         super().__init__(manager, kind, REGISTER)
 
 
-def _pointer(context: Any, builder: Any, kind: Any, array: Any, first: Any) -> Any:
-    """To where lanes begin in an array in one piece."""
-    start = cgutils.create_struct_proxy(kind)(context, builder, array).data
-    return builder.gep(start, [first])
-
-
 def _write(builder: Any, register: Any, pointer: Any) -> None:
     builder.store(register, builder.bitcast(pointer, REGISTER.as_pointer())).align = 8
+
+
+@intrinsic
+def _memory(typing: Any, values: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return cgutils.create_struct_proxy(values)(context, builder, given[0]).data
+
+    return MEMORY(values), emit
 
 
 @intrinsic
@@ -58,56 +61,113 @@ def _filled(typing: Any, value: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         nothing = ir.Constant(REGISTER, ir.Undefined)
         first = builder.insert_element(nothing, given[0], NUMBER(0))
-        places = ir.Constant(ir.VectorType(NUMBER, lanes.LANES), [0] * lanes.LANES)
+        places = ir.Constant(_numbers(lanes.LANES), [0] * lanes.LANES)
         return builder.shuffle_vector(first, nothing, places)
 
     return LANES(types.float64), emit
 
 
 @intrinsic
-def _loaded(typing: Any, values: Any, first: Any) -> Any:
+def _loaded(typing: Any, source: Any, first: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        pointer = _pointer(context, builder, values, *given)
-        register = builder.load(builder.bitcast(pointer, REGISTER.as_pointer()))
+        start, place = given
+        if source is not MEMORY:
+            start = cgutils.create_struct_proxy(source)(context, builder, start).data
+        pointer = builder.bitcast(builder.gep(start, [place]), REGISTER.as_pointer())
+        register = builder.load(pointer)
         register.align = 8
         return register
 
-    return LANES(values, types.int64), emit
+    return LANES(source, types.int64), emit
 
 
 @intrinsic
-def _store(typing: Any, eight: Any, values: Any, first: Any) -> Any:
+def _store(typing: Any, eight: Any, target: Any, first: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        _write(builder, given[0], _pointer(context, builder, values, *given[1:]))
+        register, start, place = given
+        _write(builder, register, builder.gep(start, [place]))
         return context.get_dummy_value()
 
-    return types.void(LANES, values, types.int64), emit
+    return types.void(LANES, MEMORY, types.int64), emit
+
+
+def _ordered(builder: Any, left: Any, right: Any, sign: str) -> Any:
+    """The right one where it is smaller, or larger, than the left one."""
+    return builder.select(builder.fcmp_ordered(sign, right, left), right, left)
 
 
 @intrinsic
 def _smaller(typing: Any, left: Any, right: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         left, right = given
-        return builder.select(builder.fcmp_ordered("<", right, left), right, left)
+        return _ordered(builder, left, right, "<")
 
     return LANES(LANES, LANES), emit
+
+
+@intrinsic
+def _larger(typing: Any, left: Any, right: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        left, right = given
+        return _ordered(builder, left, right, ">")
+
+    return LANES(LANES, LANES), emit
+
+
+def _halved(builder: Any, register: Any, join: Callable[[Any, Any], Any]) -> Any:
+    """One double of eight, half upon half."""
+    for half in (4, 2, 1):
+        halves = [
+            builder.shuffle_vector(register, register, ir.Constant(_numbers(half), list(places)))
+            for places in (range(half), range(half, 2 * half))
+        ]
+        register = join(*halves)
+    return builder.extract_element(register, NUMBER(0))
+
+
+def _numbers(count: int) -> Any:
+    return ir.VectorType(NUMBER, count)
+
+
+@intrinsic
+def _least_of(typing: Any, eight: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return _halved(builder, given[0], lambda left, right: _ordered(builder, left, right, "<"))
+
+    return types.float64(LANES), emit
+
+
+@intrinsic
+def _most_of(typing: Any, eight: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return _halved(builder, given[0], lambda left, right: _ordered(builder, left, right, ">"))
+
+    return types.float64(LANES), emit
+
+
+@intrinsic
+def _sum_of(typing: Any, eight: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return _halved(builder, given[0], builder.fadd)
+
+    return types.float64(LANES), emit
 
 
 def packing(by_itself: bool) -> Any:
     """The intrinsic of `lanes.pack`; ``by_itself``: whether LLVM packs."""
 
     @intrinsic
-    def pack(typing: Any, eight: Any, keys: Any, edge: Any, values: Any, first: Any) -> Any:
+    def pack(typing: Any, eight: Any, keys: Any, edge: Any, target: Any, first: Any) -> Any:
         def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-            register, key, limit, array, place = given
+            register, key, limit, start, place = given
             kept = builder.fcmp_ordered("<=", key, limit)
-            pointer = _pointer(context, builder, values, array, place)
+            pointer = builder.gep(start, [place])
             if not by_itself:
                 return builder.add(place, _write_each(builder, register, kept, pointer))
             _write(builder, _compressed(builder, register, kept), pointer)
             return builder.add(place, _count(builder, kept))
 
-        return types.int64(LANES, LANES, LANES, values, types.int64), emit
+        return types.int64(LANES, LANES, LANES, MEMORY, types.int64), emit
 
     return pack
 
@@ -142,6 +202,14 @@ def _write_each(builder: Any, register: Any, kept: Any, pointer: Any) -> Any:
 # arguments must be the same outside and inside, for numba compares them.
 
 
+@overload(lanes.memory)
+def _found_memory(values: Any) -> Any:
+    def call(values: Any) -> Any:
+        return _memory(values)
+
+    return call
+
+
 @overload(lanes.filled)
 def _found_filled(value: Any) -> Any:
     def call(value: Any) -> Any:
@@ -151,17 +219,17 @@ def _found_filled(value: Any) -> Any:
 
 
 @overload(lanes.loaded)
-def _found_loaded(values: Any, first: Any) -> Any:
-    def call(values: Any, first: Any) -> Any:
-        return _loaded(values, first)
+def _found_loaded(source: Any, first: Any) -> Any:
+    def call(source: Any, first: Any) -> Any:
+        return _loaded(source, first)
 
     return call
 
 
 @overload(lanes.store)
-def _found_store(eight: Any, values: Any, first: Any) -> Any:
-    def call(eight: Any, values: Any, first: Any) -> Any:
-        return _store(eight, values, first)
+def _found_store(eight: Any, target: Any, first: Any) -> Any:
+    def call(eight: Any, target: Any, first: Any) -> Any:
+        return _store(eight, target, first)
 
     return call
 
@@ -174,10 +242,42 @@ def _found_smaller(left: Any, right: Any) -> Any:
     return call
 
 
+@overload(lanes.larger)
+def _found_larger(left: Any, right: Any) -> Any:
+    def call(left: Any, right: Any) -> Any:
+        return _larger(left, right)
+
+    return call
+
+
+@overload(lanes.least_of)
+def _found_least_of(eight: Any) -> Any:
+    def call(eight: Any) -> Any:
+        return _least_of(eight)
+
+    return call
+
+
+@overload(lanes.most_of)
+def _found_most_of(eight: Any) -> Any:
+    def call(eight: Any) -> Any:
+        return _most_of(eight)
+
+    return call
+
+
+@overload(lanes.sum_of)
+def _found_sum_of(eight: Any) -> Any:
+    def call(eight: Any) -> Any:
+        return _sum_of(eight)
+
+    return call
+
+
 @overload(lanes.pack)
-def _found_pack(eight: Any, keys: Any, edge: Any, values: Any, first: Any) -> Any:
-    def call(eight: Any, keys: Any, edge: Any, values: Any, first: Any) -> Any:
-        return _pack(eight, keys, edge, values, first)
+def _found_pack(eight: Any, keys: Any, edge: Any, target: Any, first: Any) -> Any:
+    def call(eight: Any, keys: Any, edge: Any, target: Any, first: Any) -> Any:
+        return _pack(eight, keys, edge, target, first)
 
     return call
 

@@ -3,6 +3,7 @@
 import hashlib
 import importlib
 import math
+import operator
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +18,27 @@ HARSH = (
 
 
 def arithmetic(values, others, edge, result):
-    """Each word once, on the first eight of each; ``result`` [6, 8], and where the packing ends."""
-    left, right = lanes.loaded(values, 0), lanes.loaded(others, 0)
-    lanes.store(left + right, result, 0)
-    lanes.store(left - right, result, 8)
-    lanes.store(left * right, result, 16)
-    lanes.store(left / right, result, 24)
-    lanes.store(lanes.smaller(left, right), result, 32)
-    return lanes.pack(left, right, lanes.filled(edge), result, 40)
+    """Each word once, on the first eight of each, to ``result``; where the packing ends."""
+    left, right = lanes.loaded(lanes.memory(values), 0), lanes.loaded(lanes.memory(others), 0)
+    written = lanes.memory(result)
+    lanes.store(left + right, written, 0)
+    lanes.store(left - right, written, 8)
+    lanes.store(left * right, written, 16)
+    lanes.store(left / right, written, 24)
+    lanes.store(lanes.smaller(left, right), written, 32)
+    lanes.store(lanes.larger(left, right), written, 40)
+    lanes.store(lanes.filled(lanes.least_of(left)), written, 48)
+    lanes.store(lanes.filled(lanes.most_of(left)), written, 56)
+    lanes.store(lanes.filled(lanes.sum_of(left)), written, 64)
+    return lanes.pack(left, right, lanes.filled(edge), written, 72)
+
+
+def halved(join, numbers):
+    """One of many, half upon half."""
+    half = len(numbers) // 2
+    if not half:
+        return numbers[0]
+    return halved(join, [join(a, b) for a, b in zip(numbers[:half], numbers[half:], strict=True)])
 
 
 def one_by_one(values, others, edge):
@@ -32,7 +46,9 @@ def one_by_one(values, others, edge):
     pairs = list(zip(values[:8], others[:8], strict=True))
     rows = [
         [a + b for a, b in pairs], [a - b for a, b in pairs], [a * b for a, b in pairs],
-        [a / b for a, b in pairs], [min(a, b) for a, b in pairs],
+        [a / b for a, b in pairs], [min(a, b) for a, b in pairs], [max(a, b) for a, b in pairs],
+        [halved(min, values[:8])] * 8, [halved(max, values[:8])] * 8,
+        [halved(operator.add, values[:8])] * 8,
     ]  # fmt: skip
     return np.array([*np.ravel(rows), *(a for a, b in pairs if b <= edge)])
 
@@ -48,7 +64,7 @@ def cases():
 def check(function):
     with np.errstate(all="ignore"):
         for values, others, edge in cases():
-            result = np.full(48, 7.0)
+            result = np.full(80, 7.0)
             end = function(values, others, edge, result)
             expected = one_by_one(values, others, edge)
             assert end == expected.size
@@ -95,8 +111,8 @@ def test_an_older_compiler_packs_one_by_one(wide_lanes):
     pack = wide_lanes.packing(by_itself=False)
 
     def by_hand(values, others, edge, result):
-        left, right = lanes.loaded(values, 0), lanes.loaded(others, 0)
-        return pack(left, right, lanes.filled(edge), result, 1)
+        left, right = lanes.loaded(lanes.memory(values), 0), lanes.loaded(lanes.memory(others), 0)
+        return pack(left, right, lanes.filled(edge), lanes.memory(result), 1)
 
     function = compiler()(by_hand)
     for values, others, edge in cases():
