@@ -7,7 +7,7 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.mixture.method import MixtureSampling
+from pemviz.sampling.mixture.monomials import Monomials
 from tests.lattice_walk import ToyPem, ToySimulator
 
 WALK = ToySimulator(initial_gap=4, largest_gap=6, states=13)
@@ -17,23 +17,23 @@ RULES = {"touch": "always[0,12] (gap >= 0.5)", "deep": "always[0,12] (gap >= -2.
 @pytest.fixture(scope="module")
 def ends():
     """Of the same run in four parts: rows of all kept, of violations alone, these in pieces."""
-    found = {}
-    for name, whole, at_once in (("all", True, 2000), ("few", False, 2000), ("pieces", False, 7)):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("pemviz.sampling.mixture.pooling.FAILING_AT_ONCE", at_once)
-            if whole:
-                patch.setattr(MixtureSampling, "_is_in_parts", False)
-            found[name] = end()
+    found = {"all": end(many=False, in_parts=False), "few": end(many=False, in_parts=True)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pemviz.sampling.mixture.pooling.FAILING_AT_ONCE", 7)
+        patch.setattr("pemviz.sampling.mixture.balance_heuristic.ROLLOUTS_AT_ONCE", 23)
+        found["pieces"] = end(many=True, in_parts=True)
     return found
 
 
-def end():
+def end(**how):
     config = ExperimentConfig(method="mixture", rollouts=60, stages=3, final_rollouts=300, seed=5)
     experiment = build_experiment(
         config.with_rules(RULES), simulator=WALK, pem=ToyPem(at_zero=1.6), twin=WALK
     )
     method, problem = replace(experiment.method, largest_part=90), experiment.problem
     state = method.init(problem, repetition=0)
+    assert (state.many, state.in_parts) == (True, True)
+    state = replace(state, **how)
     while not method.is_done(state):
         state, stage = method.step(problem, state)
     assert stage.stage == 7
@@ -64,6 +64,8 @@ def test_no_ratio_of_a_final_rollout_that_holds_is_kept(ends):
     assert len(whole.log_ratio) == whole.count
     for ratio in (few.log_ratio, *few.rule_log_ratio.values()):
         assert len(ratio) == learned + violations
+    assert isinstance(few.decisions.basis, Monomials)
+    np.testing.assert_array_equal(few.decisions.basis[:], whole.decisions.basis)
     held = np.flatnonzero(~np.isnan(few.log_weight))
     expected = np.r_[np.arange(learned), learned + np.flatnonzero(whole.violated[final])]
     np.testing.assert_array_equal(held, expected)

@@ -1,5 +1,6 @@
 """All rollouts of all stages, weighted as draws from the mixture of all proposals."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,8 +13,11 @@ from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
 from pemviz.sampling.mixture.aims import Rule, still_open, where_open
 from pemviz.sampling.mixture.latents import latent_ratios
+from pemviz.sampling.mixture.monomials import Monomials
 from pemviz.types import RolloutBatch
 
+ROLLOUTS_AT_ONCE = 250
+"""Of many, whose decisions' monomials are made."""
 ROWS_AT_ONCE = 1 << 14
 """Of ratios, whose exponentials take several times their own memory."""
 
@@ -24,14 +28,14 @@ class Decisions(Batch):
 
     Attributes:
         rollout: Index of the rollout, ascending, ``[M]``.
-        basis: ``[M, B]``.
+        basis: ``[M, B]``; of many decisions not at once.
         missed: ``[M]``.
         offset: The error model's logit of a miss, ``[M]``.
         broken: Which rules are broken there, ``[M, R]``; ``None`` without several rules.
     """
 
     rollout: IntArray
-    basis: FloatArray
+    basis: FloatArray | Monomials
     missed: BoolArray
     offset: FloatArray
     broken: BoolArray | None = None
@@ -196,13 +200,17 @@ def decisions_of(
     features: StateFeatures,
     basis: PolynomialBasis,
     broken: BoolArray | None = None,
+    many: bool = False,
 ) -> Decisions:
-    """The decisions of N rollouts, made where ``acts [N, T-1]``, by the rules broken there."""
+    """The decisions of N rollouts, made where ``acts [N, T-1]``, by the rules broken there.
+
+    Of ``many`` monomials are not made before they are asked for.
+    """
     values = features.values(rollouts.decision_states())
     values = np.broadcast_to(values, (*acts.shape, basis.mean.size))[acts]
     return Decisions(
         rollout=np.nonzero(acts)[0].astype(np.int64),
-        basis=basis.evaluate(values),
+        basis=Monomials(values, basis) if many else basis.evaluate(values),
         missed=~rollouts.detected[acts],
         offset=-rollouts.pem_logit[acts],
         broken=None if broken is None else broken[acts],
@@ -230,6 +238,45 @@ def log_ratios(
         under: Until when rollouts are judged.
         latents: The rollouts', where there are any.
     """
+    found = _of_outcomes(
+        decisions, proposals, count=count, defensive=defensive, rules=rules, under=under
+    )
+    if latents is not None:
+        moves = [(one.means, one.rule) for one in proposals if one.means is not None]
+        found = [
+            each + latent_ratios(latents, moves, rules=rules, under=rule)
+            for each, rule in zip(found, under, strict=True)
+        ]
+    return found
+
+
+def _of_outcomes(
+    decisions: Decisions,
+    proposals: Sequence[FittedMoves],
+    *,
+    count: int,
+    defensive: float,
+    rules: Sequence[str],
+    under: Sequence[Rule],
+) -> Sequence[FloatArray]:
+    """What :func:`log_ratios` finds of outcomes; of many decisions some rollouts at a time."""
+    if isinstance(decisions.basis, Monomials):
+        edges = [*range(0, count, ROLLOUTS_AT_ONCE), count]
+        places = np.searchsorted(decisions.rollout, edges).tolist()
+        some = [
+            _of_outcomes(
+                _made(decisions, slice(*rows), first=first),
+                proposals,
+                count=stop - first,
+                defensive=defensive,
+                rules=rules,
+                under=under,
+            )
+            for (first, stop), rows in zip(
+                itertools.pairwise(edges), itertools.pairwise(places), strict=True
+            )
+        ]
+        return [np.concatenate(parts) for parts in zip(*some, strict=True)]
     found = [np.zeros((count, len(proposals))) for _ in under]
     against = AgainstModel.of(decisions.offset, decisions.missed, share=defensive)
     for column, one in enumerate(proposals):
@@ -239,10 +286,10 @@ def log_ratios(
             until = still_open(decisions.broken, rules, rule)
             weights = where_open(step, until)
             each[:, column] = np.bincount(decisions.rollout, weights=weights, minlength=count)
-    if latents is not None:
-        moves = [(one.means, one.rule) for one in proposals if one.means is not None]
-        found = [
-            each + latent_ratios(latents, moves, rules=rules, under=rule)
-            for each, rule in zip(found, under, strict=True)
-        ]
     return found
+
+
+def _made(decisions: Decisions, rows: slice, *, first: int) -> Decisions:
+    """Some decisions with their monomials, of rollouts that count from ``first``."""
+    some = decisions.take(rows)
+    return replace(some, rollout=some.rollout - first, basis=some.basis[:])

@@ -98,6 +98,8 @@ class MixtureState:
         turns: Outcomes of a step of the scenario.
         starts: Random values at the start of a rollout.
         rules: Names, where there are several.
+        many: Whether the learning stages have more rollouts than are drawn at once.
+        in_parts: Whether the final batch has.
     """
 
     repetition: int
@@ -111,6 +113,8 @@ class MixtureState:
     turns: int = 1
     starts: int = 0
     rules: tuple[str, ...] = ()
+    many: bool = False
+    in_parts: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +159,8 @@ class MixtureSampling:
             turns=problem.turns,
             starts=latent_counts(problem.simulator).start,
             rules=several_rules(problem),
+            many=(self.learning_stages + 1) * self.rollouts > self.largest_part,
+            in_parts=len(self._final_sizes()) > 1,
         )
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
@@ -179,9 +185,7 @@ class MixtureSampling:
             state,
             stage=state.stage + 1,
             basis=basis,
-            pool=_pooled(
-                state, basis, scored, component, last=last, large=last and self._is_in_parts
-            ),
+            pool=_pooled(state, basis, scored, component, last=last),
             frozen=(*state.frozen, size) if last else (),
         )
         result = final_stage(
@@ -241,10 +245,6 @@ class MixtureSampling:
 
     def _final_sizes(self) -> tuple[int, ...]:
         return part_sizes(self.final_rollouts, largest=self.largest_part)
-
-    @property
-    def _is_in_parts(self) -> bool:
-        return len(self._final_sizes()) > 1
 
     def _explores(self, stage: int) -> bool:
         """Whether a stage belongs to the first half of those that learn."""
@@ -372,7 +372,6 @@ def _pooled(
     component: IntArray,
     *,
     last: bool,
-    large: bool,
 ) -> Pool:
     new = [] if state.frozen else state.fits
     return extended(
@@ -388,9 +387,10 @@ def _pooled(
             turns=state.turns,
             starts=state.starts,
             rules=state.rules,
+            many=state.many,
         ),
         last=last,
-        large=large,
+        large=last and state.in_parts,
     )
 
 

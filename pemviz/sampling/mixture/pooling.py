@@ -38,6 +38,7 @@ class Terms:
         turns: Outcomes of a step.
         starts: Latents at the start that proposals move.
         rules: Names, where there are several.
+        many: Whether the rollouts to learn from are so many that their monomials are not kept.
     """
 
     features: StateFeatures
@@ -46,6 +47,7 @@ class Terms:
     turns: int = 1
     starts: int = 0
     rules: tuple[str, ...] = ()
+    many: bool = False
 
     @property
     def under(self) -> tuple[Rule, ...]:
@@ -164,7 +166,12 @@ def _fresh(
     acts = acting(terms.features, states, rollouts.detected.shape, violated=VIOLATED)
     broken = broken_at(states.memory, terms.rules)
     decisions = decisions_of(
-        rollouts, acts, features=terms.features, basis=terms.basis, broken=broken
+        rollouts,
+        acts,
+        features=terms.features,
+        basis=terms.basis,
+        broken=broken,
+        many=terms.many,
     )
     by_pilots = _by_pilots(rollouts, acts, broken, terms)
     latents = fresh_latents(

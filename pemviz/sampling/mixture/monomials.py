@@ -1,0 +1,39 @@
+"""Monomials of many decisions, made when some of them are asked for."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pemviz.arrays import Batch, FloatArray, Rows
+from pemviz.proposals.offset_logistic import PolynomialBasis
+
+MADE_AT_ONCE = 4_096
+"""Decisions: as many as a processor's cache holds with their monomials."""
+
+
+@dataclass(frozen=True)
+class Monomials(Batch):
+    """Monomials ``[M, B]`` in the memory of the features that they are made of, a sixth of theirs.
+
+    Attributes:
+        features: ``[M, D]``.
+        basis: What they are monomials of.
+    """
+
+    features: FloatArray
+    basis: PolynomialBasis
+
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        """Those of some decisions, ``[m, B]``."""
+        features = self.features[rows]
+        found = np.empty((len(features), len(self.basis.exponents)))
+        for first in range(0, len(found), MADE_AT_ONCE):
+            some = slice(first, first + MADE_AT_ONCE)
+            found[some] = self.basis.evaluate(features[some])
+        return found
+
+    @classmethod
+    def _beside_rows(cls, batches: Sequence[Any]) -> Mapping[str, Any]:
+        return {"basis": batches[0].basis}
