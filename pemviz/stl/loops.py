@@ -31,7 +31,7 @@ from pemviz.stl.lanes import (
 
 WIDE = with_numba(lambda _: importlib.import_module("pemviz.stl.wide_lanes"))
 """Having taught numba what lanes are; ``None`` without numba."""
-LANES_AS_OF = "9622115aab77347a"
+LANES_AS_OF = "a14f28aaa8e634cc"
 """Of their files, so that what numba keeps of this one is made anew when they change."""
 CERTAIN = 1e-17
 """1 plus this is 1."""

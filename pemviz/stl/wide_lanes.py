@@ -12,18 +12,23 @@ from typing import Any
 from llvmlite import binding, ir
 from numba import extending
 from numba.core import cgutils, types
+from numba.core.registry import cpu_target
 from numba.extending import models, overload, register_model
 
 from pemviz.stl import lanes
 
 REGISTER = ir.VectorType(ir.DoubleType(), lanes.LANES)
 FLAGS = ir.VectorType(ir.IntType(1), lanes.LANES)
+FLAGS_TOGETHER = ir.IntType(lanes.LANES)
 NUMBER = ir.IntType(32)
 PLACE = ir.IntType(64)
 MEMORY = types.CPointer(types.float64)
 
-PACKS = binding.llvm_version_info[0] >= 19
-"""Whether LLVM can pack lanes by itself."""
+TARGET: Any = cpu_target.target_context
+KNOWS_PACKING = binding.llvm_version_info[0] >= 19
+"""Whether LLVM has a word for packing lanes."""
+PACKS = KNOWS_PACKING and "+avx512f" in TARGET.codegen().magic_tuple()[2]
+"""Whether the processor that is compiled for has one; otherwise whole eights are skipped sooner."""
 
 intrinsic: Any = extending.intrinsic
 """Of what is decorated, compiled code has what ``emit`` emits."""
@@ -183,19 +188,25 @@ def _compressed(builder: Any, register: Any, kept: Any) -> Any:
 
 
 def _count(builder: Any, kept: Any) -> Any:
-    flags = builder.bitcast(kept, ir.IntType(lanes.LANES))
+    flags = builder.bitcast(kept, FLAGS_TOGETHER)
     return builder.zext(builder.ctpop(flags), PLACE)
 
 
 def _write_each(builder: Any, register: Any, kept: Any, pointer: Any) -> Any:
     """One by one, each where the next one goes too if it is not kept; how many are kept."""
-    count = PLACE(0)
-    for lane in range(lanes.LANES):
-        value = builder.extract_element(register, NUMBER(lane))
-        builder.store(value, builder.gep(pointer, [count]))
-        flag = builder.extract_element(kept, NUMBER(lane))
-        count = builder.add(count, builder.zext(flag, PLACE))
-    return count
+    before, count = builder.block, PLACE(0)
+    some = builder.icmp_unsigned("!=", builder.bitcast(kept, FLAGS_TOGETHER), FLAGS_TOGETHER(0))
+    with builder.if_then(some):
+        for lane in range(lanes.LANES):
+            value = builder.extract_element(register, NUMBER(lane))
+            builder.store(value, builder.gep(pointer, [count]))
+            flag = builder.extract_element(kept, NUMBER(lane))
+            count = builder.add(count, builder.zext(flag, PLACE))
+        within = builder.block
+    result = builder.phi(PLACE)
+    result.add_incoming(PLACE(0), before)
+    result.add_incoming(count, within)
+    return result
 
 
 # Words of the language above, and what stands where compiled code has them. The names and types of
