@@ -21,14 +21,16 @@ from pemviz.stl.compiled import DECISION
 from pemviz.stl.dominant import LARGEST_EXPONENT, DominantSteps
 from pemviz.stl.expressions import Constant, Predicate, Signal
 from pemviz.stl.formulas import And, Formula, Implies, Not, Or
+from pemviz.stl.lanes import LANES
 from pemviz.stl.semantics import Semantics
 from pemviz.stl.smooth_cumulative import SmoothCumulativeSemantics
+from pemviz.stl.tasks import Near, Task, means_of
 from pemviz.stl.temporal import Always, Eventually
 
 BLOCK_VALUES = 1 << 19
 """Values of one signal that are folded at once."""
 
-COPIED_VALUES = 1 << 16
+COPIED_VALUES = 1 << 18
 """The same where rollouts' values do not lie in one piece, and are copied so."""
 
 EXPONENTS = 1 << 16
@@ -166,9 +168,18 @@ class FoldedRobustness:
         in_rows = values.flags.c_contiguous
         size = max(1, (BLOCK_VALUES if in_rows else COPIED_VALUES) // values.shape[1])
         for start in range(0, len(values), size):
-            block = np.ascontiguousarray(values[start : start + size])
+            block = self._rows(values, start, min(start + size, len(values)))
             result[0, start : start + size] = self._of_block(block, fold, semantics)
         return result
+
+    def _rows(self, values: FloatArray, start: int, stop: int) -> FloatArray:
+        """The rollouts from ``start`` to before ``stop``, each in one piece."""
+        shape = stop - start, values.shape[1]
+        if min(shape) < LANES or values.flags.c_contiguous or not values.flags.f_contiguous:
+            return np.ascontiguousarray(values[start:stop])
+        rows = np.empty(shape)
+        self._loops.turned(values.T, start, rows)
+        return rows
 
     def _of_block(
         self, block: FloatArray, fold: Fold, semantics: Semantics[FloatArray]
@@ -182,7 +193,7 @@ class FoldedRobustness:
                 return self._classical(block, fold)
 
     def _classical(self, block: FloatArray, fold: Fold) -> FloatArray:
-        task = self._loops.Task(block, *fold.window, fold.offset, fold.sign, *FINITE)
+        task = Task(block, *fold.window, fold.offset, fold.sign, *FINITE)
         least, most = np.empty((2, len(block)))
         if not self._loops.all_extremes(task, least, most):
             raise UnservedError
@@ -193,9 +204,9 @@ class FoldedRobustness:
         if scale is None:
             raise UnservedError
         bounds = semantics.metric.bounds[fold.name]
-        task = self._loops.Task(block, *fold.window, fold.offset, fold.sign * scale, *bounds)
+        task = Task(block, *fold.window, fold.offset, fold.sign * scale, *bounds)
         count, width = len(block), fold.formula.width
-        means = self._loops.means_of(count, width, compounded(width))
+        means = means_of(count, width, compounded(width))
         if not self._loops.mean_parts(task, fold.always, means):
             raise UnservedError
         value = conclude_all(means.fails, means.failing, means.growth, width)
@@ -206,8 +217,8 @@ class FoldedRobustness:
     ) -> FloatArray:
         count, width = len(block), fold.formula.width
         steps = DominantSteps(semantics.metric.beta, semantics.sign > 0.0, width)
-        task = self._loops.Task(block, *fold.window, fold.offset, fold.sign, *FINITE)
-        near = self._loops.Near(
+        task = Task(block, *fold.window, fold.offset, fold.sign, *FINITE)
+        near = Near(
             steps.beta, steps.positive, steps.reach, LARGEST_EXPONENT, np.empty(count),
             np.empty(count + 1, dtype=np.int64), np.empty(max(EXPONENTS, width + 8)),
         )  # fmt: skip

@@ -81,3 +81,16 @@ def pack(
     kept = eight[keys <= edge]
     target[first : first + kept.size] = kept
     return first + kept.size
+
+
+def turn(  # noqa: PLR0917  (in compiled loops, where keywords are not known)
+    source: FloatArray, first: int, apart: int, target: FloatArray, place: int, width: int
+) -> None:
+    """Write eight rows of eight as columns.
+
+    Row i is read from ``source[first + i * apart]`` on, and column j goes to
+    ``target[place + j * width]`` and the seven places after it.
+    """
+    rows = [loaded(source, first + i * apart) for i in range(LANES)]
+    for j, column in enumerate(np.array(rows).T):
+        store(column, target, place + j * width)

@@ -9,11 +9,11 @@ compile: see :mod:`pemviz.stl.compiled`.
 
 import importlib
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import FloatArray, IntArray
 from pemviz.compiling import inlined, translated, with_numba
 from pemviz.stl.lanes import (
     LANES,
@@ -27,76 +27,22 @@ from pemviz.stl.lanes import (
     smaller,
     store,
     sum_of,
+    turn,
 )
+from pemviz.stl.tasks import Means, Near, Packing, Rows, Seen, Task
 
 WIDE = with_numba(lambda _: importlib.import_module("pemviz.stl.wide_lanes"))
 """Having taught numba what lanes are; ``None`` without numba."""
-LANES_AS_OF = "a14f28aaa8e634cc"
-"""Of their files, so that what numba keeps of this one is made anew when they change."""
+USED_AS_OF = "68af881bf8550de4"
+"""Of the files of lanes and tasks: what numba keeps of this one is made anew when they change."""
 CERTAIN = 1e-17
 """1 plus this is 1."""
-
-
-class Task(NamedTuple):
-    """What is folded.
-
-    Attributes:
-        values: ``[n, T]``, rows in one piece.
-        start: First step.
-        stop: The step after the last.
-        offset: Of the signal.
-        factor: Of its distance from there; negative where it is to be small.
-        low: Least value that is allowed at any of the T steps.
-        high: Largest.
-    """
-
-    values: FloatArray
-    start: int
-    stop: int
-    offset: float
-    factor: float
-    low: float
-    high: float
-
-
-class Rows(NamedTuple):
-    """A task to those who are called for every row.
-
-    Attributes:
-        values: Its memory.
-        states: T.
-        start: First step.
-        width: How many steps.
-        offset: Of the signal.
-        factor: Of its distance from there.
-    """
-
-    values: Any
-    states: int
-    start: int
-    width: int
-    offset: float
-    factor: float
 
 
 @inlined
 def _rows(task: Task) -> Rows:
     states, width = task.values.shape[1], task.stop - task.start
     return Rows(memory(task.values), states, task.start, width, task.offset, task.factor)
-
-
-class Seen(NamedTuple):
-    """What eight neighbours each have seen of values.
-
-    Attributes:
-        least: The least one.
-        most: The largest.
-        wrong: NaN if one was not finite, otherwise 0.
-    """
-
-    least: Any
-    most: Any
-    wrong: Any
 
 
 @inlined
@@ -214,30 +160,6 @@ def _compound(part: Any, size: int, groups: int) -> None:
             part[t] = _joined(part[t], part[size + t])
 
 
-class Means(NamedTuple):
-    """What agm's conjunction of all steps rests on; written to.
-
-    Attributes:
-        fails: ``[n]``, whether a step fails.
-        failing: ``[n]``: where one does, the sum of min(distance, 0).
-        growth: ``[groups, n]``: where none does, prod(1 + distance) - 1 of each group.
-        part: Where it is worked out: zeros for all steps, a power of two of them.
-    """
-
-    fails: BoolArray
-    failing: FloatArray
-    growth: FloatArray
-    part: FloatArray
-
-
-def means_of(count: int, width: int, groups: int) -> Means:
-    """Room for ``count`` rows."""
-    zeros = np.zeros(2 * max(width, LANES) + LANES)
-    first = -(zeros.ctypes.data // zeros.itemsize) % LANES  # eight lie in one line of the cache
-    part = zeros[first : first + max(1 << (width - 1).bit_length(), LANES)]
-    return Means(np.empty(count, np.bool_), np.zeros(count), np.zeros((groups, count)), part)
-
-
 @translated
 def mean_parts(task: Task, ties: bool, means: Means) -> bool:
     """Of each row its `Means`; ``ties``: whether a distance of 0 fails.
@@ -260,44 +182,6 @@ def mean_parts(task: Task, ties: bool, means: Means) -> bool:
             for t in range(groups):
                 means.growth[t, i] = part[t]
     return _allowed(seen, task.low, task.high)
-
-
-class Near(NamedTuple):
-    """Which steps count in a soft minimum; see `pemviz.stl.dominant.DominantSteps`.
-
-    Attributes:
-        beta: Sharpness.
-        positive: Which part.
-        reach: A step counts whose distance is at most this above the row's base.
-        largest: Exponent; above it stands this one.
-        base: ``[n]``, written to.
-        ends: ``[n + 1]``: row i's exponents stand from ``ends[i]`` to ``ends[i + 1]``.
-        exponents: Written to, all rows' one after another.
-    """
-
-    beta: float
-    positive: bool
-    reach: float
-    largest: float
-    base: FloatArray
-    ends: IntArray
-    exponents: FloatArray
-
-
-class Packing(NamedTuple):
-    """What is `Near` to those who are called for every row.
-
-    Attributes:
-        rate: -beta.
-        reach: As there.
-        largest: As there.
-        exponents: Their memory.
-    """
-
-    rate: float
-    reach: float
-    largest: float
-    exponents: Any
 
 
 @translated
@@ -388,3 +272,22 @@ def add_powers(
             for k in range(ends[i], ends[i + 1]):
                 total += powers[k] / (1.0 + powers[k] * scale)
         totals[i] += total
+
+
+@translated
+def turned(columns: FloatArray, first: int, rows: FloatArray) -> None:
+    """Copy rollouts from ``first`` on.
+
+    Args:
+        columns: ``[T, N]``, T at least 8.
+        first: Of the rollouts.
+        rows: ``[n, T]``, written to; n at least 8, ``first + n`` at most N.
+    """
+    (states, rollouts), count = columns.shape, rows.shape[0]
+    source, target = memory(columns), memory(rows)
+    for i in range(0, count, LANES):
+        row = min(i, count - LANES)
+        for t in range(0, states, LANES):
+            step = min(t, states - LANES)
+            place = step * rollouts + first + row
+            turn(source, place, rollouts, target, row * states + step, states)

@@ -49,6 +49,12 @@ class LanesModel(models.PrimitiveModel):
         super().__init__(manager, kind, REGISTER)
 
 
+def _read(builder: Any, pointer: Any) -> Any:
+    register = builder.load(builder.bitcast(pointer, REGISTER.as_pointer()))
+    register.align = 8
+    return register
+
+
 def _write(builder: Any, register: Any, pointer: Any) -> None:
     builder.store(register, builder.bitcast(pointer, REGISTER.as_pointer())).align = 8
 
@@ -78,10 +84,7 @@ def _loaded(typing: Any, source: Any, first: Any) -> Any:
         start, place = given
         if source is not MEMORY:
             start = cgutils.create_struct_proxy(source)(context, builder, start).data
-        pointer = builder.bitcast(builder.gep(start, [place]), REGISTER.as_pointer())
-        register = builder.load(pointer)
-        register.align = 8
-        return register
+        return _read(builder, builder.gep(start, [place]))
 
     return LANES(source, types.int64), emit
 
@@ -187,6 +190,41 @@ def _compressed(builder: Any, register: Any, kept: Any) -> Any:
     return builder.call(compress, [register, kept, ir.Constant(REGISTER, ir.Undefined)])
 
 
+@intrinsic
+def _turn(
+    typing: Any, source: Any, first: Any, apart: Any, target: Any, place: Any, width: Any
+) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        source, first, apart, target, place, width = given
+        rows = [
+            _read(builder, builder.gep(source, [builder.add(first, builder.mul(apart, PLACE(i)))]))
+            for i in range(lanes.LANES)
+        ]
+        for j, column in enumerate(_columns(builder, rows)):
+            step = builder.mul(width, PLACE(j))
+            _write(builder, column, builder.gep(target, [builder.add(place, step)]))
+        return context.get_dummy_value()
+
+    numbers = (types.int64, types.int64)
+    return types.void(MEMORY, *numbers, MEMORY, *numbers), emit
+
+
+def _columns(builder: Any, rows: list[Any]) -> list[Any]:
+    """Of a square: its quarters change places, then those of its quarters, and so on."""
+    for half in (1, 2, 4):
+        own = [place for place in range(lanes.LANES) if not place & half]
+        first, second = ([0] * lanes.LANES for _ in range(2))
+        for place in own:
+            first[place], first[place + half] = place, lanes.LANES + place
+            second[place], second[place + half] = place + half, lanes.LANES + place + half
+        for i in own:
+            pair = rows[i], rows[i + half]
+            for row, places in ((i, first), (i + half, second)):
+                chosen = ir.Constant(_numbers(lanes.LANES), places)
+                rows[row] = builder.shuffle_vector(*pair, chosen)
+    return rows
+
+
 def _count(builder: Any, kept: Any) -> Any:
     flags = builder.bitcast(kept, FLAGS_TOGETHER)
     return builder.zext(builder.ctpop(flags), PLACE)
@@ -289,6 +327,14 @@ def _found_sum_of(eight: Any) -> Any:
 def _found_pack(eight: Any, keys: Any, edge: Any, target: Any, first: Any) -> Any:
     def call(eight: Any, keys: Any, edge: Any, target: Any, first: Any) -> Any:
         return _pack(eight, keys, edge, target, first)
+
+    return call
+
+
+@overload(lanes.turn)
+def _found_turn(source: Any, first: Any, apart: Any, target: Any, place: Any, width: Any) -> Any:
+    def call(source: Any, first: Any, apart: Any, target: Any, place: Any, width: Any) -> Any:
+        return _turn(source, first, apart, target, place, width)
 
     return call
 

@@ -174,6 +174,23 @@ def test_rollouts_of_any_length(by_loops, metric, states):
         np.testing.assert_array_equal(found, by_numpy(formula, batch, metric))
 
 
+@pytest.mark.parametrize("metric", METRICS[1:4], ids=str)
+@pytest.mark.parametrize("states", [7, 8, 13])
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 30])
+def test_rollouts_side_by_side_in_blocks_that_do_not_come_out_even(
+    monkeypatch, metric, states, count
+):
+    monkeypatch.setattr(folds, "COPIED_VALUES", 11 * states)
+    gap = np.random.default_rng(count).uniform(-25.0, 25.0, (states, count)).T
+    formula = parse(f"always[1,{states - 1}] (gap >= -24)")
+    found = robustness_by_loops(formula, {"gap": gap}, metric)
+    np.testing.assert_array_equal(found, by_numpy(formula, {"gap": gap}, metric))
+    some = {"gap": gap[:, ::-1]}
+    np.testing.assert_array_equal(
+        robustness_by_loops(formula, some, metric), by_numpy(formula, some, metric)
+    )
+
+
 FINITE = "always[2,5] (gap >= 0)"
 
 

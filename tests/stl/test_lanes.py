@@ -92,6 +92,26 @@ def compiler():
     return importlib.import_module("numba").njit(error_model="numpy")
 
 
+def turned(numbers, first, apart, width):
+    result = np.full(8 * width + 3, -1.0)
+    lanes.turn(lanes.memory(numbers), first, apart, lanes.memory(result), 3, width)
+    return result
+
+
+def check_turning(function):
+    numbers = np.random.default_rng(0).random(200)
+    for first, apart, width in ((0, 8, 8), (5, 21, 8), (7, 9, 13)):
+        result = np.full((8, width), -1.0)
+        square = [numbers[first + i * apart : first + i * apart + 8] for i in range(8)]
+        result[:, :8] = np.transpose(square)
+        expected = [-1.0, -1.0, -1.0, *result.ravel()]
+        np.testing.assert_array_equal(function(numbers, first, apart, width), expected)
+
+
+def test_rows_become_columns():
+    check_turning(turned)
+
+
 @pytest.fixture
 def wide_lanes():
     pytest.importorskip("numba")
@@ -104,6 +124,11 @@ def test_compiled_they_are_as_well(wide_lanes):
     check(function)
     compiled = "".join(function.inspect_llvm().values())
     assert ("vector.compress" in compiled) == wide_lanes.PACKS
+
+
+@pytest.mark.slow  # as above
+def test_compiled_rows_become_columns(wide_lanes):
+    check_turning(compiler()(turned))
 
 
 @pytest.mark.slow  # as above
@@ -130,6 +155,7 @@ def test_packing_has_two_ways(wide_lanes, by_itself):
 def test_what_is_compiled_is_kept_until_the_words_change():
     """numba looks at the file of a loop alone when it asks whether what it keeps is still right."""
     folder = Path(lanes.__file__).parent
-    words = b"".join((folder / name).read_bytes() for name in ("lanes.py", "wide_lanes.py"))
+    used = ("lanes.py", "wide_lanes.py", "tasks.py")
+    words = b"".join((folder / name).read_bytes() for name in used)
     written = (folder / "loops.py").read_text(encoding="utf-8")
-    assert f'LANES_AS_OF = "{hashlib.sha256(words).hexdigest()[:16]}"' in written
+    assert f'USED_AS_OF = "{hashlib.sha256(words).hexdigest()[:16]}"' in written
