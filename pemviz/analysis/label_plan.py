@@ -19,7 +19,7 @@ from pemviz.analysis.binomial_plan import (
     labels_needed,
 )
 from pemviz.analysis.requirements import LabelledBand, cheapest_requirement
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, softplus
 from pemviz.binomial import exact_upper_bound, exact_upper_bounds
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Share
 from pemviz.pem import Pem, SupportSummary
@@ -29,6 +29,7 @@ from pemviz.pem.data.support import (
     cell_of,
 )
 from pemviz.pem.judging.support_check import kinds_and_bands
+from pemviz.pem.models.pieces import logit_along
 from pemviz.pem.models.protocol import as_rows
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.meanings import SMALL_ESS
@@ -142,7 +143,7 @@ def model_misses(pem: Pem, salient: FloatArray) -> FloatArray:
     """Mean P(missed) of a model in each band ``[B]`` over rows ``[M, 11]``; 0 where none is."""
     rows, _ = as_rows(salient)
     band = cell_of(rows)[-1]
-    missed = np.exp(-np.logaddexp(0.0, pem.logit(rows)))
+    missed = np.exp(-softplus(logit_along(pem, rows)))
     rows_in = np.bincount(band, minlength=BANDS)
     return np.bincount(band, weights=missed, minlength=BANDS) / np.maximum(rows_in, 1)
 
