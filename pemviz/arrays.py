@@ -157,8 +157,13 @@ def softplus(values: FloatArray) -> FloatArray:
 
     As ``np.logaddexp(0, v)`` within a last digit, from functions that numpy has vectorised.
     """
-    rest = np.exp(-np.abs(values))
-    return np.maximum(values, 0.0) + np.log1p(rest, out=rest)
+    rest = np.array(values, dtype=np.float64)
+    np.abs(rest, out=rest)
+    np.negative(rest, out=rest)
+    np.exp(rest, out=rest)
+    np.log1p(rest, out=rest)
+    rest += np.maximum(values, 0.0)
+    return rest
 
 
 def log_sum_exp(values: FloatArray, *, axis: int | None = None) -> Any:

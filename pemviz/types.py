@@ -17,6 +17,7 @@ from pemviz.arrays import (
     are_alike,
     read_only,
     row_sums,
+    softplus,
 )
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 from pemviz.display import ShownInNotebooks
@@ -241,9 +242,8 @@ class RolloutBatch(Batch):
 
 def outcome_log_likelihood(logit: FloatArray, detected: BoolArray) -> FloatArray:
     """Log likelihood of outcomes ``[...]`` under a logit ``[...]`` of 'detected' [nats]."""
-    against = np.where(detected, -logit, logit)
-    np.logaddexp(0.0, against, out=against)
-    return np.negative(against, out=against)
+    loss = softplus(np.where(detected, -logit, logit))
+    return np.negative(loss, out=loss)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
 
 STRENGTHS = (2.0, 4.0, 6.0)
 """By how much a latent at the start is moved; of noise, the sum over a window by the square root
@@ -88,7 +87,7 @@ class LatentFamily:
         """
         squares = 0.5 * np.sum(self.start**2, axis=1)
         by_start = np.einsum("ns,gs->ng", start, self.start) - squares + np.log(self.start_share)
-        found = np.asarray(logsumexp(by_start, axis=1))
+        found = np.asarray(log_sum_exp(by_start, axis=1))
         if self.noise:
             for begin in range(0, len(noise), CHUNK_ROLLOUTS):
                 rows = slice(begin, begin + CHUNK_ROLLOUTS)
@@ -105,7 +104,7 @@ class LatentFamily:
             sums = np.cumsum(np.pad(values.T, ((1, 0), (0, 0))), axis=0)
             within = sums[self.stop[chosen]] - sums[self.first[chosen]]
             by_member[chosen] += self.mean[chosen, None] * within
-        return np.asarray(logsumexp(by_member, axis=0))
+        return np.asarray(log_sum_exp(by_member, axis=0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import logsumexp
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import FloatArray, IntArray, log_sum_exp
 from pemviz.latents import log_share_moved
 
 NEVER = 0.03
@@ -85,7 +84,7 @@ def log_ratio_of_one(moved: FloatArray, logit: FloatArray, steps: StepsOfRollout
     """
     each, never = _log_joint(moved, logit, steps)
     largest = steps.table(each, empty=-np.inf)
-    return np.asarray(logsumexp(np.hstack([largest, never[:, None]]), axis=1))
+    return np.asarray(log_sum_exp(np.hstack([largest, never[:, None]]), axis=1))
 
 
 def posterior_of_one(

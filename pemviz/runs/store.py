@@ -29,9 +29,10 @@ from pemviz.runs.rollout_files import (
 )
 from pemviz.types import Signal, StageResult
 
-PAUSES = 50
-"""While a run goes on, what tells of all its stages is written once this many times as long has
-passed as writing it took."""
+ALWAYS_WRITTEN = 100
+"""Stages after which ``result.json``, which tells of each, is written whatever it takes."""
+PAUSES = 20
+"""Later on it is written once this many times as long has passed as writing it took."""
 
 
 def create_run_folder(parent: Path, *, label: str) -> Path:
@@ -60,10 +61,10 @@ def create_run_folder(parent: Path, *, label: str) -> Path:
 class RunStore:
     """Observer that keeps a run folder up to date.
 
-    After every stage its rollouts, those that the configuration keeps, are in a file of their own;
-    the end of the run joins these into ``rollouts.npz``. ``result.json`` and the proposals are
-    rewritten after stages too, of quick ones now and then. The stages' files of a run that was
-    stopped or failed stay, so that it can be resumed.
+    After every stage, of very many now and then, ``result.json`` is rewritten, and the stage's
+    rollouts, those that the configuration keeps, are in a file of their own; the end of the run
+    joins these into ``rollouts.npz``. The stages' files of a run that was stopped or failed stay,
+    so that it can be resumed.
 
     Attributes:
         folder: The run folder; it exists already.
@@ -136,9 +137,10 @@ class RunStore:
         if self._archive is not None and (stage.repetition, stage.stage) in self._archive.restored:
             return
         write_part(part, part_arrays(stage, self._signals, rows=kept_rows(stage, self._keep)))
-        began = time.perf_counter()
-        if began - self._written >= PAUSES * self._writing_s:
+        if stage.learned is not None:
             self._write_proposals()
+        began = time.perf_counter()
+        if stage.stage < ALWAYS_WRITTEN or began - self._written >= PAUSES * self._writing_s:
             write_result(self.folder, result)
             self._written = time.perf_counter()
             self._writing_s = self._written - began

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp, ndtri
+from scipy.special import ndtri
 
-from pemviz.arrays import BoolArray, FloatArray, row_sums
+from pemviz.arrays import BoolArray, FloatArray, log_sum_exp, row_sums
 from pemviz.errors import PemError
 from pemviz.pem.models.pieces import logit_along
 from pemviz.pem.models.protocol import Pem, chain_log_likelihood
@@ -229,10 +229,10 @@ def _summary(log_weight: FloatArray, *, rollouts: int) -> tuple[float, float, fl
     """Log mu, relative standard error, effective failures of violating weights [violations]."""
     if len(log_weight) == 0:
         return -np.inf, np.inf, 0.0
-    log_sum = float(np.asarray(logsumexp(log_weight)))
+    log_sum = float(log_sum_exp(log_weight))
     if not np.isfinite(log_sum):
         return -np.inf, np.inf, 0.0
-    log_squares = float(np.asarray(logsumexp(2.0 * log_weight)))
+    log_squares = float(log_sum_exp(2.0 * log_weight))
     effective = float(np.exp(2.0 * log_sum - log_squares))
     variance = max(rollouts / effective - 1.0, 0.0) / max(rollouts - 1, 1)
     return log_sum - float(np.log(rollouts)), float(np.sqrt(variance)), effective

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pemviz.arrays import BoolArray, FloatArray, row_sums
+from pemviz.arrays import BoolArray, FloatArray, row_sums, softplus
 from pemviz.errors import PemError
 
 SALIENT_COLUMNS = (
@@ -99,7 +99,7 @@ def chain_log_likelihood(
     if isinstance(pem, ChainPem):
         return pem.log_likelihood(salient, detected)
     logit = pem.logit(salient) if logit_of is None else logit_of(pem, salient)
-    return -row_sums(np.logaddexp(0.0, np.where(detected, -logit, logit)))
+    return -row_sums(softplus(np.where(detected, -logit, logit)))
 
 
 @runtime_checkable

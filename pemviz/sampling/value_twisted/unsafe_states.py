@@ -50,7 +50,8 @@ class StateRule:
 
     def _margin(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """By how much the predicate holds, ``[N]``."""
-        single = {name: signals[name][None] for name in self._named if name in signals}
+        # of a formula without signals the others say how many states there are
+        single = {name: signals[name][None] for name in self._named or signals}
         return evaluate(self.predicate, ClassicalSemantics(), single, start=0, steps=1)[0]
 
     @cached_property
