@@ -1,7 +1,8 @@
-"""Robustness of formulas that join folds of single signals, mostly by compiled loops.
+"""Robustness of formulas that join folds, mostly by compiled loops.
 
-A fold asks of one signal, compared with one number, that it hold always or eventually over an
-interval of steps. It is read where it lies: no margins, no transposed blocks.
+A fold asks that a predicate hold always or eventually over an interval of steps. One signal that is
+compared with a number is read where it lies: no margins, no transposed blocks. Of what else is
+compared, margins are formed first, a block at a time.
 """
 
 from __future__ import annotations
@@ -19,16 +20,25 @@ from pemviz.stl.agm import AgmSemantics, compounded, conclude_all
 from pemviz.stl.classical import ClassicalSemantics
 from pemviz.stl.compiled import DECISION
 from pemviz.stl.dominant import LARGEST_EXPONENT, DominantSteps
-from pemviz.stl.expressions import Constant, Predicate, Signal
+from pemviz.stl.expressions import (
+    Absolute,
+    Constant,
+    Difference,
+    Negative,
+    Predicate,
+    Product,
+    Signal,
+    Sum,
+)
 from pemviz.stl.formulas import And, Formula, Implies, Not, Or
 from pemviz.stl.lanes import LANES
-from pemviz.stl.semantics import Semantics
+from pemviz.stl.semantics import Semantics, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulativeSemantics
 from pemviz.stl.tasks import Near, Task, means_of
 from pemviz.stl.temporal import Always, Eventually
 
 BLOCK_VALUES = 1 << 19
-"""Values of one signal that are folded at once."""
+"""Values of one signal, or margins, that are folded at once."""
 
 COPIED_VALUES = 1 << 18
 """The same where rollouts' values do not lie in one piece, and are copied so."""
@@ -45,16 +55,16 @@ class UnservedError(Exception):
 
 @dataclass(frozen=True)
 class Fold:
-    """A signal compared with a number, always or eventually.
+    """What must hold of one number a step, always or eventually.
 
     Attributes:
-        name: The signal's.
-        offset: The number.
+        name: The signal that is compared; ``None`` if it is the predicate's margin.
+        offset: The number that it is compared with.
         above: Whether the predicate holds above it.
         formula: The always or eventually.
     """
 
-    name: str
+    name: str | None
     offset: float
     above: bool
     formula: Always | Eventually
@@ -99,8 +109,16 @@ def fold_of(formula: Formula) -> Fold | None:
             return Fold(name, offset, predicate.is_lower_bound, formula)
         case Predicate(left=Constant(value=offset), right=Signal(name=name)) as predicate:
             return Fold(name, offset, not predicate.is_lower_bound, formula)
+        case Predicate() as predicate if predicate.signals() and _shows_all(predicate):
+            return Fold(None, 0.0, True, formula)
         case _:
             return None
+
+
+def _shows_all(predicate: Predicate) -> bool:
+    """Whether the margin cannot be finite unless all signals are."""
+    shown = Predicate, Signal, Constant, Sum, Difference, Product, Negative, Absolute
+    return all(isinstance(part, shown) for part in predicate.walk())
 
 
 def leaves(formula: Formula) -> Iterator[Formula]:
@@ -137,6 +155,7 @@ class FoldedRobustness:
 
     def __init__(self, loops: Any, signals: Mapping[str, AnyArray]) -> None:
         self._loops, self._signals = loops, signals
+        self._within: set[str] = set()  # signals that were seen to lie within bounds
 
     def __call__(self, formula: Formula, semantics: Semantics[FloatArray]) -> FloatArray:
         """The values.
@@ -161,8 +180,37 @@ class FoldedRobustness:
     def _folded(self, formula: Formula, semantics: Semantics[FloatArray]) -> FloatArray:
         fold = fold_of(formula)
         assert fold is not None  # noqa: S101  it is served
-        values = self._signals[fold.name]
-        if needs_no_loops(semantics, {fold.name: values}):
+        if fold.name is not None:
+            return self._of_values(self._signals[fold.name], fold, semantics)
+        named = {name: self._signals[name] for name in fold.predicate.signals()}
+        if isinstance(semantics, AgmSemantics):
+            for name, values in named.items():
+                self._check_bounds(name, values, semantics)
+        rollouts, states = next(iter(named.values())).shape
+        result, size = np.empty((1, rollouts)), max(1, BLOCK_VALUES // states)
+        for start in range(0, rollouts, size):
+            block = {name: values[start : start + size].T for name, values in named.items()}
+            by = margin(fold.predicate, ClassicalSemantics(), block, start=0, steps=states)
+            result[:, start : start + size] = self._of_values(by.T, fold, semantics)
+        return result
+
+    def _check_bounds(self, name: str, values: FloatArray, semantics: AgmSemantics) -> None:
+        """That all of a signal lies within them, in whatever order they are looked at."""
+        if name in self._within:
+            return
+        lines = values if values.flags.c_contiguous else values.T
+        least, most = np.empty((2, len(lines)))
+        bounds = semantics.metric.bounds[name]
+        task = Task(np.ascontiguousarray(lines), 0, lines.shape[1], 0.0, 1.0, *bounds)
+        if not self._loops.all_extremes(task, least, most):
+            raise UnservedError
+        self._within.add(name)
+
+    def _of_values(
+        self, values: FloatArray, fold: Fold, semantics: Semantics[FloatArray]
+    ) -> FloatArray:
+        """Of numbers ``[n, T]``, which are compared with the fold's."""
+        if self._loops is None or needs_no_loops(semantics, {"": values}):
             return _classical_by_step(values.T, fold)
         result = np.empty((1, len(values)))
         in_rows = values.flags.c_contiguous
@@ -203,7 +251,7 @@ class FoldedRobustness:
         scale = semantics.scale(fold.predicate)
         if scale is None:
             raise UnservedError
-        bounds = semantics.metric.bounds[fold.name]
+        bounds = FINITE if fold.name is None else semantics.metric.bounds[fold.name]
         task = Task(block, *fold.window, fold.offset, fold.sign * scale, *bounds)
         count, width = len(block), fold.formula.width
         means = means_of(count, width, compounded(width))

@@ -43,12 +43,26 @@ predicates = st.one_of(
     st.builds(ex.Predicate, signals, comparisons, constants),
     st.builds(ex.Predicate, constants, comparisons, signals),
 )
+terms = st.recursive(
+    st.one_of(signals, constants),
+    lambda parts: st.one_of(
+        st.builds(ex.Sum, parts, parts),
+        st.builds(ex.Difference, parts, parts),
+        st.builds(ex.Product, parts, parts),
+        parts.map(ex.Negative),
+        parts.map(ex.Absolute),
+    ),
+    max_leaves=4,
+)
+predicates_of_many = st.builds(ex.Predicate, terms, comparisons, terms).filter(
+    lambda predicate: predicate.signals()
+)
 windows = st.tuples(st.integers(0, STATES - 1), st.integers(0, STATES - 1)).map(sorted)
 fold_formulas = st.builds(
     lambda kind, window, predicate: kind(*window, predicate),
     st.sampled_from((te.Always, te.Eventually)),
     windows,
-    predicates,
+    st.one_of(predicates, predicates_of_many),
 )
 
 
@@ -254,7 +268,9 @@ def test_a_step_exactly_on_the_threshold_fails_always_and_breaks_no_eventually(b
 def test_loops_serve_what_they_know_and_nothing_else():
     batch = rollouts(0, STATES)
     for text in (
-        "always[0,9] (gap >= ego_speed)",
+        "always[0,9] (gap / ego_speed >= 2)",
+        "always[0,9] (min(gap, ego_speed) >= 2)",
+        "always[0,9] (1 >= 2)",
         "always[0,9] (gap >= 2 and ego_speed < 9)",
         "always[0,3] (eventually[0,4] (gap >= 2))",
         "(gap >= 2) until[0,9] (ego_speed < 3)",
@@ -306,3 +322,37 @@ def test_comparisons_choose_the_way_and_leave_no_trace(monkeypatch):
 def test_without_numba_numpy_answers(monkeypatch):
     monkeypatch.setattr(compiled, "is_installed", lambda: False)
     assert compiled.compiled_loops.__wrapped__() is None
+
+
+OF_MANY = "always[2,5] (2 * gap - abs(ego_speed) >= 1) and eventually[0,3] (ego_speed + gap > 0)"
+
+
+@pytest.mark.parametrize("metric", [Classical(), Agm(BOUNDS)], ids=str)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 41.0, 1e308])
+@pytest.mark.parametrize("step", [0, 3, 11])
+@pytest.mark.parametrize("order", "CF")
+def test_what_is_wrong_in_one_of_several_signals_is_told_in_the_same_words(
+    by_loops, metric, value, step, order
+):
+    rng = np.random.default_rng(0)
+    batch = {
+        "gap": np.array(rng.uniform(-20.0, 20.0, (30, 12)), order=order),
+        "ego_speed": np.array(rng.uniform(0.0, 20.0, (30, 12)), order=order),
+    }
+    formula = parse(OF_MANY)
+    expected = by_numpy(formula, batch, metric)
+    np.testing.assert_array_equal(by_loops(formula, batch, metric), expected)
+    batch["ego_speed"][17, step] = value
+    words = [told(way, formula, batch, metric) for way in (by_loops, by_numpy)]
+    assert words[0] == words[1]
+    assert "rollout 17" in words[0] or (metric == Classical() and np.isfinite(value))
+
+
+def test_signals_that_lie_differently_in_memory(by_loops):
+    rng = np.random.default_rng(1)
+    gap, speed = rng.uniform(0.0, 20.0, (2, 30, 12))
+    formula = parse("always[0,11] (gap - ego_speed >= 0)")
+    expected = by_numpy(formula, {"gap": gap, "ego_speed": speed}, Agm(BOUNDS))
+    for first in (gap, np.asfortranarray(gap), np.repeat(gap, 2, axis=0)[::2]):
+        batch = {"gap": first, "ego_speed": np.asfortranarray(speed)}
+        np.testing.assert_array_equal(by_loops(formula, batch, Agm(BOUNDS)), expected)
