@@ -17,10 +17,18 @@ def is_folder(path: Path) -> bool:
     return os.path.isdir(path)
 
 
-def write_atomically(path: Path, write: Callable[[BinaryIO], None]) -> None:
+def write_atomically(
+    path: Path, write: Callable[[BinaryIO], None], *, durable: bool = True
+) -> None:
     """Let ``write`` fill a neighbouring file, then rename it to ``path``.
 
     A kill at any moment leaves the old file, or the new one, never a part of it.
+
+    Args:
+        path: The file.
+        write: Fills it.
+        durable: Wait until the disk has it, so that the same holds if the machine loses power. Not
+            worth its time for what is soon to be written anew.
 
     Raises:
         OSError: The folder is read-only, the disk is full.
@@ -30,31 +38,33 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], None]) -> None:
         with partial.open("wb") as stream:
             write(stream)
             stream.flush()
-            os.fsync(stream.fileno())
+            if durable:
+                os.fsync(stream.fileno())
         partial.replace(path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write ``content`` atomically."""
+def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
+    """Write ``content`` atomically; ``durable`` as :func:`write_atomically` has it."""
 
     def write(stream: BinaryIO) -> None:
         stream.write(content)
 
-    write_atomically(path, write)
+    write_atomically(path, write, durable=durable)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text atomically."""
-    write_bytes(path, text.encode("utf-8"))
+def write_text(path: Path, text: str, *, durable: bool = True) -> None:
+    """Write UTF-8 text atomically; ``durable`` as :func:`write_atomically` has it."""
+    write_bytes(path, text.encode("utf-8"), durable=durable)
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write strict JSON atomically.
+def write_json(path: Path, document: dict[str, Any], *, durable: bool = True) -> None:
+    """Write strict JSON atomically; ``durable`` as :func:`write_atomically` has it.
 
     Raises:
         ValueError: The document holds NaN or an infinity.
     """
-    write_text(path, json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+    write_text(path, text + "\n", durable=durable)

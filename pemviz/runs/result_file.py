@@ -87,13 +87,18 @@ def read_result(folder: Path) -> RunResult:
         raise InputError(message) from error
 
 
-def write_result(folder: Path, result: RunResult) -> None:
+def write_result(folder: Path, result: RunResult, *, durable: bool = True) -> None:
     """Write ``result.json``, whole or not at all.
+
+    Args:
+        folder: The run folder.
+        result: What it says.
+        durable: As :func:`pemviz.files.atomic.write_atomically` has it.
 
     Raises:
         OSError: It cannot be written.
     """
-    write_json(folder / RESULT_FILE, result_document(result))
+    write_json(folder / RESULT_FILE, result_document(result), durable=durable)
 
 
 def result_document(result: RunResult) -> Table:

@@ -138,19 +138,20 @@ class RunStore:
             return
         write_part(part, part_arrays(stage, self._signals, rows=kept_rows(stage, self._keep)))
         if stage.learned is not None:
-            self._write_proposals()
+            self._write_proposals(durable=False)
         began = time.perf_counter()
         if stage.stage < ALWAYS_WRITTEN or began - self._written >= PAUSES * self._writing_s:
-            write_result(self.folder, result)
+            write_result(self.folder, result, durable=False)
             self._written = time.perf_counter()
             self._writing_s = self._written - began
 
-    def _write_proposals(self) -> None:
+    def _write_proposals(self, *, durable: bool) -> None:
         if self._proposals:
-            write_bytes(self.folder / "proposals.safetensors", save_tensors(self._proposals))
+            content = save_tensors(self._proposals)
+            write_bytes(self.folder / "proposals.safetensors", content, durable=durable)
 
     def _join(self) -> None:
-        self._write_proposals()
+        self._write_proposals(durable=True)
         if self._parts:
             join_parts(self._parts, self.folder / "rollouts.npz")
             self._parts = []
