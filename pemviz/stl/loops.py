@@ -29,11 +29,11 @@ from pemviz.stl.lanes import (
     sum_of,
     turn,
 )
-from pemviz.stl.tasks import Means, Near, Packing, Rows, Seen, Task
+from pemviz.stl.tasks import WHOLE, Means, Near, Packing, Rows, Seen, Task
 
 WIDE = with_numba(lambda _: importlib.import_module("pemviz.stl.wide_lanes"))
 """Having taught numba what lanes are; ``None`` without numba."""
-USED_AS_OF = "68af881bf8550de4"
+USED_AS_OF = "eb737e365d8a895a"
 """Of the files of lanes and tasks: what numba keeps of this one is made anew when they change."""
 CERTAIN = 1e-17
 """1 plus this is 1."""
@@ -119,20 +119,25 @@ def _distances(rows: Rows, i: int, part: Any) -> None:
 
 
 @inlined
-def _sum_of_negative(part: Any, size: int) -> Any:
-    """The sum of min(number, 0) over ``part``, which is overwritten."""
+def _negative(part: Any, t: int) -> Any:
+    """Eight sums of two numbers below 0 of `WHOLE`, half of them apart."""
     zero = filled(0.0)
-    for t in range(0, size, LANES):
-        store(smaller(loaded(part, t), zero), part, t)
-    while size >= 4 * LANES:  # two halvings at once
-        size //= 4
+    return smaller(loaded(part, t), zero) + smaller(loaded(part, t + WHOLE // 2), zero)
+
+
+@inlined
+def _sum_of_negative(part: Any, size: int) -> Any:
+    """The sum of min(number, 0) over ``part``, half upon half; it is overwritten."""
+    while size > WHOLE:
+        size //= 2
         for t in range(0, size, LANES):
-            even = loaded(part, t) + loaded(part, 2 * size + t)
-            odd = loaded(part, size + t) + loaded(part, 3 * size + t)
-            store(even + odd, part, t)
-    if size > LANES:
-        store(loaded(part, 0) + loaded(part, LANES), part, 0)
-    return sum_of(loaded(part, 0))
+            one, other = loaded(part, t), loaded(part, size + t)
+            store(smaller(one, filled(0.0)) + smaller(other, filled(0.0)), part, t)
+    even = _negative(part, 0) + _negative(part, 32)
+    even = even + (_negative(part, 16) + _negative(part, 48))
+    odd = _negative(part, 8) + _negative(part, 40)
+    odd = odd + (_negative(part, 24) + _negative(part, 56))
+    return sum_of(even + odd)
 
 
 @inlined
@@ -141,19 +146,26 @@ def _joined(left: Any, right: Any) -> Any:
 
 
 @inlined
+def _pair(part: Any, t: int) -> Any:
+    """Eight pairs joined of `WHOLE` numbers, half of them apart."""
+    return _joined(loaded(part, t), loaded(part, t + WHOLE // 2))
+
+
+@inlined
 def _compound(part: Any, size: int, groups: int) -> None:
     """prod(1 + number) - 1 of each of ``groups`` groups of ``part``, into its first places."""
-    least = max(groups, LANES)
-    while size >= 4 * least:  # two halvings at once
-        size //= 4
-        for t in range(0, size, LANES):
-            even = _joined(loaded(part, t), loaded(part, 2 * size + t))
-            odd = _joined(loaded(part, size + t), loaded(part, 3 * size + t))
-            store(_joined(even, odd), part, t)
-    if size > least:
-        size //= 2
-        for t in range(0, size, LANES):
-            store(_joined(loaded(part, t), loaded(part, size + t)), part, t)
+    if groups > LANES:
+        while size > groups:
+            size //= 2
+            for t in range(0, size, LANES):
+                store(_joined(loaded(part, t), loaded(part, size + t)), part, t)
+        return
+    even = _joined(_pair(part, 0), _pair(part, 32))
+    even = _joined(even, _joined(_pair(part, 16), _pair(part, 48)))
+    odd = _joined(_pair(part, 8), _pair(part, 40))
+    odd = _joined(odd, _joined(_pair(part, 24), _pair(part, 56)))
+    store(_joined(even, odd), part, 0)
+    size = LANES
     while size > groups:
         size //= 2
         for t in range(size):

@@ -7,6 +7,9 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.stl.lanes import LANES
 
+WHOLE = 128
+"""Steps that are folded within registers; fewer are made as many by zeros."""
+
 
 class Task(NamedTuple):
     """What is folded.
@@ -37,7 +40,7 @@ class Means(NamedTuple):
         fails: ``[n]``, whether a step fails.
         failing: ``[n]``: where one does, the sum of min(distance, 0).
         growth: ``[groups, n]``: where none does, prod(1 + distance) - 1 of each group.
-        part: Where it is worked out: zeros for all steps, a power of two of them.
+        part: Where it is worked out: zeros for all steps, a power of two of them, `WHOLE` at least.
     """
 
     fails: BoolArray
@@ -48,9 +51,10 @@ class Means(NamedTuple):
 
 def means_of(count: int, width: int, groups: int) -> Means:
     """Room for ``count`` rows."""
-    zeros = np.zeros(2 * max(width, LANES) + LANES)
+    size = max(1 << (width - 1).bit_length(), WHOLE)
+    zeros = np.zeros(size + LANES)
     first = -(zeros.ctypes.data // zeros.itemsize) % LANES  # eight lie in one line of the cache
-    part = zeros[first : first + max(1 << (width - 1).bit_length(), LANES)]
+    part = zeros[first : first + size]
     return Means(np.empty(count, np.bool_), np.zeros(count), np.zeros((groups, count)), part)
 
 
