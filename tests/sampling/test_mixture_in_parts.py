@@ -1,4 +1,4 @@
-"""Of a large final batch mixture keeps the ratios of violations alone, and answers the same."""
+"""Of a large final batch mixture keeps the weights of violations alone, and answers the same."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.runs.experiment import build_experiment
+from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.monomials import Monomials
 from tests.lattice_walk import ToyPem, ToySimulator
 
@@ -17,11 +18,15 @@ RULES = {"touch": "always[0,12] (gap >= 0.5)", "deep": "always[0,12] (gap >= -2.
 @pytest.fixture(scope="module")
 def ends():
     """Of the same run in four parts: rows of all kept, of violations alone, these in pieces."""
-    found = {"all": end(many=False, in_parts=False), "few": end(many=False, in_parts=True)}
+    found = {"few": end(many=False)}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pemviz.sampling.mixture.pooling.FAILING_AT_ONCE", 7)
+        patch.setattr("pemviz.sampling.mixture.final.ROWS_AT_ONCE", 5)
         patch.setattr("pemviz.sampling.mixture.balance_heuristic.ROLLOUTS_AT_ONCE", 23)
-        found["pieces"] = end(many=True, in_parts=True)
+        found["pieces"] = end(many=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MixtureSampling, "_planned", lambda *_, **__: None)
+        found["all"] = end(many=False)
     return found
 
 
@@ -32,7 +37,7 @@ def end(**how):
     )
     method, problem = replace(experiment.method, largest_part=90), experiment.problem
     state = method.init(problem, repetition=0)
-    assert (state.many, state.in_parts) == (True, True)
+    assert state.many
     state = replace(state, **how)
     while not method.is_done(state):
         state, stage = method.step(problem, state)
@@ -55,7 +60,7 @@ def test_answers_are_the_same_to_the_last_bit(ends, name, rule):
     np.testing.assert_array_equal(few.pool.component, whole.pool.component)
 
 
-def test_no_ratio_of_a_final_rollout_that_holds_is_kept(ends):
+def test_of_a_final_batch_the_weights_of_violations_are_kept(ends):
     whole, few = (ends[name][1].pool for name in ("all", "pieces"))
     learned, final = 4 * 60, slice(4 * 60, None)
     violations = int(whole.violated[final].sum())
@@ -63,7 +68,9 @@ def test_no_ratio_of_a_final_rollout_that_holds_is_kept(ends):
     assert few.count == whole.count == learned + 300
     assert len(whole.log_ratio) == whole.count
     for ratio in (few.log_ratio, *few.rule_log_ratio.values()):
-        assert len(ratio) == learned + violations
+        assert len(ratio) == learned
+    assert sum(part.rollout.size for part in few.failing) == violations
+    assert max(part.rollout.size for part in few.failing) <= 7
     assert isinstance(few.decisions.basis, Monomials)
     np.testing.assert_array_equal(few.decisions.basis[:], whole.decisions.basis)
     held = np.flatnonzero(~np.isnan(few.log_weight))

@@ -10,15 +10,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.sampling.estimates.diagnostics import parts_disagreement, pilots_alone
 from pemviz.sampling.estimates.estimate import log_stratified_error
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
-from pemviz.sampling.mixture.balance_heuristic import Pool, log_shares
-from pemviz.sampling.mixture.draws import PILOTS
+from pemviz.sampling.mixture.balance_heuristic import Pool
 from pemviz.types import Diagnostic
 
-MORE_THAN_HALF = 0.5
 PARTS_ADAPTATION = math.sqrt(2.0)
 """Factor on the standard error of a part, which strata of few rollouts tell too small."""
 
@@ -66,8 +64,5 @@ def _share_of_pilots(pool: Pool) -> float:
     """Of the estimate, from failures for which pilots were most of what could draw them."""
     if not pool.violated.any():
         return 0.0
-    log_joint = pool.failing_log_ratio + log_shares(pool.log_ratio, pool.component)
-    by_pilots = np.exp(log_joint[:, PILOTS] - np.asarray(log_sum_exp(log_joint, axis=1)))
-    log_weight = pool.log_weight[pool.violated]
-    alone = by_pilots > MORE_THAN_HALF
+    log_weight, alone = pool.log_weight[pool.violated], pool.by_pilots
     return float(np.exp(log_sum(log_weight[alone]) - log_sum(log_weight))) if alone.any() else 0.0

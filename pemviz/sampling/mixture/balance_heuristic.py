@@ -7,19 +7,23 @@ from functools import cached_property
 
 import numpy as np
 
-from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, log_sum_exp
+from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
 from pemviz.proposals.defensive_share import AgainstModel
 from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
 from pemviz.sampling.mixture.aims import Rule, still_open, where_open
+from pemviz.sampling.mixture.final import (
+    FailingWeights,
+    log_shares,
+    mostly_by_pilots,
+    weights,
+)
 from pemviz.sampling.mixture.latents import latent_ratios
 from pemviz.sampling.mixture.monomials import Monomials
 from pemviz.types import RolloutBatch
 
 ROLLOUTS_AT_ONCE = 250
 """Of many, whose decisions' monomials are made."""
-ROWS_AT_ONCE = 1 << 14
-"""Of ratios, whose exponentials take several times their own memory."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +69,8 @@ class Pool:
         component: What each rollout was drawn from, ``[N]``: 0 is the pilots' family, k the
             k-th fitted proposal.
         proposals: Each fitted one, K in all.
-        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[H, 1 + K]``:
-            of what it was until the rule at hand was broken.
+        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[N, 1 + K]``:
+            of what it was until the rule at hand was broken. None of a large final batch's.
         robustness: ``[N]``.
         violated: ``[N]``.
         log_p: Log likelihood under the error model, ``[N]``.
@@ -75,8 +79,8 @@ class Pool:
         rule_log_ratio: ``log_ratio`` under each, where there are several.
         latents: Of all rollouts but the final ones, where there are any.
         rule: The one at hand.
-        held: The H rollouts that ``log_ratio`` is known of, ascending; ``None``: all. Of a large
-            final batch those that hold only count.
+        failing: What is kept of a large final batch's violations, part by part; rollouts of it
+            that hold only count.
     """
 
     decisions: Decisions
@@ -91,7 +95,7 @@ class Pool:
     rule_log_ratio: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     latents: LatentDecisions | None = None
     rule: Rule = None
-    held: IntArray | None = None
+    failing: tuple[FailingWeights, ...] = ()
 
     @property
     def count(self) -> int:
@@ -149,26 +153,53 @@ class Pool:
     def log_weight(self) -> FloatArray:
         """Log weights ``[N]`` by the balance heuristic: log p / sum_k (n_k / N) q_k.
 
-        Veach & Guibas 1995; every rollout counts as a draw from the mixture. NaN of those that
-        are not held.
+        Veach & Guibas 1995; every rollout counts as a draw from the mixture. NaN of those of a
+        large final batch that hold.
         """
-        return self.weights_among(slice(None))
+        return self._with_final(
+            balance_weights(self.log_ratio, self.component),
+            [(part.rollout, part.log_weight) for part in self.failing],
+        )
 
     def weights_among(self, part: slice) -> FloatArray:
-        """Log weights ``[n]`` of a part of the rollouts, as draws from that part's own mixture."""
-        component = self.component[part]
-        if self.held is None:
-            return balance_weights(self.log_ratio[part], component)
-        first, stop, _ = part.indices(self.count)
-        rows = slice(*np.searchsorted(self.held, (first, stop)).tolist())
-        found = np.full(component.size, np.nan)
-        found[self.held[rows] - first] = balance_weights(self.log_ratio[rows], component)
-        return found
+        """The same ``[n]`` of a part of the rollouts, as draws from that part's own mixture.
+
+        Args:
+            part: The final batch, or what was drawn before it.
+        """
+        if not self.failing or part.stop is not None:
+            return balance_weights(self.log_ratio[part], self.component[part])
+        final = [(weights.rollout, weights.among_final) for weights in self.failing]
+        return self._with_final(np.full(len(self.log_ratio), np.nan), final)[part]
 
     @property
-    def failing_log_ratio(self) -> FloatArray:
-        """``log_ratio`` of the F rollouts that violate, ``[F, 1 + K]``."""
-        return self.log_ratio[self.violated if self.held is None else self.violated[self.held]]
+    def by_pilots(self) -> BoolArray:
+        """Whether pilots are most of what could draw each of the F violations, ``[F]``."""
+        learned, shares = self.violated[: len(self.log_ratio)], self._log_shares
+        final = [
+            weights.by_pilots[self._until][self.violated[weights.rollout]]
+            for weights in self.failing
+        ]
+        return np.concatenate([mostly_by_pilots(self.log_ratio[learned], shares), *final])
+
+    @property
+    def _until(self) -> Rule:
+        """The rule until which rollouts count: none where there are not several."""
+        return self.rule if self.rule in self.rule_log_ratio else None
+
+    @property
+    def _log_shares(self) -> FloatArray:
+        return log_shares(np.bincount(self.component, minlength=self.log_ratio.shape[1]))
+
+    def _with_final(
+        self, before: FloatArray, final: Sequence[tuple[IntArray, Mapping[Rule, FloatArray]]]
+    ) -> FloatArray:
+        """Weights ``[N]``, of those of a large final batch that violate."""
+        found = np.full(self.count, np.nan)
+        found[: before.size] = before
+        for rollout, under in final:
+            found[rollout] = under[self._until]
+        return found
 
 
 def balance_weights(log_ratio: FloatArray, component: IntArray) -> FloatArray:
@@ -178,19 +209,7 @@ def balance_weights(log_ratio: FloatArray, component: IntArray) -> FloatArray:
         log_ratio: Of H of the rollouts, ``[H, K]``.
         component: Of all that the shares are counted of, ``[N]``.
     """
-    shares = log_shares(log_ratio, component)
-    found = np.empty(len(log_ratio))
-    for first in range(0, len(log_ratio), ROWS_AT_ONCE):
-        rows = slice(first, first + ROWS_AT_ONCE)
-        found[rows] = -np.asarray(log_sum_exp(log_ratio[rows] + shares, axis=1))
-    return found
-
-
-def log_shares(log_ratio: FloatArray, component: IntArray) -> FloatArray:
-    """Log of the share n_k / N of rollouts drawn from each of K components, ``[K]``."""
-    counts = np.bincount(component, minlength=log_ratio.shape[1])
-    with np.errstate(divide="ignore"):  # a proposal that nothing was drawn from does not count
-        return np.log(counts / component.size)
+    return weights(log_ratio, log_shares(np.bincount(component, minlength=log_ratio.shape[1])))
 
 
 def decisions_of(
@@ -261,7 +280,7 @@ def _of_outcomes(
 ) -> Sequence[FloatArray]:
     """What :func:`log_ratios` finds of outcomes; of many decisions some rollouts at a time."""
     if isinstance(decisions.basis, Monomials):
-        edges = [*range(0, count, ROLLOUTS_AT_ONCE), count]
+        edges = [*range(0, max(count, 1), ROLLOUTS_AT_ONCE), count]
         places = np.searchsorted(decisions.rollout, edges).tolist()
         some = [
             _of_outcomes(

@@ -48,7 +48,6 @@ from pemviz.proposals.offset_logistic import (
     PolynomialBasis,
     SignalFeatures,
     StateFeatures,
-    acting,
 )
 from pemviz.proposals.pilots import PilotFamily
 from pemviz.sampling.estimates.diagnostics import unlatched
@@ -62,13 +61,11 @@ from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.aims import Aims
 from pemviz.sampling.mixture.balance_heuristic import Pool
 from pemviz.sampling.mixture.draws import PILOTS, components, divided
-from pemviz.sampling.mixture.fit import (
-    Fit,
-    FitSettings,
-)
+from pemviz.sampling.mixture.final import Planned
+from pemviz.sampling.mixture.fit import Fit, FitSettings
 from pemviz.sampling.mixture.latents import divided_latents
 from pemviz.sampling.mixture.learning import next_proposals
-from pemviz.sampling.mixture.pooling import Terms, extended
+from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.sampling.value_twisted.method import with_latch
@@ -78,7 +75,6 @@ from pemviz.types import Estimate, ScoredRollouts, StageResult
 
 DEFENSIVE_STEPS = 2.0
 """Of each rollout, drawn from the error model on average."""
-DEGREE = 3
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,6 @@ class MixtureState:
         starts: Random values at the start of a rollout.
         rules: Names, where there are several.
         many: Whether the learning stages have more rollouts than are drawn at once.
-        in_parts: Whether the final batch has.
     """
 
     repetition: int
@@ -114,7 +109,6 @@ class MixtureState:
     starts: int = 0
     rules: tuple[str, ...] = ()
     many: bool = False
-    in_parts: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +154,6 @@ class MixtureSampling:
             starts=latent_counts(problem.simulator).start,
             rules=several_rules(problem),
             many=(self.learning_stages + 1) * self.rollouts > self.largest_part,
-            in_parts=len(self._final_sizes()) > 1,
         )
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
@@ -180,12 +173,14 @@ class MixtureSampling:
             repetition=state.repetition,
             stage=state.stage,
         )
-        basis = state.basis or _basis(scored, state.features)
+        basis = state.basis or first_basis(scored, state.features)
         advanced = replace(
             state,
             stage=state.stage + 1,
             basis=basis,
-            pool=_pooled(state, basis, scored, component, last=last),
+            pool=_pooled(
+                state, basis, scored, component, last=last, planned=self._planned(state, last=last)
+            ),
             frozen=(*state.frozen, size) if last else (),
         )
         result = final_stage(
@@ -259,6 +254,18 @@ class MixtureSampling:
             first=1 + known - (len(state.fits) if state.frozen else 0),
             shares=[fit.share for fit in state.fits],
             explores=self._explores(state.stage),
+        )
+
+    def _planned(self, state: MixtureState, *, last: bool) -> Planned | None:
+        """The shares that a final batch in parts ends with; ``None`` elsewhere."""
+        sizes, pool = self._final_sizes(), state.pool
+        if not last or pool is None or len(sizes) == 1:
+            return None
+        return Planned.of(
+            sizes,
+            lambda size: self._components(state, size),
+            before=pool.component[: pool.count - sum(state.frozen)],
+            proposals=len(pool.proposals) + (0 if state.frozen else len(state.fits)),
         )
 
     def _learn(
@@ -351,20 +358,6 @@ def _drawn(
     return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
 
 
-def _basis(scored: ScoredRollouts, features: StateFeatures) -> PolynomialBasis:
-    """Standardised by the decisions of the first stage; a constant feature keeps spread 1."""
-    states = scored.rollouts.decision_states()
-    acts = acting(features, states, scored.rollouts.detected.shape, violated=VIOLATED)
-    values = features.values(states)
-    values = np.broadcast_to(values, (*acts.shape, values.shape[-1]))[acts]
-    if values.shape[0] == 0:
-        return PolynomialBasis(np.zeros(values.shape[1]), np.ones(values.shape[1]), DEGREE)
-    spread = np.std(values, axis=0)
-    return PolynomialBasis(
-        mean=np.mean(values, axis=0), spread=np.where(spread > 0.0, spread, 1.0), degree=DEGREE
-    )
-
-
 def _pooled(
     state: MixtureState,
     basis: PolynomialBasis,
@@ -372,6 +365,7 @@ def _pooled(
     component: IntArray,
     *,
     last: bool,
+    planned: Planned | None,
 ) -> Pool:
     new = [] if state.frozen else state.fits
     return extended(
@@ -390,7 +384,7 @@ def _pooled(
             many=state.many,
         ),
         last=last,
-        large=last and state.in_parts,
+        planned=planned,
     )
 
 

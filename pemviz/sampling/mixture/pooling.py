@@ -18,10 +18,13 @@ from pemviz.sampling.mixture.balance_heuristic import (
     decisions_of,
     log_ratios,
 )
+from pemviz.sampling.mixture.final import FailingWeights, Planned
 from pemviz.sampling.mixture.latents import fresh_latents
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, ScoredRollouts
 
+DEGREE = 3
+"""Of monomials."""
 FAILING_AT_ONCE = 2_000
 """Of a large final batch's violations: each decision's monomials take as much as a rollout's steps
 otherwise do."""
@@ -55,6 +58,20 @@ class Terms:
         return (None, *self.rules)
 
 
+def first_basis(scored: ScoredRollouts, features: StateFeatures) -> PolynomialBasis:
+    """Standardised by the decisions of the first stage; a constant feature keeps spread 1."""
+    states = scored.rollouts.decision_states()
+    acts = acting(features, states, scored.rollouts.detected.shape, violated=VIOLATED)
+    values = features.values(states)
+    values = np.broadcast_to(values, (*acts.shape, values.shape[-1]))[acts]
+    if values.shape[0] == 0:
+        return PolynomialBasis(np.zeros(values.shape[1]), np.ones(values.shape[1]), DEGREE)
+    spread = np.std(values, axis=0)
+    return PolynomialBasis(
+        mean=np.mean(values, axis=0), spread=np.where(spread > 0.0, spread, 1.0), degree=DEGREE
+    )
+
+
 def extended(
     pool: Pool | None,
     scored: ScoredRollouts,
@@ -64,7 +81,7 @@ def extended(
     optimism: Sequence[FloatArray],
     terms: Terms,
     last: bool = False,
-    large: bool = False,
+    planned: Planned | None = None,
 ) -> Pool:
     """The pool with more rollouts.
 
@@ -77,12 +94,16 @@ def extended(
             rollouts, which it was fitted to, ``[N]``.
         terms: What likelihoods are taken with.
         last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
-        large: Of these no more is kept than an average needs: the ratios of those that violate.
+        planned: Of a large final batch, of which no more is kept than an average needs: weights of
+            those that violate.
     """
     proposals = (*(pool.proposals if pool else ()), *new)
     if pool is None:
         return _pool_of(scored, drawn_from, proposals, terms)
-    fresh = (_failing_of if large else _pool_of)(scored, drawn_from, proposals, terms)
+    if planned is None:
+        fresh = _pool_of(scored, drawn_from, proposals, terms)
+    else:
+        fresh = _failing_of(scored, drawn_from, proposals, terms, planned=planned, first=pool.count)
     return _joined(_under_new(pool, new, optimism, terms), fresh, last=last)
 
 
@@ -119,26 +140,33 @@ def _failing_of(
     drawn_from: IntArray,
     proposals: tuple[FittedMoves, ...],
     terms: Terms,
+    *,
+    planned: Planned,
+    first: int,
 ) -> Pool:
-    """The same of the violating rollouts alone, a few at a time; the others count."""
+    """The same of the violating rollouts alone, a few at a time; the others count.
+
+    Their indices count from ``first``.
+    """
     rows = np.flatnonzero(scored.violated).astype(np.int64)
     edges = np.linspace(0, rows.size, -(-rows.size // FAILING_AT_ONCE) + 1).astype(int)
     some = [rows[slice(*pair)] for pair in itertools.pairwise(edges.tolist())] or [rows]
-    parts = [_pool_of(scored.take(few), drawn_from[few], proposals, terms) for few in some]
-    log_p = np.full(drawn_from.size, np.nan)
-    log_p[rows] = np.concatenate([part.log_p for part in parts])
-    ratios = [[part.rule_log_ratio[rule] for part in parts] for rule in terms.rules]
+    log_p, failing = np.full(drawn_from.size, np.nan), list[FailingWeights]()
+    none = _pool_of(scored.take(slice(0)), drawn_from[:0], proposals, terms)
+    for few in some:
+        part = _pool_of(scored.take(few), drawn_from[few], proposals, terms)
+        log_p[few] = part.log_p
+        by_rule: dict[Rule, FloatArray] = {None: part.log_ratio, **part.rule_log_ratio}
+        failing.append(FailingWeights.of(first + few, by_rule, planned))
     return replace(
-        parts[0],
+        none,
         component=drawn_from,
-        log_ratio=np.concatenate([part.log_ratio for part in parts]),
         robustness=scored.robustness,
         violated=scored.violated,
         log_p=log_p,
         rule_robustness=scored.rule_robustness,
         broken=scored.broken,
-        rule_log_ratio=dict(zip(terms.rules, map(np.concatenate, ratios), strict=True)),
-        held=rows,
+        failing=tuple(failing),
     )
 
 
@@ -229,13 +257,10 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
     latents = pool.latents
     if latents is not None and fresh.latents is not None and not last:
         latents = latents.joined(fresh.latents)
-    decisions, held = pool.decisions, pool.held
+    decisions = pool.decisions
     if not last:
         moved = replace(fresh.decisions, rollout=fresh.decisions.rollout + pool.count)
         decisions = Decisions.concatenate([decisions, moved])
-    if fresh.held is not None:
-        before = np.arange(pool.count, dtype=np.int64) if held is None else held
-        held = np.concatenate([before, fresh.held + pool.count])
     return replace(
         fresh,
         decisions=decisions,
@@ -248,7 +273,7 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
         broken=_appended(pool.broken, fresh.broken),
         rule_log_ratio=_appended(pool.rule_log_ratio, fresh.rule_log_ratio),
         latents=latents,
-        held=held,
+        failing=(*pool.failing, *fresh.failing),
     )
 
 
