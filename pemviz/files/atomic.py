@@ -55,16 +55,15 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
     write_atomically(path, write, durable=durable)
 
 
-def write_text(path: Path, text: str, *, durable: bool = True) -> None:
-    """Write UTF-8 text atomically; ``durable`` as :func:`write_atomically` has it."""
-    write_bytes(path, text.encode("utf-8"), durable=durable)
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text atomically."""
+    write_bytes(path, text.encode("utf-8"))
 
 
-def write_json(path: Path, document: dict[str, Any], *, durable: bool = True) -> None:
-    """Write strict JSON atomically; ``durable`` as :func:`write_atomically` has it.
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Write strict JSON atomically.
 
     Raises:
         ValueError: The document holds NaN or an infinity.
     """
-    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
-    write_text(path, text + "\n", durable=durable)
+    write_text(path, json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")

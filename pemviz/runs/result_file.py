@@ -87,18 +87,13 @@ def read_result(folder: Path) -> RunResult:
         raise InputError(message) from error
 
 
-def write_result(folder: Path, result: RunResult, *, durable: bool = True) -> None:
+def write_result(folder: Path, result: RunResult) -> None:
     """Write ``result.json``, whole or not at all.
-
-    Args:
-        folder: The run folder.
-        result: What it says.
-        durable: As :func:`pemviz.files.atomic.write_atomically` has it.
 
     Raises:
         OSError: It cannot be written.
     """
-    write_json(folder / RESULT_FILE, result_document(result), durable=durable)
+    write_json(folder / RESULT_FILE, result_document(result))
 
 
 def result_document(result: RunResult) -> Table:

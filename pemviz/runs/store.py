@@ -141,7 +141,7 @@ class RunStore:
             self._write_proposals(durable=False)
         began = time.perf_counter()
         if stage.stage < ALWAYS_WRITTEN or began - self._written >= PAUSES * self._writing_s:
-            write_result(self.folder, result, durable=False)
+            write_result(self.folder, result)
             self._written = time.perf_counter()
             self._writing_s = self._written - began
 
