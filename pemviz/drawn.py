@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, read_only
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """All N rollouts of a stage that holds M of them.
+    """All N rollouts of a stage that holds M of them; its arrays are read-only.
 
     Attributes:
         row: Which it holds, ascending, ``[M]``.
@@ -24,6 +24,11 @@ class Drawn:
     robustness: FloatArray
     violated: BoolArray
     log_weight: FloatArray
+
+    def __post_init__(self) -> None:
+        """Observers are told of it: they must not change what a run computes."""
+        for name in ("row", "robustness", "violated", "log_weight"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def count(self) -> int:

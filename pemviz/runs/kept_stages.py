@@ -7,6 +7,9 @@ from pemviz.types import StageResult
 class KeptStages:
     """Observer that keeps all stages; a large run's rollouts take memory accordingly.
 
+    With ``keep = "violations"`` a large stage that is learned from may hold some of its rollouts
+    alone, see :attr:`pemviz.types.StageResult.drawn`.
+
     Attributes:
         started: What the run told at its start; ``None`` before.
         stages: Every stage that is done, of all repetitions.

@@ -89,6 +89,8 @@ def test_stages_hold_no_more_than_what_is_looked_at(runs):
         gap = few.scored.rollouts.signals["gap"]
         np.testing.assert_array_equal(gap, scored.rollouts.signals["gap"][row])
         assert not few.scored.rollouts.log_weight.flags.writeable
+        for values in (row, few.drawn.robustness, few.drawn.violated, few.drawn.log_weight):
+            assert not values.flags.writeable
 
 
 def test_files_number_rollouts_by_their_stage(runs):
