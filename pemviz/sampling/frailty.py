@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.special import log_ndtr
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, Move
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move
 from pemviz.errors import ConfigError
 from pemviz.pem.models.frailty import VisibilityNodes, log_sums, remembered_outcomes
 from pemviz.pem.models.memory import frail_logit, remembering_logit
@@ -180,15 +180,23 @@ class FrailSimulator(WrappedSimulator):
             memory={**states.memory, NEXT: after},
         )
 
-    def known_at(self, rollouts: RolloutBatch, *, step: int) -> AnyArray:
-        """What :data:`NEXT` holds at the state ``step`` of rollouts that led there, ``[N]``."""
-        own, last = self._own({n: v[:, : step + 1] for n, v in rollouts.signals.items()})
+    def known_at(self, rollouts: RolloutBatch, *, step: IntArray) -> AnyArray:
+        """What :data:`NEXT` holds at states of rollouts that led there, ``[N]``.
+
+        Args:
+            rollouts: N, whole up to these states.
+            step: Which of each, ``[N]``, ascending.
+        """
         log_joint = np.tile(self.model.nodes.log_weight, (rollouts.count, 1))
-        for moment in range(step):
-            missed = ~rollouts.detected[:, moment]
-            log_joint += self.model.log_outcome(own[:, moment], last[:, moment], missed)
+        for moment in range(int(step[-1])):
+            later = slice(int(np.searchsorted(step, moment, side="right")), None)
+            own, last = self._own({n: v[later, moment] for n, v in rollouts.signals.items()})
+            missed = ~rollouts.detected[later, moment]
+            log_joint[later] += self.model.log_outcome(own, last, missed)
         log_joint -= log_sums(log_joint)[:, None]
-        return self._next(own[:, step], last[:, step], log_joint)[0]
+        row = np.arange(rollouts.count)
+        own, last = self._own({n: v[row, step] for n, v in rollouts.signals.items()})
+        return self._next(own, last, log_joint)[0]
 
     def _own(self, signals: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Logits of the model of single outcomes, and outcomes before, at states ``[...]``."""
@@ -327,29 +335,12 @@ def _put(after: AnyArray, outcome: str, log_joint: FloatArray, u: FloatArray) ->
     return log_p
 
 
-def carried_on(
-    simulator: Simulator,
-    rollouts: RolloutBatch,
-    carried: Mapping[str, AnyArray],
-    *,
-    step: int,
-    active: int,
-) -> dict[str, AnyArray]:
-    """Memory that is not kept with rollouts, at the state ``step`` of the first ``active``.
-
-    Args:
-        simulator: What they are rollouts of.
-        rollouts: At least as many, with their ways to that state.
-        carried: The same of the first rows, those that came by a step; the rest is found anew.
-        step: The state.
-        active: How many rows.
-    """
+def carried_at(
+    simulator: Simulator, rollouts: RolloutBatch, *, step: IntArray
+) -> Mapping[str, AnyArray]:
+    """Memory ``[N]`` that is not kept with rollouts, at their states ``step [N]``, ascending."""
     found = frail_part(simulator)
-    if found is None:
-        return {}
-    known = carried.get(NEXT, np.empty(0, dtype=_record(found.model.nodes.u.size)))
-    fresh = rollouts.take(slice(known.size, active))
-    return {NEXT: np.concatenate([known, found.known_at(fresh, step=step)])}
+    return {} if found is None else {NEXT: found.known_at(rollouts, step=step)}
 
 
 def kept_with_rollouts(memory: Mapping[str, AnyArray]) -> dict[str, AnyArray]:

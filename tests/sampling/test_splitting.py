@@ -15,8 +15,9 @@ from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import SimulationError
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.splitting.importance import OUT_OF_REACH, importance
+from pemviz.sampling.splitting.looks import MOST_LOOKS
 from pemviz.sampling.splitting.method import SplittingSampling
-from pemviz.sampling.splitting.particles import MOST_LOOKS, beginning, continued, restart
+from pemviz.sampling.splitting.particles import beginning, continued, restart
 from pemviz.sampling.splitting.run import split
 from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
 from pemviz.stl import parse

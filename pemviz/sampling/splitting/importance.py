@@ -6,16 +6,15 @@ Ommeren, Kroese 2002; Cerou, Guyader, Rousset 2019).
 """
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from scipy.special import log_expit
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.sampling.frailty import dynamics_of, kept_with_rollouts
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.chunks import distinct_rows
 from pemviz.sampling.problem import Problem
-from pemviz.simulators.latents import stepped
-from pemviz.types import RolloutBatch, StateBatch
+from pemviz.sampling.splitting.ways import Ways
+from pemviz.types import RolloutBatch
 
 OUT_OF_REACH = 1e9
 """Added where neither extreme continuation violates: above what any other state has."""
@@ -66,28 +65,48 @@ def _of_block(
     problem: Problem, rollouts: RolloutBatch, row: IntArray, step: IntArray
 ) -> FloatArray:
     """The function for few enough states, in the order of their steps."""
-    carried_on = partial(_carried_on, problem, rollouts)
+    alike = _alike(rollouts, row, step)
+    if alike is not None:
+        first, which = alike
+        return _of_block(problem, rollouts, row[first], step[first])[which]
+    ways = Ways(rollouts, row, step)
     none = np.zeros(row.size, dtype=np.int64)
     detected, missed = (
-        carried_on(row=row, step=step, others=none, then=np.full(row.size, outcome))
+        ways.carried_on(problem, others=none, then=np.full(row.size, outcome))
         for outcome in (True, False)
     )
     best, worst = np.maximum(detected, missed), np.minimum(detected, missed)
     result = np.where(best < 0.0, best, OUT_OF_REACH + worst)
     between = np.flatnonzero((best >= 0.0) & (worst < 0.0))
     if between.size:
-        row, step, best, worst = row[between], step[between], best[between], worst[between]
+        ways = ways if between.size == row.size else ways.take(between)
         better = detected[between] >= missed[between]
-        left = problem.simulator.states - 1 - step
         needed = _needed_on_end(
-            lambda others: carried_on(row=row, step=step, others=others, then=better),
-            best,
-            worst,
-            steps_left=left,
+            lambda others: ways.carried_on(problem, others=others, then=better),
+            best[between],
+            worst[between],
+            steps_left=problem.simulator.states - 1 - ways.step,
         )
-        logit = rollouts.pem_logit[row, step]
+        logit = rollouts.pem_logit[row[between], ways.step]
         result[between] = -needed * log_expit(np.where(better, -logit, logit))
     return result
+
+
+def _alike(
+    rollouts: RolloutBatch, row: IntArray, step: IntArray
+) -> tuple[IntArray, IntArray] | None:
+    """Which states were led to by the same outcomes: see :func:`pemviz.chunks.distinct_rows`.
+
+    ``None`` where chance has more to say than outcomes, or few are alike.
+    """
+    if rollouts.latents is not None:
+        return None
+    outcomes = rollouts.detected[row] & (np.arange(rollouts.detected.shape[1]) < step[:, None])
+    bits = np.packbits(outcomes, axis=1)
+    keys = np.zeros((row.size, bits.shape[1] // 8 + 2))
+    keys[:, 0] = step
+    keys[:, 1:].view(np.uint8)[:, : bits.shape[1]] = bits
+    return distinct_rows(keys)
 
 
 def _needed_on_end(
@@ -116,46 +135,3 @@ def _needed_on_end(
         low, high = np.where(fails, low, middle), np.where(fails, middle, high)
         above, below = np.where(fails, above, found), np.where(fails, found, below)
     return low + (high - low) * (above / (above - below))
-
-
-def _carried_on(
-    problem: Problem,
-    rollouts: RolloutBatch,
-    *,
-    row: IntArray,
-    step: IntArray,
-    others: IntArray,
-    then: BoolArray,
-) -> FloatArray:
-    """Robustness ``[M]`` of rollouts that go on from ``step``, ascending, with given outcomes.
-
-    Args:
-        problem: The scenario and the metric.
-        rollouts: Their states.
-        row: Which rollout, ``[M]``.
-        step: From which of its states, ``[M]``.
-        others: How many of the next outcomes are not ``then``, ``[M]``.
-        then: All later outcomes, ``[M]``.
-    """
-    simulator = dynamics_of(problem.simulator)
-    signals = {n: np.array(v[row], order="F") for n, v in rollouts.signals.items()}
-    now = {name: values[row, step] for name, values in rollouts.signals.items()}
-    kept = kept_with_rollouts(rollouts.memory)
-    memory = {name: values[row, step] for name, values in kept.items()}
-    for moment in range(int(step[0]), simulator.states - 1):
-        active = slice(0, int(np.searchsorted(step, moment, side="right")))
-        reached = stepped(
-            simulator,
-            StateBatch(
-                step=np.array(moment, dtype=np.int64),
-                signals={name: values[active] for name, values in now.items()},
-                memory={name: values[active] for name, values in memory.items()},
-            ),
-            then[active] ^ (moment < step[active] + others[active]),
-        )
-        for name, values in reached.signals.items():
-            now[name][active] = values
-            signals[name][active, moment + 1] = values
-        for name, values in reached.memory.items():
-            memory[name][active] = values
-    return problem.robustness(signals)

@@ -5,26 +5,22 @@ replayed. N particles of T states take about N T (8 (signals + memory) + 33) byt
 three times that while a level's particles are replaced.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.special import expit
 
-from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, Batch, FloatArray, IntArray
 from pemviz.errors import ConfigError
 from pemviz.latents import Latents
-from pemviz.sampling.frailty import carried_on, dynamics_of, kept_with_rollouts
+from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import check_numbers
 from pemviz.sampling.splitting.importance import importance, importance_at_end
-from pemviz.simulators.latents import begun, latent_counts, stepped
-from pemviz.types import CERTAIN, RolloutBatch, Simulator, StateBatch
-
-MOST_LOOKS = 64
-"""States of one rollout at which the importance function is computed at most, so that what a
-rollout costs grows with its length and not with its square; half of them may be at its start,
-the rest come evenly over the steps."""
+from pemviz.sampling.splitting.looks import looked_at
+from pemviz.sampling.splitting.moving import Mover, Way
+from pemviz.simulators.latents import begun, latent_counts
+from pemviz.types import RolloutBatch, Simulator, StateBatch
 
 
 @dataclass(frozen=True)
@@ -139,17 +135,21 @@ def restart(
     )
 
 
-def continued(problem: Problem, runs: Sequence[Continuation]) -> Sequence[Particles]:
+def continued(
+    problem: Problem, runs: Sequence[Continuation], mover: Mover | None = None
+) -> Sequence[Particles]:
     """The particles of several runs, gone on together: a step of all costs little more than of one.
 
-    What comes out for a run does not depend on the others.
+    What comes out for a run does not depend on the others, nor on the ``mover``, which may know
+    what the error model has answered before.
 
     Raises:
         SimulationError: Something is no finite number.
     """
+    mover = mover or Mover()
     if len(runs) == 1:
         (run,) = runs
-        return [_continued(problem, run)]
+        return [_continued(problem, run, mover)]
     cut = np.concatenate([run.cut for run in runs])
     order = np.argsort(cut, kind="stable")
     together = _continued(
@@ -160,6 +160,7 @@ def continued(problem: Problem, runs: Sequence[Continuation]) -> Sequence[Partic
             uniforms=np.concatenate([run.uniforms for run in runs], axis=1)[:, order],
             noise=np.concatenate([run.noise for run in runs])[order],
         ),
+        mover,
     )
     place = np.empty_like(order)
     place[order] = np.arange(order.size)
@@ -185,12 +186,13 @@ def _first_column(values: AnyArray, states: int) -> AnyArray:
     return result
 
 
-def _continued(problem: Problem, run: Continuation) -> Particles:
-    """Overwrite a run's paths after the states ``cut``."""
-    to_look, paths, cut = _moved_on(problem, run), run.paths, run.cut
-    rollouts = replace(paths.rollouts, proposal_logit=paths.rollouts.pem_logit)
+def _continued(problem: Problem, run: Continuation, mover: Mover) -> Particles:
+    """A run's particles, gone on after the states ``cut``."""
+    paths, cut = run.paths, run.cut
+    rollouts = mover.moved_on(problem, Way(paths.rollouts, cut, run.uniforms, run.noise))
     name = problem.simulator.name
     check_numbers(rollouts, first_rollout=0, simulator=name, turns=problem.turns)
+    to_look = looked_at(problem, rollouts, cut=cut, looks=paths.looks)
     step, row = np.nonzero(to_look.T)
     fresh = np.full_like(paths.score, np.inf)
     fresh[row, step] = importance(problem, rollouts, row=row, step=step)
@@ -199,88 +201,3 @@ def _continued(problem: Problem, run: Continuation) -> Particles:
     shared = (moments <= np.where(cut > 0, cut, -1)).T
     score = np.minimum.accumulate(np.where(shared, paths.score, fresh), axis=1)
     return replace(paths, rollouts=rollouts, score=score)
-
-
-def _moved_on(problem: Problem, run: Continuation) -> BoolArray:
-    """Overwrite paths from ``cut`` on; at which states the importance function is computed.
-
-    That is where an outcome that was not the likelier one has just led elsewhere than the
-    other would have: outcomes that change nothing, and those that were to be expected, bring
-    a rollout no nearer. So may a step's noise, always. The last states are not among them, since
-    nothing follows.
-    """
-    paths, cut, uniforms = run.paths, run.cut, run.uniforms
-    simulator, rollouts = problem.simulator, paths.rollouts
-    count, steps = rollouts.detected.shape
-    to_look = np.zeros((count, steps + 1), dtype=np.bool_, order="F")
-    pending = np.zeros(count, dtype=np.bool_)
-    carried: Mapping[str, AnyArray] = {}
-    for step in range(int(cut[0]), steps):
-        problem.pause()
-        active = int(np.searchsorted(cut, step, side="right"))
-        before = _states_at(rollouts, step, active)
-        carried = carried_on(simulator, rollouts, carried, step=step, active=active)
-        before = replace(before, memory={**before.memory, **carried})
-        logit = problem.pem.logit(simulator.salient(before.signals))
-        detected = uniforms[step, :active] >= expit(-logit)
-        noise = _drawn_noise(run, step, active, turns=problem.turns)
-        after = stepped(simulator, before, detected, noise)
-        rollouts.pem_logit[:active, step] = logit
-        rollouts.detected[:active, step] = detected
-        carried = {name: v for name, v in after.memory.items() if name not in rollouts.memory}
-        for kept, reached in ((rollouts.signals, after.signals), (rollouts.memory, after.memory)):
-            for name in kept:
-                kept[name][:active, step + 1] = reached[name]
-        unlikely = np.flatnonzero(detected != (logit >= 0.0))
-        if noise is not None:
-            pending[:active] = True
-        elif unlikely.size:
-            pending[unlikely] |= _mattered(simulator, before, after, detected, unlikely)
-        # where the outcome is certain, the state's logit says nothing about the way to a violation
-        ready = pending[:active] & ~after.memory.get(CERTAIN, np.False_)
-        pending[:active] &= ~_marked(to_look, paths.looks, ready, step + 1)
-    return to_look
-
-
-def _drawn_noise(run: Continuation, step: int, active: int, *, turns: int) -> FloatArray | None:
-    """The noise ``[active, M]`` of the step that an outcome belongs to, written to the paths.
-
-    ``None`` where there is none, or before the step's last outcome.
-    """
-    latents = run.paths.rollouts.latents
-    if latents is None or not latents.noise.shape[2] or (step + 1) % turns:
-        return None
-    latents.noise[:active, step // turns] = run.noise[:active, step // turns]
-    return latents.noise[:active, step // turns]
-
-
-def _marked(to_look: BoolArray, looks: AnyArray, ready: BoolArray, step: int) -> BoolArray:
-    """Decide and tell which of the first particles, ``ready [M]``, are looked from at ``step``."""
-    last, active = looks.shape[1] - 1, ready.size
-    allowed = MOST_LOOKS * (last + step) // (2 * last) if step < last else 0
-    before = looks[:active, step - 1]
-    chosen = ready & (before < allowed)
-    to_look[:active, step] = chosen
-    looks[:active, step] = before + chosen
-    return chosen
-
-
-def _states_at(rollouts: RolloutBatch, step: int, active: int) -> StateBatch:
-    """The kept states of the first ``active`` rollouts."""
-    return StateBatch(
-        step=np.array(step, dtype=np.int64),
-        signals={name: values[:active, step] for name, values in rollouts.signals.items()},
-        memory={name: values[:active, step] for name, values in rollouts.memory.items()},
-    )
-
-
-def _mattered(
-    simulator: Simulator, before: StateBatch, after: StateBatch, detected: BoolArray, rows: IntArray
-) -> BoolArray:
-    """Whether the other outcome would have led elsewhere, for the chosen ``rows [M]``."""
-    other = dynamics_of(simulator).step(before.take(rows), ~detected[rows])
-    differs = np.zeros(rows.size, dtype=np.bool_)
-    for reached, instead in ((after.signals, other.signals), (after.memory, other.memory)):
-        for name, values in instead.items():
-            differs |= np.asarray(reached[name][rows] != values, dtype=np.bool_)
-    return differs

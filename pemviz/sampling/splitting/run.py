@@ -10,6 +10,7 @@ import numpy as np
 from pemviz.arrays import BoolArray, IntArray
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.problem import Problem, in_time, score
+from pemviz.sampling.splitting.moving import Mover
 from pemviz.sampling.splitting.particles import (
     Continuation,
     Particles,
@@ -95,8 +96,9 @@ def split(
     }
     wanted = {index: next(levels) for index, levels in going.items()}
     runs: dict[int, SplittingRun] = {}
+    mover = Mover()
     while wanted:
-        found = in_time(problem, partial(continued, problem, list(wanted.values())))
+        found = in_time(problem, partial(continued, problem, list(wanted.values()), mover))
         for index, particles in zip(list(wanted), found, strict=True):
             try:
                 wanted[index] = going[index].send(particles)

@@ -1,0 +1,119 @@
+"""Particles of multilevel splitting moved on under the error model, from states they have come to.
+
+Plain rollouts of the braking scenario are taken on by the compiled loop where that pays: outcomes
+are given up to the states, and what the loop gives is what numpy gives, to the last bit.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import expit
+
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.proposals.fixed import PemProposal
+from pemviz.sampling.frailty import carried_at
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.rollouts.compiled import CompiledRollouts, is_served
+from pemviz.sampling.splitting.loops import loops_for, plain_beneath
+from pemviz.simulators.latents import stepped
+from pemviz.types import RolloutBatch, StateBatch
+
+MISSED, DETECTED = -1.0, 2.0
+"""Draws below and above any probability of a miss."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """M rollouts that are to go on, each from one of its states.
+
+    Attributes:
+        rollouts: With all that is known of them; overwritten after ``cut``.
+        cut: The last state that each keeps, ``[M]``, ascending.
+        uniforms: ``[T-1, M]`` draws from [0, 1) for the outcomes after it.
+        noise: Latents of all steps, ``[M, T-1, ...]``, of which those after it count.
+    """
+
+    rollouts: RolloutBatch
+    cut: IntArray
+    uniforms: FloatArray
+    noise: FloatArray
+
+
+@dataclass
+class Mover:
+    """Moves particles on; what the error model has answered is kept from level to level."""
+
+    _compiled: CompiledRollouts | None = field(default=None, init=False, repr=False)
+
+    def moved_on(self, problem: Problem, way: Way) -> RolloutBatch:
+        """The rollouts to their ends, under the error model; the given ones may be overwritten."""
+        compiled = self._loop(problem, way)
+        if compiled is None:
+            return _by_numpy(problem, way)
+        problem.pause()
+        before = np.arange(len(way.uniforms)) < way.cut[:, None]
+        given = np.where(way.rollouts.detected, DETECTED, MISSED)
+        return compiled.simulate(np.ascontiguousarray(np.where(before, given, way.uniforms.T)))
+
+    def _loop(self, problem: Problem, way: Way) -> CompiledRollouts | None:
+        if way.rollouts.latents is not None:
+            return None
+        if not is_served(problem.simulator, problem.pem, PemProposal()):
+            return None
+        simulator = plain_beneath(problem.simulator)
+        loops = loops_for(way.uniforms.size)
+        if simulator is None or loops is None:
+            return None
+        if self._compiled is None:
+            self._compiled = CompiledRollouts(simulator, problem.pem, loops)
+        return self._compiled
+
+
+def _by_numpy(problem: Problem, way: Way) -> RolloutBatch:
+    simulator, rollouts, cut = problem.simulator, way.rollouts, way.cut
+    arriving = carried_at(simulator, rollouts, step=cut)
+    carried = {name: values[:0] for name, values in arriving.items()}
+    for step in range(int(cut[0]), rollouts.detected.shape[1]):
+        problem.pause()
+        active = int(np.searchsorted(cut, step, side="right"))
+        before = states_at(rollouts, step, active)
+        carried = {
+            name: np.concatenate([values, arriving[name][len(values) : active]])
+            for name, values in carried.items()
+        }
+        before = replace(before, memory={**before.memory, **carried})
+        logit = problem.pem.logit(simulator.salient(before.signals))
+        detected = way.uniforms[step, :active] >= expit(-logit)
+        noise = _drawn_noise(way, step, active, turns=problem.turns)
+        after = stepped(simulator, before, detected, noise)
+        rollouts.pem_logit[:active, step] = logit
+        rollouts.detected[:active, step] = detected
+        carried = {name: v for name, v in after.memory.items() if name not in rollouts.memory}
+        for kept, reached in ((rollouts.signals, after.signals), (rollouts.memory, after.memory)):
+            for name in kept:
+                kept[name][:active, step + 1] = reached[name]
+    return replace(rollouts, proposal_logit=rollouts.pem_logit)
+
+
+def states_at(rollouts: RolloutBatch, step: int, active: int) -> StateBatch:
+    """The kept states of the first ``active`` rollouts."""
+    return StateBatch(
+        step=np.array(step, dtype=np.int64),
+        signals={name: values[:active, step] for name, values in rollouts.signals.items()},
+        memory={name: values[:active, step] for name, values in rollouts.memory.items()},
+    )
+
+
+def is_last_of_step(rollouts: RolloutBatch, outcome: int, *, turns: int) -> bool:
+    """Whether there is noise in the scenario, and an outcome is followed by it."""
+    latents = rollouts.latents
+    return latents is not None and latents.noise.shape[2] > 0 and (outcome + 1) % turns == 0
+
+
+def _drawn_noise(way: Way, step: int, active: int, *, turns: int) -> FloatArray | None:
+    """The noise ``[active, M]`` of the step that an outcome belongs to, written to the rollouts."""
+    latents = way.rollouts.latents
+    if latents is None or not is_last_of_step(way.rollouts, step, turns=turns):
+        return None
+    latents.noise[:active, step // turns] = way.noise[:active, step // turns]
+    return latents.noise[:active, step // turns]

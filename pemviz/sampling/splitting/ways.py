@@ -1,0 +1,109 @@
+"""Ways of rollouts up to some of their states, gone on with outcomes that are given."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.sampling.frailty import dynamics_of, kept_with_rollouts
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.rollouts.compiled_replay import replay
+from pemviz.sampling.splitting.loops import loops_for, plain_beneath
+from pemviz.simulators.latents import stepped
+from pemviz.simulators.remembering import LAST_OUTCOME
+from pemviz.types import RolloutBatch, Simulator, StateBatch
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """M ways to states, in the order of the states' steps.
+
+    Attributes:
+        rollouts: Whose ways they are.
+        row: Which rollout, ``[M]``.
+        step: To which of its states, ``[M]``, ascending.
+    """
+
+    rollouts: RolloutBatch
+    row: IntArray
+    step: IntArray
+
+    def take(self, chosen: IntArray) -> "Ways":
+        """Some of them, in their order."""
+        return Ways(self.rollouts, self.row[chosen], self.step[chosen])
+
+    def carried_on(self, problem: Problem, *, others: IntArray, then: BoolArray) -> FloatArray:
+        """Robustness ``[M]`` of rollouts that go on to their ends with given outcomes.
+
+        Args:
+            problem: The scenario and the metric.
+            others: How many of the next outcomes are not ``then``, ``[M]``.
+            then: All later outcomes, ``[M]``.
+        """
+        simulator, until = dynamics_of(problem.simulator), self.step + others
+        replayed = self._replayed(simulator, until, then)
+        if replayed is None:
+            self._go_on(simulator, until, then)
+            replayed = self._signals
+        return problem.robustness(replayed)
+
+    @cached_property
+    def _signals(self) -> Mapping[str, FloatArray]:
+        """By name, ``[M, T]``; what lies after the states is overwritten by each going on."""
+        # neighbours in memory are the rollouts of one step, which is written at a time
+        return {
+            name: np.asfortranarray(values.T.take(self.row, axis=-1).T)
+            for name, values in self.rollouts.signals.items()
+        }
+
+    def _replayed(
+        self, simulator: Simulator, until: IntArray, then: BoolArray
+    ) -> Mapping[str, FloatArray] | None:
+        """All signals ``[M, T]`` by the compiled loop; ``None`` where it is not to be used."""
+        plain, detected = plain_beneath(simulator), self.rollouts.detected
+        loops = None if plain is None else loops_for(self.row.size * detected.shape[1])
+        if plain is None or loops is None:
+            return None
+        moment = np.arange(detected.shape[1])
+        outcomes = np.where(
+            moment < self.step[:, None],
+            detected[self.row],
+            then[:, None] ^ (moment < until[:, None]),
+        )
+        signals = replay(plain, outcomes, loops)
+        if LAST_OUTCOME.name in self.rollouts.signals:
+            last = np.zeros((outcomes.shape[1] + 1, outcomes.shape[0]))
+            last[1:] = np.where(outcomes.T, 1.0, -1.0)
+            signals = {**signals, LAST_OUTCOME.name: last.T}
+        known = self.rollouts.signals.keys() <= signals.keys()
+        return signals if known else {**self._signals, **signals}
+
+    def _go_on(self, simulator: Simulator, until: IntArray, then: BoolArray) -> None:
+        """Overwrite the signals after the states."""
+        states = self._at(slice(0, 0), moment=0)
+        for moment in range(int(self.step[0]), simulator.states - 1):
+            before = states.shape[0]
+            active = int(np.searchsorted(self.step, moment, side="right"))
+            if active > before:
+                arriving = self._at(slice(before, active), moment=moment)
+                states = StateBatch.concatenate([replace(states, step=arriving.step), arriving])
+            reached = stepped(simulator, states, then[:active] ^ (moment < until[:active]))
+            for name, values in reached.signals.items():
+                self._signals[name][:active, moment + 1] = values
+            states = replace(
+                reached,
+                signals={**states.signals, **reached.signals},
+                memory={**states.memory, **reached.memory},
+            )
+
+    def _at(self, ways: slice, *, moment: int) -> StateBatch:
+        """The states that some of the ways lead to, all of the step ``moment``."""
+        row, step = self.row[ways], self.step[ways]
+        kept = kept_with_rollouts(self.rollouts.memory)
+        return StateBatch(
+            step=np.array(moment, dtype=np.int64),
+            signals={name: values[row, step] for name, values in self.rollouts.signals.items()},
+            memory={name: values[row, step] for name, values in kept.items()},
+        )
