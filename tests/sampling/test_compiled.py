@@ -182,11 +182,11 @@ def test_what_the_loop_does_not_know_numpy_simulates(simulator, pem, proposal):
 
 @pytest.mark.parametrize("broken", ["absent", "no cache", "fails"])
 def test_without_a_numba_that_works_numpy_simulates(broken, monkeypatch, caplog):
-    def njit(function=None, cache=False):
+    def njit(function, cache=False):
         if broken == "fails":
             raise ImportError("Numba needs NumPy 1.26 or less")
         if cache:
-            return lambda _: (_ for _ in ()).throw(RuntimeError("cannot cache function"))
+            raise RuntimeError("cannot cache function")
         return function
 
     monkeypatch.setattr(compiling, "is_installed", lambda: broken != "absent")
