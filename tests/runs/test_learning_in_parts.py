@@ -41,6 +41,7 @@ def runs(tmp_path_factory):
     root, found = tmp_path_factory.mktemp("parts"), {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pemviz.sampling.rollouts.final_batch.LARGEST_PART", 60)
+        patch.setattr("pemviz.analysis.model_uncertainty.DATA_BOUND_ROLLOUTS", 200)
         for name, value in (("HELD", HELD), ("EVEN", EVEN), ("LISTED", LISTED)):
             patch.setattr(f"pemviz.sampling.rollouts.thinning.{name}", value)
         for name, keep in (("all", "all"), ("few", "violations"), ("resumed", "violations")):
