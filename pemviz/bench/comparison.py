@@ -8,6 +8,7 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -64,12 +65,22 @@ def compare(*, turns: int = 5, rtamt_python: str | None = None) -> Comparison:
         *hand_written_ratios(turns=turns),
         *rtamt_ratios(python, turns=turns),
         *paper_ratios(load_preset("paper-algorithm"), turns=max(1, turns // 2)),
+        *(run_ratio(one, turns=max(1, turns // 2)) for one in _runs()),
     ]
     return Comparison(
         ratios=tuple(one for one in found if isinstance(one, Ratio)),
         left_out=tuple(one for one in found if isinstance(one, LeftOut)),
         made_with=made_with(),
     )
+
+
+def _runs() -> Sequence[ExperimentConfig]:
+    """What whole runs are timed of, besides the paper's algorithm."""
+    paper = load_preset("paper")
+    return [
+        replace(paper, plan=False),
+        replace(paper, method="value-twisted", final_rollouts=1200),
+    ]
 
 
 def spent_s(work: Work) -> float:
@@ -190,6 +201,31 @@ def rtamt_ratios(python: str | None, *, turns: int = 5) -> Found:
         rtamt_s.append(time_rtamt(python, batch["d"][:TRACES]))
     for label, each_s in ours_s.items():
         yield ratio_of_turns(label, "rtamt's classical", theirs_s=rtamt_s[1:], ours_s=each_s)
+
+
+def run_ratio(config: ExperimentConfig, *, turns: int = 2) -> Ratio:
+    """A whole run of a method against plain rollouts alone, as many and in batches as large.
+
+    What a method learns, weighs and judges comes on top of simulating: below 1, and more is better.
+    """
+    experiment = build_experiment(config)
+    simulator, planned = VectorizedSimulator(config.scenario), experiment.planned_rollouts
+    uniforms = np.random.default_rng(0).random((planned, simulator.states - 1))
+    batches = np.split(uniforms, range(config.rollouts, planned, config.rollouts))
+
+    def plain() -> None:
+        for some in batches:
+            simulate(simulator=simulator, pem=experiment.pem, proposal=PemProposal(), uniforms=some)
+
+    plain_s, ours_s = in_turns_s([plain, lambda: run(experiment)], turns)
+    planning = ", with its plan" if config.plan else ""
+    return ratio_of_turns(
+        f"{config.method}, {planned} rollouts{planning}",
+        "plain rollouts alone",
+        theirs_s=plain_s,
+        ours_s=ours_s,
+        note=f"{statistics.median(ours_s):.2f} s",
+    )
 
 
 def paper_ratios(config: ExperimentConfig, *, turns: int = 2) -> Found:

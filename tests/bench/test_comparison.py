@@ -157,6 +157,14 @@ def test_the_loop_and_its_limit_are_timed():
     assert limit.note.startswith(("limit: memory; ", "limit: arithmetic; "))
 
 
+def test_a_whole_run_is_timed_beside_plain_rollouts():
+    config = replace(load_preset("paper"), rollouts=20, stages=2, final_rollouts=20, plan=False)
+    ratio = comparison.run_ratio(config, turns=1)
+    assert ratio.name == "mixture, 80 rollouts"
+    assert 0.0 < ratio.value < 1.0
+    assert ratio.note.endswith(" s")
+
+
 def test_the_limits_arithmetic_is_the_loops_own():
     simulator, pem = VectorizedSimulator(ScenarioConfig(states=12)), load_pem("ml-nn")
     uniforms = np.random.default_rng(0).random((64, 11))
