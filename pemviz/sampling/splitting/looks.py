@@ -12,6 +12,8 @@ MOST_LOOKS = 64
 """States of one rollout at which the importance function is computed at most, so that what a
 rollout costs grows with its length and not with its square; half of them may be at its start,
 the rest come evenly over the steps."""
+LOOKS = np.int16
+"""Of their numbers."""
 
 
 def looked_at(

@@ -1,7 +1,7 @@
 """Particles of multilevel splitting: rollouts that can be cut and continued.
 
 A particle keeps its states at all steps, so that it goes on from any of them without being
-replayed. N particles of T states take about N T (8 (signals + memory) + 33) bytes, and up to
+replayed. N particles of T states take about N T (8 (signals + memory) + 19) bytes, and up to
 three times that while a level's particles are replaced.
 """
 
@@ -17,7 +17,7 @@ from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import check_numbers
 from pemviz.sampling.splitting.importance import importance, importance_at_end
-from pemviz.sampling.splitting.looks import looked_at
+from pemviz.sampling.splitting.looks import LOOKS, looked_at
 from pemviz.sampling.splitting.moving import Mover, Way
 from pemviz.simulators.latents import begun, latent_counts
 from pemviz.types import RolloutBatch, Simulator, StateBatch
@@ -28,7 +28,7 @@ class Particles(Batch):
     """N rollouts under the error model.
 
     Attributes:
-        rollouts: The rollouts.
+        rollouts: The rollouts, without logits of a proposal: it is the error model.
         score: ``[N, T]``: the importance function at the states so far, running minimum; see
             :func:`pemviz.sampling.splitting.importance.importance`.
         looks: ``[N, T]``: at how many of the states so far it was computed.
@@ -37,13 +37,18 @@ class Particles(Batch):
 
     rollouts: RolloutBatch
     score: FloatArray
-    looks: IntArray
+    looks: AnyArray
     ancestor: IntArray
 
     @property
     def count(self) -> int:
         """Number of particles N."""
         return int(self.ancestor.size)
+
+    @property
+    def drawn(self) -> RolloutBatch:
+        """The rollouts as they were drawn, from the error model."""
+        return replace(self.rollouts, proposal_logit=self.rollouts.pem_logit)
 
     @property
     def lowest(self) -> FloatArray:
@@ -91,11 +96,11 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
             },
             detected=unknown.astype(np.bool_),
             pem_logit=unknown,
-            proposal_logit=unknown,
+            proposal_logit=unknown[:, :0],
             latents=_unmoved(normals, noise) if counts else None,
         ),
         score=np.full((count, states), np.inf),
-        looks=np.zeros((count, states), dtype=np.int64),
+        looks=np.zeros((count, states), dtype=LOOKS),
         ancestor=np.arange(count),
     )
     return Continuation(
@@ -200,4 +205,5 @@ def _continued(problem: Problem, run: Continuation, mover: Mover) -> Particles:
     moments = np.arange(paths.score.shape[1])[:, None]
     shared = (moments <= np.where(cut > 0, cut, -1)).T
     score = np.minimum.accumulate(np.where(shared, paths.score, fresh), axis=1)
+    rollouts = replace(rollouts, proposal_logit=rollouts.pem_logit[:, :0])
     return replace(paths, rollouts=rollouts, score=score)

@@ -130,7 +130,7 @@ def _levels(
         new = yield _replacement(particles, level, generator)
         particles = Particles.concatenate([particles.take(np.flatnonzero(~killed)), new])
     report(count)
-    scored = score(problem, particles.rollouts)
+    scored = score(problem, particles.drawn)
     shares.append(float(scored.violated.mean()))
     return SplittingRun(
         log_probability=sum(map(_log, shares)),
