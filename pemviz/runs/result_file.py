@@ -30,7 +30,8 @@ says what the figures mean. A result of another schema is refused.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -106,7 +107,7 @@ def result_document(result: RunResult) -> Table:
         "seed": result.config.seed,
         "versions": dict(result.versions),
         "config": config_table(result.config),
-        "pem": asdict(result.pem),
+        "pem": result.pem,
         "estimate": (
             None
             if result.estimate is None
@@ -114,22 +115,22 @@ def result_document(result: RunResult) -> Table:
         ),
         **_rule_tables(result.rules),
         **_rate_tables(result),
-        "memory": None if result.memory is None else asdict(result.memory),
-        **({} if result.latents is None else {"latents": asdict(result.latents)}),
+        "memory": result.memory,
+        **({} if result.latents is None else {"latents": result.latents}),
         **_position_errors(result),
-        **({"starts": [asdict(one) for one in result.starts]} if result.starts else {}),
-        "reference": None if result.reference is None else asdict(result.reference),
-        "pem_interval": None if result.pem_interval is None else asdict(result.pem_interval),
-        "families": [asdict(answer) for answer in result.families],
-        "ladder": [asdict(rung) for rung in uncertainty_ladder(result)],
-        "data_bound": None if result.data_bound is None else asdict(result.data_bound),
-        "plan": None if result.plan is None else asdict(result.plan),
+        **({"starts": result.starts} if result.starts else {}),
+        "reference": result.reference,
+        "pem_interval": result.pem_interval,
+        "families": result.families,
+        "ladder": uncertainty_ladder(result),
+        "data_bound": result.data_bound,
+        "plan": result.plan,
         **_explanation_tables(result.explanation),
         "repetitions": [
             _estimate_table(estimate, caveats=interval_caveats(estimate))
             for estimate in result.repetitions
         ],
-        "stages": [asdict(stage) for stage in result.stages],
+        "stages": result.stages,
         "least_robust": [_ranked_table(rollout) for rollout in result.least_robust],
         **_ranked_by_rule(result),
         "assumptions": list(result.assumptions),
@@ -190,7 +191,7 @@ class _Unbiased:
 
 
 def _estimate_table(estimate: Estimate, *, caveats: Sequence[str]) -> Table:
-    table = asdict(estimate)
+    table = _fields_of(estimate)
     probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
     diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
     return {
@@ -234,14 +235,14 @@ def _estimate(entry: object, *, name: str) -> object:
 def _position_errors(result: RunResult) -> dict[str, Any]:
     """By which the scenario measured, where it did not exactly."""
     model = result.position_errors
-    return {} if model is None else {"position_errors": asdict(model)}
+    return {} if model is None else {"position_errors": model}
 
 
 def _rule_tables(rules: Sequence[RuleAnswer]) -> Table:
     """Each rule's answer; nothing where there are none."""
     tables = [
         {
-            **asdict(rule),
+            **_fields_of(rule),
             "estimate": _estimate_table(rule.estimate, caveats=interval_caveats(rule.estimate)),
         }
         for rule in rules
@@ -251,15 +252,15 @@ def _rule_tables(rules: Sequence[RuleAnswer]) -> Table:
 
 def _rate_tables(result: RunResult) -> Table:
     """Violations an hour or a kilometre; nothing where neither is told."""
-    hourly = [asdict(rate) for rate in violation_rates(result)]
-    by_distance = [asdict(rate) for rate in distance_rates(result)]
-    driven = None if result.driven is None else asdict(result.driven)
+    hourly = list(violation_rates(result))
+    by_distance = list(distance_rates(result))
+    driven = result.driven
     named = {"per_hour": hourly, "per_km": by_distance, "driven": driven}
     return {name: tables for name, tables in named.items() if tables}
 
 
 def _ranked_table(rollout: RankedRollout) -> Table:
-    table = asdict(rollout)
+    table = _fields_of(rollout)
     if not rollout.broken:
         del table["broken"]
     return table
@@ -295,7 +296,7 @@ def _rule(entry: object, index: int) -> object:
 def _explanation_tables(explanation: Explanation | None) -> Table:
     if explanation is None:
         return {"sensitivity": None, "causes": None}
-    causes = asdict(explanation)
+    causes = _fields_of(explanation)
     return {"sensitivity": causes.pop("sensitivity"), "causes": causes}
 
 
@@ -331,12 +332,29 @@ def _each(entries: object, change: Callable[[object, int], object]) -> object:
     return [change(entry, index) for index, entry in enumerate(cast(list[object], entries))]
 
 
+def _fields_of(record: Any) -> Table:
+    """A dataclass's values by name, in order; those that are dataclasses stay so."""
+    return {name: getattr(record, name) for name in _names(type(record))}
+
+
+@cache
+def _names(kind: Any) -> tuple[str, ...]:
+    return tuple(one.name for one in fields(kind))
+
+
 def _strict(value: Any) -> Any:
-    """``value`` with every number that JSON cannot hold replaced by null, tuples as lists."""
+    """``value`` with every number that JSON cannot hold replaced by null, tuples as lists.
+
+    Dataclasses become tables.
+    """
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    if is_dataclass(value):
+        return {name: _strict(getattr(value, name)) for name in _names(type(value))}
     if isinstance(value, dict):
         return {str(key): _strict(item) for key, item in cast(Table, value).items()}
     if isinstance(value, list | tuple):
         return [_strict(item) for item in cast(list[Any], value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
     return value
