@@ -45,6 +45,28 @@ def test_no_spread_gives_the_answer_without_errors_to_the_last_bit(back_end):
 
 
 @pytest.mark.parametrize("tracker", ["none", "2/3"])
+def test_without_a_tracker_the_gap_to_a_missed_car_is_not_measured(tracker, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        type(SHIPPED),
+        "range_error",
+        lambda self, salient, noise: asked.append(len(noise)) or np.full(len(noise), 0.5),
+    )
+    simulator = VectorizedSimulator(replace(PAPER, tracker=tracker), SHIPPED)
+    draws, states = drawn(40, seed=7), simulator.initial(count=40)
+    detected, noise = draws["detected"][:, 0], draws["noise"][:, 0]
+    told = simulator.perceived(states, detected, noise)
+    assert asked == [detected.sum() if tracker == "none" else 40]
+    every, kept = simulator.perceived_gap(states, noise)
+    np.testing.assert_array_equal(every, states.signals[GAP] + 0.5)
+    if tracker == "none":
+        expected = np.where(detected, every, states.signals[GAP])
+        np.testing.assert_array_equal(told.gap_m, expected)
+    for name, values in kept.items():
+        np.testing.assert_array_equal(told.memory[name], values)
+
+
+@pytest.mark.parametrize("tracker", ["none", "2/3"])
 def test_both_back_ends_agree_given_the_same_draws(tracker):
     draws, config = drawn(6, seed=2), replace(PAPER, tracker=tracker)
     one, other = (

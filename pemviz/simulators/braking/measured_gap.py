@@ -84,15 +84,11 @@ class MeasuredGap:
         lasting = np.array(start[:, 0]) if lasts and start is not None else np.zeros(count)
         return {LASTING_NOISE: lasting, FORGETFUL_NOISE: np.zeros(count)}
 
-    def measure(
-        self, states: StateBatch, salient: FloatArray, gap_m: FloatArray, noise: FloatArray
-    ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """Measured gaps ``[N]`` [m], and what the next states remember of the noise.
+    def remembered(self, states: StateBatch, noise: FloatArray) -> Mapping[str, FloatArray]:
+        """What the next states remember of the noise, arrays ``[N]``.
 
         Args:
             states: ``[N]``.
-            salient: Of the lead car in these states, ``[N, 11]``.
-            gap_m: True gaps ``[N]`` [m].
             noise: Latents of the step ``[N, 1]``.
         """
         memory, fresh = self.errors.range_memory, noise[:, 0]
@@ -100,8 +96,7 @@ class MeasuredGap:
         renewed = memory.after(before, fresh, since_s=self.config.dt_s)
         forgetful = np.where(states.step == 0, fresh, renewed)
         lasting = np.asarray(states.memory[LASTING_NOISE], dtype=np.float64)
-        kept = {LASTING_NOISE: lasting, FORGETFUL_NOISE: forgetful}
-        return gap_m + self.error_m(salient, kept), kept
+        return {LASTING_NOISE: lasting, FORGETFUL_NOISE: forgetful}
 
     def error_m(self, salient: FloatArray, memory: Mapping[str, FloatArray]) -> FloatArray:
         """Measured minus true gap ``[N]`` [m], for what is remembered with the step's noise."""

@@ -99,28 +99,39 @@ class BrakingScenario:
             detected: Perception's outcomes ``[N]``.
             noise: As in :meth:`perceived_gap`.
         """
-        gap_m, noises = self.perceived_gap(states, noise)
         tracker = self.tracker
         if tracker is None:
+            gap_m, noises = self.perceived_gap(states, noise, asked=detected)
             return Perceived(detected, gap_m, noises)
+        gap_m, noises = self.perceived_gap(states, noise)
         tracks = tracker.update(tracker.state(states.memory), detected, gap_m)
         memory = {**noises, **tracker.memory(tracks)}
         return Perceived(tracks.confirmed, tracks.position_m[..., 0], memory)
 
     def perceived_gap(
-        self, states: StateBatch, noise: FloatArray | None
+        self, states: StateBatch, noise: FloatArray | None, *, asked: BoolArray | None = None
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
         """The gap ``[N]`` [m] that perception measures, and what states keep of its noise.
 
         Args:
             states: ``[N]``.
             noise: With errors, standard normals ``[N, 1]``; ``None``: 0.
+            asked: Whose measured gap is needed, ``[N]``, the others get the true one; ``None``:
+                that of all.
         """
         gap_m = states.signals[GAP]
         if self.errors is None:
             return gap_m, {}
         given = np.zeros((len(gap_m), 1)) if noise is None else noise
-        return self._measured.measure(states, self.salient(states.signals), gap_m, given)
+        kept = self._measured.remembered(states, given)
+        if asked is None:
+            salient = self.salient(states.signals)
+            return gap_m + self._measured.error_m(salient, kept), kept
+        rows, measured_m = np.flatnonzero(asked), gap_m.copy()
+        here = {name: values[rows] for name, values in kept.items()}
+        salient = self.salient({GAP: gap_m[rows]})
+        measured_m[rows] += self._measured.error_m(salient, here)
+        return measured_m, kept
 
     def told_errors(
         self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
