@@ -19,7 +19,7 @@ MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # odd; 2^64 over the golden ratio
 
 
 def map_rows(
-    function: Callable[[FloatArray], FloatArray], rows: FloatArray, *, multiple: int = ROWS
+    function: Callable[[FloatArray], FloatArray], rows: FloatArray, *, padded: bool = True
 ) -> FloatArray:
     """Apply ``function`` (``[ROWS, D]`` to ``[ROWS]``) to rows ``[N, D]``, giving ``[N]``.
 
@@ -28,12 +28,12 @@ def map_rows(
     Args:
         function: What is applied.
         rows: To what.
-        multiple: Of so many rows the function gives a row the same: a divisor of ``ROWS``, to a
-            multiple of which the last chunk is padded.
+        padded: Whether what the function gives a row depends on how many there are, so that the
+            last chunk has to be filled up with zeros.
     """
     if is_tensor(rows):
         return function(rows)
-    return map_distinct(lambda distinct: _map_chunks(function, distinct, multiple), rows)
+    return map_distinct(lambda distinct: _map_chunks(function, distinct, padded), rows)
 
 
 def map_distinct(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
@@ -96,14 +96,14 @@ def _hashes(columns: Sequence[NDArray[np.uint64]], count: int) -> NDArray[np.uin
 
 
 def _map_chunks(
-    function: Callable[[FloatArray], FloatArray], rows: FloatArray, multiple: int
+    function: Callable[[FloatArray], FloatArray], rows: FloatArray, padded: bool
 ) -> FloatArray:
     count = rows.shape[0]
     result = np.empty(count)
     for start in range(0, count, ROWS):
         chunk = rows[start : start + ROWS]
         size = chunk.shape[0]
-        if size % multiple:
-            chunk = np.concatenate([chunk, np.zeros((-size % multiple, rows.shape[1]))])
+        if padded and size < ROWS:
+            chunk = np.concatenate([chunk, np.zeros((ROWS - size, rows.shape[1]))])
         result[start : start + size] = function(chunk)[:size]
     return result

@@ -27,10 +27,8 @@ def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> Float
         share: Of the error model, in (0, 1).
     """
     xp, log_share, log_rest = namespace(logit), float(np.log(share)), float(np.log1p(-share))
-    detected, missed = (
-        xp.logaddexp(_log_expit(sign * logit) + log_rest, _log_expit(sign * pem_logit) + log_share)
-        for sign in (1.0, -1.0)
-    )
+    detected = xp.logaddexp(_log_hit(logit) + log_rest, _log_hit(pem_logit) + log_share)
+    missed = xp.logaddexp(_log_miss(logit) + log_rest, _log_miss(pem_logit) + log_share)
     return detected - missed
 
 
@@ -81,8 +79,14 @@ class AgainstModel:
         return np.log(ratio, out=ratio)
 
 
-def _log_expit(logit: FloatArray) -> FloatArray:
+def _log_hit(logit: FloatArray) -> FloatArray:
+    """Log of the probability of a detection, for logits of any shape."""
+    return _log_miss(-logit)
+
+
+def _log_miss(logit: FloatArray) -> FloatArray:
+    """Log of the probability of a miss."""
     if not is_tensor(logit):
-        return -np.logaddexp(0.0, -logit)
+        return -np.logaddexp(0.0, logit)
     xp = namespace(logit)
-    return -xp.logaddexp(-logit, xp.zeros_like(logit))
+    return -xp.logaddexp(logit, xp.zeros_like(logit))

@@ -19,6 +19,8 @@ PAPER_INPUTS = (
 POSE_INDEX = tuple(COLUMN[name] for name in POSE_COLUMNS)
 
 _POSE = slice(POSE_INDEX[0], POSE_INDEX[-1] + 1)
+_KIND, _OCCLUSION = COLUMN["class_id"], COLUMN["occlusion"]
+_CODED = slice(_KIND, _OCCLUSION + 1, _OCCLUSION - _KIND)  # these two
 _FIRST_POSE = len(CLASS_NAMES) + len(OCCLUSION_NAMES)
 
 
@@ -31,10 +33,10 @@ def check_rows(rows: FloatArray) -> None:
     if not np.isfinite(rows).all():
         row, column = np.argwhere(~np.isfinite(rows))[0]
         raise PemError(f"salient row {row}: {SALIENT_COLUMNS[column]} is {rows[row, column]}")
+    if _are_alike(rows):
+        return
     for name, allowed in (("class_id", CLASS_NAMES), ("occlusion", OCCLUSION_NAMES)):
         values = rows[:, COLUMN[name]]
-        if _is_one_of(values, len(allowed)):
-            continue
         wrong = (values < 0) | (values >= len(allowed)) | (values != np.floor(values))
         if wrong.any():
             row = int(np.argmax(wrong))
@@ -42,30 +44,37 @@ def check_rows(rows: FloatArray) -> None:
             raise PemError(f"salient row {row}: {name} is {values[row]:g}, allowed: {labels}")
 
 
-def _is_one_of(values: FloatArray, count: int) -> bool:
-    """Whether values ``[n]`` are one number from 0 to ``count`` - 1, as in most scenarios."""
-    if not values.size:
+def _are_alike(rows: FloatArray) -> bool:
+    """Whether rows ``[n, 11]`` are of one known class and occlusion, as in most scenarios."""
+    if not len(rows):
         return True
-    first = float(values[0])
-    return first in range(count) and bool((values == first).all())
+    coded = rows[:, _CODED]
+    kind, occlusion = coded[0].tolist()
+    known = kind in range(len(CLASS_NAMES)) and occlusion in range(len(OCCLUSION_NAMES))
+    return known and bool((coded == coded[0]).all())
 
 
-def paper_inputs(rows: FloatArray, *, pose_mean: FloatArray, pose_std: FloatArray) -> FloatArray:
+def paper_inputs(
+    rows: FloatArray, *, pose_mean: FloatArray, pose_std: FloatArray, multiple: int = 1
+) -> FloatArray:
     """The paper's inputs [14, n] of salient variables [n, 11]; features come first.
 
     Args:
         rows: salient variables, checked by check_rows, shape [n, 11].
         pose_mean: means of x, y, z [m] and rotation_y [rad] over the training data, shape [4].
         pose_std: their standard deviations, shape [4].
+        multiple: columns of zeros follow, to a multiple of so many.
     """
-    columns, xp = rows.T, namespace(rows)
-    inputs = xp.empty((len(PAPER_INPUTS), len(rows)), dtype=rows.dtype, device=rows.device)
+    columns, xp, count = rows.T, namespace(rows), len(rows)
+    shape = len(PAPER_INPUTS), count + -count % multiple
+    inputs = xp.empty(shape, dtype=rows.dtype, device=rows.device)
+    inputs[:, count:] = 0.0
     codes = xp.arange(len(CLASS_NAMES), dtype=rows.dtype, device=rows.device)[:, None]
-    inputs[: len(CLASS_NAMES)] = columns[COLUMN["class_id"]] == codes
-    inputs[len(CLASS_NAMES) : _FIRST_POSE] = (
+    inputs[: len(CLASS_NAMES), :count] = columns[COLUMN["class_id"]] == codes
+    inputs[len(CLASS_NAMES) : _FIRST_POSE, :count] = (
         columns[COLUMN["occlusion"]] == codes[: len(OCCLUSION_NAMES)]
     )
-    inputs[_FIRST_POSE:] = (columns[_POSE] - pose_mean[:, None]) / pose_std[:, None]
+    inputs[_FIRST_POSE:, :count] = (columns[_POSE] - pose_mean[:, None]) / pose_std[:, None]
     return inputs
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pemviz.arrays import AnyArray, FloatArray, Move, namespace
+from pemviz.arrays import AnyArray, FloatArray, Move, is_tensor, namespace
 from pemviz.chunks import map_rows
 from pemviz.errors import PemError
 from pemviz.pem.models.card import Carded, PemCard
@@ -88,7 +88,7 @@ class NetworkPem(Carded):
         rows, shape = as_rows(salient)
         check_rows(rows)
         answer = _Forward(self.pose_mean, self.pose_std, self.layers)
-        return map_rows(answer.logit, rows, multiple=LANES).reshape(shape)
+        return map_rows(answer.logit, rows, padded=False).reshape(shape)
 
     def moved(self, move: Move) -> "_Forward":
         """What answers for tensors."""
@@ -105,8 +105,11 @@ class _Forward:
     layers: tuple[Layer, ...]
 
     def logit(self, salient: FloatArray) -> FloatArray:
-        inputs = paper_inputs(salient, pose_mean=self.pose_mean, pose_std=self.pose_std)
-        return forward(self.layers, inputs)
+        lanes = 1 if is_tensor(salient) else LANES
+        inputs = paper_inputs(
+            salient, pose_mean=self.pose_mean, pose_std=self.pose_std, multiple=lanes
+        )
+        return forward(self.layers, inputs)[: len(salient)]
 
 
 def forward(layers: Sequence[Layer], inputs: FloatArray) -> FloatArray:

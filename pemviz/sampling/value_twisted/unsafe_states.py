@@ -1,6 +1,7 @@
 """Specifications that single states decide: ``always (predicate on the state)``."""
 
 import functools
+import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -88,13 +89,12 @@ class UnsafeStates:
     def __call__(self, states: StateBatch) -> BoolArray:
         """Whether states ``[N]``, all of one step, break a rule ``[N]``."""
         step = int(states.step) // self.turns
+        asked = [rule for rule in self.rules if rule.first <= step <= rule.last]
+        if asked:
+            return functools.reduce(operator.or_, (one.broken(states.signals) for one in asked))
         like = next(iter(states.signals.values()))
         xp = namespace(like)
-        unsafe = xp.zeros(like.shape, dtype=xp.bool, device=like.device)
-        for rule in self.rules:
-            if rule.first <= step <= rule.last:
-                unsafe |= rule.broken(states.signals)
-        return unsafe
+        return xp.zeros(like.shape, dtype=xp.bool, device=like.device)
 
     def possible(self, bounds: SignalBounds, *, after: int) -> BoolArray | bool:
         """Whether signals that stay within bounds ``[N]`` can break a rule after step ``after``.
