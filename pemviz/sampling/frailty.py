@@ -5,7 +5,7 @@ obstacle's visibility u, and P(detected | outcomes so far) is a function of the 
 to know nothing of u, and weights are those of outcomes with u integrated out.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move
+from pemviz.chunks import FEWEST, distinct_rows
 from pemviz.errors import ConfigError
 from pemviz.pem.models.frailty import VisibilityNodes, log_sums, remembered_outcomes
 from pemviz.pem.models.memory import frail_logit, remembering_logit
@@ -209,11 +210,11 @@ class FrailSimulator(WrappedSimulator):
         self, own: FloatArray, last: FloatArray, log_posterior: FloatArray
     ) -> tuple[AnyArray, FloatArray]:
         """Posteriors after the next outcome, ``[N]`` records, and its logit ``[N]``."""
-        model, nodes = self.model, self.model.nodes
+        nodes, log_outcomes = self.model.nodes, _log_outcomes(self.model, own, last)
         after, logit = np.empty(own.size, dtype=_record(nodes.u.size)), np.empty(own.size)
         for start in range(0, own.size, CHUNK_ROWS):
             rows = slice(start, start + CHUNK_ROWS)
-            miss, hit = model.log_outcomes(own[rows], last[rows])
+            miss, hit = log_outcomes(rows)
             log_miss = _put(after[rows], "missed", log_posterior[rows] + miss, nodes.u)
             logit[rows] = _put(after[rows], "detected", log_posterior[rows] + hit, nodes.u)
             logit[rows] -= log_miss
@@ -315,6 +316,24 @@ def scenario_states(states: StateBatch) -> StateBatch:
 def _without(signals: Mapping[str, FloatArray], left_out: tuple[Signal, ...]) -> dict[str, Any]:
     names = {signal.name for signal in left_out}
     return {name: values for name, values in signals.items() if name not in names}
+
+
+def _log_outcomes(
+    model: FrailModel, own: FloatArray, last: FloatArray
+) -> Callable[[slice], tuple[FloatArray, FloatArray]]:
+    """What :meth:`FrailModel.log_outcomes` gives some of states ``[N]``, of a chunk at a time.
+
+    Rollouts meet few gaps, since equal outcomes lead to equal states: alike states are asked once.
+    """
+    alike = distinct_rows(np.stack([own, last], axis=1)) if own.size >= FEWEST else None
+    if alike is None:
+        return lambda rows: model.log_outcomes(own[rows], last[rows])
+    first, place = alike
+    miss, hit = np.empty((2, first.size, model.nodes.u.size))
+    for start in range(0, first.size, CHUNK_ROWS):
+        rows = slice(start, start + CHUNK_ROWS)
+        miss[rows], hit[rows] = model.log_outcomes(own[first[rows]], last[first[rows]])
+    return lambda rows: (miss[place[rows]], hit[place[rows]])
 
 
 def _record(nodes: int) -> np.dtype[Any]:

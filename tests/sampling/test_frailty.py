@@ -23,6 +23,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.model_comparison import compare_models
 from pemviz.runs.resume import carry_out
+from pemviz.sampling import frailty
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.frailty import NEXT, FrailModel, FrailSimulator
@@ -243,6 +244,22 @@ SHORT = ExperimentConfig(
     method="mixture", stages=2, rollouts=40, final_rollouts=60, memory_s=0.2, frailty=0.5, seed=3,
     spec="always[0,59] (gap >= 6.0)", scenario=ScenarioConfig(states=60),
 )  # fmt: skip
+
+
+def test_states_that_are_alike_are_asked_once_with_the_same_bits(monkeypatch):
+    for memory in MEMORIES[:2]:
+        problem, drawn = frail_problem(memory)[0], []
+        for fewest in (frailty.FEWEST, 10**9):
+            monkeypatch.setattr(frailty, "FEWEST", fewest)
+            drawn.append(
+                sample(problem, proposal=PemProposal(), count=1500,
+                       seeds=np.random.SeedSequence(2)).rollouts
+            )  # fmt: skip
+        alike, one_by_one = drawn
+        assert len(np.unique(alike.pem_logit[:, -1])) > 10
+        np.testing.assert_array_equal(alike.pem_logit, one_by_one.pem_logit)
+        for name, values in one_by_one.signals.items():
+            np.testing.assert_array_equal(alike.signals[name], values, err_msg=name)
 
 
 def test_a_stopped_run_with_frailty_goes_on_to_the_same_bytes(tmp_path):
