@@ -22,9 +22,13 @@ from pemviz.sampling.mixture.aims import Rule
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool
 from pemviz.sampling.mixture.latents import noise_basis
 from pemviz.sampling.mixture.levels import Elites, failing_elites, guided_elites
+from pemviz.sampling.mixture.resampling import at_most
 from pemviz.sampling.mixture.ways import Ways, WeightedRollouts, shares_of_draws, ways_of
 
 NEGLIGIBLE_SHARE = 1e-4
+MOST_LEARNED = 10_000
+"""Rollouts that a proposal is fitted to: of more, drawn by their weights. Every decision of theirs
+takes its monomials' memory several times over, and a fit's own error is a hundredth by then."""
 NOISE_RIDGE = {"constant": 0.01, "outcome": 0.5, "state": 50.0}
 """Penalties of coefficients of noise, relative to those of outcomes: of the constant, of the step's
 own outcome, and of the state, each further degree twice as much. A few violations at some steps say
@@ -273,13 +277,16 @@ def _beyond_first_order(weight: FloatArray) -> FloatArray:
 
 
 def weights_of(pool: Pool, elites: Elites, *, exponent: float) -> FloatArray:
-    """Of the pool's rollouts, ``[N]``; they sum to their effective sample size."""
+    """Of the pool's rollouts, ``[N]``; they sum to their effective sample size.
+
+    Of very many elites some stand for the others, see :func:`at_most`.
+    """
     log_weight = pool.log_weight[elites.chosen]
     smoothed = smoothed_weights(log_weight, alpha=exponent)
     weight = np.zeros(pool.count)
     weight[elites.chosen] = smoothed * effective_sample_size(exponent * log_weight)
     weight[weight < NEGLIGIBLE_SHARE * weight.max()] = 0.0
-    return weight
+    return at_most(weight, MOST_LEARNED)
 
 
 def learned_from(pool: Pool, weight: FloatArray) -> WeightedRollouts:

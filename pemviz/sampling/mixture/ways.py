@@ -22,6 +22,7 @@ from pemviz.proposals.latent_means import (
     scores,
 )
 from pemviz.proposals.offset_logistic_fit import LogisticFit, WeightedOutcomes, group_sums
+from pemviz.sampling.mixture.resampling import times_drawn
 
 MOST_WAYS = 4
 LEAST_SCATTER = 4.0
@@ -63,12 +64,10 @@ class WeightedRollouts:
         """About ``count`` rollouts of equal weight, drawn systematically; all if they are fewer."""
         if self.count <= count:
             return self
-        edges = np.cumsum(self.weight)
-        places = (np.arange(count) + 0.5) / count * edges[-1]
-        times = np.bincount(np.searchsorted(edges, places), minlength=self.count)
+        times = times_drawn(self.weight, count)
         kept = times[self.rollout] > 0
         number = np.cumsum(times > 0) - 1
-        weight = times[times > 0] * (edges[-1] / count)
+        weight = times[times > 0] * (np.cumsum(self.weight)[-1] / count)
         rollout = number[self.rollout[kept]].astype(np.int64)
         outcomes = self.outcomes
         return WeightedRollouts(
