@@ -40,16 +40,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.fixed import PemProposal
-from pemviz.proposals.latent_pilots import LatentFamily
 from pemviz.proposals.offset_logistic import (
-    OffsetLogisticProposal,
     PolynomialBasis,
     SignalFeatures,
     StateFeatures,
 )
-from pemviz.proposals.pilots import PilotFamily
 from pemviz.sampling.estimates.diagnostics import unlatched
 from pemviz.sampling.estimates.estimate import (
     ADAPTATION,
@@ -58,57 +54,24 @@ from pemviz.sampling.estimates.estimate import (
 )
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.agreement import disagreements
-from pemviz.sampling.mixture.aims import Aims
 from pemviz.sampling.mixture.balance_heuristic import Pool
-from pemviz.sampling.mixture.draws import PILOTS, components, divided
+from pemviz.sampling.mixture.drawing import (
+    defence,
+    drawn,
+    main_proposal,
+    several_rules,
+    until_settled,
+)
+from pemviz.sampling.mixture.draws import components
 from pemviz.sampling.mixture.final import Planned
-from pemviz.sampling.mixture.fit import Fit, FitSettings
-from pemviz.sampling.mixture.latents import divided_latents
+from pemviz.sampling.mixture.fit import FitSettings
 from pemviz.sampling.mixture.learning import next_proposals
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
-from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.mixture.state import MixtureState
+from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
-from pemviz.sampling.value_twisted.method import with_latch
-from pemviz.simulators.latched import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import Estimate, ScoredRollouts, StageResult
-
-DEFENSIVE_STEPS = 2.0
-"""Of each rollout, drawn from the error model on average."""
-
-
-@dataclass(frozen=True)
-class MixtureState:
-    """Where a repetition stands.
-
-    Attributes:
-        repetition: Zero-based.
-        stage: The stage that ``step`` carries out next.
-        features: What proposals look at.
-        basis: Monomials of it; ``None`` before the first stage.
-        pool: Everything drawn so far.
-        fits: What the next stage draws from beside pilots: the main proposal, those of other
-            ways of failing, one fitted to a level above 0; empty before the first stage.
-        frozen: How many rollouts each part of the final batch has, as far as it is drawn.
-        latched: Whether rollouts know when they have violated.
-        turns: Outcomes of a step of the scenario.
-        starts: Random values at the start of a rollout.
-        rules: Names, where there are several.
-        many: Whether the learning stages have more rollouts than are drawn at once.
-    """
-
-    repetition: int
-    stage: int
-    features: StateFeatures
-    basis: PolynomialBasis | None = None
-    pool: Pool | None = None
-    fits: tuple[Fit, ...] = ()
-    frozen: tuple[int, ...] = ()
-    latched: bool = True
-    turns: int = 1
-    starts: int = 0
-    rules: tuple[str, ...] = ()
-    many: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,8 +127,8 @@ class MixtureSampling:
         component = self._components(state, size)
         scored = finished_or(
             problem,
-            lambda: _drawn(
-                _until_settled(problem),
+            lambda: drawn(
+                until_settled(problem),
                 state,
                 component,
                 seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
@@ -187,7 +150,7 @@ class MixtureSampling:
             repetition=state.repetition,
             stage=state.stage,
             scored=scored,
-            sampled_from=_main_proposal(state, steps=steps) or PemProposal(),
+            sampled_from=main_proposal(state, steps=steps) or PemProposal(),
         )
         if last:
             return advanced, result
@@ -279,7 +242,7 @@ class MixtureSampling:
             pool,
             basis,
             self.settings,
-            defensive=_defence(steps),
+            defensive=defence(steps),
             explores=self._explores(state.stage),
             for_final=state.stage > self.learning_stages,
         )
@@ -287,75 +250,12 @@ class MixtureSampling:
         return fitted, replace(
             result,
             kind="pretrain" if kind_of_first else "learn",
-            learned=_main_proposal(fitted, steps=steps),
+            learned=main_proposal(fitted, steps=steps),
             threshold=fits[-1].threshold,
             elites=fits[-1].elites,
             loss=fits[0].loss,
             timings_s={**result.timings_s, "fit": time.perf_counter() - began},
         )
-
-
-def _until_settled(problem: Problem) -> Problem:
-    """The problem on a simulator that remembers what is broken, and that nothing is left to be."""
-    rules = several_rules(problem)
-    if not rules:
-        return with_latch(problem)
-    each = EachRule({rule: problem.rules[rule].monitor for rule in rules})
-    return replace(problem, simulator=MonitoredSimulator(problem.simulator, each))
-
-
-def several_rules(problem: Problem) -> tuple[str, ...]:
-    """Their names; empty where there are not several."""
-    return tuple(problem.rules) if len(problem.rules) > 1 else ()
-
-
-def _main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal | None:
-    """The main proposal that is drawn from next; ``None`` before the first stage."""
-    if state.basis is None:
-        return None
-    return OffsetLogisticProposal(
-        features=state.features,
-        basis=state.basis,
-        coefficients=state.fits[0].coefficients,
-        violated=VIOLATED,
-        defensive=_defence(steps),
-        means=state.fits[0].means,
-    )
-
-
-def _drawn(
-    problem: Problem, state: MixtureState, component: IntArray, *, seeds: np.random.SeedSequence
-) -> ScoredRollouts:
-    steps = problem.simulator.states - 1
-    fitted = np.unique(component[component != PILOTS])
-    generator = np.random.default_rng(seeds.spawn(1)[0])
-    fits = [None if c == PILOTS else state.fits[c - fitted[0]] for c in component.tolist()]
-    aims = Aims.of(state.rules, [fit.rule if fit else None for fit in fits])
-    proposal = divided(
-        component,
-        {int(index): state.fits[index - fitted[0]].coefficients for index in fitted},
-        _main_proposal(state, steps=steps),
-        aims=aims,
-        family=PilotFamily.over(steps, turns=state.turns),
-        features=state.features,
-        generator=generator,
-    )
-    counts = latent_counts(problem.simulator)
-    if counts:
-        family = LatentFamily.over(steps // state.turns, start=counts.start, noise=counts.noise)
-        pilots = family.drawn(int((component == PILOTS).sum()), generator, of=component.size)
-        latents = divided_latents(
-            pilots,
-            [fit.means if fit else None for fit in fits],
-            aims,
-            counts,
-            features=state.features,
-            basis=state.basis,
-            steps=steps // state.turns,
-            turns=state.turns,
-        )
-        proposal = replace(proposal, latents=latents)
-    return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
 
 
 def _pooled(
@@ -377,7 +277,7 @@ def _pooled(
         terms=Terms(
             features=state.features,
             basis=basis,
-            defensive=_defence(scored.rollouts.detected.shape[1]),
+            defensive=defence(scored.rollouts.detected.shape[1]),
             turns=state.turns,
             starts=state.starts,
             rules=state.rules,
@@ -386,7 +286,3 @@ def _pooled(
         last=last,
         planned=planned,
     )
-
-
-def _defence(steps: int) -> float:
-    return share_for(drawn_steps=DEFENSIVE_STEPS, steps=steps)
