@@ -128,7 +128,7 @@ class SlotFeatures:
 
     def reacts(self, states: StateBatch) -> BoolArray:
         """Where the scenario says that it reacts to the slot's outcome, ``[...]``."""
-        return self.simulator.reacts(states.signals)
+        return self.simulator.reacts_at(states)
 
     @property
     def _shared(self) -> Sequence[str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, Move, moved, to_numpy
 from pemviz.latents import LatentCounts
-from pemviz.simulators.latents import begun, latent_counts, stepped
+from pemviz.simulators.latents import begun, latent_counts, salient_of, stepped
 from pemviz.types import Signal, Simulator, StateBatch
 
 VIOLATED = "violated"
@@ -122,6 +122,10 @@ class LatchedSimulator(WrappedSimulator):
 
     unsafe: Callable[[StateBatch], BoolArray]
 
+    def salient_at(self, states: StateBatch) -> FloatArray:
+        """The back end's salient variables at states."""
+        return salient_of(self.scenario, states)
+
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The back end's initial states and whether they violate."""
         states = begun(self.scenario, count=count, start=start)
@@ -152,9 +156,15 @@ class LatchedSimulator(WrappedSimulator):
 
 @dataclass(frozen=True)
 class MonitoredStates(StateBatch):
-    """States together with what the monitor knows of the way that led to them."""
+    """States together with what the monitor knows of the way that led to them.
+
+    Attributes:
+        known: By the monitor.
+        own: The back end's states; ``None``: these are.
+    """
 
     known: Any = None
+    own: StateBatch | None = None
 
 
 @dataclass(frozen=True)
@@ -170,6 +180,10 @@ class MonitoredSimulator(WrappedSimulator):
     """
 
     monitor: Monitor
+
+    def salient_at(self, states: StateBatch) -> FloatArray:
+        """The back end's salient variables at states."""
+        return salient_of(self.scenario, _own(states))
 
     def initial(self, *, count: int, start: FloatArray | None = None) -> MonitoredStates:
         """The back end's initial states and whether they violate."""
@@ -187,7 +201,8 @@ class MonitoredSimulator(WrappedSimulator):
         if not isinstance(states, MonitoredStates):
             message = "a monitored simulator goes on from its own states only"
             raise TypeError(message)
-        return self._monitored(stepped(self.scenario, states, detected, noise), states.known)
+        after = stepped(self.scenario, _own(states), detected, noise)
+        return self._monitored(after, states.known)
 
     def _monitored(self, states: StateBatch, before: Any) -> MonitoredStates:
         verdict = self.monitor.advance(before, step=int(states.step), signals=states.signals)
@@ -197,4 +212,11 @@ class MonitoredSimulator(WrappedSimulator):
             signals=states.signals,
             memory={**states.memory, **each, VIOLATED: self.monitor.violated(verdict)},
             known=verdict,
+            own=states,
         )
+
+
+def _own(states: StateBatch) -> StateBatch:
+    """The back end's states in monitored ones."""
+    own = states.own if isinstance(states, MonitoredStates) else None
+    return states if own is None else own

@@ -1,4 +1,4 @@
-"""Scenarios with latents, those without, and what wraps them: begun and stepped alike."""
+"""Scenarios with latents, those without, and what wraps them: begun, stepped and asked alike."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
@@ -100,6 +100,16 @@ def stepped(
         return simulator.step(states, detected)
     given = np.zeros((len(detected), latents)) if noise is None else noise
     return cast_latent(simulator).step(states, detected, given)
+
+
+def salient_of(simulator: Simulator, states: StateBatch) -> FloatArray:
+    """What perception depends on at a simulator's own states: salient variables ``[N, D]``.
+
+    Asked are the signals, or the simulator's ``salient_at(states)`` if it has one: where states
+    already know what their signals would tell.
+    """
+    at_states = getattr(simulator, "salient_at", None)
+    return simulator.salient(states.signals) if at_states is None else at_states(states)
 
 
 def cast_latent(simulator: Any) -> LatentSimulator:

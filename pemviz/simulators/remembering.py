@@ -9,7 +9,7 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
 from pemviz.errors import ConfigError
 from pemviz.simulators.latched import WrappedSimulator
-from pemviz.simulators.latents import begun, stepped
+from pemviz.simulators.latents import begun, salient_of, stepped
 from pemviz.simulators.slots import UnrolledSimulator
 from pemviz.types import CERTAIN, Signal, Simulator, StateBatch
 
@@ -48,6 +48,11 @@ class RememberingSimulator(WrappedSimulator):
         """The back end's salient variables and the last outcome, ``[..., D + 1]``."""
         own = self.scenario.salient({n: v for n, v in signals.items() if n != LAST_OUTCOME.name})
         last = signals[LAST_OUTCOME.name]
+        return namespace(last).concatenate((own, last[..., None]), -1)
+
+    def salient_at(self, states: StateBatch) -> FloatArray:
+        """The same at states."""
+        own, last = salient_of(self.scenario, states), states.signals[LAST_OUTCOME.name]
         return namespace(last).concatenate((own, last[..., None]), -1)
 
     def moved(self, move: Move) -> "RememberingSimulator | None":

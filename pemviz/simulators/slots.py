@@ -9,8 +9,9 @@ An unrolled outcome says whether the slot's outcome is its nominal one; False is
 an obstacle, a report of a ghost. An absent slot's outcome is nominal for certain.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -109,6 +110,51 @@ class SaysWhereItReacts(Protocol):
         ...
 
 
+class Sight(Protocol):
+    """What perception of all slots depends on at states ``[...]``."""
+
+    @property
+    def present(self) -> BoolArray:
+        """As :meth:`SlotSimulator.present`, ``[..., K]``."""
+        ...
+
+    @property
+    def salient(self) -> FloatArray:
+        """As :meth:`SlotSimulator.salient`, ``[..., K, D]``."""
+        ...
+
+
+@runtime_checkable
+class SeesAtOnce(Protocol):
+    """A scenario with slots whose presence and salient variables come of the same numbers."""
+
+    def sight(self, signals: Mapping[str, FloatArray]) -> Sight:
+        """Both, for signals ``[...]``."""
+        ...
+
+
+@runtime_checkable
+class ReactsInSlot(Protocol):
+    """A scenario that tells of a single slot where what is reported in it matters."""
+
+    def reacts_in(self, slot: int, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """As :meth:`SaysWhereItReacts.reacts` of the slot with that number, ``[...]``."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenStates(StateBatch):
+    """States with what perception depends on at them: it is the same in the turns of all slots.
+
+    Rows that are taken from them, or kept with rollouts, are plain states again.
+
+    Attributes:
+        sight: Follows from the signals, of which a wrapper may add some.
+    """
+
+    sight: Sight
+
+
 @runtime_checkable
 class BringsSlotModels(Protocol):
     """A scenario that itself says how likely some of its slots are reported, as of a ghost."""
@@ -179,7 +225,7 @@ class UnrolledSimulator:
         """The states after a turn whose outcome is nominal where ``detected [N]``."""
         turn = int(states.step) % self.turns
         error = ~(detected | states.memory[CERTAIN])
-        own = self.declared(states)
+        own = _seen(self.declared(states), self.seen(states).sight)
         errors = {name: states.memory[name] for name in self._errors}
         if turn < self.turns - 1:
             errors[f"{ERROR}{turn}"] = error
@@ -191,12 +237,23 @@ class UnrolledSimulator:
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The slot's salient variables, whether it is present, its number, ``[..., D + 2]``."""
-        own = {signal.name: signals[signal.name] for signal in self.scenario.signals}
-        slot = self.slot_of(signals)
-        salient = np.take_along_axis(self.scenario.salient(own), slot[..., None, None], axis=-2)
-        present = np.take_along_axis(self.scenario.present(own), slot[..., None], axis=-1)
+        slot, sight = self.slot_of(signals), self._ask(self._own(signals))
+        salient = np.take_along_axis(sight.salient, slot[..., None, None], axis=-2)
+        present = np.take_along_axis(sight.present, slot[..., None], axis=-1)
         asked = np.concatenate([present, slot[..., None]], axis=-1, dtype=np.float64)
         return np.concatenate([salient[..., 0, :], asked], axis=-1)
+
+    def salient_at(self, states: StateBatch) -> FloatArray:
+        """The same at states that are all in the turn of one slot, ``[N, D + 2]``."""
+        turn, sight = self.turn_at(states), self.seen(states).sight
+        if turn is None:
+            return self.salient(states.signals)
+        own = sight.salient[..., turn, :]
+        result = np.empty((*own.shape[:-1], own.shape[-1] + 2))
+        result[..., :-2] = own
+        result[..., -2] = sight.present[..., turn]
+        result[..., -1] = turn
+        return result
 
     @property
     def nominal(self) -> BoolArray:
@@ -208,8 +265,19 @@ class UnrolledSimulator:
         slot = self.slot_of(signals)
         if not isinstance(self.scenario, SaysWhereItReacts):
             return np.ones(slot.shape, dtype=np.bool_)
-        own = {signal.name: signals[signal.name] for signal in self.scenario.signals}
-        return np.take_along_axis(self.scenario.reacts(own), slot[..., None], axis=-1)[..., 0]
+        reacts = self.scenario.reacts(self._own(signals))
+        return np.take_along_axis(reacts, slot[..., None], axis=-1)[..., 0]
+
+    def reacts_at(self, states: StateBatch) -> BoolArray:
+        """The same at states, ``[...]``."""
+        turn = self.turn_at(states)
+        if turn is None or not isinstance(self.scenario, ReactsInSlot):
+            return self.reacts(states.signals)
+        return self.scenario.reacts_in(turn, states.signals)
+
+    def turn_at(self, states: StateBatch) -> int | None:
+        """The number of the slot whose turn it is at all of the states; ``None`` if they differ."""
+        return int(states.step) % self.turns if np.ndim(states.step) == 0 else None
 
     def slot_of(self, signals: Mapping[str, FloatArray]) -> IntArray:
         """Whose turn it is at unrolled states, ``[...]``."""
@@ -221,9 +289,15 @@ class UnrolledSimulator:
         """Unrolled states as the scenario knows them; what wraps it may add to their memory."""
         return StateBatch(
             step=states.step // self.turns,
-            signals={s.name: states.signals[s.name] for s in self.scenario.signals},
+            signals=self._own(states.signals),
             memory={n: v for n, v in states.memory.items() if not self.is_own(n)},
         )
+
+    def seen(self, states: StateBatch) -> SeenStates:
+        """Unrolled states, or the scenario's, with what perception depends on at them."""
+        if isinstance(states, SeenStates):
+            return states
+        return _seen(states, self._ask(self._own(states.signals)))
 
     @staticmethod
     def is_own(name: str) -> bool:
@@ -234,13 +308,56 @@ class UnrolledSimulator:
     def _errors(self) -> tuple[str, ...]:
         return tuple(f"{ERROR}{slot}" for slot in range(self.turns - 1))
 
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(signal.name for signal in self.scenario.signals)
+
+    def _own(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """The scenario's own signals alone."""
+        return {name: signals[name] for name in self._names}
+
+    @cached_property
+    def _ask(self) -> Callable[[Mapping[str, FloatArray]], Sight]:
+        if isinstance(self.scenario, SeesAtOnce):
+            return self.scenario.sight
+        return partial(_AskedSight, self.scenario)
+
     def _in_turn(
         self, states: StateBatch, errors: Mapping[str, AnyArray], *, turn: int, step: Any
     ) -> StateBatch:
-        present = self.scenario.present(states.signals)[..., turn]
+        sight = self.seen(states).sight
         shown = {SLOT: np.full(states.shape, float(turn))} if self.turns > 1 else {}
-        return StateBatch(
+        return SeenStates(
             step=step,
             signals={**states.signals, **shown},
-            memory={**states.memory, **errors, CERTAIN: ~present},
+            memory={**states.memory, **errors, CERTAIN: ~sight.present[..., turn]},
+            sight=sight,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _AskedSight:
+    """What a scenario answers at states, asked once."""
+
+    scenario: SlotSimulator
+    signals: Mapping[str, FloatArray]
+
+    @property
+    def present(self) -> BoolArray:
+        return self._present
+
+    @property
+    def salient(self) -> FloatArray:
+        return self._salient
+
+    @cached_property
+    def _present(self) -> BoolArray:
+        return self.scenario.present(self.signals)
+
+    @cached_property
+    def _salient(self) -> FloatArray:
+        return self.scenario.salient(self.signals)
+
+
+def _seen(states: StateBatch, sight: Sight) -> SeenStates:
+    return SeenStates(states.step, states.signals, states.memory, sight=sight)

@@ -80,4 +80,4 @@ class TrackedCarFeatures:
 
     def reacts(self, states: StateBatch) -> BoolArray:
         """Where a detection of the car may matter, ``[...]``."""
-        return self.unrolled.reacts(states.signals)
+        return self.unrolled.reacts_at(states)

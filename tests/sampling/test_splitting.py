@@ -316,7 +316,7 @@ def test_states_that_cannot_be_kept_are_refused(kind):
     }
     problem = replace(problem, simulator=wrapped[kind])
     if kind == "monitored":
-        with pytest.raises(ConfigError, match="its states carry known beside"):
+        with pytest.raises(ConfigError, match="its states carry known, own beside"):
             split(problem, count=10, generators=[np.random.default_rng(0)])
     else:
         (run,) = split(problem, count=10, generators=[np.random.default_rng(0)])

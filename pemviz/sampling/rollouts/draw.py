@@ -13,7 +13,7 @@ from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.sampling.rollouts import compiled_replay
 from pemviz.sampling.rollouts.latent_draws import LatentTrack
 from pemviz.simulators.episodic import episodic
-from pemviz.simulators.latents import begun, stepped
+from pemviz.simulators.latents import begun, salient_of, stepped
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 
 
@@ -87,7 +87,7 @@ def roll_out(
     signals = _Track(states.signals, steps + 1)
     memory = _Track(kept_with_rollouts(states.memory), steps + 1)
     for step in range(steps):
-        under_pem[step] = pem.logit(simulator.salient(states.signals))
+        under_pem[step] = pem.logit(salient_of(simulator, states))
         under_proposal[step] = proposal.logit(states, under_pem[step])
         detected[step] = draws[step] >= _expit(-under_proposal[step])
         noise = None if track is None else track.noise(step, states, detected[step], proposal)

@@ -14,8 +14,9 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.frailty import carried_at
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.compiled import CompiledRollouts, is_served
+from pemviz.sampling.slots import unrolled
 from pemviz.sampling.splitting.loops import loops_for, plain_beneath
-from pemviz.simulators.latents import stepped
+from pemviz.simulators.latents import salient_of, stepped
 from pemviz.types import RolloutBatch, StateBatch
 
 MISSED, DETECTED = -1.0, 2.0
@@ -71,6 +72,7 @@ class Mover:
 
 def _by_numpy(problem: Problem, way: Way) -> RolloutBatch:
     simulator, rollouts, cut = problem.simulator, way.rollouts, way.cut
+    slots = unrolled(simulator)
     arriving = carried_at(simulator, rollouts, step=cut)
     carried = {name: values[:0] for name, values in arriving.items()}
     for step in range(int(cut[0]), rollouts.detected.shape[1]):
@@ -82,7 +84,8 @@ def _by_numpy(problem: Problem, way: Way) -> RolloutBatch:
             for name, values in carried.items()
         }
         before = replace(before, memory={**before.memory, **carried})
-        logit = problem.pem.logit(simulator.salient(before.signals))
+        before = before if slots is None else slots.seen(before)
+        logit = problem.pem.logit(salient_of(simulator, before))
         detected = way.uniforms[step, :active] >= expit(-logit)
         noise = _drawn_noise(way, step, active, turns=problem.turns)
         after = stepped(simulator, before, detected, noise)

@@ -20,6 +20,7 @@ from pemviz.sampling.splitting.importance import importance, importance_at_end
 from pemviz.sampling.splitting.looks import LOOKS, looked_at
 from pemviz.sampling.splitting.moving import Mover, Way
 from pemviz.simulators.latents import begun, latent_counts
+from pemviz.simulators.slots import SeenStates
 from pemviz.types import RolloutBatch, Simulator, StateBatch
 
 
@@ -174,7 +175,7 @@ def continued(
 
 
 def _check_can_be_kept(simulator: Simulator, states: StateBatch) -> None:
-    kept = {part.name for part in fields(StateBatch)}
+    kept = {part.name for part in fields(SeenStates)}  # what is seen follows from the signals
     more = [part.name for part in fields(states) if part.name not in kept]
     if more:
         message = (

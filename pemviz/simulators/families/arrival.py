@@ -25,9 +25,8 @@ from pemviz.simulators.families.names import (
     NEEDLESS,
     OF_EACH,
     SAFE_DISTANCE,
-    SPEED,
+    Each,
     by_car,
-    of_cars,
 )
 from pemviz.types import StateBatch
 
@@ -59,6 +58,8 @@ class Left:
         config: The encounter.
         cars: Names of the K other cars.
         states: The states.
+        each: Where the K other cars are, ``[K, N]``.
+        along_mps: The other cars' speeds along the road ``[K, N]`` [m/s].
         values: Start values that steps need, ``[N]``.
         ego_mps2: The ego's acceleration ``[N]`` [m/s^2].
         others_mps2: The other cars' deceleration ``[K, N]`` [m/s^2].
@@ -68,14 +69,12 @@ class Left:
     config: EncounterConfig
     cars: tuple[str, ...]
     states: StateBatch
+    each: Each
+    along_mps: FloatArray
     values: Values
     ego_mps2: FloatArray
     others_mps2: FloatArray
     states_ahead: IntArray
-
-    def of_cars(self, what: str) -> FloatArray:
-        """A signal of all other cars, ``[K, N]``."""
-        return of_cars(what, self.cars, self.states.signals)
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ def arrive(left: Left, moved: Moved) -> tuple[Mapping[str, FloatArray], IntArray
     moved = arrived.moved
     time_s = float(left.states.step + 1) * config.dt_s
     next_m = lateral_places(config, left.values, time_s=time_s + config.dt_s)
-    heading = headings(moved.y_m, next_m, moved.speed_mps, left.of_cars("heading"), config.dt_s)
+    heading = headings(moved.y_m, next_m, moved.speed_mps, left.each.heading_rad, config.dt_s)
     cars = Cars(
         ego_mps=moved.ego_mps,
         gap_m=moved.x_m - moved.ego_x_m - config.car_length_m,
@@ -133,14 +132,13 @@ def arrive(left: Left, moved: Moved) -> tuple[Mapping[str, FloatArray], IntArray
 
 def _braked(left: Left) -> FloatArray:
     """The other cars' deceleration, ``[K, N]``: one that stands brakes no more [m/s^2]."""
-    return np.minimum(left.others_mps2, left.of_cars(SPEED) / left.config.dt_s)
+    return np.minimum(left.others_mps2, left.each.speed_mps / left.config.dt_s)
 
 
 def _cars_of(left: Left) -> Cars:
     """The cars of the states that the step leaves."""
-    along_mps = left.of_cars("speed") * np.cos(left.of_cars("heading"))
-    ego_mps = left.states.signals[EGO_SPEED]
-    return Cars(ego_mps, left.of_cars("gap"), left.of_cars("aside"), along_mps)
+    each, ego_mps = left.each, left.states.signals[EGO_SPEED]
+    return Cars(ego_mps, each.gap_m, each.aside_m, left.along_mps)
 
 
 def _cut_in_margin(left: Left, cars: Cars, time_s: float) -> Mapping[str, FloatArray]:
@@ -150,8 +148,8 @@ def _cut_in_margin(left: Left, cars: Cars, time_s: float) -> Mapping[str, FloatA
     before = left.states.signals[AVOIDABLE_BY]
     margin_s = margins.avoidable_by(cars, begin_s=left.values["cut_in_time"], time_s=time_s)
     was_in, is_in = (
-        margins.has_come_in(left.config, aside_m)
-        for aside_m in (left.of_cars("aside")[0], cars.aside_m[0])
+        margins.has_come_in(left.config, aside_m[0])
+        for aside_m in (left.each.aside_m, cars.aside_m)
     )
     return {AVOIDABLE_BY: np.where(is_in & ~was_in, margin_s, before)}
 
@@ -160,7 +158,7 @@ def _after_contact(left: Left, moved: Moved) -> _Arrived:
     """With the ego and what it touches first where they touch, at rest."""
     config, before = left.config, left.states.signals
     ego_m, length_m = before[EGO_X], config.car_length_m
-    along_m, aside_m = left.of_cars("gap") + length_m, left.of_cars("aside")
+    along_m, aside_m = left.each.gap_m + length_m, left.each.aside_m
     x_m = ego_m + along_m
     later_m = moved.x_m - moved.ego_x_m
     share = first_touch(

@@ -51,7 +51,7 @@ class HighwayFamily(FamilyScenario):
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
     ) -> StateBatch:
         """The next states, for outcomes ``[N, K]`` and, with errors, noise ``[N, 2 K]``."""
-        hits = np.asarray(detected, dtype=np.bool_) & self.present(states.signals)
+        hits = np.asarray(detected, dtype=np.bool_) & self.sight_at(states).present
         numbers = [name for name in states.memory if name.startswith(NUMBER)]
         table = np.stack([states.memory[name] for name in numbers], axis=-1).tolist()
         noises = {} if self.measured is None else self.measured.renewed(states, noise)
@@ -76,7 +76,7 @@ class HighwayFamily(FamilyScenario):
         true_m = np.stack(true, axis=-1)
         if self.measured is None:
             return true_m
-        errors_m = self.measured.errors_m(self.salient(states.signals), noises)
+        errors_m = self.measured.errors_m(self.sight_at(states).salient, noises)
         pairs = zip(true_m.reshape(-1, 2).tolist(), errors_m.reshape(-1, 2).tolist(), strict=True)
         places = [measured_place(self.config, *place, *error) for place, error in pairs]
         return np.array(places, dtype=np.float64).reshape(true_m.shape)

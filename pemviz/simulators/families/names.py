@@ -1,10 +1,11 @@
 """The signals of an encounter, and those of single cars as arrays with a row for each."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from pemviz.arrays import AnyArray
+from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config import EncounterConfig
 from pemviz.simulators.families.margins import UNAVOIDABLE_S
 from pemviz.types import Signal
@@ -32,6 +33,31 @@ TITLES = {
     "neighbour": "neighbour",
     GHOST: "ghost",
 }
+
+
+class Each(NamedTuple):
+    """What there is of every other car, ``[K, ...]``, in the order of :data:`OF_EACH`.
+
+    Attributes:
+        gap_m: Bumper to bumper along the road [m].
+        aside_m: To the left of the ego [m].
+        speed_mps: [m/s].
+        heading_rad: Counterclockwise from the road [rad].
+    """
+
+    gap_m: FloatArray
+    aside_m: FloatArray
+    speed_mps: FloatArray
+    heading_rad: FloatArray
+
+    @staticmethod
+    def of(names: Sequence[str], signals: Mapping[str, FloatArray]) -> "Each":
+        """Of cars, and perhaps the ghost, with these names."""
+        return Each(*(of_cars(what, names, signals) for what in OF_EACH))
+
+    def first(self, count: int) -> "Each":
+        """Of as many."""
+        return Each(*(rows[:count] for rows in self))
 
 
 def slot_title(name: str) -> str:

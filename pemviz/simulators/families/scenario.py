@@ -1,7 +1,7 @@
 """What all back ends of the families share: all but how they begin and step."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,22 +20,24 @@ from pemviz.simulators.families.cars import (
     changes_lane,
 )
 from pemviz.simulators.families.drawing import encounter_cars, lanes, scene_states, scene_tracks
-from pemviz.simulators.families.ghost import GhostReports, ghost_salient, may_appear
+from pemviz.simulators.families.encounter_sight import EncounterSight
+from pemviz.simulators.families.ghost import GhostReports
 from pemviz.simulators.families.measured import FARTHEST_ASIDE_M, MeasuredPlaces, PlaneErrors
 from pemviz.simulators.families.names import (
+    ASIDE,
     COLLIDED,
     EGO_SPEED,
     GAP,
     GHOST,
-    OF_EACH,
+    HEADING,
+    SPEED,
+    Each,
     encounter_signals,
-    of_cars,
     slot_signals,
     slot_title,
 )
-from pemviz.simulators.families.sight import salient, seen
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
-from pemviz.simulators.slots import Slot
+from pemviz.simulators.slots import SeenStates, Slot
 from pemviz.simulators.tracking.named import tracker_of_text
 from pemviz.simulators.tracking.tracker import Tracker
 from pemviz.types import Signal, StateBatch
@@ -207,21 +209,22 @@ class FamilyScenario(ABC):
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The slots' salient variables ``[..., K, 11]``."""
-        gap_m, aside_m, _, heading_rad = self.of_each(signals)
-        found = salient(self.config, seen(self.config, gap_m, aside_m), heading_rad)
-        if self.has_ghost:
-            own = ghost_salient(self.config, np.asarray(signals[GHOST_SIGNAL]))
-            found = np.concatenate([found, own])
-        return np.moveaxis(found, 0, -2)
+        return self.sight(signals).salient
 
     def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Whether each is to be seen, or the ghost may appear, ``[..., K]``."""
-        gap_m, aside_m, _, _ = self.of_each(signals)
-        found = seen(self.config, gap_m, aside_m).present
-        if self.has_ghost:
-            own = may_appear(self.config, np.asarray(signals[GHOST_SIGNAL]), gap_m, aside_m)
-            found = np.concatenate([found, own[None]])
-        return np.moveaxis(found, 0, -1)
+        return self.sight(signals).present
+
+    def sight(self, signals: Mapping[str, FloatArray]) -> EncounterSight:
+        """Both at once, for signals ``[...]``."""
+        gap_m, aside_m, _, heading_rad = Each.of(self.cars, signals)
+        ghost_gap_m = np.asarray(signals[GHOST_SIGNAL]) if self.has_ghost else None
+        return EncounterSight(self.config, gap_m, aside_m, heading_rad, ghost_gap_m)
+
+    def sight_at(self, states: StateBatch) -> EncounterSight:
+        """The same, at states that may know it already."""
+        known = states.sight if isinstance(states, SeenStates) else None
+        return known if isinstance(known, EncounterSight) else self.sight(states.signals)
 
     def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Whether the ego might do otherwise for each outcome, at once or later, ``[..., K]``.
@@ -229,25 +232,32 @@ class FamilyScenario(ABC):
         Without a tracker: the car is in the path, and to keep a gap to it slows the ego down. With
         errors: it is not too far beside the path to be measured in it.
         """
-        config = self.config
-        gap_m, aside_m, speed_mps, heading_rad = self.of_told(signals)
-        free = signals[COLLIDED] == 0.0
+        each = [self.reacts_in(slot, signals) for slot in range(len(self.told_of))]
+        return np.stack(each, axis=-1)
+
+    def reacts_in(self, slot: int, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """The same of one slot, ``[...]``."""
+        config, name = self.config, self.told_of[slot]
+        free, aside_m = signals[COLLIDED] == 0.0, signals[f"{ASIDE}_{name}"]
         if self.tracker is not None or self.errors is not None:
-            known_s = 0.0
-            if self.tracker is not None:
-                known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * config.dt_s
-            moves = np.append(changes_lane(config), [False] * self.has_ghost)
-            wider_m = np.where(moves, FASTEST_ASIDE_MPS * known_s, 0.0)
-            wider_m = wider_m + (0.0 if self.errors is None else FARTHEST_ASIDE_M)
-            near = ego.is_beside(config, np.moveaxis(aside_m, 0, -1), wider_m=wider_m)
-            return near & free[..., None]
-        ego_mps = signals[EGO_SPEED]
-        closing_mps = ego_mps - speed_mps * np.cos(heading_rad)
+            return ego.is_beside(config, aside_m, wider_m=self._wider_m[slot]) & free
+        gap_m, ego_mps = signals[f"{GAP}_{name}"], signals[EGO_SPEED]
+        closing_mps = ego_mps - signals[f"{SPEED}_{name}"] * np.cos(signals[f"{HEADING}_{name}"])
         follow = ego.follow_acceleration(config, gap_m, closing_mps, ego_mps)
         slows = (follow < config.maximum_acceleration_mps2) | ego.is_urgent(
             config, gap_m, closing_mps
         )
-        return np.moveaxis(ego.in_path(config, gap_m, aside_m) & slows & free, 0, -1)
+        return ego.in_path(config, gap_m, aside_m) & slows & free
+
+    @cached_property
+    def _wider_m(self) -> FloatArray:
+        """How far beside the path what is reported may matter, with tracker or errors, ``[K]``."""
+        known_s = 0.0
+        if self.tracker is not None:
+            known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * self.config.dt_s
+        moves = np.append(changes_lane(self.config), [False] * self.has_ghost)
+        wider_m = np.where(moves, FASTEST_ASIDE_MPS * known_s, 0.0)
+        return wider_m + (0.0 if self.errors is None else FARTHEST_ASIDE_M)
 
     @property
     def scene_cars(self) -> tuple[SceneCar, ...]:
@@ -266,25 +276,6 @@ class FamilyScenario(ABC):
     def scene_tracks(self, states: StateBatch) -> SceneTracks:
         """Where the controller believes cars to be, from the tracks in states ``[...]``."""
         return scene_tracks(self.config, self.told_of, self.tracker, states)
-
-    def of_each(
-        self, signals: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Gaps, offsets, speeds and headings of the other cars, a row for each."""
-        return _rows(self.cars, signals)
-
-    def of_told(
-        self, signals: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The same of all slots, ``[K, ...]`` each."""
-        return _rows(self.told_of, signals)
-
-
-def _rows(
-    names: Sequence[str], signals: Mapping[str, FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    gap_m, aside_m, speed_mps, heading_rad = (of_cars(what, names, signals) for what in OF_EACH)
-    return gap_m, aside_m, speed_mps, heading_rad
 
 
 GHOST_SIGNAL = f"{GAP}_{GHOST}"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray
+from pemviz.arrays import AnyArray
 from pemviz.simulators.families.ego import Told
 from pemviz.simulators.families.names import by_car
 from pemviz.simulators.tracking.tracker import Tracker
@@ -29,7 +29,6 @@ def told_after(
     tracker: Tracker | None,
     cars: Sequence[str],
     memory: Mapping[str, AnyArray],
-    hits: BoolArray,
     measured: Told,
 ) -> tuple[Told, dict[str, AnyArray]]:
     """What the controller is told, and what the next states remember.
@@ -38,11 +37,11 @@ def told_after(
         tracker: Between perception and controller, if there is one.
         cars: Names of the K other cars.
         memory: Of the states in which perception acted.
-        hits: Which cars it reports, ``[K, N]``.
-        measured: What it measures of those.
+        measured: Which cars it reports, and what it measures of those.
     """
     if tracker is None:
-        return Told(hits, measured.gap_m, measured.aside_m, measured.closing_mps), {}
+        return measured, {}
+    hits = measured.there
     before = tracker.state(memory, slots=len(cars))
     positions_m = np.stack([measured.gap_m.T, measured.aside_m.T], axis=-1)
     tracks = tracker.update(before, hits.T, positions_m)

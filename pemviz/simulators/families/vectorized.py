@@ -1,7 +1,7 @@
 """Encounters of a family for a whole batch of rollouts at once."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from pemviz.simulators.families.names import (
     NEEDLESS,
     OF_EACH,
     SAFE_DISTANCE,
+    Each,
     by_car,
     of_cars,
 )
@@ -98,20 +99,25 @@ class VectorizedFamily(FamilyScenario):
     ) -> StateBatch:
         """The next states, for outcomes ``[N, K]`` and, with errors, noise ``[N, 2 K]``."""
         config, memory, signals = self.config, states.memory, states.signals
-        hits = (np.asarray(detected) & self.present(signals)).T
+        hits = (np.asarray(detected) & self.sight_at(states).present).T
         noises = {} if self.measured is None else self.measured.renewed(states, noise)
-        measured = self._measured(states, noises)
-        told, remembered = told_after(self.tracker, self.told_of, memory, hits, measured)
+        every = Each.of(self.told_of, signals)
+        along_mps = every.speed_mps * np.cos(every.heading_rad)
+        true = Told(hits, every.gap_m, every.aside_m, signals[EGO_SPEED] - along_mps)
+        measured = self._measured(states, noises, true)
+        told, remembered = told_after(self.tracker, self.told_of, memory, measured)
         values = {name: memory[f"{KEPT_START}{name}"] for name in self._kept}
         wanted_mps2 = ego.acceleration(
             config, told, ego_mps=signals[EGO_SPEED], set_mps=values["ego_speed"]
         )
-        time_s = float(states.step) * config.dt_s
+        time_s, others = float(states.step) * config.dt_s, len(self.cars)
         left, moved = self._driven(
             Left(
                 config=config,
                 cars=self.cars,
                 states=states,
+                each=every.first(others),
+                along_mps=along_mps[:others],
                 values=values,
                 ego_mps2=np.where(signals[COLLIDED] > 0.0, 0.0, wanted_mps2),
                 others_mps2=decelerations(config, values, time_s=time_s),
@@ -122,15 +128,11 @@ class VectorizedFamily(FamilyScenario):
         if self.has_ghost:
             arrived = {**arrived, **ghost_signals(values[GHOST_GAP], arrived[EGO_X])}
         kept = {name: values for name, values in memory.items() if name.startswith(KEPT_START)}
+        ahead = by_car(STATES_AHEAD, self.cars, states_ahead)
         return StateBatch(
             step=states.step + 1,
             signals={signal.name: arrived[signal.name] for signal in self.signals},
-            memory={
-                **kept,
-                **by_car(STATES_AHEAD, self.cars, states_ahead),
-                **remembered,
-                **noises,
-            },
+            memory={**kept, **ahead, **remembered, **noises},
         )
 
     @property
@@ -139,26 +141,25 @@ class VectorizedFamily(FamilyScenario):
         own = KEPT[self.config.family]
         return (*own, GHOST_GAP) if self.has_ghost else own
 
-    def _measured(self, states: StateBatch, noises: Mapping[str, AnyArray]) -> Told:
-        """What perception measures of what it reports, ``[K, N]``."""
-        gap_m, aside_m, speed_mps, heading_rad = self.of_told(states.signals)
-        closing_mps = states.signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
-        if self.measured is not None:
-            errors_m = self.measured.errors_m(self.salient(states.signals), noises)
-            off_m = np.moveaxis(errors_m, 1, 0)
-            gap_m, aside_m = displaced(self.config, gap_m, aside_m, off_m)
-        return Told(np.ones(gap_m.shape, dtype=np.bool_), gap_m, aside_m, closing_mps)
+    def _measured(self, states: StateBatch, noises: Mapping[str, AnyArray], true: Told) -> Told:
+        """What perception measures of what it reports, ``[K, N]``, instead of what is true."""
+        if self.measured is None:
+            return true
+        errors_m = self.measured.errors_m(self.sight_at(states).salient, noises)
+        off_m = np.moveaxis(errors_m, 1, 0)
+        gap_m, aside_m = displaced(self.config, true.gap_m, true.aside_m, off_m)
+        return replace(true, gap_m=gap_m, aside_m=aside_m)
 
     def _driven(self, left: Left) -> tuple[Left, Moved]:
         """What is done in the step, and where all cars then are if none touches another."""
         dt_s, signals = self.config.dt_s, left.states.signals
-        gap_m, aside_m, speed_mps, heading_rad = (left.of_cars(what) for what in OF_EACH)
+        gap_m, aside_m, speed_mps, heading_rad = left.each
         ego_m, ego_mps = signals[EGO_X], signals[EGO_SPEED]
         x_m = ego_m + gap_m + self.config.car_length_m
         return left, Moved(
             ego_x_m=ego_m + ego_mps * dt_s,
             ego_mps=(ego_mps + left.ego_mps2 * dt_s).clip(0.0),
-            x_m=x_m + speed_mps * np.cos(heading_rad) * dt_s,
+            x_m=x_m + left.along_mps * dt_s,
             y_m=aside_m + speed_mps * np.sin(heading_rad) * dt_s,
             speed_mps=(speed_mps - left.others_mps2 * dt_s).clip(0.0),
         )

@@ -13,7 +13,6 @@ from pemviz.simulators.families.names import (
     COLLIDED,
     EGO_SPEED,
     EGO_X,
-    OF_EACH,
     SPEED,
     by_car,
     of_cars,
@@ -56,10 +55,10 @@ class SumoFamily(VectorizedFamily):
     def _driven(self, left: Left) -> tuple[Left, Moved]:
         """What is done in the step, and where all cars then are if none touches another."""
         dt_s, signals = self.config.dt_s, left.states.signals
-        gap_m, aside_m, speed_mps, heading_rad = (left.of_cars(what) for what in OF_EACH)
+        gap_m, aside_m, speed_mps, heading_rad = left.each
         ego_m, ego_mps = signals[EGO_X], signals[EGO_SPEED]
         x_m = ego_m + gap_m + self.config.car_length_m
-        along_mps = speed_mps * np.cos(heading_rad)
+        along_mps = left.along_mps
         reached_m, reached_mps = self.roads.step(
             Group(
                 front_m=np.concatenate([ego_m[None], x_m]) + self.config.car_length_m / 2,
@@ -84,7 +83,7 @@ class SumoFamily(VectorizedFamily):
 
     def _lanes(self, left: Left) -> IntArray:
         """In which lane of SUMO's each car has its centre, ``[K, N]``."""
-        lane = np.rint(left.of_cars("aside") / self.config.lane_width_m).astype(np.int64)
+        lane = np.rint(left.each.aside_m / self.config.lane_width_m).astype(np.int64)
         return lane.clip(-1, 1) + 1
 
     def _wanted(self, left: Left) -> FloatArray:

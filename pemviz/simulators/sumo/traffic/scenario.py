@@ -94,10 +94,9 @@ class TrafficSimulator:
         signals = states.signals
         gap_m, aside_m, speed_mps, _ = (of.T for of in slot_signals(signals))
         there, ego_mps = self.present(signals).T, signals["ego_speed"]
-        measured = ego.Told(there, gap_m, aside_m, ego_mps - speed_mps)
+        measured = ego.Told(detected.T & there, gap_m, aside_m, ego_mps - speed_mps)
         memory = self._forgotten(states.memory, there)
-        hits = detected.T & there
-        told, kept = told_after(self.tracker, SLOTS, memory, hits, measured)
+        told, kept = told_after(self.tracker, SLOTS, memory, measured)
         acceleration = ego.acceleration(
             self.driving, told, ego_mps=ego_mps, set_mps=signals["wanted_speed"]
         )
