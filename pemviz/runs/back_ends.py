@@ -139,8 +139,8 @@ def batch_rollouts(config: ExperimentConfig) -> int:
         return SUMO_BATCH_ROLLOUTS
     largest = largest_part(states=config.states)
     # parts of a large final batch are not joined from smaller batches, which costs as much as they
-    at_once = config.is_braking_scenario and config.device == NUMPY
-    at_once = is_gpu(config.device) or (at_once and config.final_rollouts > largest)
+    at_once = config.device == NUMPY and config.final_rollouts > largest
+    at_once = at_once or is_gpu(config.device)
     return largest if at_once else min(BATCH_ROLLOUTS, largest)
 
 
