@@ -16,6 +16,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.errors import InputError
+from pemviz.lanes import LANES
 from pemviz.stl.agm import AgmSemantics, compounded, conclude_all
 from pemviz.stl.classical import ClassicalSemantics
 from pemviz.stl.compiled import DECISION
@@ -31,7 +32,6 @@ from pemviz.stl.expressions import (
     Sum,
 )
 from pemviz.stl.formulas import And, Formula, Implies, Not, Or
-from pemviz.stl.lanes import LANES
 from pemviz.stl.semantics import Semantics, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulativeSemantics
 from pemviz.stl.tasks import Near, Task, means_of

@@ -3,7 +3,7 @@
 Each reads rows ``values [n, T]`` of a signal, and folds its distances ``(value - offset) * factor``
 from a threshold over the steps from ``start`` to before ``stop``. The same arithmetic in the same
 order as :mod:`pemviz.stl.agm` and :mod:`pemviz.stl.dominant`, so that both give the same numbers to
-the last bit. Steps are taken eight at a time, :mod:`pemviz.stl.lanes`. Imported when it is time to
+the last bit. Steps are taken eight at a time, :mod:`pemviz.lanes`. Imported when it is time to
 compile: see :mod:`pemviz.stl.compiled`.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.compiling import inlined, translated, with_numba
-from pemviz.stl.lanes import (
+from pemviz.lanes import (
     LANES,
     filled,
     larger,
@@ -31,9 +31,9 @@ from pemviz.stl.lanes import (
 )
 from pemviz.stl.tasks import WHOLE, Means, Near, Packing, Rows, Seen, Task
 
-WIDE = with_numba(lambda _: importlib.import_module("pemviz.stl.wide_lanes"))
+WIDE = with_numba(lambda _: importlib.import_module("pemviz.wide_lanes"))
 """Having taught numba what lanes are; ``None`` without numba."""
-USED_AS_OF = "eb737e365d8a895a"
+USED_AS_OF = "51a76f1d339ab0e7"
 """Of the files of lanes and tasks: what numba keeps of this one is made anew when they change."""
 CERTAIN = 1e-17
 """1 plus this is 1."""

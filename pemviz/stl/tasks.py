@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.stl.lanes import LANES
+from pemviz.lanes import LANES
 
 WHOLE = 128
 """Steps that are folded within registers; fewer are made as many by zeros."""

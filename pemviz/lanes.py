@@ -1,7 +1,7 @@
 """Eight doubles at once, for loops that a compiler does not widen itself.
 
 Here eight doubles are an array, and the functions are what they say. In loops that numba compiles
-they are a wide register, by :mod:`pemviz.stl.wide_lanes`. Either way each of the eight goes through
+they are a wide register, by :mod:`pemviz.wide_lanes`. Either way each of the eight goes through
 the arithmetic of a double alone, so that results are the same to the last bit.
 """
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pemviz.stl import lanes
+from pemviz import lanes
 
 HARSH = (
     0.0, -0.0, 1.0, -1.0, 5e-324, -5e-324, 2.0**-1030, 1e-300, 1.5, -3e7,
@@ -115,7 +115,7 @@ def test_rows_become_columns():
 @pytest.fixture
 def wide_lanes():
     pytest.importorskip("numba")
-    return importlib.import_module("pemviz.stl.wide_lanes")
+    return importlib.import_module("pemviz.wide_lanes")
 
 
 @pytest.mark.slow  # a second, to compile
@@ -155,7 +155,7 @@ def test_packing_has_two_ways(wide_lanes, by_itself):
 def test_what_is_compiled_is_kept_until_the_words_change():
     """numba looks at the file of a loop alone when it asks whether what it keeps is still right."""
     folder = Path(lanes.__file__).parent
-    used = ("lanes.py", "wide_lanes.py", "tasks.py")
+    used = ("lanes.py", "wide_lanes.py", "stl/tasks.py")
     words = b"".join((folder / name).read_bytes() for name in used)
-    written = (folder / "loops.py").read_text(encoding="utf-8")
+    written = (folder / "stl" / "loops.py").read_text(encoding="utf-8")
     assert f'USED_AS_OF = "{hashlib.sha256(words).hexdigest()[:16]}"' in written

@@ -1,4 +1,4 @@
-"""What :mod:`pemviz.stl.lanes` says in the words of numba's compiler: eight doubles in a register.
+"""What :mod:`pemviz.lanes` says in the words of numba's compiler: eight doubles in a register.
 
 Importing this teaches them to numba, and fails without it.
 """
@@ -15,7 +15,7 @@ from numba.core import cgutils, types
 from numba.core.registry import cpu_target
 from numba.extending import models, overload, register_model
 
-from pemviz.stl import lanes
+from pemviz import lanes
 
 REGISTER = ir.VectorType(ir.DoubleType(), lanes.LANES)
 FLAGS = ir.VectorType(ir.IntType(1), lanes.LANES)
