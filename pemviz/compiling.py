@@ -3,8 +3,11 @@
 import importlib
 import importlib.util
 import logging
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
@@ -60,3 +63,42 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
 def is_translated(function: Callable[..., Any]) -> bool:
     """Whether `translated` found a way."""
     return hasattr(function, "py_func")
+
+
+@dataclass
+class LoadedInTime:
+    """Compiled loops that are loaded once so much was done by numpy that it would have paid.
+
+    What they give is what numpy gives, to the last bit, so that it may depend on what a process
+    has done before.
+
+    Attributes:
+        load: Gives them; ``None`` where there are none.
+        first_by_numpy: How much numpy does before numba is imported, which takes half a second.
+        first_where_loaded: The same where it has been: what is compiled is read in some 20 ms.
+        done: How much has been done.
+    """
+
+    load: Callable[[], Any]
+    first_by_numpy: float
+    first_where_loaded: float
+    done: float = 0.0
+
+    def loops_for(self, more: int) -> Any:
+        """The loops, or ``None``; ``more`` is what is to be done now."""
+        self.done += more
+        enough = self.first_where_loaded if is_loaded() else self.first_by_numpy
+        return self.load() if self.done > enough else None
+
+    @contextmanager
+    def from_the_start(self, wanted: bool) -> Generator[None]:
+        """Within, the loops wherever they serve, or never: to compare the two.
+
+        Args:
+            wanted: Whether the loops, if there are any.
+        """
+        before, self.done = self.done, math.inf if wanted else -math.inf
+        try:
+            yield
+        finally:
+            self.done = before

@@ -38,8 +38,8 @@ from pemviz.sampling.rollouts.kernels import compiled_loops
 from pemviz.simulators.braking.highway import HighwaySimulator
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.stl import Classical, parse, robustness
+from pemviz.stl.compiled import DECISION
 from pemviz.stl.compiled import compiled_loops as compiled_folds
-from pemviz.stl.compiled import loops_from_the_start
 
 Work = Callable[[], object]
 Found = Iterator[Ratio | LeftOut]
@@ -168,7 +168,7 @@ def hand_written_ratios(*, turns: int = 5) -> Found:
             lambda formula=formula: robustness(formula, batch, Classical()),
             lambda by_hand=by_hand: by_hand(batch),
         ]
-        with loops_from_the_start(False):
+        with DECISION.from_the_start(False):
             ours_s, theirs_s = in_turns_s(works, 2 * turns)
         yield ratio_of_turns(
             f"classical of {text}", "numpy by hand", theirs_s=theirs_s, ours_s=ours_s
@@ -194,7 +194,7 @@ def rtamt_ratios(python: str | None, *, turns: int = 5) -> Found:
         for way, compiled in ways.items():
             for name, metric in METRICS.items():
                 works: list[Work] = [lambda metric=metric: robustness(formula, batch, metric)]
-                with loops_from_the_start(compiled):
+                with DECISION.from_the_start(compiled):
                     each_s = min(in_turns_s(works, 3 * turns)[0]) / ROLLOUTS
                 label = f"{name} of {ALWAYS}" + (f", {way}" if way else "")
                 ours_s.setdefault(label, []).append(each_s)

@@ -15,7 +15,7 @@ from pemviz.arrays import FloatArray
 from pemviz.bench.figures import Figure
 from pemviz.errors import RunError
 from pemviz.stl import Agm, Classical, Formula, Metric, SmoothCumulative, parse, robustness
-from pemviz.stl.compiled import compiled_loops, loops_from_the_start
+from pemviz.stl.compiled import DECISION, compiled_loops
 
 ROLLOUTS, STATES = 10_000, 100
 
@@ -65,7 +65,7 @@ def stl_figures(*, repeats: int = 15, rtamt_python: str | None = None) -> Sequen
     """
     batch = random_batch(rollouts=ROLLOUTS, states=STATES)
     python = rtamt_python or os.environ.get(ORACLE_PYTHON)
-    with loops_from_the_start(False):  # where the label does not say otherwise
+    with DECISION.from_the_start(False):  # where the label does not say otherwise
         return (
             *_against_hand_written(batch, repeats),
             *_between_metrics(batch, repeats, python),
@@ -168,7 +168,7 @@ def _per_rollout_s(
     def evaluate(metric: Metric) -> Callable[[], FloatArray]:
         return lambda: robustness(formula, batch, metric)
 
-    with loops_from_the_start(compiled):
+    with DECISION.from_the_start(compiled):
         times_s = _best_times_s([evaluate(metric) for metric in METRICS.values()], repeats)
     return {name: time_s / ROLLOUTS for name, time_s in zip(METRICS, times_s, strict=True)}
 

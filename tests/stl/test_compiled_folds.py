@@ -300,25 +300,6 @@ def test_few_and_many_near_steps_add_up_to_the_same_digits(seed, scale, positive
         np.testing.assert_array_equal(alone[0], steps.always(margin)[0, i : i + 1])
 
 
-def test_loops_are_loaded_when_they_begin_to_pay(monkeypatch):
-    monkeypatch.setattr(compiled, "compiled_loops", lambda: "loops")
-    for loaded, enough in ((False, compiled.FIRST_BY_NUMPY), (True, compiled.FIRST_WHERE_LOADED)):
-        monkeypatch.setattr(compiled, "is_loaded", lambda loaded=loaded: loaded)
-        decision = compiled.Decision()
-        assert decision.loops_for(enough) is None
-        assert decision.loops_for(1) == "loops"
-
-
-def test_comparisons_choose_the_way_and_leave_no_trace(monkeypatch):
-    monkeypatch.setattr(compiled, "compiled_loops", lambda: "loops")
-    before = compiled.DECISION.values
-    with compiled.loops_from_the_start(True):
-        assert compiled.DECISION.loops_for(1) == "loops"
-    with compiled.loops_from_the_start(False):
-        assert compiled.DECISION.loops_for(10**18) is None
-    assert compiled.DECISION.values == before
-
-
 def test_without_numba_numpy_answers(monkeypatch):
     monkeypatch.setattr(compiled, "is_installed", lambda: False)
     assert compiled.compiled_loops.__wrapped__() is None

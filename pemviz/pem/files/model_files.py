@@ -23,7 +23,8 @@ from pemviz.pem.models.authors_network import authors_pem, is_authors_checkpoint
 from pemviz.pem.models.card import PemCard, card_from_mapping
 from pemviz.pem.models.encoding import PAPER_INPUTS
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
-from pemviz.pem.models.network import Layer, NetworkPem
+from pemviz.pem.models.layers import Layer
+from pemviz.pem.models.network import NetworkPem
 from pemviz.pem.models.tabulated import TabulatedPem
 from pemviz.pem.models.tensors import as_double
 from pemviz.pem.models.tree_features import FEATURES, FeatureSet

@@ -12,7 +12,8 @@ from pemviz.arrays import AnyArray, FloatArray
 from pemviz.errors import PemError
 from pemviz.pem.models.card import UNKNOWN_LICENCE, PemCard
 from pemviz.pem.models.encoding import POSE_INDEX
-from pemviz.pem.models.network import Layer, NetworkPem
+from pemviz.pem.models.layers import Layer
+from pemviz.pem.models.network import NetworkPem
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 from pemviz.pem.models.tensors import as_double, check_finite
 

@@ -5,35 +5,26 @@ Logistic regression is a network without hidden layers, guessing the mean one wh
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pemviz.arrays import AnyArray, FloatArray, Move, is_tensor, namespace
+from pemviz.arrays import AnyArray, FloatArray, Move, is_tensor
 from pemviz.chunks import map_rows
 from pemviz.errors import PemError
+from pemviz.lanes import LANES
 from pemviz.pem.models.card import Carded, PemCard
+from pemviz.pem.models.compiled_network import ROWS_ASKED, by_loop
 from pemviz.pem.models.encoding import PAPER_INPUTS, POSE_COLUMNS, check_rows, paper_inputs
+from pemviz.pem.models.layers import Layer, PackedNetwork, forward, packed
 from pemviz.pem.models.protocol import as_rows
 from pemviz.pem.models.tensors import check_finite, tensors_digest
 
-LANES = 8
-"""Columns that a processor's widest registers hold: `forward` gives each the same in any multiple
-of so many."""
 FARTHEST = 1e6
 """Far beyond any x, y, z [m] or angle [rad] that a scenario holds."""
-
-
-@dataclass(frozen=True)
-class Layer:
-    """An affine map."""
-
-    weight: FloatArray
-    """Shape [outputs, inputs]."""
-    bias: FloatArray
-    """Shape [outputs]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +77,20 @@ class NetworkPem(Carded):
     def logit(self, salient: ArrayLike) -> FloatArray:
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""
         rows, shape = as_rows(salient)
-        check_rows(rows)
-        answer = _Forward(self.pose_mean, self.pose_std, self.layers)
-        return map_rows(answer.logit, rows, padded=False).reshape(shape)
+        loops = ROWS_ASKED.loops_for(0)
+        found = None if loops is None else by_loop(rows, self._packed, loops)
+        if found is None:
+            check_rows(rows)
+            found = map_rows(self._forward, rows, padded=False)
+        return found.reshape(shape)
+
+    def _forward(self, rows: FloatArray) -> FloatArray:
+        ROWS_ASKED.done += len(rows)
+        return _Forward(self.pose_mean, self.pose_std, self.layers).logit(rows)
+
+    @cached_property
+    def _packed(self) -> PackedNetwork:
+        return packed(self.pose_mean, self.pose_std, self.layers)
 
     def moved(self, move: Move) -> "_Forward":
         """What answers for tensors."""
@@ -110,22 +112,6 @@ class _Forward:
             salient, pose_mean=self.pose_mean, pose_std=self.pose_std, multiple=lanes
         )
         return forward(self.layers, inputs)[: len(salient)]
-
-
-def forward(layers: Sequence[Layer], inputs: FloatArray) -> FloatArray:
-    """Output [n] of a rectified network on inputs [features, n].
-
-    numpy's own einsum adds up feature by feature, vectorised over n: unlike a matrix product of
-    the linear algebra library, what one column gives cannot depend on the others or on threads,
-    nor, while there are several, on how many they are.
-    """
-    xp, hidden = namespace(inputs), inputs
-    zero = xp.zeros((), dtype=inputs.dtype, device=inputs.device)
-    for layer in layers[:-1]:
-        hidden = xp.einsum("hk,kn->hn", layer.weight, hidden)
-        hidden += layer.bias[:, None]
-        xp.maximum(hidden, zero, out=hidden)
-    return xp.einsum("hk,kn->hn", layers[-1].weight, hidden)[0] + layers[-1].bias[0]
 
 
 def largest_output(pem: "NetworkPem") -> float:
