@@ -12,9 +12,10 @@ from pemviz.lanes import LANES
 from pemviz.pem.models.encoding import paper_inputs
 from pemviz.pem.models.layers import Layer, PackedNetwork, forward, packed
 
-FIRST_BY_NUMPY = 4_000_000
-"""Rows, each about a quarter of a microsecond, after which importing numba begins to pay."""
+FIRST_BY_NUMPY = 12_000_000
+"""Rows, each about a quarter of a microsecond, after which importing numba is likely to pay."""
 FIRST_WHERE_LOADED = 200_000
+"""The same where numba has been imported: what is compiled is read in some 20 ms."""
 TRIED_ROWS = 19
 """On which the loop must give what numpy gives."""
 
