@@ -81,12 +81,16 @@ class NetworkPem(Carded):
         found = None if loops is None else by_loop(rows, self._packed, loops)
         if found is None:
             check_rows(rows)
-            found = map_rows(self._forward, rows, padded=False)
+            found = map_rows(self._counted, rows, padded=False)
         return found.reshape(shape)
 
-    def _forward(self, rows: FloatArray) -> FloatArray:
+    def _counted(self, rows: FloatArray) -> FloatArray:
         ROWS_ASKED.done += len(rows)
-        return _Forward(self.pose_mean, self.pose_std, self.layers).logit(rows)
+        return self._by_numpy.logit(rows)
+
+    @cached_property
+    def _by_numpy(self) -> "_Forward":
+        return _Forward(self.pose_mean, self.pose_std, self.layers)
 
     @cached_property
     def _packed(self) -> PackedNetwork:
