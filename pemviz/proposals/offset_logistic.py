@@ -87,12 +87,12 @@ class PolynomialBasis:
         xp = namespace(values)
         result = xp.ones(shape, dtype=values.dtype, device=values.device)
         by_monomial, by_feature = result.T, standard.T
-        for column, (lower, feature) in enumerate(self._factors, start=1):
+        for column, (lower, feature) in enumerate(self.factors, start=1):
             xp.multiply(by_monomial[lower], by_feature[feature], out=by_monomial[column])
         return result
 
     @cached_property
-    def _factors(self) -> tuple[tuple[int, int], ...]:
+    def factors(self) -> tuple[tuple[int, int], ...]:
         """Of each monomial but the constant, the one it is a feature times, and the feature."""
         place = {chosen: column for column, chosen in enumerate(self.exponents)}
         return tuple((place[chosen[:-1]], chosen[-1]) for chosen in self.exponents[1:])

@@ -79,9 +79,18 @@ def stage_seeds(*, seed: int, repetition: int, stage: int) -> np.random.SeedSequ
 
 
 def sample_stage(
-    problem: Problem, *, proposal: Proposal, count: int, seed: int, repetition: int, stage: int
+    problem: Problem,
+    *,
+    proposal: Proposal,
+    count: int,
+    seed: int,
+    repetition: int,
+    stage: int,
+    many: bool = False,
 ) -> ScoredRollouts:
     """A stage's rollouts: those that an interrupted run left, or else drawn and scored.
+
+    Whether it is of ``many`` is said as in :func:`pemviz.sampling.problem.sample_batches`.
 
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
@@ -93,6 +102,7 @@ def sample_stage(
             proposal=proposal,
             count=count,
             seeds=stage_seeds(seed=seed, repetition=repetition, stage=stage),
+            many=many,
         ),
         repetition=repetition,
         stage=stage,

@@ -123,22 +123,38 @@ class Problem:
 
 
 def sample(
-    problem: Problem, *, proposal: Proposal, count: int, seeds: np.random.SeedSequence
+    problem: Problem,
+    *,
+    proposal: Proposal,
+    count: int,
+    seeds: np.random.SeedSequence,
+    many: bool = False,
 ) -> ScoredRollouts:
     """Draw and score ``count`` rollouts, in batches that do not change the result.
 
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
     """
-    return ScoredRollouts.concatenate(
-        list(sample_batches(problem, proposal=proposal, count=count, seeds=seeds))
-    )
+    batches = sample_batches(problem, proposal=proposal, count=count, seeds=seeds, many=many)
+    return ScoredRollouts.concatenate(list(batches))
 
 
 def sample_batches(
-    problem: Problem, *, proposal: Proposal, count: int, seeds: np.random.SeedSequence
+    problem: Problem,
+    *,
+    proposal: Proposal,
+    count: int,
+    seeds: np.random.SeedSequence,
+    many: bool = False,
 ) -> Iterator[ScoredRollouts]:
     """What :func:`sample` draws, batch by batch, for use where not all must be kept.
+
+    Args:
+        problem: What is drawn and how it is scored.
+        proposal: What outcomes are drawn from.
+        count: Number of rollouts.
+        seeds: Of these rollouts.
+        many: As :class:`BatchTask` has it; must follow from a run's settings alone.
 
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
@@ -158,6 +174,7 @@ def sample_batches(
             of_rows(proposal, slice(start, start + size)),
             generator.random((size, steps)),
             latents.draw(size),
+            many,
         )
         for start, size in zip(starts, sizes, strict=False)
     )

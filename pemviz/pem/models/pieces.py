@@ -5,6 +5,8 @@ sign. These kinks are found layer by layer; the network itself answers at them, 
 answers are interpolated: the same but for rounding.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,7 +14,7 @@ from pemviz.arrays import FloatArray
 from pemviz.chunks import map_distinct, map_rows
 from pemviz.pem.models.encoding import POSE_INDEX, paper_inputs
 from pemviz.pem.models.ensemble import EnsemblePem, mean_probability_logit
-from pemviz.pem.models.network import NetworkPem
+from pemviz.pem.models.network import Layer, NetworkPem
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.pem.models.protocol import as_rows
 
@@ -91,8 +93,26 @@ def kinks(pem: NetworkPem, row: FloatArray, *, column: int, low: float, high: fl
     slope = np.zeros_like(offset)
     pose = POSE_INDEX.index(column)
     slope[len(slope) - len(POSE_INDEX) + pose] = 1.0 / pem.pose_std[pose]
+    return bends(pem.layers[:-1], slope, offset, low=low, high=high)
+
+
+def bends(
+    layers: Sequence[Layer], slope: FloatArray, offset: FloatArray, *, low: float, high: float
+) -> FloatArray:
+    """Where a rectified network bends along one number that goes from ``low`` to ``high``.
+
+    Args:
+        layers: Its hidden layers.
+        slope: By which its inputs grow with the number, ``[inputs, 1]``.
+        offset: What they are at 0, ``[inputs, 1]``.
+        low: From where.
+        high: To where.
+
+    Returns:
+        Ascending ``[k]``, both ends included.
+    """
     edges = np.array([low, high])
-    for layer in pem.layers[:-1]:
+    for layer in layers:
         slope, offset = layer.weight @ slope, layer.weight @ offset + layer.bias[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = -offset / slope  # of each unit, if it keeps on as in each piece

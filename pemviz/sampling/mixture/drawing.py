@@ -52,9 +52,16 @@ def main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal 
 
 
 def drawn(
-    problem: Problem, state: MixtureState, component: IntArray, *, seeds: np.random.SeedSequence
+    problem: Problem,
+    state: MixtureState,
+    component: IntArray,
+    *,
+    seeds: np.random.SeedSequence,
+    many: bool = False,
 ) -> ScoredRollouts:
     """Rollouts drawn from given components, ascending, ``[N]``, and scored.
+
+    Whether they are of ``many`` is said as in :func:`pemviz.sampling.problem.sample_batches`.
 
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
@@ -88,7 +95,7 @@ def drawn(
             turns=state.turns,
         )
         proposal = replace(proposal, latents=latents)
-    return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
+    return sample(problem, proposal=proposal, count=component.size, seeds=seeds, many=many)
 
 
 def defence(steps: int) -> float:

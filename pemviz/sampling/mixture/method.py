@@ -132,6 +132,7 @@ class MixtureSampling:
                 state,
                 component,
                 seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
+                many=last and len(self._final_sizes()) > 1,
             ),
             repetition=state.repetition,
             stage=state.stage,

@@ -30,11 +30,14 @@ class BatchTask:
         proposal: What outcomes are drawn from.
         uniforms: ``[N, T-1]``; see :func:`pemviz.sampling.rollouts.draw.simulate`.
         normals: Of N rollouts of a scenario with latents.
+        many: Whether it is of a stage of so many that logits may be rounded otherwise, within
+            1e-12, if that is faster: see :mod:`pemviz.sampling.rollouts.fitted`.
     """
 
     proposal: Proposal
     uniforms: FloatArray
     normals: StandardNormals | None = None
+    many: bool = False
 
     def split(self, pieces: int) -> "Sequence[BatchTask]":
         """The same rollouts as at most ``pieces`` tasks, in order."""
@@ -43,7 +46,7 @@ class BatchTask:
 
     def _rows(self, rows: slice) -> "BatchTask":
         normals = None if self.normals is None else self.normals.take(rows)
-        return BatchTask(of_rows(self.proposal, rows), self.uniforms[rows], normals)
+        return BatchTask(of_rows(self.proposal, rows), self.uniforms[rows], normals, self.many)
 
 
 class BatchRunner(Protocol):
@@ -59,13 +62,24 @@ class BatchRunner(Protocol):
 def run_here(simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]) -> Iterator[RolloutBatch]:
     """One batch after the other, in the thread that asks for it."""
     for task in tasks:
-        yield simulate(
-            simulator=simulator,
-            pem=pem,
-            proposal=task.proposal,
-            uniforms=task.uniforms,
-            normals=task.normals,
-        )
+        yield simulate_task(simulator, pem, task)
+
+
+def simulate_task(simulator: Simulator, pem: Pem, task: BatchTask) -> RolloutBatch:
+    """A batch's rollouts, in the process that this is called in."""
+    if task.many and task.normals is None:
+        from pemviz.sampling.rollouts import fitted  # noqa: PLC0415  it knows problems, as this does
+
+        drawn = fitted.drawn_compiled(simulator, pem, task.proposal, task.uniforms)
+        if drawn is not None:
+            return drawn
+    return simulate(
+        simulator=simulator,
+        pem=pem,
+        proposal=task.proposal,
+        uniforms=task.uniforms,
+        normals=task.normals,
+    )
 
 
 def _are_numbers(by_step: FloatArray) -> bool:

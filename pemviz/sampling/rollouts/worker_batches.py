@@ -8,8 +8,7 @@ from typing import Any
 
 from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED
-from pemviz.sampling.rollouts.batches import BatchTask, SimulationError
-from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.batches import BatchTask, SimulationError, simulate_task
 from pemviz.types import RolloutBatch, Simulator
 
 BATCHES_AHEAD = 1  # so that workers need not wait until a batch is scored
@@ -59,19 +58,8 @@ class PooledRunner:
 
     def _handed_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> Pieces:
         return [
-            self.submit(simulate_piece, simulator, pem, piece) for piece in task.split(self.workers)
+            self.submit(simulate_task, simulator, pem, piece) for piece in task.split(self.workers)
         ]
-
-
-def simulate_piece(simulator: Simulator, pem: Pem, task: BatchTask) -> RolloutBatch:
-    """A piece's rollouts, in the process that this is called in."""
-    return simulate(
-        simulator=simulator,
-        pem=pem,
-        proposal=task.proposal,
-        uniforms=task.uniforms,
-        normals=task.normals,
-    )
 
 
 def _joined(pieces: Pieces) -> RolloutBatch:

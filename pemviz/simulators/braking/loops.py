@@ -95,14 +95,19 @@ def numbers_of(config: ScenarioConfig) -> Numbers:
 
 
 def moved(
-    state: tuple[float, float, float], lead: float, detected: bool, numbers: Numbers
+    state: tuple[float, float, float],
+    lead: float,
+    present: bool,
+    told: float,
+    numbers: Numbers,
 ) -> tuple[float, float, float]:
     """Gap [m], ego speed [m/s] and its speed error integral [m] one step after ``state``.
 
     Args:
         state: The same before the step.
         lead: Speed of the lead car there [m/s].
-        detected: Perception's outcome there.
+        present: Whether the controller is told of a car ahead.
+        told: The gap to it that it is told then [m].
         numbers: The scenario's.
     """
     gap, speed, held = state
@@ -110,7 +115,7 @@ def moved(
     grown = error * numbers.dt + held
     wanted = error * numbers.gain + numbers.integral_gain * grown
     wanted = min(max(wanted, numbers.lowest), numbers.highest)
-    brakes = detected & (gap < numbers.close)
+    brakes = present & (told < numbers.close)
     wanted = numbers.emergency if brakes else wanted
     grown = held if brakes else grown
     gap = (lead - speed) * numbers.dt + gap
@@ -158,7 +163,7 @@ def advance(
                 detected = not uniforms[n, step] < miss  # true for NaN
                 tracks.logit[step, n] = answers.logit[place]
                 tracks.detected[step, n] = detected
-                state = moved((gap[n], speed[n], held[n]), lead, detected, numbers)
+                state = moved((gap[n], speed[n], held[n]), lead, detected, gap[n], numbers)
                 gap_after[n], speed_after[n], held_after[n] = state
                 if tracks.reached[n] == step and not np.isnan(miss):
                     tracks.reached[n] = step + 1
@@ -204,5 +209,5 @@ def replay(
             outcome = detected[step, first:last]
             for n in range(last - first):
                 state = gap[n], speed[n], held_m[n]
-                state = moved(state, lead, outcome[n], numbers)
+                state = moved(state, lead, outcome[n], gap[n], numbers)
                 gap_after[n], speed_after[n], held_m[n] = state
