@@ -31,7 +31,7 @@ class BatchTask:
         uniforms: ``[N, T-1]``; see :func:`pemviz.sampling.rollouts.draw.simulate`.
         normals: Of N rollouts of a scenario with latents.
         many: Whether it is of a stage of so many that logits may be rounded otherwise, within
-            1e-12, if that is faster: see :mod:`pemviz.sampling.rollouts.fitted`.
+            1e-12, if that is faster: see :mod:`pemviz.sampling.fitted.drawing`.
     """
 
     proposal: Proposal
@@ -49,6 +49,14 @@ class BatchTask:
         return BatchTask(of_rows(self.proposal, rows), self.uniforms[rows], normals, self.many)
 
 
+class Simulated(Protocol):
+    """Simulates one batch; can be pickled."""
+
+    def __call__(self, simulator: Simulator, pem: Pem, task: BatchTask, /) -> RolloutBatch:
+        """The batch's rollouts."""
+        ...
+
+
 class BatchRunner(Protocol):
     """Simulates batches, here or elsewhere; what comes back does not depend on where."""
 
@@ -62,17 +70,11 @@ class BatchRunner(Protocol):
 def run_here(simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]) -> Iterator[RolloutBatch]:
     """One batch after the other, in the thread that asks for it."""
     for task in tasks:
-        yield simulate_task(simulator, pem, task)
+        yield by_numpy(simulator, pem, task)
 
 
-def simulate_task(simulator: Simulator, pem: Pem, task: BatchTask) -> RolloutBatch:
+def by_numpy(simulator: Simulator, pem: Pem, task: BatchTask) -> RolloutBatch:
     """A batch's rollouts, in the process that this is called in."""
-    if task.many and task.normals is None:
-        from pemviz.sampling.rollouts import fitted  # noqa: PLC0415  it knows problems, as this does
-
-        drawn = fitted.drawn_compiled(simulator, pem, task.proposal, task.uniforms)
-        if drawn is not None:
-            return drawn
     return simulate(
         simulator=simulator,
         pem=pem,

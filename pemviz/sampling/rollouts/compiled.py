@@ -16,7 +16,7 @@ from pemviz.arrays import FloatArray, IntArray
 from pemviz.pem.models.card import Carded
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.fixed import PemProposal
-from pemviz.sampling.rollouts.batches import BatchTask, run_here
+from pemviz.sampling.rollouts.batches import BatchTask, Simulated, by_numpy
 from pemviz.sampling.rollouts.compiled_replay import is_plain
 from pemviz.sampling.rollouts.kernels import Loops, compiled_loops, lead_speeds
 from pemviz.simulators.braking import loops
@@ -134,9 +134,11 @@ class CompiledRunner:
 
     Attributes:
         first_by_numpy: Rollouts that numpy simulates before the loop is compiled or loaded.
+        simulated: Who simulates what this loop does not know.
     """
 
     first_by_numpy: int = FIRST_BY_NUMPY
+    simulated: Simulated = by_numpy
     _done: int = field(default=0, init=False)
     _rollouts: CompiledRollouts | None = field(default=None, init=False, repr=False)
 
@@ -147,7 +149,7 @@ class CompiledRunner:
         for task in tasks:
             compiled = self._compiled(simulator, pem, task)
             if compiled is None:
-                yield from run_here(simulator, pem, [task])
+                yield self.simulated(simulator, pem, task)
             else:
                 yield compiled.simulate(task.uniforms)
 

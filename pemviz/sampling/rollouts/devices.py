@@ -8,7 +8,7 @@ from pemviz.arrays import FloatArray, moved
 from pemviz.errors import ConfigError
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.protocol import Pem
-from pemviz.sampling.rollouts.batches import BatchRunner, BatchTask
+from pemviz.sampling.rollouts.batches import BatchRunner, BatchTask, Simulated, by_numpy
 from pemviz.sampling.rollouts.compiled import CompiledRunner
 from pemviz.sampling.rollouts.draw import simulate
 from pemviz.types import Proposal, RolloutBatch, Simulator
@@ -38,9 +38,9 @@ class DeviceRunner:
             )
 
 
-def batch_runner(device: str) -> BatchRunner:
-    """Who simulates batches on ``device``."""
-    return CompiledRunner() if device == NUMPY else DeviceRunner(device)
+def batch_runner(device: str, simulated: Simulated = by_numpy) -> BatchRunner:
+    """Who simulates batches on ``device``; here ``simulated`` what plain rollouts are not."""
+    return CompiledRunner(simulated=simulated) if device == NUMPY else DeviceRunner(device)
 
 
 def is_gpu(device: str) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED
-from pemviz.sampling.rollouts.batches import BatchTask, SimulationError, simulate_task
+from pemviz.sampling.rollouts.batches import BatchTask, Simulated, SimulationError, by_numpy
 from pemviz.types import RolloutBatch, Simulator
 
 BATCHES_AHEAD = 1  # so that workers need not wait until a batch is scored
@@ -27,10 +27,12 @@ class PooledRunner:
         submit: Takes a function and its arguments, all of which can be pickled, to a worker,
             as :meth:`concurrent.futures.Executor.submit` does.
         workers: How many there are.
+        simulated: What they do with a piece; can be pickled likewise.
     """
 
     submit: Callable[..., Future[Any]]
     workers: int
+    simulated: Simulated = by_numpy
 
     def __call__(
         self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
@@ -57,9 +59,8 @@ class PooledRunner:
                 piece.cancel()
 
     def _handed_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> Pieces:
-        return [
-            self.submit(simulate_task, simulator, pem, piece) for piece in task.split(self.workers)
-        ]
+        pieces = task.split(self.workers)
+        return [self.submit(self.simulated, simulator, pem, piece) for piece in pieces]
 
 
 def _joined(pieces: Pieces) -> RolloutBatch:

@@ -3,8 +3,8 @@
 The braking scenario with memory of misses, with a tracker or without; a network as error model;
 outcomes drawn from it, from a network of the gap, or from pilots and fits. Signals and outcomes are
 numpy's to the last bit, logits within 1e-12 of their size, or of 1 where they are smaller: networks
-are linear in the gap between their kinks, so that a logit is a product and a sum. A rollout of which
-an outcome is too close to call by rounded numbers is drawn by numpy.
+are linear in the gap between their kinks, so that a logit is a product and a sum. A rollout with an
+outcome that is too close to call by rounded numbers is drawn by numpy.
 
 Whether a stage goes this way is :attr:`pemviz.sampling.rollouts.batches.BatchTask.many`, which
 follows from a run's settings alone: one that is stopped and goes on draws what it would have drawn.
@@ -21,9 +21,8 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.compiling import is_translated
 from pemviz.pem.models.protocol import Pem
-from pemviz.sampling.rollouts.draw import of_rows, simulate
-from pemviz.sampling.rollouts.fitted_numbers import ERROR_MODEL, Scene, Written
-from pemviz.sampling.rollouts.fitted_terms import (
+from pemviz.sampling.fitted.numbers import ERROR_MODEL, Scene, Written
+from pemviz.sampling.fitted.terms import (
     is_served,
     model_numbers,
     plain_part,
@@ -32,6 +31,8 @@ from pemviz.sampling.rollouts.fitted_terms import (
     rules_of,
     tracking_numbers,
 )
+from pemviz.sampling.rollouts.batches import BatchTask, by_numpy
+from pemviz.sampling.rollouts.draw import of_rows, simulate
 from pemviz.sampling.rollouts.kernels import lead_speeds
 from pemviz.simulators.braking.loops import numbers_of
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED, SPEED_ERROR_INTEGRAL
@@ -44,18 +45,17 @@ from pemviz.types import Proposal, RolloutBatch, Simulator
 @cache
 def compiled_draw() -> ModuleType | None:
     """The module of the loop, compiled; ``None`` without numba, or with one that fails here."""
-    loops = importlib.import_module("pemviz.sampling.rollouts.fitted_loops")
+    loops = importlib.import_module("pemviz.sampling.fitted.loops")
     return loops if is_translated(loops.draw) else None
 
 
-def drawn_compiled(
-    simulator: Simulator, pem: Pem, proposal: Proposal, uniforms: FloatArray
-) -> RolloutBatch | None:
-    """As :func:`pemviz.sampling.rollouts.draw.simulate`; ``None`` where numpy is to compute it."""
-    if not is_served(simulator, pem, proposal):
-        return None
-    loops = compiled_draw()
-    return None if loops is None else drawn(simulator, pem, proposal, uniforms, loops)
+def simulated(simulator: Simulator, pem: Pem, task: BatchTask) -> RolloutBatch:
+    """A batch's rollouts, by the loop if they are of many, and it knows them."""
+    if task.many and task.normals is None and is_served(simulator, pem, task.proposal):
+        loops = compiled_draw()
+        if loops is not None:
+            return drawn(simulator, pem, task.proposal, task.uniforms, loops)
+    return by_numpy(simulator, pem, task)
 
 
 def drawn(
@@ -68,7 +68,7 @@ def drawn(
         pem: The error model.
         proposal: What outcomes are drawn from, N rollouts or any number.
         uniforms: As in :func:`pemviz.sampling.rollouts.draw.simulate`.
-        loops: :mod:`pemviz.sampling.rollouts.fitted_loops`, compiled or not.
+        loops: :mod:`pemviz.sampling.fitted.loops`, compiled or not.
     """
     scenario, rules = plain_part(simulator), rules_of(simulator)
     assert scenario is not None and rules is not None  # noqa: S101, PT018  it is served

@@ -7,7 +7,7 @@ a draw is too close to the probability of a miss for that, the rollout is doubtf
 
 Functions that look at arrays take a block of rollouts through a part of one step, since handing
 arrays to a function takes as long as ten steps. Imported when it is time to compile: see
-:mod:`pemviz.sampling.rollouts.fitted`.
+:mod:`pemviz.sampling.fitted.drawing`.
 """
 
 import math
@@ -18,7 +18,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.compiling import inlined, translated
 from pemviz.proposals.offset_logistic import LARGEST_SHIFT, STANDARD_RANGE
 from pemviz.proposals.pilots import CEILING_LOGIT
-from pemviz.sampling.rollouts.fitted_numbers import (
+from pemviz.sampling.fitted.numbers import (
     ALONG_GAP,
     DIVIDED,
     Block,
@@ -34,8 +34,8 @@ from pemviz.sampling.rollouts.fitted_numbers import (
 from pemviz.simulators.braking import loops
 from pemviz.simulators.braking.loops import Numbers
 
-USED_AS_OF = ""
-"""Of what is taken from other files: what numba keeps of this one is made anew when that changes."""
+USED_AS_OF = "13356106328fe9d0"
+"""Of what other files give: what numba keeps of this one is made anew when that changes."""
 BLOCK = 128
 """Rollouts that are taken through all steps together: their draws fit the processor's cache."""
 DOUBT = 1e-9

@@ -10,9 +10,7 @@ from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.memory import RememberingFeatures, RememberingPem
-from pemviz.sampling.mixture.draws import DividedProposal
-from pemviz.sampling.rollouts.fitted_numbers import (
+from pemviz.sampling.fitted.numbers import (
     ALONG_GAP,
     DIVIDED,
     ERROR_MODEL,
@@ -23,6 +21,8 @@ from pemviz.sampling.rollouts.fitted_numbers import (
     Tracking,
     pieces_of,
 )
+from pemviz.sampling.memory import RememberingFeatures, RememberingPem
+from pemviz.sampling.mixture.draws import DividedProposal
 from pemviz.sampling.rollouts.kernels import lead_speeds
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
 from pemviz.simulators.braking.features import BrakingFeatures

@@ -1,0 +1,1 @@
+"""Fitted proposals drawn from by a compiled loop."""
