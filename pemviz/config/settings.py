@@ -158,7 +158,8 @@ class ExperimentConfig:
     stages: Annotated[int, Range(low=1, high=1000)] = 10
     """Learning stages (K); 1 to 1000."""
     rollouts: Annotated[int, Range(low=2, high=1_000_000)] = 100
-    """Rollouts a stage, pre-training included (N_kappa); 2 to 1000000."""
+    """Rollouts a stage, pre-training included (N_kappa); 2 to 1000000. With mixture a stage of over
+    10,000 (of 100 states) is over once 10,000 violate."""
     final_rollouts: Annotated[int, Range(low=2, high=1_000_000_000)] = 100
     """Rollouts that the estimate is formed from (N_e); 2 to 10000000, with monte-carlo and keep
     violations to 1000000000."""
@@ -195,9 +196,9 @@ class ExperimentConfig:
     keep: KeepName = "all"
     """Which rollouts the run folder keeps: all, or violations: of the final rollouts those that
     violate and the twenty least robust of each stage; learning stages are kept whole, of large
-    ones of adaptive (over 20,000 rollouts of 100 states) the 5,000 least robust and an even sample.
-    Results are the same; a final stage not kept whole is simulated again when a stopped run goes
-    on."""
+    ones (of 100 states over 20,000 rollouts with adaptive, over 10,000 with mixture) the 5,000 or
+    12,500 least robust and an even sample. Results are the same; a final stage not kept whole is
+    simulated again when a stopped run goes on."""
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
     encounter: EncounterConfig = field(default_factory=EncounterConfig)

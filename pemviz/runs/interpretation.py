@@ -29,6 +29,7 @@ from pemviz.analysis.model_uncertainty import (
 )
 from pemviz.analysis.starts import Violations
 from pemviz.arrays import FloatArray
+from pemviz.drawn import numbers_of
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.memory import RunMemory
@@ -191,7 +192,9 @@ def _told_families(
     if not experiment.families:
         return interpreted
     told, rollouts = violating(stage.scored), stage.scored.rollouts
-    weighed = _Weighed(told, rollouts.log_weight[told.rollout], rollouts.count)
+    number = numbers_of(rollouts.count, stage.drawn)[told.rollout]
+    log_weight = rollouts.log_weight[told.rollout]
+    weighed = _Weighed(replace(told, rollout=number), log_weight, stage.count)
     unasked = (*interpreted.unasked, weighed)
     interpreted = replace(interpreted, unasked=unasked)
     many = sum(part.told.rollout.size for part in unasked) >= MOST_VIOLATIONS

@@ -8,6 +8,7 @@ import numpy as np
 
 from pemviz.analysis.starts import DangerousStarts, Violations, dangerous_starts
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.drawn import numbers_of
 from pemviz.runs.experiment import Experiment
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.starts import NamesStarts, named_starts
@@ -59,7 +60,7 @@ def stage_starts(experiment: Experiment, stage: StageResult) -> StageStarts | No
         even = -math.inf if log10 is None or not count else log10 * LN10 - math.log(count)
         log_part = np.full(rows.size, even)
     place = np.full((rows.size, 3), (stage.repetition, stage.stage, 0), dtype=np.int64)
-    place[:, 2] = rows
+    place[:, 2] = number = numbers_of(rollouts.count, stage.drawn)[rows]
     return StageStarts(
         violations=Violations(
             latents=latents.start[rows, :named],
@@ -67,8 +68,8 @@ def stage_starts(experiment: Experiment, stage: StageResult) -> StageStarts | No
             place=place,
             broken={name: broken[rows] for name, broken in stage.scored.broken.items()},
         ),
-        rollout=rows,
-        rollouts=rollouts.count,
+        rollout=number,
+        rollouts=stage.count,
         log_stands_for=math.log(count / rows.size) if count else 0.0,
     )
 

@@ -151,10 +151,15 @@ def importance_stage_figures(
 
 
 def final_stage(
-    *, repetition: int, stage: int, scored: ScoredRollouts, sampled_from: Proposal
+    *,
+    repetition: int,
+    stage: int,
+    scored: ScoredRollouts,
+    sampled_from: Proposal,
+    drawn: Drawn | None = None,
 ) -> StageResult:
     """The record of a stage from which nothing is learned."""
-    failures, probability, log10_probability, ess = importance_stage_figures(scored)
+    failures, probability, log10_probability, ess = importance_stage_figures(scored, drawn)
     return StageResult(
         repetition=repetition,
         stage=stage,
@@ -170,4 +175,5 @@ def final_stage(
         ess=ess,
         loss=None,
         timings_s=scored.timings_s,
+        drawn=drawn,
     )

@@ -14,7 +14,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.sampling.estimates.diagnostics import parts_disagreement, pilots_alone
 from pemviz.sampling.estimates.estimate import log_stratified_error
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
-from pemviz.sampling.mixture.balance_heuristic import Pool
+from pemviz.sampling.mixture.balance_heuristic import Judged, Pool
 from pemviz.types import Diagnostic
 
 PARTS_ADAPTATION = math.sqrt(2.0)
@@ -25,11 +25,12 @@ LogEstimate = tuple[float, float]
 
 
 def disagreements(pool: Pool, *, final: slice) -> Sequence[Diagnostic]:
-    """Of a pool whose last rollouts, ``final``, are the final batch."""
-    late = [_among_itself(pool, part) for part in (slice(0, final.start), final)]
-    odd = np.arange(pool.count) % 2 == 1
+    """Of a pool whose last rollouts, ``final`` of all, are the final batch."""
+    judged = pool.judged
+    late = [_among_itself(pool, judged, part) for part in (slice(0, final.start), final)]
+    odd = np.arange(pool.drawn) % 2 == 1
     halves = [
-        _of(pool.log_weight[half], pool.violated[half], pool.component[half])
+        _of(judged.log_weight[half], judged.violated[half], judged.component[half])
         for half in (odd, ~odd)
     ]
     return (
@@ -38,9 +39,8 @@ def disagreements(pool: Pool, *, final: slice) -> Sequence[Diagnostic]:
     )
 
 
-def _among_itself(pool: Pool, part: slice) -> LogEstimate:
-    component = pool.component[part]
-    return _of(pool.weights_among(part), pool.violated[part], component)
+def _among_itself(pool: Pool, judged: Judged, part: slice) -> LogEstimate:
+    return _of(pool.weights_among(part), judged.violated[part], judged.component[part])
 
 
 def _of(log_weight: FloatArray, violated: BoolArray, component: IntArray) -> LogEstimate:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray
 from pemviz.proposals.defensive_share import AgainstModel
 from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
@@ -61,26 +61,46 @@ class FittedMoves:
 
 
 @dataclass(frozen=True)
-class Pool:
-    """Everything drawn so far.
+class Judged:
+    """What an average over N rollouts is formed of.
 
     Attributes:
-        decisions: Of all rollouts but the final ones.
-        component: What each rollout was drawn from, ``[N]``: 0 is the pilots' family, k the
+        log_weight: ``[N]``; NaN where a rollout holds and its weight is not known.
+        violated: ``[N]``.
+        component: What each was drawn from, ``[N]``.
+        log_p: Log likelihood under the error model, ``[N]``; NaN likewise.
+    """
+
+    log_weight: FloatArray
+    violated: BoolArray
+    component: IntArray
+    log_p: FloatArray
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Everything drawn so far: M rollouts of N, of which the others hold.
+
+    Attributes:
+        decisions: Of the M rollouts but the final ones.
+        component: What each of all was drawn from, ``[N]``: 0 is the pilots' family, k the
             k-th fitted proposal.
         proposals: Each fitted one, K in all.
-        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[N, 1 + K]``:
+        log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[M, 1 + K]``:
             of what it was until the rule at hand was broken. None of a large final batch's.
-        robustness: ``[N]``.
-        violated: ``[N]``.
-        log_p: Log likelihood under the error model, ``[N]``.
-        rule_robustness: ``[N]`` of each rule by name, where there are rules.
-        broken: ``[N]`` likewise.
+        robustness: ``[M]``.
+        violated: ``[M]``.
+        log_p: Log likelihood under the error model, ``[M]``.
+        rule_robustness: ``[M]`` of each rule by name, where there are rules.
+        broken: ``[M]`` likewise.
         rule_log_ratio: ``log_ratio`` under each, where there are several.
         latents: Of all rollouts but the final ones, where there are any.
         rule: The one at hand.
         failing: What is kept of a large final batch's violations, part by part; rollouts of it
             that hold only count.
+        row: Which of the N rollouts the M are, ascending, ``[M]``; ``None``: all.
+        log_stands_for: Log of how many rollouts each stands for where it is learned from, ``[M]``:
+            more than itself if it holds and is of a large stage. ``None``: of itself.
     """
 
     decisions: Decisions
@@ -96,11 +116,23 @@ class Pool:
     latents: LatentDecisions | None = None
     rule: Rule = None
     failing: tuple[FailingWeights, ...] = ()
+    row: IntArray | None = None
+    log_stands_for: FloatArray | None = None
 
     @property
     def count(self) -> int:
-        """Number of rollouts N."""
+        """Number of rollouts M."""
         return int(self.violated.size)
+
+    @property
+    def drawn(self) -> int:
+        """Number of all rollouts N."""
+        return int(self.component.size)
+
+    @property
+    def rows(self) -> IntArray:
+        """Which of the N rollouts the M are, ``[M]``."""
+        return np.arange(self.count, dtype=np.int64) if self.row is None else self.row
 
     @property
     def noisy(self) -> bool:
@@ -151,26 +183,52 @@ class Pool:
 
     @cached_property
     def log_weight(self) -> FloatArray:
-        """Log weights ``[N]`` by the balance heuristic: log p / sum_k (n_k / N) q_k.
+        """Log weights ``[M]`` by the balance heuristic: log p / sum_k (n_k / N) q_k.
 
-        Veach & Guibas 1995; every rollout counts as a draw from the mixture. NaN of those of a
-        large final batch that hold.
+        Veach & Guibas 1995; every rollout counts as a draw from the mixture, and those that stand
+        for others as these, too. NaN of those of a large final batch that hold.
         """
-        return self._with_final(
+        found = self._with_final(
             balance_weights(self.log_ratio, self.component),
             [(part.rollout, part.log_weight) for part in self.failing],
         )
+        return found if self.log_stands_for is None else found + self.log_stands_for
+
+    @property
+    def judged(self) -> Judged:
+        """What an average over all N rollouts is formed of."""
+        return Judged(
+            log_weight=self._among_all(self.log_weight, np.nan),
+            violated=self._among_all(self.violated, False),
+            component=self.component,
+            log_p=self._among_all(self.log_p, np.nan),
+        )
 
     def weights_among(self, part: slice) -> FloatArray:
-        """The same ``[n]`` of a part of the rollouts, as draws from that part's own mixture.
+        """Log weights ``[n]`` of a part of all rollouts, as draws from that part's own mixture.
 
         Args:
             part: The final batch, or what was drawn before it.
         """
         if not self.failing or part.stop is not None:
-            return balance_weights(self.log_ratio[part], self.component[part])
+            own = slice(*np.searchsorted(self.rows, part.indices(self.drawn)[:2]).tolist())
+            found = balance_weights(self.log_ratio[own], self.component[part])
+            if self.row is None:
+                return found
+            among = np.full(self.component[part].size, np.nan)
+            among[self.row[own] - part.indices(self.drawn)[0]] = found
+            return among
         final = [(weights.rollout, weights.among_final) for weights in self.failing]
-        return self._with_final(np.full(len(self.log_ratio), np.nan), final)[part]
+        found = self._with_final(np.full(len(self.log_ratio), np.nan), final)
+        return self._among_all(found, np.nan)[part]
+
+    def _among_all(self, values: AnyArray, fill: float | bool) -> AnyArray:
+        """Of all rollouts, ``[N]`` of ``[M]``; ``fill`` of those that are not among the M."""
+        if self.row is None:
+            return values
+        found = np.full(self.drawn, fill, dtype=values.dtype)
+        found[self.row] = values
+        return found
 
     @property
     def by_pilots(self) -> BoolArray:
@@ -194,7 +252,7 @@ class Pool:
     def _with_final(
         self, before: FloatArray, final: Sequence[tuple[IntArray, Mapping[Rule, FloatArray]]]
     ) -> FloatArray:
-        """Weights ``[N]``, of those of a large final batch that violate."""
+        """Weights ``[M]``, of those of a large final batch that violate."""
         found = np.full(self.count, np.nan)
         found[: before.size] = before
         for rollout, under in final:

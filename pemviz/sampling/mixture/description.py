@@ -19,6 +19,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  as above
     from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
 
+    largest = largest_part(states=back_end.simulator.states)
     return MixtureSampling(
         learning_stages=config.stages,
         rollouts=config.rollouts,
@@ -26,7 +27,8 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
         seed=config.seed,
         features=proposal_features(back_end.features),
         settings=FitSettings(alpha=config.alpha, sigma=config.sigma),
-        largest_part=largest_part(states=back_end.simulator.states),
+        largest_part=largest,
+        enough=max(1, largest // 2),
     )
 
 

@@ -27,6 +27,10 @@ moved at all steps, at some, or at one step of each rollout that nobody knows
 (:mod:`pemviz.proposals.single_moves`), whichever is likeliest. A quarter of the rollouts come from
 a proposal that is fitted blind to the state, so that no step is left out where few are known.
 
+A stage of very many rollouts is over once enough of them violate
+(:mod:`pemviz.sampling.mixture.large_stages`), and proposals are fitted to a bounded number of them
+(:mod:`pemviz.sampling.mixture.resampling`).
+
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
 much the fit flatters them (:func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`). The
@@ -65,6 +69,7 @@ from pemviz.sampling.mixture.drawing import (
 from pemviz.sampling.mixture.draws import components
 from pemviz.sampling.mixture.final import Planned
 from pemviz.sampling.mixture.fit import FitSettings
+from pemviz.sampling.mixture.large_stages import InParts, Joining, StageDrawn
 from pemviz.sampling.mixture.learning import next_proposals
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
 from pemviz.sampling.mixture.state import MixtureState
@@ -82,12 +87,13 @@ class MixtureSampling:
 
     Attributes:
         learning_stages: K.
-        rollouts: In each stage but the last.
+        rollouts: In each stage but the last; at most, where they are more than ``enough``.
         final_rollouts: In the last.
         seed: Root of all randomness.
         features: What proposals look at; ``None``: all signals and time.
         settings: How proposals are fitted.
         largest_part: How many final rollouts are drawn at once.
+        enough: Violations after which a stage of more rollouts, from which is learned, is over.
     """
 
     learning_stages: int
@@ -97,6 +103,7 @@ class MixtureSampling:
     features: StateFeatures | None = None
     settings: FitSettings = field(default_factory=FitSettings)
     largest_part: int = LARGEST_PART
+    enough: int = LARGEST_PART // 2
     name: str = "mixture"
 
     @property
@@ -122,36 +129,23 @@ class MixtureSampling:
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
         """Draw from the newest proposals; fit the next one unless the stage is the last."""
         steps = problem.simulator.states - 1
-        last = state.stage > self.learning_stages
-        size = self._final_sizes()[len(state.frozen)] if last else self.rollouts
-        component = self._components(state, size)
-        scored = finished_or(
-            problem,
-            lambda: drawn(
-                until_settled(problem),
-                state,
-                component,
-                seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
-                many=last and len(self._final_sizes()) > 1,
-            ),
-            repetition=state.repetition,
-            stage=state.stage,
-        )
-        basis = state.basis or first_basis(scored, state.features)
+        last = self._is_last(state)
+        drawn = self._drawn(problem, state)
+        basis = state.basis or first_basis(drawn.joining.sample, state.features)
+        pool = self._pooled(state, basis, drawn.joining, self._components(state, drawn.count))
         advanced = replace(
             state,
             stage=state.stage + 1,
             basis=basis,
-            pool=_pooled(
-                state, basis, scored, component, last=last, planned=self._planned(state, last=last)
-            ),
-            frozen=(*state.frozen, size) if last else (),
+            pool=pool,
+            frozen=(*state.frozen, drawn.count) if last else (),
         )
         result = final_stage(
             repetition=state.repetition,
             stage=state.stage,
-            scored=scored,
+            scored=drawn.scored,
             sampled_from=main_proposal(state, steps=steps) or PemProposal(),
+            drawn=drawn.drawn,
         )
         if last:
             return advanced, result
@@ -176,14 +170,14 @@ class MixtureSampling:
         if pool is None or not self.is_done(state):
             message = "the final rollouts have not been drawn yet"
             raise ValueError(message)
-        final = slice(pool.count - sum(state.frozen), None)
+        final, judged = slice(pool.drawn - sum(state.frozen), None), pool.judged
         many = state.turns > 1 and state.starts > 1
         found = mixture_estimate(
             method=self.name,
-            log_weight=pool.log_weight,
-            violated=pool.violated,
-            component=pool.component,
-            log_p=pool.log_p,
+            log_weight=judged.log_weight,
+            violated=judged.violated,
+            component=judged.component,
+            log_p=judged.log_p,
             frozen_log_weight=pool.weights_among(final),
             frozen=final,
             adaptation=SLOTS_AND_STARTS_ADAPTATION if many else ADAPTATION,
@@ -197,10 +191,66 @@ class MixtureSampling:
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
         """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were drawn.
 
-        NaN of those of a large final batch that hold.
+        NaN of those that hold in a large final batch, or in a large stage that is learned from and
+        do not join the pool.
         """
         pool = state.pool
-        return np.empty(0) if pool is None else pool.log_weight
+        return np.empty(0) if pool is None else pool.judged.log_weight
+
+    def _drawn(self, problem: Problem, state: MixtureState) -> StageDrawn:
+        """The next stage, as an interrupted run left it or else drawn."""
+        seeds = stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage)
+        last, sizes = self._is_last(state), self._final_sizes()
+        if last:
+            size = sizes[len(state.frozen)]
+        elif self._in_parts is not None:
+            return self._drawn_in_parts(problem, state, self._in_parts, seeds)
+        else:
+            size = self.rollouts
+        component = self._components(state, size)
+        return StageDrawn.small(
+            finished_or(
+                problem,
+                lambda: drawn(
+                    until_settled(problem),
+                    state,
+                    component,
+                    seeds=seeds,
+                    many=last and len(sizes) > 1,
+                ),
+                repetition=state.repetition,
+                stage=state.stage,
+            )
+        )
+
+    def _drawn_in_parts(
+        self,
+        problem: Problem,
+        state: MixtureState,
+        in_parts: InParts,
+        seeds: np.random.SeedSequence,
+    ) -> StageDrawn:
+        finished = problem.finished(state.repetition, state.stage)
+        if finished is not None:
+            problem.progress(self.rollouts, self.rollouts)
+            return in_parts.restored(finished)
+        own = seeds.spawn(len(in_parts.sizes))
+
+        def part(counting: Problem, number: int, size: int) -> ScoredRollouts:
+            component = self._components_of_part(state, size)
+            return drawn(until_settled(counting), state, component, seeds=own[number], many=True)
+
+        return in_parts.draw(problem, part)
+
+    @property
+    def _in_parts(self) -> InParts | None:
+        """How stages that are learned from are drawn, if they are large."""
+        if self.rollouts <= self.enough:
+            return None
+        return InParts(count=self.rollouts, enough=self.enough)
+
+    def _is_last(self, state: MixtureState) -> bool:
+        return state.stage > self.learning_stages
 
     def _final_sizes(self) -> tuple[int, ...]:
         return part_sizes(self.final_rollouts, largest=self.largest_part)
@@ -210,7 +260,15 @@ class MixtureSampling:
         return 2 * stage <= self.learning_stages
 
     def _components(self, state: MixtureState, count: int) -> IntArray:
-        """What each of the next ``count`` rollouts is drawn from, ``[count]``."""
+        """What each of the next stage's ``count`` rollouts is drawn from, ``[count]``."""
+        if self._is_last(state) or self._in_parts is None:
+            return self._components_of_part(state, count)
+        sizes = self._in_parts.sizes
+        parts = {size: self._components_of_part(state, size) for size in set(sizes)}
+        return np.concatenate([parts[size] for size in sizes])[:count]
+
+    def _components_of_part(self, state: MixtureState, count: int) -> IntArray:
+        """Likewise of rollouts that are drawn together."""
         known = len(state.pool.proposals) if state.pool else 0
         return components(
             count,
@@ -218,6 +276,30 @@ class MixtureSampling:
             first=1 + known - (len(state.fits) if state.frozen else 0),
             shares=[fit.share for fit in state.fits],
             explores=self._explores(state.stage),
+        )
+
+    def _pooled(
+        self, state: MixtureState, basis: PolynomialBasis, joining: Joining, component: IntArray
+    ) -> Pool:
+        """The pool with the stage's rollouts."""
+        new, last = ([] if state.frozen else state.fits), self._is_last(state)
+        return extended(
+            state.pool,
+            joining,
+            drawn_from=component,
+            new=[fit.moves for fit in new],
+            optimism=[fit.optimism for fit in new],
+            terms=Terms(
+                features=state.features,
+                basis=basis,
+                defensive=defence(joining.scored.rollouts.detected.shape[1]),
+                turns=state.turns,
+                starts=state.starts,
+                rules=state.rules,
+                many=state.many,
+            ),
+            last=last,
+            planned=self._planned(state, last=last),
         )
 
     def _planned(self, state: MixtureState, *, last: bool) -> Planned | None:
@@ -228,7 +310,7 @@ class MixtureSampling:
         return Planned.of(
             sizes,
             lambda size: self._components(state, size),
-            before=pool.component[: pool.count - sum(state.frozen)],
+            before=pool.component[: pool.drawn - sum(state.frozen)],
             proposals=len(pool.proposals) + (0 if state.frozen else len(state.fits)),
         )
 
@@ -257,33 +339,3 @@ class MixtureSampling:
             loss=fits[0].loss,
             timings_s={**result.timings_s, "fit": time.perf_counter() - began},
         )
-
-
-def _pooled(
-    state: MixtureState,
-    basis: PolynomialBasis,
-    scored: ScoredRollouts,
-    component: IntArray,
-    *,
-    last: bool,
-    planned: Planned | None,
-) -> Pool:
-    new = [] if state.frozen else state.fits
-    return extended(
-        state.pool,
-        scored,
-        drawn_from=component,
-        new=[fit.moves for fit in new],
-        optimism=[fit.optimism for fit in new],
-        terms=Terms(
-            features=state.features,
-            basis=basis,
-            defensive=defence(scored.rollouts.detected.shape[1]),
-            turns=state.turns,
-            starts=state.starts,
-            rules=state.rules,
-            many=state.many,
-        ),
-        last=last,
-        planned=planned,
-    )

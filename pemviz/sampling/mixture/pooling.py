@@ -19,6 +19,7 @@ from pemviz.sampling.mixture.balance_heuristic import (
     log_ratios,
 )
 from pemviz.sampling.mixture.final import FailingWeights, Planned
+from pemviz.sampling.mixture.large_stages import Joining
 from pemviz.sampling.mixture.latents import fresh_latents
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, ScoredRollouts
@@ -74,7 +75,7 @@ def first_basis(scored: ScoredRollouts, features: StateFeatures) -> PolynomialBa
 
 def extended(
     pool: Pool | None,
-    scored: ScoredRollouts,
+    joining: Joining,
     *,
     drawn_from: IntArray,
     new: Sequence[FittedMoves],
@@ -87,8 +88,9 @@ def extended(
 
     Args:
         pool: What was drawn before, or ``None``.
-        scored: n more rollouts.
-        drawn_from: Index of each one's proposal in the extended list, ``[n]``.
+        joining: More rollouts.
+        drawn_from: Index of each one's proposal in the extended list, ``[n]``, those among them
+            that do not join.
         new: Proposals that the pool does not know yet.
         optimism: By how much each new proposal overstates the log likelihood of the pool's
             rollouts, which it was fitted to, ``[N]``.
@@ -98,13 +100,28 @@ def extended(
             those that violate.
     """
     proposals = (*(pool.proposals if pool else ()), *new)
+    scored = joining.scored
     if pool is None:
-        return _pool_of(scored, drawn_from, proposals, terms)
+        return _joining_of(joining, drawn_from, proposals, terms)
     if planned is None:
-        fresh = _pool_of(scored, drawn_from, proposals, terms)
+        fresh = _joining_of(joining, drawn_from, proposals, terms)
     else:
         fresh = _failing_of(scored, drawn_from, proposals, terms, planned=planned, first=pool.count)
     return _joined(_under_new(pool, new, optimism, terms), fresh, last=last)
+
+
+def _joining_of(
+    joining: Joining,
+    drawn_from: IntArray,
+    proposals: tuple[FittedMoves, ...],
+    terms: Terms,
+) -> Pool:
+    """The pool of one stage alone."""
+    own = drawn_from if joining.row is None else drawn_from[joining.row]
+    pool = _pool_of(joining.scored, own, proposals, terms)
+    return replace(
+        pool, component=drawn_from, row=joining.row, log_stands_for=joining.log_stands_for
+    )
 
 
 def _pool_of(
@@ -274,7 +291,22 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
         rule_log_ratio=_appended(pool.rule_log_ratio, fresh.rule_log_ratio),
         latents=latents,
         failing=(*pool.failing, *fresh.failing),
+        row=_rows(pool, fresh),
+        log_stands_for=_stand_for(pool, fresh),
     )
+
+
+def _rows(pool: Pool, fresh: Pool) -> IntArray | None:
+    if pool.row is None and fresh.row is None:
+        return None
+    return np.concatenate([pool.rows, fresh.rows + pool.drawn])
+
+
+def _stand_for(*pools: Pool) -> FloatArray | None:
+    if all(pool.log_stands_for is None for pool in pools):
+        return None
+    own = (np.zeros(p.count) if p.log_stands_for is None else p.log_stands_for for p in pools)
+    return np.concatenate([*own])
 
 
 def _appended(before: Mapping[str, AnyArray], after: Mapping[str, AnyArray]) -> dict[str, AnyArray]:

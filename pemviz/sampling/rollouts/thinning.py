@@ -87,14 +87,14 @@ class Thinned:
         held, row = ScoredRollouts.concatenate(self.held), np.concatenate(self.row)
         worst = None
         if row.size >= self.most:
-            last = _least_robust(held)[self.most - 1]
+            last = least_robust(held.robustness, held.violated)[self.most - 1]
             worst = (not held.violated[last], float(held.robustness[last]))
         chosen = replace(self, worst=None)._staying(held, row)
         return replace(self, held=(held.take(chosen),), row=(row[chosen],), worst=worst)
 
     def _staying(self, scored: ScoredRollouts, row: IntArray) -> IntArray:
         """Which of some rollouts may stay, ascending."""
-        least = _least_robust(scored)[: self.most]
+        least = least_robust(scored.robustness, scored.violated)[: self.most]
         if self.worst is not None:
             holds, robustness = self.worst
             violated, own = scored.violated[least], scored.robustness[least]
@@ -117,6 +117,6 @@ class Thinned:
         )
 
 
-def _least_robust(scored: ScoredRollouts) -> IntArray:
-    """Violations first, then by robustness; ties as they were drawn."""
-    return np.lexsort((scored.robustness, ~scored.violated)).astype(np.int64)
+def least_robust(robustness: FloatArray, violated: BoolArray) -> IntArray:
+    """Rollouts ``[N]``, violations first, then by robustness; ties as they were drawn."""
+    return np.lexsort((robustness, ~violated)).astype(np.int64)

@@ -1,0 +1,97 @@
+"""Large stages that mixture learns from: one answer whatever is kept, and after an interruption."""
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pemviz.config import ExperimentConfig
+from pemviz.drawn import numbers_of
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.resume import carry_out
+from pemviz.runs.rollout_files import part_path
+from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.runs.test_learning_in_parts import Stages
+
+pytestmark = pytest.mark.slow
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "random_start.py"
+RULES = {"near": "always[0,99] (gap >= 2.0)", "far": "always[0,99] (gap >= 4.0)"}
+ALL = ExperimentConfig(method="mixture", stages=3, rollouts=150, final_rollouts=100, seed=4)
+STARTS = replace(ALL, spec="always[0,50] (gap >= 0.0)")
+ENOUGH, EVEN, LISTED = 30, 10, 20
+
+
+def of_rules(keep):
+    return build_experiment(replace(ALL.with_rules(RULES), keep=keep), batch_rollouts=100)
+
+
+def of_starts(keep):
+    example = runpy.run_path(str(EXAMPLE))
+    config, simulator = replace(STARTS, keep=keep), example["StandingCar"]()
+    return build_experiment(
+        config, simulator=simulator, pem=example["Camera"](), batch_rollouts=100
+    )
+
+
+@pytest.fixture(scope="module", params=[of_rules, of_starts])
+def runs(request, tmp_path_factory):
+    """By what is kept, folder and stages; that of few, stopped after each stage and resumed."""
+    root, found = tmp_path_factory.mktemp("parts"), {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pemviz.sampling.rollouts.final_batch.LARGEST_PART", 2 * ENOUGH)
+        patch.setattr("pemviz.analysis.model_uncertainty.DATA_BOUND_ROLLOUTS", 200)
+        for name, value in (("EVEN", EVEN), ("LISTED", LISTED)):
+            patch.setattr(f"pemviz.sampling.rollouts.thinning.{name}", value)
+        for name, keep in (("all", "all"), ("few", "violations"), ("resumed", "violations")):
+            folder, stages = folder_of(root, name), Stages()
+            experiment = request.param(keep)
+            for stop_after in (2, 5) if name == "resumed" else ():
+                stop = StopAfter(stop_after)
+                carry_out(experiment, folder, observers=[stop], should_stop=stop)
+                if stop_after == 2:
+                    middle = part_path(folder, repetition=0, stage=1).read_bytes()
+            carry_out(experiment, folder, observers=[stages])
+            found[name] = folder, stages.seen, experiment.method.enough
+    assert b"all.robustness" in middle
+    return found
+
+
+def test_a_run_tells_the_same_whatever_is_kept(runs):
+    every, few = contents(runs["all"][0]), contents(runs["few"][0])
+    assert few["result"]["config"].pop("keep") == "violations"
+    assert few["result"] == every["result"]
+    assert few["proposals.safetensors"] == every["proposals.safetensors"]
+    assert every["result"]["families"] or every["result"]["starts"]
+
+
+def test_a_resumed_run_has_the_same_bytes(runs):
+    assert contents(runs["resumed"][0]) == contents(runs["few"][0])
+
+
+def test_a_stage_is_over_when_enough_violate(runs):
+    """With the part that brings them; otherwise all that were asked for are drawn."""
+    learned = [stage for stage in runs["few"][1] if stage.kind != "final"]
+    assert len(learned) == 4
+    enough = runs["few"][2]
+    part = enough // 4
+    for stage in learned:
+        violated, row = stage.drawn.violated, stage.drawn.row
+        before = int(violated[:-part].sum())
+        if stage.count < 150:
+            assert before < enough <= stage.failures == int(violated.sum()) < enough + part
+        assert np.isin(np.flatnonzero(violated), row).all()
+        assert row.size <= enough + part + EVEN + 4 * LISTED
+    assert any(stage.count < 150 for stage in learned)
+    assert any(stage.scored.rollouts.count < stage.count for stage in learned)
+
+
+def test_held_rollouts_are_those_of_the_whole_stage(runs):
+    for whole, few in zip(runs["all"][1], runs["few"][1], strict=True):
+        assert (few.count, few.failures) == (whole.count, whole.failures)
+        assert whole.drawn is None
+        row = numbers_of(few.scored.rollouts.count, few.drawn)
+        for name, values in whole.scored.rollouts.signals.items():
+            np.testing.assert_array_equal(few.scored.rollouts.signals[name], values[row])
