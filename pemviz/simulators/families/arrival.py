@@ -5,6 +5,7 @@ Arrays have a row for each other car, ``[K, N]``.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from pemviz.config import EncounterConfig
 from pemviz.simulators.families import margins
 from pemviz.simulators.families.cars import Values, headings, lateral_places
 from pemviz.simulators.families.contact import first_touch
+from pemviz.simulators.families.ego import Told, acceleration
 from pemviz.simulators.families.margins import Cars
 from pemviz.simulators.families.names import (
     AVOIDABLE_BY,
@@ -61,7 +63,7 @@ class Left:
         each: Where the K other cars are, ``[K, N]``.
         along_mps: The other cars' speeds along the road ``[K, N]`` [m/s].
         values: Start values that steps need, ``[N]``.
-        ego_mps2: The ego's acceleration ``[N]`` [m/s^2].
+        told: What the ego is told, of all slots.
         others_mps2: The other cars' deceleration ``[K, N]`` [m/s^2].
         states_ahead: For how many states each car is the nearest ahead in lane, ``[K, N]``.
     """
@@ -72,9 +74,18 @@ class Left:
     each: Each
     along_mps: FloatArray
     values: Values
-    ego_mps2: FloatArray
+    told: Told
     others_mps2: FloatArray
     states_ahead: IntArray
+
+    @cached_property
+    def ego_mps2(self) -> FloatArray:
+        """The ego's acceleration ``[N]`` [m/s^2]."""
+        signals = self.states.signals
+        wanted_mps2 = acceleration(
+            self.config, self.told, ego_mps=signals[EGO_SPEED], set_mps=self.values["ego_speed"]
+        )
+        return np.where(signals[COLLIDED] > 0.0, 0.0, wanted_mps2)
 
 
 @dataclass(frozen=True)
@@ -86,8 +97,8 @@ class _Arrived:
     impact_mps: FloatArray
 
 
-def arrive(left: Left, moved: Moved) -> tuple[Mapping[str, FloatArray], IntArray]:
-    """Signals of the next states, and for how many states each car is the nearest ahead ``[K, N]``.
+def arrive(left: Left, moved: Moved) -> tuple[Mapping[str, FloatArray], IntArray, Each]:
+    """Signals of the next states, states ahead ``[K, N]``, and where the other cars are.
 
     Args:
         left: The states that the step leaves.
@@ -115,7 +126,7 @@ def arrive(left: Left, moved: Moved) -> tuple[Mapping[str, FloatArray], IntArray
         **_cut_in_margin(left, cars, time_s),
     }
     clear_m = np.where(arrived.collided, 0.0, margins.clearance(config, cars))
-    each = (cars.gap_m, cars.aside_m, moved.speed_mps, heading)
+    each = Each(cars.gap_m, cars.aside_m, moved.speed_mps, heading)
     signals = {
         EGO_X: moved.ego_x_m,
         EGO_SPEED: moved.ego_mps,
@@ -127,7 +138,7 @@ def arrive(left: Left, moved: Moved) -> tuple[Mapping[str, FloatArray], IntArray
         COLLIDED: arrived.collided.astype(np.float64),
         IMPACT_SPEED: arrived.impact_mps,
     }  # fmt: skip
-    return signals, states_ahead
+    return signals, states_ahead, each
 
 
 def _braked(left: Left) -> FloatArray:

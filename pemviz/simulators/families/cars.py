@@ -145,8 +145,12 @@ def headings(
     """
     moves = speed_mps > 0.0
     wanted = (next_m - aside_m) / np.where(moves, speed_mps * dt_s, 1.0)
-    turned = np.arcsin(wanted.clip(-LARGEST_SINE, LARGEST_SINE))
-    return np.where(moves, turned, before)
+    return headings_of(wanted.clip(-LARGEST_SINE, LARGEST_SINE), speed_mps, before)
+
+
+def headings_of(sine: FloatArray, speed_mps: FloatArray, before: FloatArray) -> FloatArray:
+    """Headings with given sines ``[K, N]`` of cars that move; others keep theirs [rad]."""
+    return np.where(speed_mps > 0.0, np.arcsin(sine), before)
 
 
 def minimum_jerk(share: FloatArray) -> FloatArray:

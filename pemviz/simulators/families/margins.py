@@ -67,6 +67,11 @@ def distance_margin(config: EncounterConfig, cars: Cars) -> FloatArray:
     return cars.gap_m - (braking_m + config.reaction_time_s * cars.ego_mps).clip(0.0)
 
 
+def recovery_steps(config: EncounterConfig) -> int:
+    """For how many states there is time to recover the distance to a car that has come."""
+    return int(np.floor(config.recovery_time_s / config.dt_s + 1e-9))
+
+
 def settled_distance(config: EncounterConfig, cars: Cars, states_ahead: IntArray) -> FloatArray:
     """Margin to the nearest car ahead in lane, if there was time to recover, ``[N]`` [m].
 
@@ -75,8 +80,7 @@ def settled_distance(config: EncounterConfig, cars: Cars, states_ahead: IntArray
         cars: The state's.
         states_ahead: For how many states up to this one each car is the nearest, ``[K, N]``.
     """
-    recovery_steps = int(np.floor(config.recovery_time_s / config.dt_s + 1e-9))
-    counts, bound_m = states_ahead > recovery_steps, config.gap_bound_m
+    counts, bound_m = states_ahead > recovery_steps(config), config.gap_bound_m
     margins_m = np.where(counts, distance_margin(config, cars), bound_m)
     return margins_m.min(axis=0).clip(-bound_m, bound_m)
 

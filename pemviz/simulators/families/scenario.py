@@ -217,9 +217,12 @@ class FamilyScenario(ABC):
 
     def sight(self, signals: Mapping[str, FloatArray]) -> EncounterSight:
         """Both at once, for signals ``[...]``."""
-        gap_m, aside_m, _, heading_rad = Each.of(self.cars, signals)
+        return self.sight_of(Each.of(self.cars, signals), signals)
+
+    def sight_of(self, each: Each, signals: Mapping[str, FloatArray]) -> EncounterSight:
+        """The same, of whose other cars the places are put together already."""
         ghost_gap_m = np.asarray(signals[GHOST_SIGNAL]) if self.has_ghost else None
-        return EncounterSight(self.config, gap_m, aside_m, heading_rad, ghost_gap_m)
+        return EncounterSight(self.config, each, ghost_gap_m)
 
     def sight_at(self, states: StateBatch) -> EncounterSight:
         """The same, at states that may know it already."""

@@ -48,7 +48,7 @@ def seen(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> Sig
     near_m = gap_m + config.camera_to_bumper_m
     z_m = near_m + config.car_length_m / 2
     left, right = _image(config, near_m, aside_m)
-    edge = np.tan(np.deg2rad(config.camera_half_angle_deg))
+    edge = image_edge(config)
     low, high = np.maximum(left, -edge), np.minimum(right, edge)
     width = (high - low).clip(0.0)
     in_front = z_m > NEAREST_M
@@ -70,6 +70,11 @@ def seen(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> Sig
         occluded=occluded,
         present=in_front & (z_m <= config.farthest_m) & in_image & (occluded < HIDDEN),
     )
+
+
+def image_edge(config: EncounterConfig) -> float:
+    """How far the image reaches to either side, x / z."""
+    return float(np.tan(np.deg2rad(config.camera_half_angle_deg)))
 
 
 def salient(config: EncounterConfig, sight: Sight, heading_rad: FloatArray) -> FloatArray:

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.simulators.families import ego, margins
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.simulators.families import compiled_arrival, margins
 from pemviz.simulators.families.arrival import Left, Moved, arrive
 from pemviz.simulators.families.cars import (
     KEPT,
@@ -17,6 +17,7 @@ from pemviz.simulators.families.cars import (
 )
 from pemviz.simulators.families.ego import Told
 from pemviz.simulators.families.ghost import GHOST_GAP, ghost_signals
+from pemviz.simulators.families.kernels import loops_for
 from pemviz.simulators.families.margins import Cars
 from pemviz.simulators.families.measured import displaced
 from pemviz.simulators.families.names import (
@@ -36,6 +37,7 @@ from pemviz.simulators.families.names import (
 )
 from pemviz.simulators.families.scenario import FamilyScenario
 from pemviz.simulators.families.told import nothing_told, told_after
+from pemviz.simulators.slots import SeenStates
 from pemviz.types import StateBatch
 
 KEPT_START = "start_"
@@ -107,33 +109,36 @@ class VectorizedFamily(FamilyScenario):
         measured = self._measured(states, noises, true)
         told, remembered = told_after(self.tracker, self.told_of, memory, measured)
         values = {name: memory[f"{KEPT_START}{name}"] for name in self._kept}
-        wanted_mps2 = ego.acceleration(
-            config, told, ego_mps=signals[EGO_SPEED], set_mps=values["ego_speed"]
-        )
         time_s, others = float(states.step) * config.dt_s, len(self.cars)
-        left, moved = self._driven(
-            Left(
-                config=config,
-                cars=self.cars,
-                states=states,
-                each=every.first(others),
-                along_mps=along_mps[:others],
-                values=values,
-                ego_mps2=np.where(signals[COLLIDED] > 0.0, 0.0, wanted_mps2),
-                others_mps2=decelerations(config, values, time_s=time_s),
-                states_ahead=of_cars(STATES_AHEAD, self.cars, memory),
-            )
+        left = Left(
+            config=config,
+            cars=self.cars,
+            states=states,
+            each=every.first(others),
+            along_mps=along_mps[:others],
+            values=values,
+            told=told,
+            others_mps2=decelerations(config, values, time_s=time_s),
+            states_ahead=of_cars(STATES_AHEAD, self.cars, memory),
         )
-        arrived, states_ahead = arrive(left, moved)
+        arrived, states_ahead, each = self._arrived(left)
         if self.has_ghost:
             arrived = {**arrived, **ghost_signals(values[GHOST_GAP], arrived[EGO_X])}
         kept = {name: values for name, values in memory.items() if name.startswith(KEPT_START)}
         ahead = by_car(STATES_AHEAD, self.cars, states_ahead)
-        return StateBatch(
+        return SeenStates(
             step=states.step + 1,
             signals={signal.name: arrived[signal.name] for signal in self.signals},
             memory={**kept, **ahead, **remembered, **noises},
+            sight=self.sight_of(each, arrived),
         )
+
+    def _arrived(self, left: Left) -> tuple[Mapping[str, FloatArray], IntArray, Each]:
+        """Signals of the next states, states ahead ``[K, N]``, and where the other cars are."""
+        compiled = loops_for(left.along_mps.shape[1]) if type(self) is VectorizedFamily else None
+        if compiled is not None:
+            return compiled_arrival.arrive(compiled, left)
+        return arrive(*self._driven(left))
 
     @property
     def _kept(self) -> tuple[str, ...]:
