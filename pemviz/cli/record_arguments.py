@@ -14,7 +14,7 @@ from pemviz.config.ranges import Range, check_value
 from pemviz.config.rule_words import read_rules, read_starts
 from pemviz.config.toml_files import load_config, load_preset, with_own_rules
 from pemviz.errors import ConfigError
-from pemviz.sampling.registry import SHIPPED, by_name
+from pemviz.sampling.registry import SHIPPED, ignored_note, ignored_settings
 
 Port = Annotated[int, Range(low=1, high=65535)]
 
@@ -136,14 +136,9 @@ def parse(words: Sequence[str]) -> RecordArguments:
 
 def ignored_notes(config: ExperimentConfig, *, start: ExperimentConfig) -> tuple[str, ...]:
     """A line for each setting that differs from ``start`` though the method does not look at it."""
-    if config.method not in {method.name for method in SHIPPED}:  # not imported before it runs
-        return ()
-    looked_at = by_name(config.method).settings
-    known = set[str]().union(*(method.settings for method in SHIPPED))
     return tuple(
-        f"{name} = {getattr(config, name)}: {config.method} does not look at it, but at "
-        f"{', '.join(sorted(looked_at))}"
-        for name in sorted(known - looked_at)
+        f"{name} = {getattr(config, name)}: {ignored_note(config.method)}"
+        for name in sorted(ignored_settings(config.method))
         if getattr(config, name) != getattr(start, name)
     )
 

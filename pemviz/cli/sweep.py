@@ -19,6 +19,7 @@ from pemviz.config.toml_files import load_config, load_preset
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, ConfigError, RunError
 from pemviz.files.atomic import write_bytes, write_text
 from pemviz.processes import usable_cpus
+from pemviz.sampling.registry import ignored_note, ignored_settings
 from pemviz.sweep.carry_out import RunState, carry_out_runs, finished_before
 from pemviz.sweep.cluster import ClusterWorkers
 from pemviz.sweep.fields import parse_variation
@@ -87,6 +88,8 @@ def run(words: Sequence[str]) -> int:
     models = {names: model_files(names) for names in {models_of(one.config) for one in plan.runs}}
     workers = _workers(arguments, plan)
     out = _out(arguments, plan)
+    for note in ignored_notes(plan):
+        print(f"pemviz: {note}", file=sys.stderr)
     with sweep_folder(out) as runs:
         before = finished_before(runs, plan.runs, keep=arguments.keep)
         states, lost = _carry_out(
@@ -111,6 +114,17 @@ def parse(words: Sequence[str]) -> SweepArguments:
         check_value(name="workers", value=arguments.workers, annotation=Processes)
     check_one_kind(workers=arguments.workers, scheduler=arguments.scheduler)
     return arguments
+
+
+def ignored_notes(plan: Plan) -> tuple[str, ...]:
+    """A line for each varied setting that one of the sweep's methods does not look at."""
+    methods = dict.fromkeys(run.config.method for run in plan.runs)
+    return tuple(
+        f"{name} is varied: {ignored_note(method)}"
+        for method in methods
+        for name in plan.fields
+        if name in ignored_settings(method)
+    )
 
 
 def write_reports(

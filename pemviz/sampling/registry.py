@@ -52,6 +52,22 @@ def by_name(name: str) -> MethodDescription:
     return description
 
 
+def ignored_settings(name: str) -> frozenset[str]:
+    """Fields of the configuration that other methods look at and the method ``name`` does not.
+
+    None of one that is registered, which is not imported before it runs.
+    """
+    looked_at = {method.name: method.settings for method in SHIPPED}
+    if name not in looked_at:
+        return frozenset()
+    return frozenset[str]().union(*looked_at.values()) - looked_at[name]
+
+
+def ignored_note(name: str) -> str:
+    """That the method ``name`` does not look at a setting, and at which it does."""
+    return f"{name} does not look at it, but at {', '.join(sorted(by_name(name).settings))}"
+
+
 def build_named_method(config: ExperimentConfig, back_end: BackEnd) -> Method[Any]:
     """The method that ``config`` names, on a back end that has what it needs.
 

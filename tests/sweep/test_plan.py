@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pemviz.cli.sweep import ignored_notes
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import ConfigError, InputError
 from pemviz.sweep.fields import Variation, parse_variation, split_values
@@ -152,3 +153,22 @@ def test_any_text_is_a_variation_or_one_line(text):
     except ConfigError as error:
         complaint = str(error)
     assert "\n" not in complaint
+
+
+LOOKED_AT = "final_rollouts, naive_detection_probability"
+
+
+@pytest.mark.parametrize(
+    ("texts", "notes"),
+    [
+        (["alpha=0.1,0.5"], [f"alpha is varied: naive does not look at it, but at {LOOKED_AT}"]),
+        (["metric=classical,agm", "naive_detection_probability=0.4,0.5", "seed=1,2"], []),
+        (
+            ["method=monte-carlo,adaptive", "rollouts=50,100"],
+            ["rollouts is varied: monte-carlo does not look at it, but at final_rollouts"],
+        ),
+    ],
+)
+def test_varied_settings_that_a_method_does_not_look_at_are_told(texts, notes):
+    plan = make_plan(NAIVE, [parse_variation(text) for text in texts])
+    assert [*ignored_notes(plan)] == notes
