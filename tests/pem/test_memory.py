@@ -80,6 +80,19 @@ def test_frailty_keeps_the_mean(p_miss, frailty):
     assert mean == pytest.approx(p_miss, rel=1e-6)
 
 
+@pytest.mark.parametrize("scale", [0.1, 3.0, 40.0, 900.0])
+def test_each_outcome_remembered_is_the_sum_of_two_ways(scale):
+    """log(P(fresh) + P(kept)) of both outcomes, as the formula says it, to the last bit."""
+    rng = np.random.default_rng(8)
+    own = np.concatenate([scale * rng.standard_normal(500), [0.0, 1e-300, np.log(2.0)]])
+    missed, rho = rng.random(own.size) < 0.5, rng.random(own.size)
+    found = remembering_logit(own, missed_before=missed, rho=rho)
+    kept = np.log(rho)
+    hit = np.logaddexp(np.log1p(-rho) - np.logaddexp(0.0, -own), np.where(missed, -np.inf, kept))
+    miss = np.logaddexp(np.log1p(-rho) - np.logaddexp(0.0, own), np.where(missed, kept, -np.inf))
+    np.testing.assert_array_equal(found, hit - miss)
+
+
 def small_tracks():
     """Three tracks of two sequences: a gap, two rates, one that is seen once."""
     rows = [

@@ -69,13 +69,14 @@ def remembering_logit(
     xp = namespace(logit)
     zero = xp.zeros_like(logit)
     with np.errstate(divide="ignore"):
-        log_rho, log_rest = zero + np.log(rho), zero + np.log1p(np.negative(rho))
-    never = zero - np.inf
-    fresh_hit = log_rest - xp.logaddexp(zero, -logit)
-    fresh_miss = log_rest - xp.logaddexp(zero, logit)
-    kept_hit = xp.where(missed_before, never, log_rho)
-    kept_miss = xp.where(missed_before, log_rho, never)
-    remembered = xp.logaddexp(fresh_hit, kept_hit) - xp.logaddexp(fresh_miss, kept_miss)
+        log_rho, log_rest = zero + np.log(rho), np.log1p(np.negative(rho))
+    # logaddexp is most of the time: once for -log P of both fresh outcomes, once for the one that
+    # is remembered as well; the other stays what it is
+    rest = xp.logaddexp(zero, -xp.abs(logit))
+    fresh_hit = log_rest - xp.where(logit > 0.0, rest, rest - logit)
+    fresh_miss = log_rest - xp.where(logit < 0.0, rest, rest + logit)
+    kept = xp.logaddexp(xp.where(missed_before, fresh_miss, fresh_hit), log_rho)
+    remembered = xp.where(missed_before, fresh_hit - kept, kept - fresh_miss)
     return xp.where(zero + rho == 0.0, logit, remembered)
 
 
