@@ -19,9 +19,9 @@ from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Event, Observer, RunDone
 from pemviz.runs.experiment import Experiment, build_experiment, device_notes
 from pemviz.runs.result import RunResult
-from pemviz.runs.result_file import has_result, result_document
+from pemviz.runs.result_file import result_document
 from pemviz.runs.resume import carry_out
-from pemviz.runs.same_run import read_whole_run
+from pemviz.runs.same_run import read_whole_run, result_left
 from pemviz.runs.store import create_run_folder
 
 
@@ -121,7 +121,7 @@ def _done_before(folder: Path) -> RunResult | None:
     Raises:
         InputError: The folder's files are damaged, or do not belong together.
     """
-    if not has_result(folder):
+    if result_left(folder) is None:
         return None
     result = read_whole_run(folder)
     return result if result.status == "done" else None

@@ -59,6 +59,10 @@ LARGEST_BYTES = 100_000_000
 Table = dict[str, Any]
 
 
+class UnreadableResultError(InputError):
+    """``result.json`` is no JSON document: empty or cut, as a power cut may leave it."""
+
+
 def has_result(folder: Path) -> bool:
     """Whether the run folder holds a ``result.json``."""
     return (folder / RESULT_FILE).is_file()
@@ -68,7 +72,8 @@ def read_result(folder: Path) -> RunResult:
     """The result that a run folder holds; what it may hold is said above.
 
     Raises:
-        InputError: It cannot be read, or holds what no run writes; one line names the field.
+        UnreadableResultError: It is no JSON document.
+        InputError: It cannot be opened, or holds what no run writes; one line names the field.
     """
     path = folder / RESULT_FILE
     try:
@@ -78,9 +83,12 @@ def read_result(folder: Path) -> RunResult:
             message = f"result {path}: must be of at most {LARGEST_BYTES} bytes"
             raise InputError(message)
         document = parse_json(content.decode("utf-8"))
-    except (OSError, ValueError) as error:
+    except OSError as error:
         message = f"result {path}: cannot be read ({error})"
         raise InputError(message) from error
+    except ValueError as error:
+        message = f"result {path}: cannot be read ({error})"
+        raise UnreadableResultError(message) from error
     try:
         return result_from_document(document)
     except InputError as error:

@@ -14,8 +14,8 @@ from pemviz.runs.events import Event, Observer, RunDone, notify_all
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.finished_stages import Archive
 from pemviz.runs.result import RunResult
-from pemviz.runs.result_file import has_result, read_result
-from pemviz.runs.same_run import run_differs
+from pemviz.runs.result_file import has_result
+from pemviz.runs.same_run import result_left, run_differs
 from pemviz.runs.store import RunStore
 from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.problem import Problem, rule_scores
@@ -110,12 +110,21 @@ def run_lock(folder: Path) -> Generator[None, None, None]:
 def check_resumable(experiment: Experiment, folder: Path) -> None:
     """Refuse to go on with other settings or another error model; warn of other versions.
 
+    A ``result.json`` that is no JSON document, beside finished stages, is warned of: with it goes
+    what tells of the error model.
+
     Raises:
-        InputError: They differ, or ``result.json`` is damaged.
+        InputError: They differ, or ``result.json`` is damaged otherwise.
     """
-    if not has_result(folder):
+    result = result_left(folder)
+    if result is None:
+        if has_result(folder):
+            LOG.warning(
+                "run %s: result.json cannot be read; the run goes on from its stages, "
+                "with the error model as it is now",
+                folder,
+            )
         return
-    result = read_result(folder)
     errors = experiment.back_end.position_errors
     difference = run_differs(
         result,

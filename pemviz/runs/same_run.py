@@ -11,7 +11,8 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import every_setting, load_config
 from pemviz.errors import InputError
 from pemviz.runs.result import RunResult
-from pemviz.runs.result_file import read_result
+from pemviz.runs.result_file import UnreadableResultError, has_result, read_result
+from pemviz.runs.rollout_files import stage_files
 
 DIGITS = 12
 """Of a digest; enough to tell two apart."""
@@ -68,6 +69,25 @@ def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, An
         else:
             found[prefix + name] = value
     return found
+
+
+def result_left(folder: Path) -> RunResult | None:
+    """What ``result.json`` says of a run that is to go on.
+
+    ``None`` where there is none, or where a power cut left no JSON document: then finished stages
+    beside it are enough to go on from.
+
+    Raises:
+        InputError: It is damaged, and there are no stages or it is a document all the same.
+    """
+    if not has_result(folder):
+        return None
+    try:
+        return read_result(folder)
+    except UnreadableResultError:
+        if stage_files(folder):
+            return None
+        raise
 
 
 def read_whole_run(folder: Path) -> RunResult:

@@ -18,7 +18,7 @@ from pemviz.runs.events import Event, RepetitionDone, RunDone, RunFailed, RunSta
 from pemviz.runs.finished_stages import Archive
 from pemviz.runs.kept_rollouts import kept_rows
 from pemviz.runs.result import RunResult
-from pemviz.runs.result_file import has_result, write_result
+from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import (
     PART_FOLDER,
     join_parts,
@@ -27,6 +27,7 @@ from pemviz.runs.rollout_files import (
     stage_files,
     write_part,
 )
+from pemviz.runs.same_run import result_left
 from pemviz.types import Signal, StageResult
 
 ALWAYS_WRITTEN = 100
@@ -95,7 +96,7 @@ class RunStore:
             case RunStarted():
                 self._signals, self._keep = event.signals, event.config.keep
                 write_text(self.folder / "config.toml", config_text(event.config))
-                if not has_result(self.folder):
+                if result_left(self.folder) is None:
                     write_result(self.folder, event.result)
             case StageDone():
                 self._keep_stage(event.stage, event.result)

@@ -1,6 +1,7 @@
 """A run that is interrupted anywhere ends, once resumed, as if nothing had happened."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -202,6 +203,41 @@ def test_a_damaged_stage_is_computed_again(damage, tmp_path, caplog):
     carry_out(experiment, parts)
     assert ("it is computed again" in caplog.text) == (damage != "gone")
     assert contents(parts) == contents(whole)
+
+
+@pytest.mark.parametrize("left", [b"", b"\0" * 4096, b'{"schema": 1, "run_id'])
+def test_a_result_lost_in_a_power_cut_is_made_again_from_the_stages(left, tmp_path, caplog):
+    experiment = build_experiment(replace(SMALL, repetitions=1))
+    whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
+    carry_out(experiment, whole)
+    stop = StopAfter(3)
+    carry_out(experiment, parts, observers=[stop], should_stop=stop)
+    (parts / "result.json").write_bytes(left)
+    stages = sorted((parts / "stages").glob("*.npz"))
+    before = [path.read_bytes() for path in stages]
+    again = StopAfter(1)
+    carry_out(experiment, parts, observers=[again], should_stop=again)
+    (line,) = caplog.messages
+    assert line.startswith(f"run {parts}: result.json cannot be read; the run goes on")
+    assert [path.read_bytes() for path in stages] == before
+    assert json.loads((parts / "result.json").read_text())["status"] == "stopped"
+    carry_out(experiment, parts)
+    assert contents(parts) == contents(whole)
+    assert len(caplog.messages) == 1
+
+
+@pytest.mark.parametrize("left", [b"", b"{}", b'{"schema": 1}'])
+def test_a_damaged_result_is_refused_without_stages_or_where_it_is_a_document(left, tmp_path):
+    experiment = build_experiment(replace(SMALL, repetitions=1))
+    folder = folder_of(tmp_path, "run")
+    stop = StopAfter(2)
+    carry_out(experiment, folder, observers=[stop], should_stop=stop)
+    if not left:
+        shutil.rmtree(folder / "stages")
+    (folder / "result.json").write_bytes(left)
+    with pytest.raises(InputError, match=r"result .*result\.json"):
+        carry_out(experiment, folder)
+    assert (folder / "result.json").read_bytes() == left
 
 
 def test_two_processes_never_share_a_folder(tmp_path):
