@@ -147,12 +147,13 @@ def test_random_scenarios_written_out(written_out, scenario, memory_s, pem, spec
     assert_agrees(problem, gap_network(seed, scale=3.0), uniforms, written_out)
 
 
-def test_pilots_alone_and_the_model_alone(written_out):
+def test_pilots_the_model_and_a_constant_alone(written_out):
     generator = np.random.default_rng(2)
     problem, features = problem_of(ScenarioConfig(states=40), memory_s=0.25)
     uniforms = generator.random((40, 39))
     pilots = divided_proposal(problem, features, count=40, generator=generator, fits=False)
     assert_agrees(problem, pilots, uniforms, written_out)
+    assert_agrees(problem, ConstantProposal(0.3), uniforms, written_out)
     found = assert_agrees(problem, PemProposal(), uniforms, written_out)
     assert found.proposal_logit is found.pem_logit
 
@@ -223,7 +224,7 @@ def test_what_the_loop_does_not_know_is_numpys():
     either, _ = problem_of(ScenarioConfig(), spec="always[0,{0}] (gap >= 2.0 or ego_speed <= 1.0)")
     for other in (filtered, until, either):
         assert not is_served(other.simulator, other.pem, network)
-    for proposal in (PemProposal(), ConstantProposal(0.5)):
+    for proposal in (PemProposal(), ConstantProposal(0.0), ConstantProposal(1.0)):
         assert not is_served(problem.simulator, problem.pem, proposal)
     remembering, seen = problem_of(ScenarioConfig(), memory_s=0.2)
     generator = np.random.default_rng(0)

@@ -136,7 +136,7 @@ def _begun(
         under_pem=logits[0],
         under_proposal=logits[1],
         lead_mps=lead_mps,
-        doubtful=np.empty(count, dtype=np.bool_),
+        doubtful=np.zeros(count, dtype=np.bool_),
     )
     return signals, memory, written
 

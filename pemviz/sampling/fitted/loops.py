@@ -122,6 +122,13 @@ def by_pilot(own: float, strength: float) -> float:
 
 
 @translated
+def copy(values: FloatArray | BoolArray, target: FloatArray | BoolArray) -> None:
+    """Write ``values [n]`` to ``target``; a loop is compiled sooner than a slice's assignment."""
+    for n in range(values.size):
+        target[n] = values[n]
+
+
+@translated
 def along(pieces: Pieces, numbers: FloatArray, values: FloatArray) -> None:
     """Write the function's values at ``numbers [n]``."""
     edge, value, slope, begins = pieces.edge, pieces.value, pieces.slope, pieces.first
@@ -158,8 +165,12 @@ def where_acting(state: Step, fit: Fitted, numbers: Numbers, tracking: Tracking)
 
 
 @translated
-def under_pilots(state: Step, fit: Fitted, first: int) -> None:
-    """Write pilots' logits at a step of the block that begins with rollout ``first``."""
+def under_pilots(state: Step, fit: Fitted, first: int) -> bool:
+    """Write pilots' logits at a step of the block that begins with rollout ``first``.
+
+    Whether fits act at all is what comes back.
+    """
+    others = False
     own, logit, acts = state.own, state.logit, state.acts
     piloted, begin, stop, strength = fit.piloted, fit.begin, fit.stop, fit.strength
     for n in range(own.size):
@@ -170,6 +181,8 @@ def under_pilots(state: Step, fit: Fitted, first: int) -> None:
         else:
             logit[n] = own[n]
         acts[n] = acts[n] and not piloted[row]
+        others |= acts[n]
+    return others
 
 
 @translated
@@ -285,11 +298,10 @@ def propose(state: Step, fit: Fitted, scene: Scene, first: int, block: Block) ->
         along(fit.network, state.gap, state.logit)
         return
     if fit.kind != DIVIDED:
-        state.logit[:] = state.own
+        copy(state.own, state.logit)
         return
     where_acting(state, fit, scene.numbers, scene.tracking)
-    under_pilots(state, fit, first)
-    if fit.lower.size and state.acts.any():
+    if under_pilots(state, fit, first) and fit.lower.size:
         look_at(state, fit, scene.numbers, scene.tracking, block)
         under_fits(state, fit, block)
 
@@ -339,7 +351,6 @@ def draw(
         last = min(first + BLOCK, count)
         turn(fit.coefficients[first:last], block.by_row)
         doubtful = written.doubtful[first:last]
-        doubtful[:] = False
         state = step_of(written, block.acts, 0, first, last)
         latch(state, rules)
         for step in range(steps):
@@ -348,6 +359,6 @@ def draw(
             decided(state, uniforms[first:last, step], doubtful)
             after = step_of(written, block.acts, step + 1, first, last)
             moved_on(state, after, numbers, tracking)
-            after.violated[:] = state.violated
+            copy(state.violated, after.violated)
             latch(after, rules)
             state = after

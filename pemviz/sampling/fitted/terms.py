@@ -7,7 +7,7 @@ from pemviz.pem.models.encoding import POSE_INDEX
 from pemviz.pem.models.network import Layer, NetworkPem
 from pemviz.pem.models.pieces import bends, kinks
 from pemviz.pem.models.protocol import Pem
-from pemviz.proposals.fixed import PemProposal
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.fitted.numbers import (
@@ -79,6 +79,8 @@ def is_served(simulator: Simulator, pem: Pem, proposal: Proposal) -> bool:
         return _is_divided(proposal, scenario.config, remembers=remembers(simulator))
     if type(proposal) is PemProposal:  # without either, whose answers are kept by gap
         return scenario.tracker is not None or remembers(simulator)
+    if type(proposal) is ConstantProposal:
+        return 0.0 < proposal.detection_probability < 1.0
     return type(proposal) is GapNetwork
 
 
@@ -206,10 +208,14 @@ def tracking_numbers(config: ScenarioConfig) -> Tracking:
 
 def proposal_numbers(proposal: Proposal, model: Chained) -> Fitted:
     """Of a proposal that is served; ``model`` is the error model's."""
+    low, high = float(model.own.edge[0]), float(model.own.edge[-1])
     if isinstance(proposal, GapNetwork):
-        edge = model.own.edge
-        network = network_pieces(proposal, low=float(edge[0]), high=float(edge[-1]))
-        return _alike(ALONG_GAP, network)
+        return _alike(ALONG_GAP, network_pieces(proposal, low=low, high=high))
+    if isinstance(proposal, ConstantProposal):
+        probability = proposal.detection_probability
+        logit = float(np.log(probability) - np.log1p(-probability))
+        flat = pieces_of(np.array([low, high]), np.full(2, logit), cells=1)
+        return _alike(ALONG_GAP, flat)
     if not isinstance(proposal, DividedProposal):
         return _alike(ERROR_MODEL, model.own)
     pilots, fitted, features = proposal.pilots, proposal.fitted, proposal.pilots.features
