@@ -238,7 +238,7 @@ class MixtureSampling:
 
         def part(counting: Problem, number: int, size: int) -> ScoredRollouts:
             component = self._components_of_part(state, size)
-            return drawn(until_settled(counting), state, component, seeds=own[number], many=True)
+            return drawn(until_settled(counting), state, component, seeds=own[number])
 
         return in_parts.draw(problem, part)
 
