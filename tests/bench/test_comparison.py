@@ -9,7 +9,9 @@ import pytest
 import torch
 
 from pemviz.bench import comparison
+from pemviz.bench.comparison import fitted_ratios
 from pemviz.bench.compiled_limit import limit_work
+from pemviz.bench.fitted_rollouts import BY_METHOD, last_batch
 from pemviz.bench.plain_torch import draw, error_model, fit, proposal_logit, proposal_network
 from pemviz.bench.ratios import Comparison, LeftOut, Ratio, changes, ratio_of_turns
 from pemviz.cli.main import main
@@ -20,6 +22,8 @@ from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import gap_network_from_arrays
 from pemviz.proposals.gap_network_fit import fit_gap_network, pool_outcomes
+from pemviz.sampling.fitted import drawing
+from pemviz.sampling.fitted.terms import is_served
 from pemviz.sampling.rollouts.compiled import CompiledRollouts, Loops
 from pemviz.sampling.rollouts.draw import simulate
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
@@ -163,6 +167,20 @@ def test_a_whole_run_is_timed_beside_plain_rollouts():
     assert ratio.name == "mixture, 80 rollouts"
     assert 0.0 < ratio.value < 1.0
     assert ratio.note.endswith(" s")
+
+
+def test_fitted_rollouts_are_timed_on_what_the_loop_knows(monkeypatch):
+    config = replace(BY_METHOD["mixture with memory of misses"], stages=1, rollouts=40)
+    last = last_batch(config, rollouts=50)
+    assert last.task.many
+    assert len(last.task.uniforms) == 50
+    assert is_served(last.simulator, last.pem, last.task.proposal)
+    monkeypatch.setattr(drawing, "compiled_draw", lambda: None)
+    by_numpy = last.by_numpy()
+    np.testing.assert_array_equal(last.by_loop().proposal_logit, by_numpy.proposal_logit)
+    monkeypatch.setattr(comparison, "has_loop", lambda: False)
+    left_out = list(fitted_ratios())
+    assert [one.name.split(" of ", 1)[1] for one in left_out] == list(BY_METHOD)
 
 
 def test_the_limits_arithmetic_is_the_loops_own():

@@ -24,6 +24,7 @@ from pemviz.proposals.pilots import CEILING_LOGIT, PilotFamily
 from pemviz.runs import specification
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.resume import carry_out
 from pemviz.sampling.fitted import drawing, numbers
 from pemviz.sampling.fitted.terms import is_served
 from pemviz.sampling.memory import proposal_features
@@ -36,6 +37,7 @@ from pemviz.sampling.rollouts.draw import of_rows, simulate
 from pemviz.sampling.value_twisted.method import with_latch
 from pemviz.simulators.braking import loops as scenario_loops
 from pemviz.simulators.latched import VIOLATED
+from tests.faults.test_resume import StopAfter, contents, folder_of
 
 SOURCE = Path(drawing.__file__).with_name("loops.py")
 SCENARIOS = st.builds(
@@ -259,6 +261,24 @@ def test_only_a_final_batch_in_parts_goes_through_the_loop(monkeypatch):
             state, _ = chosen.step(experiment.problem, state)
         assert drawn == [(30, 29)] * 3
         drawn.clear()
+
+
+@pytest.mark.slow
+def test_a_stopped_run_goes_on_to_the_same_bytes(tmp_path):
+    """Parts drawn by the loop before, and in another process's place after."""
+    compiled_loop()
+    config = ExperimentConfig(
+        method="mixture", stages=1, rollouts=60, final_rollouts=120, memory_s=0.1,
+        scenario=ScenarioConfig(states=40), spec="always[0,39] (gap >= 6.0)",
+    )  # fmt: skip
+    experiment = build_experiment(config)
+    parts = replace(experiment, method=replace(experiment.method, largest_part=40))
+    whole, stopped = folder_of(tmp_path, "whole"), folder_of(tmp_path, "stopped")
+    carry_out(parts, whole)
+    stop = StopAfter(4)
+    assert carry_out(parts, stopped, observers=[stop], should_stop=stop).status == "stopped"
+    carry_out(parts, stopped)
+    assert contents(stopped) == contents(whole)
 
 
 @pytest.mark.slow
