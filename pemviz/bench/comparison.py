@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pemviz.bench.compiled_limit import limit_work
-from pemviz.bench.fitted_rollouts import BY_METHOD, has_loop, last_batch
+from pemviz.bench.fitted_rollouts import DRAWN, has_loop, last_batch
 from pemviz.bench.ratios import Comparison, LeftOut, Ratio, made_with, ratio_of_turns
 from pemviz.bench.simulators import replaying
 from pemviz.bench.stl import (
@@ -141,15 +141,14 @@ def compiled_ratios(*, rollouts: int = 20_000, turns: int = 5) -> Found:
 
 def fitted_ratios(*, rollouts: int = 4000, turns: int = 5) -> Found:
     """Final rollouts of `adaptive` and `mixture`, drawn by the compiled loop and by numpy."""
-    names = {method: f"rollouts from the proposals of {method}" for method in BY_METHOD}
     if not has_loop():
-        for name in names.values():
+        for name in DRAWN:
             yield LeftOut(name, "numba is not there: pip install 'pemviz[fast]'")
         return
-    for method, config in BY_METHOD.items():
+    for name, config in DRAWN.items():
         last = last_batch(config, rollouts=rollouts)
         numpy_s, compiled_s = in_turns_s([last.by_numpy, last.by_loop], turns)
-        yield ratio_of_turns(names[method], "numpy", theirs_s=numpy_s, ours_s=compiled_s)
+        yield ratio_of_turns(name, "numpy", theirs_s=numpy_s, ours_s=compiled_s)
 
 
 def replay_ratios(

@@ -10,12 +10,14 @@ from pemviz.sampling.fitted.drawing import compiled_draw, simulated
 from pemviz.sampling.rollouts.batches import BatchTask, by_numpy
 from pemviz.types import RolloutBatch, Simulator
 
-BY_METHOD = {
-    "adaptive": ExperimentConfig(method="adaptive"),
-    "mixture": ExperimentConfig(method="mixture"),
-    "mixture with memory of misses": ExperimentConfig(method="mixture", memory_s=0.25),
+DRAWN = {
+    "rollouts from a network of the gap": ExperimentConfig(method="adaptive"),
+    "rollouts from pilots and fits": ExperimentConfig(method="mixture"),
+    "rollouts from pilots and fits, with memory of misses": ExperimentConfig(
+        method="mixture", memory_s=0.25
+    ),
 }
-"""Whose final rollouts are drawn, by name."""
+"""Whose final rollouts are drawn, by what the row is called."""
 
 
 @dataclass

@@ -11,7 +11,7 @@ import torch
 from pemviz.bench import comparison
 from pemviz.bench.comparison import fitted_ratios
 from pemviz.bench.compiled_limit import limit_work
-from pemviz.bench.fitted_rollouts import BY_METHOD, last_batch
+from pemviz.bench.fitted_rollouts import DRAWN, last_batch
 from pemviz.bench.plain_torch import draw, error_model, fit, proposal_logit, proposal_network
 from pemviz.bench.ratios import Comparison, LeftOut, Ratio, changes, ratio_of_turns
 from pemviz.cli.main import main
@@ -170,7 +170,8 @@ def test_a_whole_run_is_timed_beside_plain_rollouts():
 
 
 def test_fitted_rollouts_are_timed_on_what_the_loop_knows(monkeypatch):
-    config = replace(BY_METHOD["mixture with memory of misses"], stages=1, rollouts=40)
+    name = "rollouts from pilots and fits, with memory of misses"
+    config = replace(DRAWN[name], stages=1, rollouts=40)
     last = last_batch(config, rollouts=50)
     assert last.task.many
     assert len(last.task.uniforms) == 50
@@ -179,8 +180,7 @@ def test_fitted_rollouts_are_timed_on_what_the_loop_knows(monkeypatch):
     by_numpy = last.by_numpy()
     np.testing.assert_array_equal(last.by_loop().proposal_logit, by_numpy.proposal_logit)
     monkeypatch.setattr(comparison, "has_loop", lambda: False)
-    left_out = list(fitted_ratios())
-    assert [one.name.split(" of ", 1)[1] for one in left_out] == list(BY_METHOD)
+    assert [one.name for one in fitted_ratios()] == list(DRAWN)
 
 
 def test_the_limits_arithmetic_is_the_loops_own():
