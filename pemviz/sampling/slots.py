@@ -64,13 +64,15 @@ class SlotPem:
     def logit(self, salient: FloatArray) -> FloatArray:
         """Logit of the nominal outcome ``[...]``; see :meth:`UnrolledSimulator.salient`."""
         present, slot = salient[..., -2] > 0.5, salient[..., -1].astype(np.int64)
-        result = np.full(salient.shape[:-1], CERTAIN_LOGIT)
+        own, result = salient[..., :-2], np.full(salient.shape[:-1], CERTAIN_LOGIT)
         for model in self._distinct:
-            asked = np.array([own is model for own in self.models])
-            chosen = present & asked[slot]
+            asked = np.array([each is model for each in self.models])
+            chosen = present if asked.all() else present & asked[slot]
             if chosen.any():
-                logit = self._answer(model, salient[chosen][:, :-2])
-                result[chosen] = np.where(self.nominal[slot[chosen]], logit, -logit)
+                logit = self._answer(model, own[chosen])
+                if not self.nominal.all():
+                    logit = np.where(self.nominal[slot[chosen]], logit, -logit)
+                result[chosen] = logit
         return result
 
     @property

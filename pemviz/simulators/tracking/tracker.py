@@ -150,13 +150,18 @@ class Tracker:
         )
         settled = confirmed | state.confirmed  # or dropped: what is there begins anew
         window = xp.where(settled, 0, window & ((1 << (self.window - 1)) - 1))
-        has_track = confirmed if self.filter == LastPosition() else confirmed | (window != 0)
-        motion = self._moved(state, detected, measured_m)
+        if self.filter == LastPosition():
+            position_m = xp.where(detected[..., None], measured_m, state.position_m)
+            motion = at_rest(xp.where(confirmed[..., None], position_m, 0.0))
+        else:
+            motion = self._moved(state, detected, measured_m)
+            none = at_rest(xp.zeros_like(measured_m))
+            motion = _chosen(confirmed | (window != 0), motion, none)
         return TrackerState(
             window=window,
             misses=xp.where(confirmed, misses, 0),
             confirmed=confirmed,
-            motion=_chosen(has_track, motion, at_rest(xp.zeros_like(measured_m))),
+            motion=motion,
         )
 
     def hits_seen(self, state: TrackerState) -> IntArray:
