@@ -1,14 +1,22 @@
 """What a simulator with slots must keep to beyond what every simulator must."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
 
-from pemviz.arrays import BoolArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.simulators.remembering import LAST, LAST_OUTCOME
-from pemviz.simulators.slots import ERROR, SLOT, SaysWhereItReacts, Slot, SlotSimulator
+from pemviz.simulators.slots import (
+    ERROR,
+    SLOT,
+    ReactsInSlot,
+    SaysWhereItReacts,
+    SeesAtOnce,
+    Slot,
+    SlotSimulator,
+)
 from pemviz.types import CERTAIN, StateBatch
 
 TAKEN = (SLOT, LAST_OUTCOME.name)
@@ -91,6 +99,7 @@ def check_asked(simulator: SlotSimulator, states: StateBatch, where: str) -> Non
             reacts = present
             if isinstance(simulator, SaysWhereItReacts):
                 reacts = simulator.reacts(signals)
+            other = _told_otherwise(simulator, signals)
         except Exception as error:  # the user's code may raise anything
             message = (
                 f"{where}: present, salient or reacts raises {type(error).__name__} for signals "
@@ -108,6 +117,23 @@ def check_asked(simulator: SlotSimulator, states: StateBatch, where: str) -> Non
                 f"{where}: salient gives shape {np.shape(salient)} for signals of shape {shape}: "
                 f"must be {(*shape, slots)} and D variables"
             )
+        if other is not None:
+            _refuse(f"{where}: {other}: both must give the same, or rename the first")
+
+
+def _told_otherwise(simulator: SlotSimulator, signals: Mapping[str, FloatArray]) -> str | None:
+    """A method asked in place of others, and one of those, if the two differ at ``signals``."""
+    if isinstance(simulator, SeesAtOnce):
+        sight = simulator.sight(signals)
+        if not np.array_equal(sight.present, simulator.present(signals)):
+            return "sight and present differ"
+        if not np.array_equal(sight.salient, simulator.salient(signals), equal_nan=True):
+            return "sight and salient differ"
+    if isinstance(simulator, ReactsInSlot) and isinstance(simulator, SaysWhereItReacts):
+        each = [simulator.reacts_in(slot, signals) for slot in range(len(simulator.slots))]
+        if not np.array_equal(np.stack(each, axis=-1), simulator.reacts(signals)):
+            return "reacts_in and reacts differ"
+    return None
 
 
 def check_ever_present(simulator: SlotSimulator, course: Sequence[StateBatch], where: str) -> None:

@@ -53,6 +53,8 @@ class SlotSimulator(Protocol):
     pure. It may have a method ``reacts``, from signals ``[...]`` to whether it matters to the
     scenario what is reported in each slot, ``[..., K]``: proposals leave the other outcomes to the
     error model, which saves weight.
+    For speed it may have ``sight``, which is asked in place of ``present`` and ``salient``, and
+    ``reacts_in``, in place of ``reacts``: :class:`SeesAtOnce`, :class:`ReactsInSlot`.
     """
 
     @property

@@ -1,10 +1,13 @@
 """What perception depends on at a state is asked once, and what is asked then is the same."""
 
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from pemviz.errors import ConfigError
+from pemviz.simulators.check import check_simulator
 from pemviz.simulators.families.features import FamilyFeatures
 from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
 from pemviz.simulators.latents import salient_of, stepped
@@ -73,3 +76,32 @@ def test_a_scenario_is_asked_once_a_step(wrapped):
         salient_of(simulator, states)
     assert cars.asked.count("salient") == cars.states - 1
     assert cars.asked.count("present") == cars.states
+
+
+@dataclass(frozen=True)
+class SeesElsewhere(TwoCars):
+    """What it has under the name that is asked in place of others is something else."""
+
+    def sight(self, signals):
+        absent = np.zeros_like(self.present(signals))
+        return SimpleNamespace(present=absent, salient=self.salient(signals))
+
+
+@dataclass(frozen=True)
+class ReactsElsewhere(TwoCars):
+    """Likewise, of where it reacts."""
+
+    def reacts(self, signals):
+        return self.present(signals)
+
+    def reacts_in(self, slot, signals):
+        return ~self.present(signals)[..., slot]
+
+
+def test_what_is_asked_in_place_of_others_must_say_the_same():
+    with pytest.raises(ConfigError, match="sight and present differ: both must give the same"):
+        check_simulator(SeesElsewhere())
+    with pytest.raises(ConfigError, match="reacts_in and reacts differ: both must give the same"):
+        check_simulator(ReactsElsewhere())
+    for scenario in SCENARIOS.values():
+        check_simulator(scenario)
