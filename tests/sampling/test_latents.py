@@ -285,7 +285,7 @@ def latents_of_walkers(generator, *, count=400, steps=6):
     return LatentDecisions(
         start=generator.standard_normal((count, 1)) + 1.5,
         rollout=np.repeat(np.arange(count), steps),
-        basis=np.stack([np.ones(place.size), place], axis=1),
+        monomials=np.stack([np.ones(place.size), place], axis=1),
         noise=generator.standard_normal((place.size, 1)),
         even=even_logit(np.tile(np.arange(steps), count), steps=steps),
     )
@@ -335,7 +335,7 @@ def test_one_step_at_most_is_moved():
     far[np.arange(latents.count), which] = 5.0 + 0.3 * generator.standard_normal(latents.count)
     noise = np.where(far > 0.0, far, latents.noise.reshape(-1, 6)).reshape(-1, 1)
     basis = latents.basis[:, :1]
-    drawn_with = replace(latents, noise=noise, basis=basis)
+    drawn_with = replace(latents, noise=noise, monomials=basis)
     found = fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01])).means
     assert found.once
     assert found.noise[0] == pytest.approx([5.0], abs=0.1)

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
+from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
+from pemviz.proposals.offset_logistic import PolynomialBasis
+from pemviz.proposals.start_moves import StartMoves
 from pemviz.runs.experiment import build_experiment
+from pemviz.sampling.mixture.latents import latent_ratios
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.monomials import Monomials
 from tests.lattice_walk import ToyPem, ToySimulator
@@ -22,7 +26,7 @@ def ends():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pemviz.sampling.mixture.pooling.FAILING_AT_ONCE", 7)
         patch.setattr("pemviz.sampling.mixture.final.ROWS_AT_ONCE", 5)
-        patch.setattr("pemviz.sampling.mixture.balance_heuristic.ROLLOUTS_AT_ONCE", 23)
+        patch.setattr("pemviz.sampling.mixture.monomials.ROLLOUTS_AT_ONCE", 23)
         found["pieces"] = end(many=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MixtureSampling, "_planned", lambda *_, **__: None)
@@ -76,3 +80,49 @@ def test_of_a_final_batch_the_weights_of_violations_are_kept(ends):
     held = np.flatnonzero(~np.isnan(few.log_weight))
     expected = np.r_[np.arange(learned), learned + np.flatnonzero(whole.violated[final])]
     np.testing.assert_array_equal(held, expected)
+
+
+@pytest.mark.parametrize("once", [False, True])
+def test_latents_of_many_are_judged_in_pieces_alike(once, monkeypatch):
+    """Monomials that are made when asked for, of rollouts with few steps, many or none.
+
+    To the last bit; where one step is moved to 1e-12, as its steps are summed in a table.
+    """
+    generator = np.random.default_rng(8)
+    basis = PolynomialBasis(np.zeros(3), np.ones(3), degree=2)
+    steps = generator.integers(0, 9, size=70) * (generator.random(70) < 0.8)
+    rollout = np.repeat(np.arange(70), steps)
+    features = generator.normal(size=(rollout.size, 3))
+    made = LatentDecisions(
+        start=generator.normal(size=(70, 2)),
+        rollout=rollout,
+        monomials=basis.evaluate(features),
+        noise=generator.normal(size=(rollout.size, 2)),
+        even=generator.normal(size=rollout.size),
+        broken=generator.random((rollout.size, 2)) < 0.2,
+    )
+    kept = replace(made, monomials=Monomials(features, basis))
+    size = len(basis.exponents)
+    means = LatentMeans(
+        start=StartMoves.none(2),
+        noise=generator.normal(size=(2, size)),
+        choice=generator.normal(size=size),
+        sd=np.array([0.4, 0.9]),
+        once=once,
+    )
+    moves = [(means, None), (means, "deep")]
+    monkeypatch.setattr("pemviz.sampling.mixture.monomials.ROLLOUTS_AT_ONCE", 16)
+    for under in (None, "touch"):
+        found, expected = (
+            latent_ratios(one, moves, rules=("touch", "deep"), under=under) for one in (kept, made)
+        )
+        np.testing.assert_allclose(found, expected, rtol=1e-12 if once else 0.0, atol=0.0)
+    some = generator.random(rollout.size) < 0.5
+    few = np.flatnonzero(generator.random(70) < 0.3)
+    parts = kept.between(0, 30).joined(made.between(30, 70)), kept.where(some), kept.of(few)
+    wanted = made, made.where(some), made.of(few)
+    joined = kept.joined(kept)
+    assert not joined.is_made and not parts[1].is_made  # noqa: PT018  one thing
+    for found, expected in [*zip(parts, wanted, strict=True), (joined, made.joined(made))]:
+        for name in ("start", "rollout", "basis", "noise", "even"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)

@@ -19,11 +19,8 @@ from pemviz.sampling.mixture.final import (
     weights,
 )
 from pemviz.sampling.mixture.latents import latent_ratios
-from pemviz.sampling.mixture.monomials import Monomials
+from pemviz.sampling.mixture.monomials import Monomials, some_at_once
 from pemviz.types import RolloutBatch
-
-ROLLOUTS_AT_ONCE = 250
-"""Of many, whose decisions' monomials are made."""
 
 
 @dataclass(frozen=True)
@@ -338,7 +335,7 @@ def _of_outcomes(
 ) -> Sequence[FloatArray]:
     """What :func:`log_ratios` finds of outcomes; of many decisions some rollouts at a time."""
     if isinstance(decisions.basis, Monomials):
-        edges = [*range(0, max(count, 1), ROLLOUTS_AT_ONCE), count]
+        edges = some_at_once(count)
         places = np.searchsorted(decisions.rollout, edges).tolist()
         some = [
             _of_outcomes(

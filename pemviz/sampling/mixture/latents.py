@@ -1,5 +1,6 @@
 """Latents in the mixture: what they are drawn from, and what proposals are fitted to."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +21,7 @@ from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures
 from pemviz.proposals.single_moves import even_logit
 from pemviz.proposals.start_moves import StartMoves
 from pemviz.sampling.mixture.aims import Aims, Rule, both, broken_at, still_open
+from pemviz.sampling.mixture.monomials import Monomials, some_at_once
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import RolloutBatch, StateBatch
 
@@ -159,8 +161,12 @@ def fresh_latents(
     turns: int,
     starts: int,
     rules: Sequence[str] = (),
+    many: bool = False,
 ) -> FreshLatents | None:
-    """Of rollouts with latents that can be moved, ``starts`` at the start; ``None`` for others."""
+    """Of rollouts with latents that can be moved, ``starts`` at the start; ``None`` for others.
+
+    Of ``many`` monomials are not made before they are asked for.
+    """
     latents = rollouts.latents
     if latents is None or not (starts or latents.noise.shape[2]):
         return None
@@ -170,12 +176,12 @@ def fresh_latents(
     acts = acts if noise else np.zeros_like(acts)
     broken = broken_at(states.memory, rules)
     detected = rollouts.detected[:, turns - 1 :: turns]
-    values = _looked_at(features, states, detected)[acts]
+    values, own = _looked_at(features, states, detected)[acts], noise_basis(basis)
     return FreshLatents(
         decisions=LatentDecisions(
             start=start,
             rollout=np.nonzero(acts)[0].astype(np.int64),
-            basis=noise_basis(basis).evaluate(values),
+            monomials=Monomials(values, own) if many else own.evaluate(values),
             noise=latents.noise[acts],
             even=even_logit(np.nonzero(acts)[1], steps=acts.shape[1]),
             broken=None if broken is None else broken[acts],
@@ -230,6 +236,10 @@ def latent_ratios(
         rules: Names of those that are told apart.
         under: Until when rollouts are judged.
     """
+    if not latents.is_made:
+        edges = itertools.pairwise(some_at_once(latents.count))
+        pieces = (latents.between(*pair) for pair in edges)
+        return np.vstack([latent_ratios(few, moves, rules=rules, under=under) for few in pieces])
     found = np.zeros((latents.count, len(moves)))
     until = still_open(latents.broken, rules, under)
     for rule in dict.fromkeys(rule for _, rule in moves):

@@ -12,6 +12,9 @@ from pemviz.proposals.offset_logistic import PolynomialBasis
 MADE_AT_ONCE = 4_096
 """Decisions: as many as a processor's cache holds with their monomials."""
 
+ROLLOUTS_AT_ONCE = 250
+"""Of many, whose decisions' monomials are made."""
+
 
 @dataclass(frozen=True)
 class Monomials(Batch):
@@ -34,6 +37,15 @@ class Monomials(Batch):
             found[some] = self.basis.evaluate(features[some])
         return found
 
+    def joined(self, after: "Monomials") -> "Monomials":
+        """These decisions and more."""
+        return Monomials.concatenate([self, after])
+
     @classmethod
     def _beside_rows(cls, batches: Sequence[Any]) -> Mapping[str, Any]:
         return {"basis": batches[0].basis}
+
+
+def some_at_once(count: int) -> list[int]:
+    """Edges of ``count`` rollouts in pieces that their monomials are made of."""
+    return [*range(0, max(count, 1), ROLLOUTS_AT_ONCE), count]

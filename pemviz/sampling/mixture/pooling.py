@@ -226,6 +226,7 @@ def _fresh(
         turns=terms.turns,
         starts=terms.starts,
         rules=terms.rules,
+        many=terms.many,
     )
     if latents is None:
         return decisions, None, by_pilots
