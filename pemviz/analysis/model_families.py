@@ -20,7 +20,7 @@ from pemviz.arrays import Batch, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.errors import PemError
 from pemviz.pem import Pem, load_pem, shipped_pems
-from pemviz.pem.models.pieces import logit_along
+from pemviz.pem.models.pieces import chain_logit_along
 from pemviz.pem.models.protocol import chain_log_likelihood
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 from pemviz.sampling.estimates.meanings import SMALL_ESS
@@ -137,7 +137,7 @@ def family_ratios(
     salient = simulator.salient(failing.decision_states().signals)
     log_p = row_sums(failing.log_p)
     columns = [
-        chain_log_likelihood(model, salient, failing.detected, logit_of=logit_along) - log_p
+        chain_log_likelihood(model, salient, failing.detected, logit_of=chain_logit_along) - log_p
         for model in families
     ]
     return FamilyRatios(

@@ -14,9 +14,11 @@ from pemviz.errors import PemError
 from pemviz.pem import load_pem
 from pemviz.pem.models.encoding import PAPER_INPUTS
 from pemviz.pem.models.ensemble import mean_probability_logit
+from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.network import Layer
-from pemviz.pem.models.pieces import FEWEST_ROWS, kinks, logit_along
+from pemviz.pem.models.pieces import FEWEST_ROWS, chain_logit_along, kinks, logit_along
 from pemviz.pem.models.protocol import COLUMN
+from pemviz.sampling.memory import RememberingPem
 from pemviz.simulators.braking.scenario import lead_car_salient
 
 PEM = load_pem("ml-nn")
@@ -107,3 +109,17 @@ def test_bad_rows_are_refused_as_ever(column, value):
     rows[3, COLUMN[column]] = value
     with pytest.raises(PemError, match=f"salient row 3: {column}"):
         logit_along(PEM, rows)
+
+
+@pytest.mark.parametrize("name", ["ml-nn", "ml-nn-ensemble", "gb-raw"])
+def test_a_model_that_remembers_is_asked_along_the_gap_too(name):
+    pem = RememberingPem(load_pem(name), Memory(0.3), 0.05)
+    rng = np.random.default_rng(3)
+    own = lead_car_salient(ScenarioConfig(), {"gap": rng.uniform(-20.0, 150.0, (40, 50))})
+    last = rng.integers(-1, 2, (40, 50)).astype(np.float64)
+    salient = np.concatenate([own, last[..., None]], axis=-1)
+    expected = pem.logit(salient)
+    assert np.unique(expected).size > 60
+    found = chain_logit_along(pem, salient)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_array_equal(chain_logit_along(PEM, own), logit_along(PEM, own))

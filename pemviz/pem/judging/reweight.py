@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from pemviz.arrays import BoolArray, FloatArray, log_sum_exp, row_sums
 from pemviz.errors import PemError
-from pemviz.pem.models.pieces import logit_along
+from pemviz.pem.models.pieces import chain_logit_along
 from pemviz.pem.models.protocol import Pem, chain_log_likelihood
 
 
@@ -89,7 +89,9 @@ def failing_log_weights(
         PemError: the shapes do not fit together.
     """
     _check_shapes(detected=detected, salient=salient, log_q=log_q, violated=violated)
-    log_p = chain_log_likelihood(pem, salient[violated], detected[violated], logit_of=logit_along)
+    log_p = chain_log_likelihood(
+        pem, salient[violated], detected[violated], logit_of=chain_logit_along
+    )
     of_rollout = log_q[violated]
     return log_p - (of_rollout if of_rollout.ndim == 1 else row_sums(of_rollout))
 

@@ -6,6 +6,7 @@ answers are interpolated: the same but for rounding.
 """
 
 from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,22 @@ from pemviz.pem.models.encoding import POSE_INDEX, paper_inputs
 from pemviz.pem.models.ensemble import EnsemblePem, mean_probability_logit
 from pemviz.pem.models.network import Layer, NetworkPem
 from pemviz.pem.models.own_detector import DetectorModel
-from pemviz.pem.models.protocol import as_rows
+from pemviz.pem.models.protocol import Pem, as_rows
+
+
+@runtime_checkable
+class Remembers(Protocol):
+    """A model whose answer follows from that of a model of single outcomes, and the one before."""
+
+    @property
+    def pem(self) -> Pem:
+        """The model of single outcomes."""
+        ...
+
+    def after(self, own: FloatArray, last: FloatArray) -> FloatArray:
+        """Logits ``[...]`` from its ``own [...]``, after the outcomes ``last [...]``."""
+        ...
+
 
 FEWEST_ROWS = 1000
 """Fewer are asked for one by one: kinks are some sixty rows, and take time to find."""
@@ -43,6 +59,13 @@ def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
         return pem.logit(np.asarray(salient))
     rows, shape = as_rows(salient)
     return _along(pem, rows, _varying_pose(rows)).reshape(shape)
+
+
+def chain_logit_along(pem: DetectorModel, salient: FloatArray) -> FloatArray:
+    """The same for a model that sees the last outcome too, as one more salient variable."""
+    if not isinstance(pem, Remembers):
+        return logit_along(pem, salient)
+    return pem.after(logit_along(pem.pem, salient[..., :-1]), salient[..., -1])
 
 
 def _varying_pose(rows: FloatArray) -> int | None:
