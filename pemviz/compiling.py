@@ -37,12 +37,47 @@ def with_numba(build: Callable[[Callable[..., Any]], Result]) -> Result | None:
     try:
         numba = importlib.import_module("numba")
         try:
-            return build(partial(numba.njit, cache=True))
+            return build(partial(_kept, numba.njit))
         except RuntimeError:  # no folder to keep it in
             return build(numba.njit)
     except Exception as error:  # an installation of others may raise anything
         LOG.warning("numba cannot be used (%s); numpy computes", error)
         return None
+
+
+def _kept(njit: Callable[..., Any], function: Any = None, **options: Any) -> Any:
+    """A function compiled by ``njit`` and kept on disk, or with ``options`` a decorator for it."""
+    if function is None:
+        return partial(_kept, njit, **options)
+    return _forgiving(njit(cache=True, **options)(function))
+
+
+def _forgiving(compiled: Any) -> Any:
+    """The same, which is compiled anew where what is kept of it cannot be read.
+
+    numba's files name the types of arguments by their modules, and are read before it is asked
+    whether they belong to the source as it is: those that an earlier version left may name modules
+    that have moved.
+    """
+    files = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if files is None:
+        return compiled
+    index, data = files._load_index, files._load_data
+
+    def load_index() -> Any:
+        try:
+            return index()
+        except Exception:  # what unpickling raises depends on what is there
+            return {}
+
+    def load_data(name: str) -> Any:
+        try:
+            return data(name)
+        except Exception as error:
+            raise OSError(str(error)) from error  # then it is as if there were none
+
+    files._load_index, files._load_data = load_index, load_data
+    return compiled
 
 
 def translated(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,5 +1,9 @@
 """Compiled loops are loaded when they begin to pay, and comparisons choose the way."""
 
+import pickle
+import subprocess
+import sys
+
 import pytest
 
 from pemviz import compiling
@@ -21,3 +25,39 @@ def test_comparisons_choose_the_way_and_leave_no_trace():
     with decision.from_the_start(False):
         assert decision.loops_for(10**18) is None
     assert decision.done == 3.0
+
+
+LOOP = """
+from pemviz.compiling import is_translated, translated
+
+@translated
+def doubled(number):
+    return 2 * number
+
+assert is_translated(doubled)
+print(doubled(21))
+"""
+
+
+@pytest.mark.slow  # numba is imported six times
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+@pytest.mark.parametrize("left", ["of a module that has moved", "damaged"])
+def test_what_cannot_be_read_is_compiled_anew(tmp_path, kind, left):
+    numba = pytest.importorskip("numba")
+    loop = tmp_path / "loop.py"
+    loop.write_text(LOOP, encoding="utf-8")
+
+    def said():
+        done = subprocess.run(
+            [sys.executable, str(loop)], capture_output=True, text=True, check=False
+        )
+        return done.stdout.strip() or done.stderr
+
+    assert said() == "42"
+    (kept,) = (tmp_path / "__pycache__").glob(f"*.{kind}")
+    moved = b"cpemviz.moved_long_ago\nLanes\n."  # a pickle's reference to what is not there
+    head = pickle.dumps(numba.__version__, protocol=-1) if kind == "nbi" else b""
+    kept.write_bytes(head + (moved if left != "damaged" else b"\x00"))
+    assert said() == "42"
+    assert said() == "42"
+    assert moved not in kept.read_bytes()

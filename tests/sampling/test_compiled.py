@@ -182,7 +182,7 @@ def test_what_the_loop_does_not_know_numpy_simulates(simulator, pem, proposal):
 
 @pytest.mark.parametrize("broken", ["absent", "no cache", "fails"])
 def test_without_a_numba_that_works_numpy_simulates(broken, monkeypatch, caplog):
-    def njit(function, cache=False):
+    def njit(function=None, *, cache=False):
         if broken == "fails":
             raise ImportError("Numba needs NumPy 1.26 or less")
         if cache:
