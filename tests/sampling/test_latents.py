@@ -11,7 +11,8 @@ import pemviz
 from pemviz.errors import ConfigError
 from pemviz.latents import LatentCounts
 from pemviz.proposals.fixed import PemProposal
-from pemviz.proposals.latent_means import LatentDecisions, LatentMeans, fit_means, scores
+from pemviz.proposals.latent_decisions import LatentDecisions
+from pemviz.proposals.latent_means import LatentMeans, fit_means, scores
 from pemviz.proposals.latent_pilots import LatentFamily
 from pemviz.proposals.single_moves import even_logit
 from pemviz.proposals.start_moves import StartMoves

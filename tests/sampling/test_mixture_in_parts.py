@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
+from pemviz.proposals.latent_decisions import LatentDecisions
+from pemviz.proposals.latent_means import LatentMeans
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.start_moves import StartMoves
 from pemviz.runs.experiment import build_experiment

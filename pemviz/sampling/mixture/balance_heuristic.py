@@ -9,7 +9,8 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray
 from pemviz.proposals.defensive_share import AgainstModel
-from pemviz.proposals.latent_means import LatentDecisions, LatentMeans
+from pemviz.proposals.latent_decisions import LatentDecisions
+from pemviz.proposals.latent_means import LatentMeans
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
 from pemviz.sampling.mixture.aims import Rule, still_open, where_open
 from pemviz.sampling.mixture.final import (

@@ -9,8 +9,8 @@ from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.latents import LatentCounts
+from pemviz.proposals.latent_decisions import LatentDecisions
 from pemviz.proposals.latent_means import (
-    LatentDecisions,
     LatentMeans,
     choice_logit,
     noise_means,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
-from pemviz.proposals.latent_means import LatentDecisions
+from pemviz.proposals.latent_decisions import LatentDecisions
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, acting
 from pemviz.proposals.pilots import PilotFamily
 from pemviz.sampling.mixture.aims import Rule, broken_at, still_open
