@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pemviz.compiling import LoadedInTime
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.frailty import NEXT, frail_part
@@ -63,12 +64,10 @@ def assert_same(one, other):
 def test_the_loops_change_no_digit_and_serve_what_they_know(name, monkeypatch):
     """The loops as they are written: what numba makes of them is tested beside them."""
     problem = problem_of(name)
-    monkeypatch.setattr(loops, "are_loaded", lambda: False)
-    monkeypatch.setattr(loops, "FIRST_BY_NUMPY", np.inf)
-    by_numpy, served = runs_of(problem), set()
+    with loops.STEPS_ASKED.from_the_start(False):
+        by_numpy, served = runs_of(problem), set()
     simulate, replay = compiled.CompiledRollouts.simulate, ways.replay
-    monkeypatch.setattr(loops, "FIRST_BY_NUMPY", -1)
-    monkeypatch.setattr(loops, "compiled_loops", Loops)
+    monkeypatch.setattr(loops, "STEPS_ASKED", LoadedInTime(Loops, 0, 0))
     monkeypatch.setattr(
         moving.CompiledRollouts,
         "simulate",
@@ -84,17 +83,13 @@ def test_the_loops_change_no_digit_and_serve_what_they_know(name, monkeypatch):
 def test_without_the_loops_numpy_goes_on(monkeypatch):
     problem = problem_of("plain")
     expected = runs_of(problem)
-    monkeypatch.setattr(loops, "are_loaded", lambda: True)
-    monkeypatch.setattr(loops, "compiled_loops", lambda: None)
+    monkeypatch.setattr(loops, "STEPS_ASKED", LoadedInTime(lambda: None, 0, 0))
     for one, other in zip(runs_of(problem), expected, strict=True):
         assert_same(one, other)
 
 
 def test_the_loops_are_loaded_once_so_many_steps_were_asked_for(monkeypatch):
-    monkeypatch.setattr(loops, "_asked", loops._Asked())
-    monkeypatch.setattr(loops, "are_loaded", lambda: False)
-    monkeypatch.setattr(loops, "compiled_loops", Loops)
-    monkeypatch.setattr(loops, "FIRST_BY_NUMPY", 100)
+    monkeypatch.setattr(loops, "STEPS_ASKED", LoadedInTime(Loops, 100, 100))
     assert [loops.loops_for(40) is not None for _ in range(4)] == [False, False, True, True]
 
 

@@ -6,11 +6,13 @@ from functools import cache
 from types import FunctionType
 from typing import Any
 
-from pemviz.compiling import with_numba
+from pemviz.compiling import LoadedInTime, with_numba
 from pemviz.simulators.families import loops, sight_loops
 
 WORTH_LOADING = 3_000_000
 """Rows, counted as below, that take numpy about a second: twice what loading the loops takes."""
+WORTH_READING = 200_000
+"""The same where numba has been imported: what is compiled is read in some 50 ms."""
 A_CALL = 700
 """Rows that take numpy as long as a call of its functions for none."""
 
@@ -29,33 +31,23 @@ PLAIN = FamilyLoops(loops.move, loops.judge, sight_loops.see, sight_loops.descri
 """The same, not compiled."""
 
 
-@dataclass
-class _Asked:
-    """Rows so far in this process; they decide who computes, never what comes out."""
-
-    rows: int = 0
-
-
-_asked = _Asked()
-
-
-def loops_for(rows: int) -> FamilyLoops | None:
-    """The loops, where they are loaded or have become worth it; ``None``: numpy is to compute.
-
-    Args:
-        rows: States that are to be stepped or looked at.
-    """
-    if compiled_loops.cache_info().currsize == 0:
-        _asked.rows += rows + A_CALL
-        if _asked.rows < WORTH_LOADING:
-            return None
-    return compiled_loops()
-
-
 @cache
 def compiled_loops() -> FamilyLoops | None:
     """The compiled functions; ``None`` without numba, or with one that fails here."""
     return with_numba(_translated)
+
+
+ROWS_MOVED = LoadedInTime(compiled_loops, WORTH_LOADING, WORTH_READING)
+"""By how many states were stepped or looked at."""
+
+
+def loops_for(rows: int) -> FamilyLoops | None:
+    """The loops, where they have become worth it; ``None``: numpy is to compute.
+
+    Args:
+        rows: States that are to be stepped or looked at.
+    """
+    return ROWS_MOVED.loops_for(rows + A_CALL)
 
 
 def _translated(njit: Callable[..., Any]) -> FamilyLoops:

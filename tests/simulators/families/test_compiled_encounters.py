@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pemviz import compiling
+from pemviz.compiling import LoadedInTime
 from pemviz.config import FAMILIES, EncounterConfig
 from pemviz.simulators.families import encounter_sight, kernels, vectorized
 from pemviz.simulators.families.kernels import PLAIN, compiled_loops, loops_for
@@ -111,26 +112,19 @@ def test_contacts_at_the_very_edge_are_the_same(loops, monkeypatch):
     assert not expected.signals["collided"].all()
 
 
-@pytest.fixture
-def asked_nothing(monkeypatch):
-    """As in a process that has stepped no family yet."""
-    monkeypatch.setattr(kernels, "_asked", type(kernels._asked)())
-
-
-@pytest.mark.usefixtures("asked_nothing")
 def test_they_are_loaded_once_numpy_has_taken_as_long(monkeypatch):
     """Few states are left to numpy, until the loops are there."""
-    monkeypatch.setattr(kernels, "compiled_loops", cache(lambda: PLAIN))
-    half = kernels.WORTH_LOADING // 2
-    assert [loops_for(rows) for rows in (half, half, 1)] == [None, PLAIN, PLAIN]
+    enough = kernels.WORTH_LOADING
+    monkeypatch.setattr(kernels, "ROWS_MOVED", LoadedInTime(lambda: PLAIN, enough, enough))
+    assert [loops_for(rows) for rows in (enough // 2, enough // 2, 1)] == [None, PLAIN, PLAIN]
 
 
-@pytest.mark.usefixtures("asked_nothing")
 def test_without_numba_numpy_computes(monkeypatch):
     """However many states there are, and without a question whether numba has come meanwhile."""
     monkeypatch.setattr(compiling, "is_installed", lambda: False)
-    monkeypatch.setattr(kernels, "compiled_loops", cache(compiled_loops.__wrapped__))
+    load = cache(compiled_loops.__wrapped__)
+    monkeypatch.setattr(kernels, "ROWS_MOVED", LoadedInTime(load, 0, 0))
     assert loops_for(kernels.WORTH_LOADING) is None
-    assert kernels.compiled_loops.cache_info().currsize == 1
+    assert load.cache_info().currsize == 1
     states = SCENARIOS["cut-in"].initial(count=2)
     assert isinstance(SCENARIOS["cut-in"].step(states, np.ones((2, 2), np.bool_)), SeenStates)
