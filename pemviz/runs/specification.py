@@ -40,9 +40,10 @@ def build_problem(
     is_classical = isinstance(metric, stl.Classical)
 
     def scored(rule: stl.Formula) -> ScoredRule:
+        by_score = is_classical and stl.ties_hold(rule)
         return ScoredRule(
             robustness=partial(_robustness, rule, metric, folding),
-            violated=None if is_classical else partial(_violated, rule, folding),
+            violated=None if by_score else partial(_violated, rule, folding),
             monitor=monitored(rule),
         )
 

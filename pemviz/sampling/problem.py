@@ -51,8 +51,8 @@ class ScoredRule:
 
     Attributes:
         robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
-        violated: Signals ``[N, T]`` to the classical verdict ``[N]``; ``None``: the metric is the
-            classical one, below 0 where it is violated.
+        violated: Signals ``[N, T]`` to the Boolean verdict ``[N]``; ``None``: the score is below 0
+            exactly where it is violated.
         monitor: Tells that it is broken from the states so far.
     """
 
@@ -69,8 +69,8 @@ class Problem:
         simulator: The scenario.
         pem: The perception error model.
         robustness: Signals ``[N, T]`` to the ranking metric's scores ``[N]``.
-        violated: Signals ``[N, T]`` to the classical verdict ``[N]``; ``None``: the metric is the
-            classical one, below 0 where it is violated.
+        violated: Signals ``[N, T]`` to the Boolean verdict ``[N]``; ``None``: the score is below 0
+            exactly where it is violated.
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
         batch_time_limit_s: A batch that takes longer fails [s]; ``None``: no limit.
         run_batches: Who simulates the batches.
@@ -246,6 +246,16 @@ def rule_scores(rules: Mapping[str, ScoredRule], rollouts: RolloutBatch) -> Rule
         "rule_robustness": {name: robustness for name, (robustness, _) in scores.items()},
         "broken": {name: broken for name, (_, broken) in scores.items()},
     }
+
+
+def ranked(problem: Problem, signals: Signals) -> FloatArray:
+    """Robustness ``[N]`` that is below 0 too where it is 0 and the specification violated."""
+    robustness = problem.robustness(signals)
+    tied = np.flatnonzero(robustness == 0.0)
+    if problem.violated is not None and tied.size:
+        violated = problem.violated({name: values[tied] for name, values in signals.items()})
+        robustness[tied[violated]] = -np.finfo(np.float64).tiny
+    return robustness
 
 
 def _scores(by: Problem | ScoredRule, rollouts: RolloutBatch) -> tuple[FloatArray, BoolArray]:

@@ -11,12 +11,12 @@ from pemviz.stl.evaluation import (
     robustness,
     robustness_trace,
     subformula_traces,
-    violated,
 )
 from pemviz.stl.expressions import Expression
 from pemviz.stl.formulas import Formula
 from pemviz.stl.parsing import parse
 from pemviz.stl.smooth_cumulative import SmoothCumulative
+from pemviz.stl.verdict import ties_hold, violated
 
 __all__ = [
     "SCENARIO_BOUNDS",
@@ -39,6 +39,7 @@ __all__ = [
     "robustness_trace",
     "signal",
     "subformula_traces",
+    "ties_hold",
     "until",
     "violated",
 ]

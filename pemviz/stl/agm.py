@@ -1,7 +1,9 @@
 """Arithmetic-geometric mean robustness: Mehdipour, Vasile & Belta, ACC 2019.
 
 Dimensionless: a predicate's margin is divided by the width of its range, computed from
-declared bounds of the signals. The metric is discontinuous where a margin is exactly 0.
+declared bounds of the signals. The metric is discontinuous where a margin is exactly 0. There a
+disjunction is the dual of the conjunction: 0 if its best part is exactly 0, so that the sign is
+that of classical robustness everywhere (as published it would be negative).
 """
 
 # ruff: noqa: D102 (the operators are described by the Semantics protocol)
@@ -111,20 +113,20 @@ class AgmSemantics(NumberSemantics):
 
     def conjunction(self, values: Sequence[FloatArray]) -> FloatArray:
         means = reduce(_join, [_means(value) for value in values])
-        return _conclude(means, len(values), ties_fail=True)
+        return _conclude(means, len(values))
 
     def disjunction(self, values: Sequence[FloatArray]) -> FloatArray:
         means = reduce(_join, [_means(-value) for value in values])
-        return -_conclude(means, len(values), ties_fail=False)
+        return -_conclude(means, len(values))
 
     def always(self, value: FloatArray, width: int) -> FloatArray:
-        return _over_windows(value, width, ties_fail=True)
+        return _over_windows(value, width)
 
     def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
         return self.always(self.predicate(predicate, margin), width)
 
     def eventually(self, value: FloatArray, width: int) -> FloatArray:
-        return -_over_windows(-value, width, ties_fail=False)
+        return -_over_windows(-value, width)
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
         steps, width = len(left) - last, last - first + 1
@@ -139,10 +141,10 @@ class AgmSemantics(NumberSemantics):
         for offset in range(last + 1):
             held = _join(held, _means(left[offset : offset + steps]))
             if offset >= first:
-                so_far = _conclude(held, offset + 1, ties_fail=True)
+                so_far = _conclude(held, offset + 1)
                 target = right[offset - first : offset - first + steps]
                 failed = _join(failed, _means(-self.conjunction([target, so_far])))
-        return -_conclude(failed, width, ties_fail=False)
+        return -_conclude(failed, width)
 
 
 def _clip(predicate: Predicate, margin: FloatArray, low: float, high: float) -> FloatArray:
@@ -160,11 +162,10 @@ def _join(earlier: Means, later: Means) -> Means:
     return np.minimum(earlier[0], later[0]), earlier[1] + later[1], earlier[2] + later[2]
 
 
-def _conclude(means: Means, count: int | FloatArray, *, ties_fail: bool) -> FloatArray:
-    """The conjunction of ``count`` values; ``ties_fail``: whether a value of 0 fails."""
+def _conclude(means: Means, count: int | FloatArray) -> FloatArray:
+    """The conjunction of ``count`` values."""
     least, failing, growth = means
-    fails = least <= 0.0 if ties_fail else least < 0.0
-    return _mean(fails, failing, growth, count)
+    return _mean(least <= 0.0, failing, growth, count)
 
 
 def _mean(
@@ -179,7 +180,7 @@ def conclude_all(
     """The conjunction ``[n]`` of ``count`` values a rollout.
 
     Args:
-        fails: Whether any of them fails, ``[n]``.
+        fails: Whether any of them is at most 0, ``[n]``.
         failing: The sum of min(value, 0), ``[n]``; counts where one fails.
         growth: prod(1 + value) - 1 of each of `compounded` groups, ``[groups, n]``; counts where
             none fails.
@@ -188,14 +189,14 @@ def conclude_all(
     return _mean(fails, failing, fold(np.add, np.log1p(growth))[0], count)
 
 
-def _over_windows(values: FloatArray, width: int, *, ties_fail: bool) -> FloatArray:
+def _over_windows(values: FloatArray, width: int) -> FloatArray:
     """Conjunction over every window of ``width`` steps, [s, n] -> [s - width + 1, n]."""
     if len(values) > width:
-        return _conclude(sliding(_join, _means(values), width), width, ties_fail=ties_fail)
+        return _conclude(sliding(_join, _means(values), width), width)
     least = values.min(axis=0, keepdims=True)
     failing = fold(np.add, np.minimum(values, 0.0))
     growth = fold(np.add, np.log1p(_compound(values)))
-    return _conclude((least, failing, growth), width, ties_fail=ties_fail)
+    return _conclude((least, failing, growth), width)
 
 
 def _conjunctions_so_far(values: FloatArray) -> FloatArray:
@@ -203,7 +204,7 @@ def _conjunctions_so_far(values: FloatArray) -> FloatArray:
     least, failing, growth = _means(values)
     means = running(np.minimum, least), running(np.add, failing), running(np.add, growth)
     counts = np.arange(1.0, len(values) + 1.0)[:, None]
-    return _conclude(means, counts, ties_fail=True)
+    return _conclude(means, counts)
 
 
 HALVINGS = 4

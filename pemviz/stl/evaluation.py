@@ -1,4 +1,4 @@
-"""Robustness of a formula on a batch of rollouts, and the verdict."""
+"""Robustness of a formula on a batch of rollouts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.arrays import AnyArray, FloatArray
 from pemviz.errors import InputError
 from pemviz.stl.agm import Agm, AgmSemantics
 from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_names
@@ -16,7 +16,7 @@ from pemviz.stl.classical import Classical, ClassicalSemantics
 from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Predicate, Product, Quotient
 from pemviz.stl.folds import folded_robustness
-from pemviz.stl.formulas import Formula, Implies, Not, Truth
+from pemviz.stl.formulas import Formula, Truth, negates
 from pemviz.stl.semantics import Semantics, evaluate, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulative, SmoothCumulativeSemantics
 from pemviz.stl.temporal import Until
@@ -66,19 +66,6 @@ def robustness_trace(
     return _by_blocks(formula, signals, metric, steps=None)
 
 
-def violated(formula: Formula, signals: Mapping[str, AnyArray]) -> BoolArray:
-    """Which rollouts violate the formula: the only thing that counts violations.
-
-    Decided by classical robustness < 0, whatever metric ranks the rollouts: on the
-    boundary (exactly 0) a rollout does not violate. Takes and raises what
-    `robustness` does.
-
-    Returns:
-        [N] bool.
-    """
-    return robustness(formula, signals, Classical()) < 0.0
-
-
 @dataclass(frozen=True)
 class SubformulaTrace:
     """One part of a formula, and its robustness over time.
@@ -123,9 +110,9 @@ def _parts(
     yield path, formula, metric
     opposite = metric.opposite() if isinstance(metric, SmoothCumulative) else metric
     for index, part in enumerate(formula.children()):
-        negated = isinstance(formula, Not) or (isinstance(formula, Implies) and index == 0)
         if isinstance(part, Formula):
-            yield from _parts(part, opposite if negated else metric, (*path, index))
+            used = opposite if negates(formula, index) else metric
+            yield from _parts(part, used, (*path, index))
 
 
 def _semantics(metric: Metric) -> Semantics[FloatArray]:
@@ -160,7 +147,7 @@ def _by_blocks(
         rows = slice(start, start + size)
         for name in named:
             check_signal(used[name][rows], name, metric, first_rollout=start)
-        block = {name: _time_first(values[rows, :needed]) for name, values in used.items()}
+        block = {name: time_first(values[rows, :needed]) for name, values in used.items()}
         with np.errstate(all="ignore"):  # what is not finite is reported, or meant
             _check_margins(predicates, block, start)
             result[rows] = evaluate(formula, semantics, block, start=0, steps=steps).T
@@ -173,7 +160,7 @@ def _all_finite(robustness: FloatArray, formula: Formula) -> FloatArray:
     return robustness
 
 
-def _time_first(values: AnyArray) -> FloatArray:
+def time_first(values: AnyArray) -> FloatArray:
     """[n, T] as [T, n] with rollouts side by side in memory; a view where they lie so already."""
     block = np.asarray(values.T, dtype=np.float64)
     return block if block.strides[-1] == block.itemsize else np.ascontiguousarray(block)

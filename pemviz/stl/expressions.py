@@ -253,6 +253,11 @@ class Predicate(Formula):
         """Whether more of ``left`` is better (``>=``, ``>``)."""
         return self.comparison in (">=", ">")
 
+    @property
+    def is_strict(self) -> bool:
+        """Whether it fails where both sides are equal (``>``, ``<``)."""
+        return self.comparison in (">", "<")
+
     def __str__(self) -> str:
         return f"{self.left} {self.comparison} {self.right}"
 

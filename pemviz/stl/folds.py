@@ -255,7 +255,7 @@ class FoldedRobustness:
         task = Task(block, *fold.window, fold.offset, fold.sign * scale, *bounds)
         count, width = len(block), fold.formula.width
         means = means_of(count, width, compounded(width))
-        if not self._loops.mean_parts(task, fold.always, means):
+        if not self._loops.mean_parts(task, means):
             raise UnservedError
         value = conclude_all(means.fails, means.failing, means.growth, width)
         return value if fold.always else -value

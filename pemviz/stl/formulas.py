@@ -131,6 +131,11 @@ class Implies(Formula):
         return f"{_text(self.premise, 2)} -> {_text(self.conclusion, 2)}"
 
 
+def negates(formula: Formula, index: int) -> bool:
+    """Whether ``formula`` holds sooner where its child of that index does not."""
+    return isinstance(formula, Not) or (isinstance(formula, Implies) and index == 0)
+
+
 def as_formula(value: object) -> Formula:
     """``value`` itself.
 

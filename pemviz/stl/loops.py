@@ -33,7 +33,7 @@ from pemviz.stl.tasks import WHOLE, Means, Near, Packing, Rows, Seen, Task
 
 WIDE = with_numba(lambda _: importlib.import_module("pemviz.wide_lanes"))
 """Having taught numba what lanes are; ``None`` without numba."""
-USED_AS_OF = "51a76f1d339ab0e7"
+USED_AS_OF = "c0706ec740ae3a51"
 """Of the files of lanes and tasks: what numba keeps of this one is made anew when they change."""
 CERTAIN = 1e-17
 """1 plus this is 1."""
@@ -173,18 +173,14 @@ def _compound(part: Any, size: int, groups: int) -> None:
 
 
 @translated
-def mean_parts(task: Task, ties: bool, means: Means) -> bool:
-    """Of each row its `Means`; ``ties``: whether a distance of 0 fails.
-
-    Returns:
-        Whether all rows' values are allowed.
-    """
+def mean_parts(task: Task, means: Means) -> bool:
+    """Of each row its `Means`; whether all rows' values are allowed."""
     rows, seen, part = _rows(task), _nothing(), memory(means.part)
     size, groups = means.part.size, means.growth.shape[0]
     for i in range(means.fails.size):
         row, seen = _row(rows, i, seen)
         least = _least_distance(rows, row)
-        fails = least < 0.0 or (ties and least == 0.0)
+        fails = least <= 0.0
         means.fails[i] = fails
         _distances(rows, i, part)  # beyond the steps 0 stays, which changes neither fold
         if fails:

@@ -1,9 +1,8 @@
 """Watching a formula while rollouts unfold: when is it broken whatever comes next?
 
 Online monitoring by bounds (Deshmukh, Donze, Ghosh, Jin, Juniwal, Seshia 2017): what no state
-has decided yet may turn out anything. Of the classical robustness only the sign is followed,
-which commutes with minimum, maximum and minus, so that the verdict at the end is that of
-:func:`pemviz.stl.violated` exactly.
+has decided yet may turn out anything. Only whether each part holds is followed, strict comparisons
+as they are written, so that the verdict at the end is that of :func:`pemviz.stl.violated` exactly.
 """
 
 from __future__ import annotations
@@ -14,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.stl.classical import ClassicalSemantics
 from pemviz.stl.expressions import Predicate
 from pemviz.stl.formulas import And, Formula, Implies, Not, Or, Truth
 from pemviz.stl.semantics import margin
 from pemviz.stl.temporal import Always, Eventually, Until
+from pemviz.stl.verdict import BooleanSemantics
 
 FAILS, HOLDS = -1, 1
-SEMANTICS = ClassicalSemantics()
+SEMANTICS = BooleanSemantics()
 
 
 @dataclass(frozen=True)
@@ -29,8 +28,8 @@ class Bounds:
     """What is known of one part of a formula at the steps at which it is needed.
 
     Attributes:
-        lower: Least sign of its robustness that any continuation gives, ``[steps, n]`` int8.
-        upper: Largest.
+        lower: Whether it holds (1) or fails (-1) in its worst continuation, ``[steps, n]`` int8.
+        upper: The same in its best one.
     """
 
     lower: AnyArray
@@ -99,7 +98,7 @@ class FormulaMonitor:
             step: Steps come one by one from 0.
             signals: ``[n]`` by name.
         """
-        now = {name: values[np.newaxis] for name, values in signals.items()}
+        now = {n: np.asarray(v, dtype=np.float64)[np.newaxis] for n, v in signals.items()}
         result: list[Bounds] = []
         for part, before in zip(self._parts, known, strict=True):
             touched = part.touched(step)
@@ -161,8 +160,8 @@ def _values(
     if isinstance(formula, Predicate):
         with np.errstate(all="ignore"):  # what is not finite is reported where it is scored
             by = margin(formula, SEMANTICS, now, start=0, steps=1)
-        sign = np.sign(by).astype(np.int8)
-        return sign, sign
+        holds = SEMANTICS.predicate(formula, by).astype(np.int8)
+        return holds, holds
     lower = _combined(formula, children, touched, lambda bounds: (bounds.lower, bounds.upper))
     upper = _combined(formula, children, touched, lambda bounds: (bounds.upper, bounds.lower))
     return lower, upper

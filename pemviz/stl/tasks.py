@@ -37,7 +37,7 @@ class Means(NamedTuple):
     """What agm's conjunction of all steps rests on; written to.
 
     Attributes:
-        fails: ``[n]``, whether a step fails.
+        fails: ``[n]``, whether a step's distance is at most 0.
         failing: ``[n]``: where one does, the sum of min(distance, 0).
         growth: ``[groups, n]``: where none does, prod(1 + distance) - 1 of each group.
         part: Where it is worked out: zeros for all steps, a power of two of them, `WHOLE` at least.

@@ -5,6 +5,7 @@ but the syntax tree. Signals: {name: list of floats}, a single rollout.
 """
 
 import math
+import operator
 from functools import cache
 
 from pemviz.stl import expressions as ex
@@ -72,14 +73,16 @@ def classical(formula, signals, t=0):
     return r(formula, t)
 
 
+COMPARED = {">=": operator.ge, ">": operator.gt, "<=": operator.le, "<": operator.lt}
+
+
 def holds(formula, signals, t=0):
     """Boolean semantics."""
     match formula:
         case fo.Truth():
             return True
-        case ex.Predicate():
-            margin = predicate_margin(formula, signals, t)
-            return margin >= 0 if formula.comparison in (">=", "<=") else margin > 0
+        case ex.Predicate(left=a, right=b, comparison=comparison):
+            return COMPARED[comparison](number(a, signals, t), number(b, signals, t))
         case fo.Not(operand=a):
             return not holds(a, signals, t)
         case fo.And(parts=parts):
@@ -142,7 +145,7 @@ def agm_and(etas):
 
 def agm_or(etas):
     m = len(etas)
-    if any(eta > 0 for eta in etas):
+    if any(eta >= 0 for eta in etas):  # published with >, which leaves the dual of agm_and at 0
         return math.fsum(max(eta, 0.0) for eta in etas) / m
     return -math.expm1(math.fsum(math.log1p(-eta) for eta in etas) / m)
 

@@ -87,3 +87,34 @@ def formula_and_rollouts(draw, depth=4, *, truth=True, atoms=predicates, count=2
 
 def row(batch, index):
     return {name: [float(v) for v in values[index]] for name, values in batch.items()}
+
+
+whole_numbers = st.integers(-2, 2).map(float).map(ex.Constant)
+tied_terms = st.one_of(
+    signals,
+    signals,
+    whole_numbers,
+    st.builds(ex.Difference, signals, signals),
+    signals.map(ex.Absolute),
+    st.lists(st.one_of(signals, whole_numbers), min_size=2, max_size=3).map(tuple).map(ex.Minimum),
+)
+tied_predicates = st.builds(
+    ex.Predicate, tied_terms, comparisons, st.one_of(whole_numbers, signals)
+)
+
+
+def tied_rollouts(seed, states, count):
+    """Signals [count, states] of few values, so that sides are often equal: halves and counts."""
+    rng = np.random.default_rng(seed)
+    return {
+        "gap": rng.integers(-4, 5, (count, states)) / 2.0,
+        "ego_speed": np.maximum(rng.integers(-3, 3, (count, states)), 0),
+        "x_1": rng.integers(0, 2, (count, states)).astype(rng.choice([np.int8, np.bool_])),
+    }
+
+
+@st.composite
+def formula_and_tied_rollouts(draw, depth=3, count=2):
+    formula = draw(formulas(depth, tied_predicates))
+    states = formula.horizon_steps() + 1 + draw(st.integers(0, 2))
+    return formula, tied_rollouts(draw(st.integers(0, 2**32 - 1)), states, count)

@@ -252,17 +252,19 @@ def test_both_zeros_lie_within_a_bound_of_zero(by_loops):
     assert by_loops(formula, {"ego_speed": -speed}, below).shape == (2,)
 
 
-def test_a_step_exactly_on_the_threshold_fails_always_and_breaks_no_eventually(by_loops):
-    """Where agm is discontinuous, and a violation ends."""
+def test_a_step_exactly_on_the_threshold_leaves_nothing_of_either_sign(by_loops):
+    """Where agm is discontinuous; whether it violates is up to the comparison."""
     gap = np.full((2, 9), 5.0)
     gap[1, 4] = 2.0
     formula = parse("always[0,8] (gap >= 2)")
     assert by_loops(formula, {"gap": gap}, Agm(BOUNDS))[1] == 0.0
     assert by_loops(formula, {"gap": gap}, Agm(BOUNDS))[0] == pytest.approx(3.0 / 50.0)
     lowest = by_loops(parse("eventually[0,8] (gap <= 2)"), {"gap": gap}, Agm(BOUNDS))
-    np.testing.assert_allclose(lowest, [-3.0 / 50.0, 1.0 - (1.0 + 3.0 / 50.0) ** (8 / 9)])
+    np.testing.assert_allclose(lowest, [-3.0 / 50.0, 0.0])
     assert not (by_loops(formula, {"gap": gap}, Classical()) < 0.0).any()
     assert not violated(formula, {"gap": gap}).any()
+    strict = parse("always[0,8] (gap > 2)")
+    np.testing.assert_array_equal(violated(strict, {"gap": gap}), [False, True])
 
 
 def test_loops_serve_what_they_know_and_nothing_else():

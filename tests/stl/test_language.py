@@ -319,12 +319,12 @@ def test_metric_parameters_are_checked():
         SmoothCumulative(part="both")
 
 
-def test_the_boundary_is_no_violation():
+def test_on_the_boundary_the_comparison_decides():
     at_two = {"gap": np.array([[2.0], [np.nextafter(2.0, 0.0)], [3.0]])}
-    for text in ("gap >= 2", "gap > 2", "not (gap < 2)"):
+    for text, at_boundary in (("gap >= 2", False), ("not (gap < 2)", False), ("gap > 2", True)):
         verdict = violated(parse(text), at_two)
         assert verdict.dtype == bool
-        np.testing.assert_array_equal(verdict, [False, True, False])
+        np.testing.assert_array_equal(verdict, [at_boundary, True, False])
 
 
 def test_importing_needs_neither_torch_nor_lark():

@@ -121,20 +121,20 @@ class TorchAgm(_TorchSemantics):
         return -value
 
     def conjunction(self, values: Sequence[Tensor]) -> Tensor:
-        return _conclude(reduce(_join, map(_means, values)), len(values), ties_fail=True)
+        return _conclude(reduce(_join, map(_means, values)), len(values))
 
     def disjunction(self, values: Sequence[Tensor]) -> Tensor:
         means = reduce(_join, [_means(-value) for value in values])
-        return -_conclude(means, len(values), ties_fail=False)
+        return -_conclude(means, len(values))
 
     def always(self, value: Tensor, width: int) -> Tensor:
-        return _conclude(sliding(_join, _means(value), width), width, ties_fail=True)
+        return _conclude(sliding(_join, _means(value), width), width)
 
     def always_predicate(self, predicate: Predicate, margin: Tensor, width: int) -> Tensor:
         return self.always(self.predicate(predicate, margin), width)
 
     def eventually(self, value: Tensor, width: int) -> Tensor:
-        return -_conclude(sliding(_join, _means(-value), width), width, ties_fail=False)
+        return -_conclude(sliding(_join, _means(-value), width), width)
 
     def until(self, left: Tensor, right: Tensor, first: int, last: int) -> Tensor:
         steps = len(left) - last
@@ -144,10 +144,10 @@ class TorchAgm(_TorchSemantics):
             if offset > 0:
                 held = _join(held, _means(left[offset : offset + steps]))
             if offset >= first:
-                so_far = _conclude(held, offset + 1, ties_fail=True)
+                so_far = _conclude(held, offset + 1)
                 target = right[offset - first : offset - first + steps]
                 missed.append(_means(-self.conjunction([target, so_far])))
-        return -_conclude(reduce(_join, missed), len(missed), ties_fail=False)
+        return -_conclude(reduce(_join, missed), len(missed))
 
 
 class TorchSmoothCumulative(_TorchSemantics):
@@ -224,10 +224,9 @@ def _join(earlier: Pair, later: Pair) -> Pair:
     return torch.minimum(earlier[0], later[0]), earlier[1] + later[1], earlier[2] + later[2]
 
 
-def _conclude(means: Pair, count: int, *, ties_fail: bool) -> Tensor:
+def _conclude(means: Pair, count: int) -> Tensor:
     least, failing, growth = means
-    fails = least <= 0.0 if ties_fail else least < 0.0
-    return torch.where(fails, failing / count, torch.expm1(growth / count))
+    return torch.where(least <= 0.0, failing / count, torch.expm1(growth / count))
 
 
 def _log_add_exp(left: Tensor, right: Tensor) -> Tensor:

@@ -1,5 +1,7 @@
 """Whom the loop of fitted proposals serves, and what it is told of them."""
 
+import math
+
 import numpy as np
 
 from pemviz.config import ScenarioConfig
@@ -183,7 +185,10 @@ def _compared(predicate: Formula) -> list[tuple[int, bool, float]] | None:
             known = [one for one in each if one is not None]
             return [row for one in known for row in one] if len(known) == len(each) else None
         case Predicate(left=Signal(name=name), right=Constant(value=value)) if name in SIGNALS:
-            return [(SIGNALS.index(name), predicate.is_lower_bound, float(value))]
+            bound = float(value)
+            if predicate.is_strict:  # what is above a number is at least the next one
+                bound = math.nextafter(bound, math.inf if predicate.is_lower_bound else -math.inf)
+            return [(SIGNALS.index(name), predicate.is_lower_bound, bound)]
         case _:
             return None
 

@@ -57,7 +57,7 @@ def importance(
 
 
 def importance_at_end(robustness: FloatArray) -> FloatArray:
-    """The importance function of last states, from the rollouts' robustness ``[N]``."""
+    """The importance function of last states, from rollouts `ranked` ``[N]``."""
     return np.where(robustness < 0.0, robustness, OUT_OF_REACH + robustness)
 
 

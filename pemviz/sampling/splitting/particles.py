@@ -14,7 +14,7 @@ from pemviz.arrays import AnyArray, Batch, FloatArray, IntArray
 from pemviz.errors import ConfigError
 from pemviz.latents import Latents
 from pemviz.sampling.frailty import kept_with_rollouts
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.problem import Problem, ranked
 from pemviz.sampling.rollouts.batches import check_numbers
 from pemviz.sampling.splitting.importance import importance, importance_at_end
 from pemviz.sampling.splitting.looks import LOOKS, looked_at
@@ -202,7 +202,7 @@ def _continued(problem: Problem, run: Continuation, mover: Mover) -> Particles:
     step, row = np.nonzero(to_look.T)
     fresh = np.full_like(paths.score, np.inf)
     fresh[row, step] = importance(problem, rollouts, row=row, step=step)
-    fresh[:, -1] = importance_at_end(problem.robustness(rollouts.signals))
+    fresh[:, -1] = importance_at_end(ranked(problem, rollouts.signals))
     moments = np.arange(paths.score.shape[1])[:, None]
     shared = (moments <= np.where(cut > 0, cut, -1)).T
     score = np.minimum.accumulate(np.where(shared, paths.score, fresh), axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.sampling.frailty import dynamics_of, kept_with_rollouts
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.problem import Problem, ranked
 from pemviz.sampling.rollouts.compiled_replay import replay
 from pemviz.sampling.splitting.loops import loops_for, plain_beneath
 from pemviz.simulators.latents import stepped
@@ -35,7 +35,7 @@ class Ways:
         return Ways(self.rollouts, self.row[chosen], self.step[chosen])
 
     def carried_on(self, problem: Problem, *, others: IntArray, then: BoolArray) -> FloatArray:
-        """Robustness ``[M]`` of rollouts that go on to their ends with given outcomes.
+        """Robustness ``[M]``, `ranked`, of rollouts that go on to their ends with given outcomes.
 
         Args:
             problem: The scenario and the metric.
@@ -47,7 +47,7 @@ class Ways:
         if replayed is None:
             self._go_on(simulator, until, then)
             replayed = self._signals
-        return problem.robustness(replayed)
+        return ranked(problem, replayed)
 
     @cached_property
     def _signals(self) -> Mapping[str, FloatArray]:

@@ -12,11 +12,11 @@ import numpy as np
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray, Move, is_tensor, namespace
 from pemviz.simulators.bounds import SignalBounds
-from pemviz.stl.classical import ClassicalSemantics
 from pemviz.stl.expressions import Constant, Predicate, Signal
 from pemviz.stl.formulas import And, Formula, Or
 from pemviz.stl.semantics import evaluate
 from pemviz.stl.temporal import Always
+from pemviz.stl.verdict import BooleanSemantics
 from pemviz.types import StateBatch
 
 
@@ -34,26 +34,14 @@ class StateRule:
         Raises:
             InputError: A number is not finite, or becomes so.
         """
-        if is_tensor(next(iter(signals.values()))):
-            return self._margin(signals) < 0.0
-        if self._compares_numbers and all(self._is_known(signals.get(n)) for n in self._named):
-            margin = self._margin(signals)
-            if np.isfinite(margin).all():
-                return margin < 0.0
-        # the whole evaluation, which tells what is wrong and where
-        return stl.violated(self.predicate, {name: v[:, None] for name, v in signals.items()})
-
-    def _is_known(self, values: FloatArray | None) -> bool:
-        """Whether values ``[N]`` are finite, or would show in the margin if they were not."""
-        if values is None or values.dtype != np.float64:
-            return False
-        return isinstance(self.predicate, Predicate) or bool(np.isfinite(values).all())
-
-    def _margin(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """By how much the predicate holds, ``[N]``."""
+        known = is_tensor(next(iter(signals.values()))) or (
+            self._compares_numbers and all(_is_finite(signals.get(name)) for name in self._named)
+        )
+        if not known:  # the whole evaluation, which tells what is wrong and where
+            return stl.violated(self.predicate, {name: v[:, None] for name, v in signals.items()})
         # of a formula without signals the others say how many states there are
         single = {name: signals[name][None] for name in self._named or signals}
-        return evaluate(self.predicate, ClassicalSemantics(), single, start=0, steps=1)[0]
+        return evaluate(self.predicate, BooleanSemantics(), single, start=0, steps=1)[0] < 0.0
 
     @cached_property
     def _named(self) -> frozenset[str]:
@@ -67,6 +55,10 @@ class StateRule:
             for predicate in self.predicate.walk()
             if isinstance(predicate, Predicate)
         )
+
+
+def _is_finite(values: FloatArray | None) -> bool:
+    return values is not None and values.dtype == np.float64 and bool(np.isfinite(values).all())
 
 
 @dataclass(frozen=True)
@@ -137,8 +129,8 @@ def _breakable(predicate: Formula, bounds: SignalBounds) -> BoolArray | bool:
         case Or(parts=parts):
             return functools.reduce(np.logical_and, (_breakable(part, bounds) for part in parts))
         case Predicate(left=Signal(name=name), right=Constant(value=value)) if name in bounds:
-            low, high = bounds[name]
-            return low < value if predicate.is_lower_bound else high > value
+            nearest = bounds[name][0 if predicate.is_lower_bound else 1]
+            return _fails(predicate, nearest, value)
         case _:
             return True
 
@@ -151,10 +143,17 @@ def _surely_broken(predicate: Formula, reached: SignalBounds) -> BoolArray | boo
                 np.logical_or, (_surely_broken(part, reached) for part in parts)
             )
         case Predicate(left=Signal(name=name), right=Constant(value=value)) if name in reached:
-            at_most, at_least = reached[name]
-            return at_most < value if predicate.is_lower_bound else at_least > value
+            farthest = reached[name][0 if predicate.is_lower_bound else 1]
+            return _fails(predicate, farthest, value)
         case _:  # of an Or, all parts must be broken at one state
             return False
+
+
+def _fails(predicate: Predicate, value: FloatArray | float, bound: float) -> BoolArray | bool:
+    """Whether a signal of such values violates the predicate that compares it with ``bound``."""
+    if predicate.is_lower_bound:
+        return value <= bound if predicate.is_strict else value < bound
+    return value >= bound if predicate.is_strict else value > bound
 
 
 def unsafe_states(formula: Formula, *, turns: int = 1) -> UnsafeStates | None:
