@@ -13,7 +13,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.processes import map_in_processes
 from pemviz.runs.experiment import build_experiment, build_method
 from pemviz.sampling.estimates.diagnostics import reference_disagreement
-from pemviz.sampling.estimates.trust import unreliable_because
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import by_name
@@ -277,7 +277,7 @@ def run_once(
         covers=low is not None and high is not None and low <= truth <= high,
         rollouts=estimate.rollouts_simulated,
         wall_s=time.perf_counter() - began,
-        warned=bool(unreliable_because(estimate, diagnostics)),
+        warned=bool(interval_caveats(estimate, diagnostics)),
         diagnostics=[diagnostic.kind for diagnostic in diagnostics],
         interval=None if low is None or high is None else [low / truth, high / truth],
     )

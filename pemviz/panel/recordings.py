@@ -12,7 +12,7 @@ from pemviz.runs.result import RunResult, RunStatus
 from pemviz.runs.result_file import RESULT_FILE, has_result
 from pemviz.runs.resume import run_lock
 from pemviz.runs.same_run import read_whole_run
-from pemviz.runs.trust import run_unreliable_because
+from pemviz.runs.trust import run_interval_caveats
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
@@ -192,6 +192,6 @@ def _entry_of(name: str, result: RunResult, *, folder: Path) -> RunEntry:
         metric=result.config.metric,
         seed=result.config.seed,
         probability=None if result.estimate is None else result.estimate.probability,
-        unreliable=run_unreliable_because(result),
+        unreliable=run_interval_caveats(result),
         has_recording=(folder / "run.rrd").is_file(),
     )

@@ -2,46 +2,23 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import Literal, get_args
+from typing import Literal
 
 from pemviz.config.gate_limits import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_UNDECIDED
 from pemviz.reports.estimate_text import bound_text
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_diagnostics
-from pemviz.sampling.estimates.diagnostics import IntervalBasis
-from pemviz.sampling.estimates.meanings import MEANINGS
-from pemviz.sampling.estimates.trust import interval_caveats, unreliable_because
-from pemviz.sampling.registry import by_name
-from pemviz.types import Diagnostic, DiagnosticKind, Estimate
+from pemviz.sampling.estimates.trust import interval_caveats
+from pemviz.types import Diagnostic, Estimate
 
 GateOutcome = Literal["passed", "tripped", "undecided"]
-Bound = Literal["not above", "above", "unknown"]
-"""Where the estimate's upper bound stands beside the limit."""
-Case = tuple[IntervalBasis, DiagnosticKind | None, Bound]
-"""What a decision is made of; no diagnostic: nothing is wrong."""
 
 EXIT_CODES: Mapping[GateOutcome, int] = {
     "passed": EXIT_DONE,
     "tripped": EXIT_GATE_TRIPPED,
     "undecided": EXIT_GATE_UNDECIDED,
 }
-
-
-def _outcome(case: Case) -> GateOutcome:
-    basis, kind, bound = case
-    if bound == "above":
-        return "tripped"
-    unreliable = kind is not None and basis in MEANINGS[kind].undermines
-    return "undecided" if unreliable or bound == "unknown" else "passed"
-
-
-DECISIONS: Mapping[Case, GateOutcome] = {
-    case: _outcome(case)
-    for case in product(get_args(IntervalBasis), (None, *MEANINGS), get_args(Bound))
-}
-"""Every case; of several diagnostics the least favourable decides."""
 
 
 @dataclass(frozen=True)
@@ -116,23 +93,16 @@ def decide_gate(estimate: Estimate, *, limit: float) -> GateDecision:
 def _decide(
     estimate: Estimate, diagnostics: tuple[Diagnostic, ...], *, limit: float
 ) -> GateDecision:
-    basis, upper = by_name(estimate.method).interval_basis, estimate.ci_high
-    bound: Bound = "unknown" if upper is None else "above" if upper > limit else "not above"
-    outcome = DECISIONS[basis, None, bound]
-    for diagnostic in diagnostics:
-        decided = DECISIONS[basis, diagnostic.kind, bound]
-        outcome = decided if EXIT_CODES[decided] > EXIT_CODES[outcome] else outcome
-    words = _reason(estimate, diagnostics, bound, limit=limit)
-    return GateDecision(outcome, limit, words, EXIT_CODES[outcome])
-
-
-def _reason(
-    estimate: Estimate, diagnostics: tuple[Diagnostic, ...], bound: Bound, *, limit: float
-) -> str:
-    against = "; ".join(unreliable_because(estimate, diagnostics))
+    """Above the limit it trips, whatever else is wrong; an interval that is none never passes."""
+    against = interval_caveats(estimate, diagnostics)
+    outcome: GateOutcome
     if estimate.ci_high is None:
-        return f"there is no upper bound: {against}" if against else "there is no upper bound"
-    if against and bound != "above":
-        return against
-    caveats = interval_caveats(estimate, diagnostics)
-    return f"{bound_text(estimate, caveats=caveats)} is {bound} {limit:g}"
+        outcome, words = "undecided", "; ".join(("there is no upper bound", *against))
+    elif against and estimate.ci_high <= limit:
+        outcome, words = "undecided", "; ".join(against)
+    else:
+        is_above = estimate.ci_high > limit
+        outcome = "tripped" if is_above else "passed"
+        bound = bound_text(estimate, caveats=against)
+        words = f"{bound} is {'above' if is_above else 'not above'} {limit:g}"
+    return GateDecision(outcome, limit, words, EXIT_CODES[outcome])

@@ -2,7 +2,7 @@
 
 from pemviz.runs.result import RunResult
 from pemviz.sampling.estimates.diagnostics import reference_disagreement, unreliable_reference
-from pemviz.sampling.estimates.trust import interval_caveats, unreliable_because
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Diagnostic
 
 
@@ -26,15 +26,11 @@ def reference_diagnostics(result: RunResult) -> tuple[Diagnostic, ...]:
     return (*disagreement, *unreliable_reference(reference.warnings))
 
 
-def run_unreliable_because(result: RunResult) -> tuple[str, ...]:
-    """Why a run's answer must not decide anything; empty if nothing speaks against it."""
-    if result.estimate is None:
-        return ()
-    return unreliable_because(result.estimate, run_diagnostics(result))
-
-
 def run_interval_caveats(result: RunResult) -> tuple[str, ...]:
-    """Why the answer's interval is no 95 % interval; empty if it is one, or there is none."""
+    """Why the answer's interval is no 95 % interval, and the answer decides nothing.
+
+    Empty if it is one, or there is none.
+    """
     if result.estimate is None:
         return ()
     return interval_caveats(result.estimate, run_diagnostics(result))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pemviz.reports.escape import markdown_table, markdown_text
 from pemviz.sampling.estimates.meanings import SMALL_ESS
-from pemviz.sampling.estimates.trust import unreliable_because
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.fields import Setting
 from pemviz.sweep.plan import Plan, value_text
@@ -51,8 +51,8 @@ def summary_markdown(plan: Plan, states: Sequence[RunState]) -> str:
         settings_table(plan, states),
         "Probability: median over the seeds, and the least and greatest estimate. A seed whose "
         "rollouts held no violation counts as 0. Effective sample size: median; below "
-        f"{SMALL_ESS:g}, do not quote an estimate. Unreliable: runs whose diagnostics say that "
-        "neither estimate nor interval may be relied on.",
+        f"{SMALL_ESS:g}, do not quote an estimate. Unreliable: runs whose interval is none at its "
+        "level, so that nothing may be decided by them.",
     ]
     failed = [s for s in states if s.status == "failed"]
     if failed:
@@ -91,7 +91,7 @@ def _row(one: SettingSummary) -> tuple[str, ...]:
         str(sum(e.failures == 0 for e in estimates)),
         _over(statistics.median, [e.ess for e in estimates]),
         _over(max, [e.pareto_k for e in estimates]),
-        f"{sum(bool(unreliable_because(e)) for e in estimates)} of {len(estimates)}",
+        f"{sum(bool(interval_caveats(e)) for e in estimates)} of {len(estimates)}",
     )
 
 

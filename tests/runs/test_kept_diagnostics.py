@@ -7,7 +7,7 @@ import pytest
 
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.errors import InputError
-from pemviz.reports.gate import unreliable_because
+from pemviz.reports.gate import interval_caveats
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result_file import result_document, result_from_document
 
@@ -41,7 +41,7 @@ def test_what_is_read_back_is_as_reliable_as_it_was(result):
     read = result_from_document(through_json(result))
     for found, estimate in zip(estimates_of(read), estimates_of(result), strict=True):
         assert found == estimate
-        assert unreliable_because(found) == unreliable_because(estimate)
+        assert interval_caveats(found) == interval_caveats(estimate)
 
 
 def test_older_results_give_the_same_answers(result):
@@ -49,7 +49,7 @@ def test_older_results_give_the_same_answers(result):
     for found, estimate in zip(estimates_of(read), estimates_of(result), strict=True):
         assert found.warnings == estimate.warnings
         assert [one.kind for one in found.diagnostics] == [o.kind for o in estimate.diagnostics]
-        assert unreliable_because(found) == unreliable_because(estimate)
+        assert interval_caveats(found) == interval_caveats(estimate)
 
 
 def test_the_sample_run_warns_of_nothing():
@@ -57,7 +57,7 @@ def test_the_sample_run_warns_of_nothing():
     for kept in (document, older(document)):
         found = result_from_document(kept).estimate
         assert found.warnings == ()
-        assert unreliable_because(found) == ()
+        assert interval_caveats(found) == ()
 
 
 @pytest.mark.parametrize(

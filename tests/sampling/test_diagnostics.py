@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
-from pemviz.reports.gate import unreliable_because
+from pemviz.reports.gate import interval_caveats
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.diagnostics import (
     FEW_FAILURES,
@@ -105,7 +105,7 @@ def test_uneven_weights_with_figures_known_by_hand():
     assert ess.text == (
         "a few weights carry the estimate: the 30 failures count as 1.7 (effective sample size)"
     )
-    assert unreliable_because(found) == (
+    assert interval_caveats(found) == (
         "one rollout carries 78% of the weight",
         "the effective sample size is 1.7",
     )
@@ -118,7 +118,7 @@ def test_a_heavy_tail():
     found = weighted(weight, rollouts=5_000)
     tail = found.diagnostics[-1]
     assert (tail.kind, tail.value, tail.limit) == ("heavy-tail", found.pareto_k, 0.7)
-    assert unreliable_because(found)[-1] == f"Pareto k-hat is {found.pareto_k:.2f}"
+    assert interval_caveats(found)[-1] == f"Pareto k-hat is {found.pareto_k:.2f}"
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_count_is_reliable_however_few_were_counted(toy_problem):
     assert (kinds(none), none.failures) == (["no-failure"], 0)
     assert (kinds(few), 0 < few.failures < 10) == (["few-failures"], True)
     assert few.warnings == (f"only {few.failures} failures were seen: the interval is wide",)
-    assert unreliable_because(none) == unreliable_because(few) == ()
+    assert interval_caveats(none) == interval_caveats(few) == ()
     assert none.ci_high is not None
 
 
@@ -161,7 +161,7 @@ def test_nothing_seen_under_weights_says_nothing():
     found = weighted([])
     assert kinds(found) == ["no-failure"]
     assert found.ci_high is None
-    assert unreliable_because(found) == found.warnings
+    assert interval_caveats(found) == found.warnings
 
 
 def test_runs_of_splitting_that_die_out_or_stand_alone(toy_problem):
@@ -174,8 +174,8 @@ def test_runs_of_splitting_that_die_out_or_stand_alone(toy_problem):
     alone = split(toy_problem, stages=1, rollouts=200)
     assert kinds(alone) == ["few-runs"]
     assert alone.std_error is None
-    assert unreliable_because(dead)
-    assert unreliable_because(alone)
+    assert interval_caveats(dead)
+    assert interval_caveats(alone)
 
 
 def test_a_probability_below_doubles_is_no_doubt_about_it():
@@ -183,7 +183,7 @@ def test_a_probability_below_doubles_is_no_doubt_about_it():
     assert kinds(found) == ["below-doubles"]
     assert found.probability == 0.0
     assert found.diagnostics[0].value == found.log10_probability
-    assert unreliable_because(found) == ()
+    assert interval_caveats(found) == ()
 
 
 def test_repetitions_count_what_is_wrong_with_how_many():
@@ -199,7 +199,7 @@ def test_repetitions_count_what_is_wrong_with_how_many():
     assert [one.value for one in found.diagnostics] == [
         0.0, pytest.approx(1 / 1.2), pytest.approx(1.2**2 / 1.002)
     ]  # fmt: skip
-    assert unreliable_because(found) == (
+    assert interval_caveats(found) == (
         "in 1 of 3 repetitions no failure was seen",
         "one rollout carries 83% of the weight",
         "the effective sample size is 1.4",
@@ -218,7 +218,7 @@ def test_repetitions_of_splitting_tell_of_runs_that_died(toy_problem):
     sound, dead = (split(p, stages=2) for p in (toy_problem, impossible(toy_problem)))
     found = summarise_repetitions([sound, dead, sound])
     assert "no particle reached a violation" in " ".join(found.warnings)
-    assert unreliable_because(found)
+    assert interval_caveats(found)
 
 
 def test_repetitions_of_single_runs_have_an_error_but_no_interval(toy_problem):
@@ -228,7 +228,7 @@ def test_repetitions_of_single_runs_have_an_error_but_no_interval(toy_problem):
     assert found.std_error is not None
     assert (found.ci_low, found.ci_high) == (None, None)
     assert kinds(found) == ["few-runs"]
-    assert unreliable_because(found)
+    assert interval_caveats(found)
 
 
 def test_a_mean_below_doubles_says_so():
@@ -343,4 +343,4 @@ def test_a_proposal_that_never_fails_is_no_count(toy_problem):
     method = DirectSampling(name="naive", proposal=ConstantProposal(0.9), rollouts=20, seed=0)
     found = _estimate(method, toy_problem, repetition=0)
     assert (found.failures, found.ci_high) == (0, None)
-    assert unreliable_because(found)
+    assert interval_caveats(found)

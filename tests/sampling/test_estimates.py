@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
-from pemviz.reports.gate import unreliable_because
+from pemviz.reports.gate import interval_caveats
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.estimate import log_normal_interval, negative_log_likelihood
 from pemviz.sampling.estimates.importance_weights import pareto_k_hat
@@ -84,7 +84,7 @@ def test_no_failure_under_importance_sampling_bounds_nothing(toy_problem):
     assert found.failures == 0
     assert (found.probability, found.ci_low, found.ci_high) == (0.0, None, None)
     assert "no failure" in found.warnings[0]
-    assert unreliable_because(found)
+    assert interval_caveats(found)
 
 
 def test_weights_of_sampling_from_the_model_itself_are_one(toy_problem):

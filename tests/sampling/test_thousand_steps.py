@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pemviz.proposals.fixed import ConstantProposal
-from pemviz.reports.gate import unreliable_because
+from pemviz.reports.gate import interval_caveats
 from pemviz.sampling.adaptive.method import AdaptiveSampling
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
@@ -87,7 +87,7 @@ def test_mixture_is_near_or_says_that_it_is_not(seed):
     assert_finite(found, stages)
     assert found.failures > 0
     truth = toy_probability_by_recursion(SIMULATOR, pem)
-    assert truth / 1.3 < found.probability < truth * 1.3 or unreliable_because(found)
+    assert truth / 1.3 < found.probability < truth * 1.3 or interval_caveats(found)
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from pemviz.reports.estimate_text import no_interval_text
 from pemviz.reports.pictures.html import grid, heading, number, quiet, warning
 from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.same_run import flat_settings
-from pemviz.runs.trust import run_interval_caveats, run_unreliable_because
+from pemviz.runs.trust import run_interval_caveats
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 METRIC_DASHES = {"agm": (7.0, 3.0), "smooth-cumulative": (2.0, 3.0)}
@@ -249,7 +249,7 @@ def _is_reliable(run: RunData) -> str:
     """Whether the answer may decide anything; the reasons stand where the pointer rests."""
     if run.result.estimate is None:
         return number(None)
-    reasons = run_unreliable_because(run.result)
+    reasons = run_interval_caveats(run.result)
     if not reasons:
         return "yes"
     return f"<span title='{escape('; '.join(reasons), quote=True)}'>\N{WARNING SIGN} no</span>"

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pemviz.runs.ladder import Rung, RungKind, uncertainty_ladder
 from pemviz.runs.result import RunResult
-from pemviz.runs.trust import run_interval_caveats, run_unreliable_because
+from pemviz.runs.trust import run_interval_caveats
 
 Verdict = Literal["shown", "not shown", "not known"]
 GRANTED: Mapping[RungKind, str] = {
@@ -48,12 +48,8 @@ def claims(result: RunResult, *, below: float | None) -> list[Claim]:
         result: The run.
         below: The failure probability that is to be claimed, if one is named.
     """
-    doubts = "; ".join(run_unreliable_because(result))
-    against: Mapping[RungKind, str] = {
-        "sampling": "; ".join(run_interval_caveats(result)),
-        "refits": doubts,
-        "families": doubts,
-    }
+    doubts = "; ".join(run_interval_caveats(result))
+    against: Mapping[RungKind, str] = dict.fromkeys(("sampling", "refits", "families"), doubts)
     return [
         _claim(rung, pem=result.pem.name, below=below, doubted=against.get(rung.kind, ""))
         for rung in uncertainty_ladder(result)

@@ -32,7 +32,7 @@ from pemviz.reports.safety_case.sections import (
 )
 from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.same_run import setting_differences
-from pemviz.runs.trust import run_interval_caveats, run_unreliable_because
+from pemviz.runs.trust import run_interval_caveats
 
 MOST_IN_FULL = 8
 """Of more runs the rest stands side by side only."""
@@ -175,7 +175,7 @@ def _row(run: CaseRun) -> tuple[str, ...]:
         rung.kind: " to ".join(ends_text(rung)) if rung.high is not None else "-"
         for rung in uncertainty_ladder(result)
     }
-    against = run_unreliable_because(result)
+    against = run_interval_caveats(result)
     return (
         run.name,
         probability_text(estimate),

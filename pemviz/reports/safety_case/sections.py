@@ -40,7 +40,7 @@ from pemviz.reports.safety_case.html import (
 )
 from pemviz.runs.ladder import RungKind, uncertainty_ladder
 from pemviz.runs.result import RunResult
-from pemviz.runs.trust import run_interval_caveats, run_unreliable_because
+from pemviz.runs.trust import run_interval_caveats
 
 VERDICT_MARKS: Mapping[Verdict, tuple[str, str]] = {
     "shown": ("yes", "\N{CHECK MARK} shown"),
@@ -66,7 +66,7 @@ def headline(run: CaseRun, *, below: float | None) -> str:
             f"and misses are {assumed}."
         )
         + paragraph(f"Sampling alone: {interval_name(estimate, caveats=caveats)} {interval}.")
-        + warnings([f"Do not quote it: {against}." for against in run_unreliable_because(result)])
+        + warnings([f"Do not quote it: {against}." for against in caveats])
         + paragraph(claim_sentence(result, below=below))
     )
     under = warnings(() if bursts is None else (bursts,)) + _next(result)

@@ -1,4 +1,7 @@
-"""Whether an interval may be read as a 95 % interval: decided here, asked by all that show one."""
+"""Whether an interval may be read as a 95 % interval, and so whether it may decide anything.
+
+Decided here, asked by all that show one and by the gate.
+"""
 
 from collections.abc import Iterable
 
@@ -12,23 +15,13 @@ STRICTEST: IntervalBasis = "weights"
 """What the interval of a method is taken to rest on that is not known here."""
 
 
-def unreliable_because(
-    estimate: Estimate, diagnostics: Iterable[Diagnostic] | None = None
-) -> tuple[str, ...]:
-    """Why an estimate must not decide anything; empty if nothing speaks against it.
-
-    Args:
-        estimate: What is judged.
-        diagnostics: All that is known to be wrong; ``None``: the estimate's own.
-    """
-    wrong = estimate.diagnostics if diagnostics is None else diagnostics
-    return _undermined(wrong, method=estimate.method)
-
-
 def interval_caveats(
     estimate: Estimate, diagnostics: Iterable[Diagnostic] | None = None
 ) -> tuple[str, ...]:
     """Why ``ci_low`` and ``ci_high`` are no interval at ``confidence``; empty if they are one.
+
+    An estimate whose interval is none decides nothing: the gate, claims and all that call an answer
+    reliable ask here too.
 
     Args:
         estimate: Whose interval.
@@ -62,16 +55,11 @@ def caveats(diagnostics: Iterable[Diagnostic], *, method: str) -> tuple[str, ...
 
     What the method's description says of its intervals comes last: it holds of all of them.
     """
-    reasons = _undermined(diagnostics, method=method)
-    described = _description(method)
-    of_method = None if described is None else described.interval_caveat
-    return reasons if of_method is None else (*reasons, of_method)
-
-
-def _undermined(diagnostics: Iterable[Diagnostic], *, method: str) -> tuple[str, ...]:
     described = _description(method)
     basis = STRICTEST if described is None else described.interval_basis
-    return tuple(map(reason, undermining(diagnostics, basis=basis)))
+    reasons = tuple(map(reason, undermining(diagnostics, basis=basis)))
+    of_method = None if described is None else described.interval_caveat
+    return reasons if of_method is None else (*reasons, of_method)
 
 
 def _description(method: str) -> MethodDescription | None:
