@@ -53,6 +53,7 @@ SCENARIOS = st.builds(
     tracker=st.sampled_from(["none", "1/1", "2/3", "3/5,coast=0.2", "2/2,coast=0.1"]),
 )
 SPECS = ["always[0,{0}] (gap >= 2.0)", "always[1,{0}] (gap > 9.0 and ego_speed <= 12.0)"]
+STANDING = "always[0,{0}] (gap >= 2.0 and ego_speed > 0)"  # a car that stands has speed exactly 0
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +148,18 @@ def test_random_scenarios_written_out(written_out, scenario, memory_s, pem, spec
     proposal = divided_proposal(problem, features, count=12, generator=generator)
     assert_agrees(problem, proposal, uniforms, written_out)
     assert_agrees(problem, gap_network(seed, scale=3.0), uniforms, written_out)
+
+
+def test_a_car_that_stands_violates_that_it_moves(written_out):
+    """Its speed is exactly 0, and the comparison strict."""
+    problem, features = problem_of(ScenarioConfig(), spec=STANDING)
+    generator = np.random.default_rng(3)
+    proposal = divided_proposal(problem, features, count=400, generator=generator)
+    found = assert_agrees(problem, proposal, generator.random((400, 99)), written_out)
+    at_zero = (found.signals["ego_speed"] == 0.0).any(axis=1)
+    violated = (found.signals["gap"] < 2.0).any(axis=1) | at_zero
+    assert 0 < at_zero.sum() < 400
+    np.testing.assert_array_equal(found.memory[VIOLATED][:, -1], violated)
 
 
 def test_pilots_the_model_and_a_constant_alone(written_out):

@@ -138,6 +138,9 @@ def test_the_gap_of_an_ego_that_never_brakes_reaches_its_bound():
         "always[0,23] (not (gap < 4.5))",
         "always[0,23] (gap - 0.1 * ego_speed >= 3.6)",
         "always[0,23] (gap >= 4.5 and ego_speed <= 11.3)",
+        "always[0,23] (gap > 4.5)",
+        "always[0,23] (gap >= 4.5 and ego_speed > 0)",
+        "always[0,23] (gap >= 4.5 and lead_speed > 8)",
     ],
 )
 @pytest.mark.parametrize("tau_s", [0.0, 0.2])
@@ -245,6 +248,10 @@ def test_a_rule_that_some_point_within_bounds_breaks_is_possible(data):
                 "gap < 0.5 or ego_speed >= 1.5",
                 "not (gap >= 0.5) or (lead_speed <= 0.5 and gap > -0.5)",
                 "gap + ego_speed >= 1.0 and gap >= -1.5",
+                "gap > 1",
+                "gap < 2 and ego_speed > -1",
+                "gap < 0 or ego_speed > 1",
+                "gap <= 1 or not (ego_speed >= 0)",
             ]
         )
     )
@@ -254,7 +261,9 @@ def test_a_rule_that_some_point_within_bounds_breaks_is_possible(data):
     for name in ("gap", "ego_speed"):  # of the lead car's speed nothing is known
         ends = sorted(data.draw(st.tuples(sides, sides)))
         bounds[name] = (np.array([ends[0]]), ends[1])
-    point = {n: np.array([[data.draw(st.floats(float(a[0]), b))]]) for n, (a, b) in bounds.items()}
+    ends = {n: (float(a[0]), b) for n, (a, b) in bounds.items()}
+    within = {n: st.one_of(st.sampled_from(pair), st.floats(*pair)) for n, pair in ends.items()}
+    point = {name: np.array([[data.draw(value)]]) for name, value in within.items()}
     point["lead_speed"] = np.array([[data.draw(st.floats(-2.0, 2.0))]])
     if stl.violated(stl.parse(spec, signals=SIGNALS), point)[0]:
         assert np.all(rule.possible(bounds, after=4))
