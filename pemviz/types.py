@@ -253,7 +253,7 @@ class ScoredRollouts(Batch):
     Attributes:
         rollouts: The N rollouts.
         robustness: ``[N]`` under the chosen metric.
-        violated: ``[N]`` whether the classical semantics is violated.
+        violated: ``[N]`` whether the specification is violated, by its Boolean semantics.
         rule_robustness: ``[N]`` likewise of each rule, by name, where there are rules.
         broken: ``[N]`` whether each rule is violated, by name; ``violated`` is any of them.
         timings_s: Wall time by part of the work [s]: of the batch that rows were taken from;

@@ -112,12 +112,12 @@ class ExperimentConfig:
     monte-carlo, naive, or a name that an installed package registers as an entry point of the
     group pemviz.methods."""
     metric: MetricName = "classical"
-    """Robustness metric that ranks rollouts and sets thresholds; violations are always decided
-    by the classical one. agm counts what position errors, latents or a tracker carry beyond its
-    bounds as the bound."""
+    """Robustness metric that ranks rollouts and sets thresholds; whether a rollout violates is
+    decided by the formula itself, > and < as strict as they are written. agm counts what
+    position errors, latents or a tracker carry beyond its bounds as the bound."""
     spec: str = "always[0,99] (gap >= 2.0)"
     """Specification in Signal Temporal Logic over gap [m], ego_speed and lead_speed [m/s];
-    intervals count steps."""
+    intervals count steps. Where both sides are equal >= and <= hold, > and < fail."""
     rules: tuple[Rule, ...] = ()
     """Rules by name; each is answered, and any of them: ``spec`` then says that all are kept."""
     pem: str = "ml-nn"

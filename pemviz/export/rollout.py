@@ -33,7 +33,7 @@ class RankedRollout:
         stage: Its stage.
         rollout: Its index in the stage.
         robustness: Under the run's metric.
-        violated: The classical verdict.
+        violated: Whether the formula fails, see :func:`pemviz.stl.violated`.
         broken: Whether it breaks each rule, by name, where there are rules.
         signals: ``[T]`` by key, with units in it (``gap_m``).
         detected: ``[T-1]`` outcomes by slot; where perception answers one thing a step under the

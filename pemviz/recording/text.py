@@ -184,8 +184,8 @@ def _question(result: RunResult) -> str:
     return (
         f"## What was asked\nHow likely is it that `{config.spec}` is violated, if perception "
         f"misses as the error model **{result.pem.name}** says? Scenario: {_scenario(config)}. "
-        f"Rollouts are ranked by the {config.metric} robustness; violations are always decided "
-        "by the classical one."
+        f"Rollouts are ranked by the {config.metric} robustness; whether one violates is decided "
+        "by the formula itself."
     )
 
 

@@ -39,8 +39,8 @@ def table_3_remarks(rows: Mapping[str, RowSummary]) -> Sequence[str]:
         f"text has it), and on the braking: {LIMITS}."
     )
     remarks.append(
-        "Whatever ranks the rollouts, a violation is decided by the classical semantics: the "
-        "smooth-cumulative score is not sound at 0, so it never counts failures."
+        "Whatever ranks the rollouts, a violation is decided by the formula's Boolean semantics: "
+        "the smooth-cumulative score is not sound at 0, so it never counts failures."
     )
     return remarks
 

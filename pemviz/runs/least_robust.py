@@ -27,7 +27,7 @@ class Rollout(ShownInNotebooks):
         repetition: Zero-based.
         stage: Its stage.
         robustness: Under the run's metric.
-        violated: The classical verdict.
+        violated: Whether the formula fails, see :func:`pemviz.stl.violated`.
         nll: Negative log-likelihood of its outcomes under the error model [nats].
         time_s: ``[T]`` times of its states [s].
         signals: ``[T]`` by name.

@@ -87,7 +87,7 @@ class RankedRollout:
         rollout: Its index in the stage.
         robustness: Under the run's metric; infinite where the specification does not depend
             on the rollout, below 0 if it is violated then.
-        violated: The classical verdict.
+        violated: Whether the formula fails, see :func:`pemviz.stl.violated`.
         nll: Its negative log-likelihood under the perception error model [nats].
         log_weight: Its log importance weight [nats].
         misses: How many steps missed.

@@ -19,7 +19,7 @@ from pemviz.reports.pictures.html import block, quiet
 
 METRIC_HINT = (
     "Metric that ranks the rollouts shown; re-ranks what is stored at once, without a new run. "
-    "Violations are always decided by the classical metric."
+    "Whether one violates is decided by the formula itself."
 )
 AMONG_HINT = (
     "Which rollouts are ranked: those that carry the answer, so that rank 1 is a failure that "

@@ -42,7 +42,7 @@ class RoadTrack:
         drawn: Where its cars are, and what perception told.
         asked: The signal that the specification is about first.
         values: ``[T]`` of that signal.
-        violated: The classical verdict on the whole rollout.
+        violated: The verdict on the whole rollout.
     """
 
     title: str

@@ -38,7 +38,7 @@ class Track:
         detected: ``[T-1]`` perception's outcomes.
         pem_detection: ``[T-1]`` P(detected) under the error model.
         proposal_detection: ``[T-1]`` P(detected) under the proposal sampled from.
-        violated: The classical verdict on the whole rollout.
+        violated: The verdict on the whole rollout.
         contact: Where the cars touch, if they do.
     """
 

@@ -109,7 +109,7 @@ def argument(result: RunResult) -> str:
     config, data = result.config, result.pem.data
     steps = [
         f"What may go wrong is stated exactly: a run violates {_asked(config)}, decided by the "
-        "classical semantics of Signal Temporal Logic.",
+        "Boolean semantics of Signal Temporal Logic, strict comparisons as they are written.",
         f"The system is the scenario: {scenario_text(config)}. Everything but perception is "
         "deterministic in it (assumptions below).",
         f"Perception is the error model {result.pem.name}: how likely the detector misses, given "
