@@ -11,6 +11,10 @@ LONGEST_MESSAGE = 1000
 KEPT_END = 300
 
 
+class HelpShown(SystemExit):
+    """A command printed its help; nothing else may end the process from within."""
+
+
 class PemvizError(Exception):
     """Base of every error that pemviz raises on purpose.
 
@@ -35,7 +39,17 @@ class PemError(InputError):
 
 
 class RunError(PemvizError):
-    """A run could not be carried to its end; the command line exits with code 3."""
+    """A run could not be carried to its end; the command line exits with code 3.
+
+    Attributes:
+        traceback_text: Where other people's code raised something, from their frames on, as Python
+            prints it; empty if it is no fault of such code's.
+    """
+
+    def __init__(self, message: str = "", *, traceback_text: str = "") -> None:
+        """Keep both."""
+        super().__init__(message)
+        self.traceback_text = traceback_text
 
 
 def one_line(text: str) -> str:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import ParamSpec, Self, TypeVar
 
 from pemviz.errors import RunError
+from pemviz.faults import STOPS
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
@@ -28,7 +29,6 @@ Result = TypeVar("Result")
 DIED = "worker process died: killed, or the machine is out of memory"
 POLL_S = 0.2
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
 def usable_cpus() -> int:

@@ -6,7 +6,15 @@ from dataclasses import dataclass
 from importlib import import_module
 
 from pemviz._version import __version__
-from pemviz.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, InputError, PemvizError
+from pemviz.errors import (
+    EXIT_BAD_INPUT,
+    EXIT_DONE,
+    EXIT_FAILED,
+    HelpShown,
+    InputError,
+    PemvizError,
+)
+from pemviz.faults import told, traceback_of
 
 
 @dataclass(frozen=True)
@@ -57,12 +65,18 @@ def _carry_out(name: str, words: Sequence[str]) -> int:
     except InputError as error:
         return _complain(str(error), code=EXIT_BAD_INPUT)
     except PemvizError as error:
+        _show(getattr(error, "traceback_text", ""))
         return _complain(str(error), code=EXIT_FAILED)
     except OSError as error:  # a full disk, a folder that went away
         where = "" if error.filename is None else f" ({error.filename})"
         return _complain(f"{error.strerror or error}{where}", code=EXIT_FAILED)
     except KeyboardInterrupt:
         return _complain("interrupted", code=EXIT_FAILED)
+    except HelpShown:
+        raise
+    except BaseException as error:  # exit codes 0 and 1 are for runs that were judged
+        _show(traceback_of(error))
+        return _complain(f"{name} failed: {told(error)}", code=EXIT_FAILED)
 
 
 def _command(name: str) -> Callable[[Sequence[str]], int]:
@@ -88,6 +102,11 @@ def _overview() -> str:
             "pemviz COMMAND --help explains a command's options.",
         ]
     )
+
+
+def _show(traceback_text: str) -> None:
+    if traceback_text:
+        print(traceback_text, file=sys.stderr)
 
 
 def _complain(message: str, *, code: int) -> int:

@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 import tyro
 
 from pemviz.config.ranges import Range
-from pemviz.errors import InputError
+from pemviz.errors import EXIT_DONE, HelpShown, InputError
 
 Arguments = TypeVar("Arguments")
 Processes = Annotated[int, Range(low=1, high=1024)]
@@ -52,7 +52,7 @@ def parse_arguments(
             )
     except SystemExit as stop:
         if not stop.code:
-            raise
+            raise HelpShown(EXIT_DONE) from None
         raise InputError(one_line(complaint.getvalue(), command=command)) from None
 
 

@@ -1,6 +1,7 @@
 """What ``pemviz record`` does once its arguments are read."""
 
 import json
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +14,10 @@ from pemviz.cli.summary import print_summary
 from pemviz.cli.workers import check_workers, with_workers
 from pemviz.config.encounters import NO_FAMILY
 from pemviz.config.gate_limits import GateLimits
-from pemviz.errors import EXIT_DONE, EXIT_FAILED
+from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
 from pemviz.reports.gate import decide_limits
 from pemviz.reports.writer import ReportWriter
-from pemviz.runs.events import Event, Observer, RunDone
+from pemviz.runs.events import Event, Observer, RunDone, RunFailed
 from pemviz.runs.experiment import Experiment, build_experiment, device_notes
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
@@ -46,20 +47,16 @@ def record(arguments: RecordArguments) -> int:
     folder = arguments.source.resume or create_run_folder(
         arguments.out, label=arguments.experiment.method
     )
-    with (
-        stop_on_signals() as should_stop,
-        progress_observer(quiet=arguments.json) as progress,
-        with_workers(
-            experiment, workers=arguments.workers, scheduler=arguments.scheduler
-        ) as worked,
-    ):
-        result = carry_out(
-            worked,
-            folder,
-            recorders=_recorders(arguments, experiment, folder),
-            observers=[progress, reports],
-            should_stop=should_stop,
-        )
+    ending = _Ending()
+    try:
+        result = _carry_out(arguments, experiment, folder, observers=[reports, ending])
+    except RunError as error:
+        if ending.result is None:
+            raise
+        if arguments.json:
+            print(json.dumps(result_document(ending.result), allow_nan=False))
+        message = f"{error}; {_how_to_go_on(arguments, folder)}"
+        raise RunError(message, traceback_text=error.traceback_text) from error
     if arguments.json:
         print(json.dumps(result_document(result), allow_nan=False))
     else:
@@ -68,6 +65,53 @@ def record(arguments: RecordArguments) -> int:
         print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
         return EXIT_FAILED
     return _gate(arguments, result)
+
+
+def _carry_out(
+    arguments: RecordArguments,
+    experiment: Experiment,
+    folder: Path,
+    *,
+    observers: Sequence[Observer],
+) -> RunResult:
+    """Run it with progress, until a signal asks to stop, by workers if there are any."""
+    with (
+        stop_on_signals() as should_stop,
+        progress_observer(quiet=arguments.json) as progress,
+        with_workers(
+            experiment, workers=arguments.workers, scheduler=arguments.scheduler
+        ) as worked,
+    ):
+        return carry_out(
+            worked,
+            folder,
+            recorders=_recorders(arguments, experiment, folder),
+            observers=[progress, *observers],
+            should_stop=should_stop,
+        )
+
+
+@dataclass
+class _Ending:
+    """Keeps what a run that failed leaves."""
+
+    result: RunResult | None = None
+
+    def notify(self, event: Event) -> None:
+        if isinstance(event, RunFailed):
+            self.result = event.result
+
+
+def _how_to_go_on(arguments: RecordArguments, folder: Path) -> str:
+    """Where a run that failed is, and the command that goes on with it."""
+    if not (folder / "config.toml").exists():
+        return f"nothing is in {folder}"
+    words = ["pemviz", "record", "--resume", str(folder)]
+    words += ["--allow-python"] * arguments.allow_python
+    return (
+        f"what was finished is in {folder}; once the cause is removed, go on with: "
+        f"{shlex.join(words)}"
+    )
 
 
 def _recorders(

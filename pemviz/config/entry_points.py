@@ -13,6 +13,7 @@ from importlib import metadata
 from typing import Any
 
 from pemviz.errors import ConfigError
+from pemviz.faults import told
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,9 @@ class NamedPart:
         try:
             part = made(point.load())
             is_fit = fits(part)
-        except Exception as error:  # code of another package may raise anything
-            message = f"{where}: {point.value} raises {type(error).__name__}: {error}"
-            raise ConfigError(" ".join(message.split())) from error
+        except BaseException as error:  # code of another package may raise anything
+            message = f"{where}: {point.value} raises {told(error)}"
+            raise ConfigError(message) from error
         if not is_fit:
             message = f"{where}: {point.value} {complaint.format(described(part))}"
             raise ConfigError(message)

@@ -94,7 +94,7 @@ class Browser:
         def carry_out() -> None:
             try:
                 found = work()
-            except Exception as error:  # the session's thread tells it
+            except BaseException as error:  # the session's thread tells it
                 self.post(ended)
                 self.post(partial(_fail, error))
             else:
@@ -141,7 +141,7 @@ class Browser:
         self.shown_version = -1
 
 
-def _fail(error: Exception) -> None:
+def _fail(error: BaseException) -> None:
     raise error
 
 

@@ -151,7 +151,7 @@ class Controller:
             self._run(request)
         except PemvizError as error:
             return " ".join(str(error).split())
-        except Exception as error:  # the server outlives whatever fails in a run
+        except BaseException as error:  # the server outlives whatever fails in a run
             LOG.exception("the run failed")
             return f"the run failed: {type(error).__name__}: {' '.join(str(error).split())}"
         return None

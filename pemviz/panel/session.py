@@ -49,7 +49,7 @@ class Session:
     def _live(self) -> None:
         try:
             self._build()
-        except Exception:
+        except BaseException:
             if not self._browser.closed:
                 LOG.exception("building the page failed")
             return
@@ -135,7 +135,7 @@ class Session:
             work()
         except PemvizError as error:
             browser.tell("This did not work", " ".join(str(error).split()))
-        except Exception as error:  # one browser's trouble must not end its page
+        except BaseException as error:  # one browser's trouble must not end its page
             if browser.closed:
                 return
             LOG.exception("a browser's request failed")

@@ -12,11 +12,21 @@ from threadpoolctl import threadpool_limits
 from pemviz._version import __version__
 from pemviz.arrays import read_only
 from pemviz.config import ExperimentConfig
-from pemviz.errors import PemvizError, RunError
+from pemviz.errors import PemvizError, RunError, one_line
+from pemviz.faults import (
+    SimulationError,
+    StopRequested,
+    from_outside,
+    mark_from_outside,
+    signals_told_apart,
+    told,
+    traceback_of,
+)
 from pemviz.pem import PositionErrorModel
 from pemviz.runs.data_plan import with_data_plan
 from pemviz.runs.driven import with_distance
 from pemviz.runs.events import (
+    Event,
     Observer,
     RepetitionDone,
     RolloutsDone,
@@ -62,10 +72,6 @@ OWN_SYSTEM_ASSUMPTIONS = (
 )
 
 
-class _StopRequested(Exception):  # noqa: N818  not an error: the user asked
-    """Raised between batches when the run is to stop."""
-
-
 def run_experiment(
     config: ExperimentConfig,
     *,
@@ -97,23 +103,34 @@ def run(
     observers: Sequence[Observer] = (),
     should_stop: Callable[[], bool] = lambda: False,
 ) -> RunResult:
-    """Run an experiment that is already built; see :func:`run_experiment`."""
+    """Run an experiment that is already built; see :func:`run_experiment`.
+
+    Raises:
+        RunError: The run failed. What a simulator, an error model or a method of the user's raised
+            is its cause, SystemExit and KeyboardInterrupt included.
+        KeyboardInterrupt: A signal's; the run has stopped.
+    """
     runner = _Runner(experiment, run_id, observers, should_stop)
-    try:
-        # matrices are small: threads that wait for each other cost more than they bring, most of
-        # all beside another run, and the last digit would depend on their number
-        with threadpool_limits(limits=1, user_api="blas"):
-            runner.carry_out()
-    except _StopRequested:
-        pass
-    except KeyboardInterrupt:
-        runner.finish("stopped")
-        raise
-    except Exception as error:  # a simulator or model of the user's may raise anything
-        message = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        runner.fail(message)
-        raise RunError(message) from error
-    return runner.finish("done" if runner.complete else "stopped")
+    with signals_told_apart():
+        try:
+            # matrices are small: threads that wait for each other cost more than they bring, most
+            # of all beside another run, and the last digit would depend on their number
+            with threadpool_limits(limits=1, user_api="blas"):
+                runner.carry_out()
+        except StopRequested:
+            pass
+        except BaseException as error:
+            outside = from_outside(error)
+            if outside is not None:
+                runner.finish("stopped")
+                raise outside  # noqa: B904  what led to the error
+            raise runner.failed(error) from _raised(error)
+        return runner.finish("done" if runner.complete else "stopped")
+
+
+def _raised(error: BaseException) -> BaseException:
+    """What the user's code raised, if that was in this process."""
+    return error.__cause__ or error if isinstance(error, SimulationError) else error
 
 
 class _Runner:
@@ -132,12 +149,13 @@ class _Runner:
         self._began = time.perf_counter()
         self._interpreted = Interpreted(_empty_result(experiment, run_id))
         self._by_rule: list[Mapping[str, Estimate]] = []
+        self._at: tuple[int, int] | None = None
+        self._observers_error: BaseException | None = None
         self.complete = False
 
     def carry_out(self) -> None:
         experiment = self._experiment
-        notify_all(
-            self._observers,
+        self._tell(
             RunStarted(
                 config=experiment.config,
                 signals=experiment.declared.signals,
@@ -158,16 +176,35 @@ class _Runner:
 
     def finish(self, status: Any) -> RunResult:
         result = self._timed(replace(self._interpreted.result, status=status))
-        notify_all(self._observers, RunDone(result=result))
+        self._tell(RunDone(result=result))
         return result
 
-    def fail(self, message: str) -> None:
+    def failed(self, error: BaseException) -> RunError:
+        """Tell the observers, and return what tells the caller."""
+        ours = error is self._observers_error or isinstance(error, PemvizError)
+        text = getattr(error, "traceback_text", "") if ours else traceback_of(error)
+        message = self._placed(error)
         result = self._timed(replace(self._interpreted.result, status="failed", message=message))
         event = RunFailed(message=message, result=result)
         for observer in self._observers:
             # the observer that failed the run may fail again; the others must still hear
             with contextlib.suppress(OSError, ValueError, PemvizError):
-                observer.notify(event)
+                self._tell(event, observer)
+        return RunError(message, traceback_text=text)
+
+    def _placed(self, error: BaseException) -> str:
+        """What went wrong, and in which stage."""
+        if self._at is None:
+            if isinstance(error, SimulationError):  # of others than a stage's
+                error.rollouts = error.among = None
+            return str(error) if isinstance(error, PemvizError) else one_line(told(error))
+        (repetition, stage), repetitions = self._at, self._experiment.config.repetitions
+        of = f", repetition {repetition + 1} of {repetitions}" if repetitions > 1 else ""
+        if isinstance(error, SimulationError):
+            error.during = f"stage {stage + error.ahead}{of}"
+            return str(error)
+        what = str(error) if isinstance(error, PemvizError) else told(error)
+        return one_line(f"{what} (stage {stage}{of})")
 
     def _repeat(self, repetition: int) -> None:
         method, problem = self._experiment.method, self._experiment.problem
@@ -175,7 +212,9 @@ class _Runner:
         stage = 0
         while not method.is_done(state):
             watched = replace(problem, progress=self._progress(repetition, stage))
+            self._at = repetition, stage
             state, result = method.step(watched, state)
+            self._at = None
             self._tell_stage(result)
             for interpreted in interpret(
                 self._interpreted, experiment=self._experiment, stage=result
@@ -195,17 +234,13 @@ class _Runner:
             estimate=summarise_repetitions(estimates),
             rules=rule_answers(rules, self._by_rule),
         )
-        notify_all(
-            self._observers,
-            RepetitionDone(repetition=repetition, estimate=estimate, result=self._keep(result)),
+        self._tell(
+            RepetitionDone(repetition=repetition, estimate=estimate, result=self._keep(result))
         )
 
     def _progress(self, repetition: int, stage: int) -> Callable[[int, int], None]:
         def progress(done: int, total: int) -> None:
-            notify_all(
-                self._observers,
-                RolloutsDone(repetition=repetition, stage=stage, done=done, total=total),
-            )
+            self._tell(RolloutsDone(repetition=repetition, stage=stage, done=done, total=total))
             self._pause()
 
         return progress
@@ -221,14 +256,27 @@ class _Runner:
 
     def _pause(self) -> None:
         if self._should_stop():
-            raise _StopRequested
+            raise StopRequested
+
+    def _tell(self, event: Event, *only: Observer) -> None:
+        """Tell observers; of what they raise, a KeyboardInterrupt counts as a person's."""
+        try:
+            notify_all(only or self._observers, event)
+        except BaseException as error:
+            self._observers_error = error
+            if isinstance(error, KeyboardInterrupt):
+                mark_from_outside(error)
+            if isinstance(error, Exception | KeyboardInterrupt):
+                raise
+            message = f"an observer raises {told(error)}"
+            raise RunError(message, traceback_text=traceback_of(error)) from error
 
     def _tell_stage(self, stage: StageResult) -> None:
         result = self._keep(with_stage(self._interpreted.result, stage))
         folding = self._experiment.folding
         scored = stage.scored if folding is None else folding.scored(stage.scored)
         frozen = replace(stage, scored=_frozen(scored))
-        notify_all(self._observers, StageDone(stage=frozen, result=result))
+        self._tell(StageDone(stage=frozen, result=result))
 
     def _keep(self, result: RunResult) -> RunResult:
         """Keep what is known by now, with the time that it took."""

@@ -4,6 +4,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import ConfigError
+from pemviz.faults import told
 from pemviz.pem import Pem
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.types import Simulator
@@ -25,9 +26,9 @@ def check_error_model(pem: Pem, simulator: Simulator) -> tuple[str, ...]:
     where = f"pem = {pem.name!r} on simulator {simulator.name!r}"
     try:
         logit = np.asarray(pem.logit(salient))
-    except Exception as error:  # the user's code may raise anything
-        message = f"{where}: {type(error).__name__}: {error}"
-        raise ConfigError(" ".join(message.split())) from error
+    except BaseException as error:  # the user's code may raise anything
+        message = f"{where}: {told(error)}"
+        raise ConfigError(message) from error
     if logit.shape != salient.shape[:-1] or logit.dtype.kind != "f":
         message = (
             f"{where}: logit of salient variables {list(salient.shape)} has shape "

@@ -9,6 +9,7 @@ from pemviz.analysis.model_families import families_beside
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.config.toml_files import with_own_rules
 from pemviz.errors import ConfigError
+from pemviz.faults import refusing, signals_told_apart
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
@@ -112,6 +113,8 @@ class Experiment:
         return self.description.has_likelihood_ratios
 
 
+@signals_told_apart()
+@refusing()
 def build_experiment(
     config: ExperimentConfig,
     *,

@@ -9,13 +9,13 @@ from typing import TypedDict, TypeVar
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.finished import FinishedStage, nothing_finished
 from pemviz.sampling.frailty import FrailPem, frail_part
 from pemviz.sampling.rollouts.batches import (
     BatchRunner,
     BatchTask,
-    SimulationError,
     check_numbers,
     run_here,
 )
@@ -133,7 +133,7 @@ def sample(
     """Draw and score ``count`` rollouts, in batches that do not change the result.
 
     Raises:
-        SimulationError: A batch has something that is no finite number, or takes too long.
+        SimulationError: In a batch something raises, is no finite number, or takes too long.
     """
     batches = sample_batches(problem, proposal=proposal, count=count, seeds=seeds, many=many)
     return ScoredRollouts.concatenate(list(batches))
@@ -157,7 +157,7 @@ def sample_batches(
         many: As :class:`BatchTask` has it; must follow from a run's settings alone.
 
     Raises:
-        SimulationError: A batch has something that is no finite number, or takes too long.
+        SimulationError: In a batch something raises, is no finite number, or takes too long.
     """
     sizes = [
         min(problem.batch_rollouts, count - start)
@@ -182,7 +182,8 @@ def sample_batches(
     done = 0
     for size in sizes:
         began = time.perf_counter()
-        rollouts = _next_batch(problem, simulated, first_rollout=done)
+        with counted_from(done, size):
+            rollouts = _next_batch(problem, simulated)
         simulation_s = time.perf_counter() - began
         scored = score(problem, rollouts)
         robustness_s = time.perf_counter() - began - simulation_s
@@ -192,16 +193,9 @@ def sample_batches(
         yield replace(scored, timings_s=timings_s)
 
 
-def _next_batch(
-    problem: Problem, simulated: Iterator[RolloutBatch], *, first_rollout: int
-) -> RolloutBatch:
+def _next_batch(problem: Problem, simulated: Iterator[RolloutBatch]) -> RolloutBatch:
     rollouts = in_time(problem, lambda: next(simulated))
-    check_numbers(
-        rollouts,
-        first_rollout=first_rollout,
-        simulator=problem.simulator.name,
-        turns=problem.turns,
-    )
+    check_numbers(rollouts, simulator=problem.simulator.name, turns=problem.turns)
     return rollouts
 
 

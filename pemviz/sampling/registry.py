@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.errors import ConfigError, InputError
+from pemviz.faults import told
 from pemviz.sampling.adaptive.description import ADAPTIVE
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.direct.description import MONTE_CARLO, NAIVE
@@ -80,11 +81,11 @@ def build_named_method(config: ExperimentConfig, back_end: BackEnd) -> Method[An
         lacks = [member for member in METHOD_MEMBERS if not hasattr(method, member)]
     except InputError:
         raise
-    except Exception as error:  # code of another package may raise anything
+    except BaseException as error:  # code of another package may raise anything
         if description in SHIPPED:
             raise
-        message = f"method = {config.method!r}: building it raises {type(error).__name__}: {error}"
-        raise ConfigError(" ".join(message.split())) from error
+        message = f"method = {config.method!r}: building it raises {told(error)}"
+        raise ConfigError(message) from error
     if lacks:
         message = f"method = {config.method!r}: what is built has no {' and no '.join(lacks)}"
         raise ConfigError(message)

@@ -8,6 +8,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
+from pemviz.faults import SimulationError, told
 from pemviz.latents import StandardNormals
 from pemviz.simulators.check_latents import check_counts, tried_normals
 from pemviz.simulators.check_scene import check_scene
@@ -365,9 +366,11 @@ def _call(where: str, what: str, call: Callable[[], Value]) -> Value:
         return call()
     except ConfigError:  # said in words already
         raise
-    except Exception as error:  # the user's code may raise anything
-        message = f"{where}: {what} raises {type(error).__name__}: {error}"
-        raise ConfigError(" ".join(message.split())) from error
+    except BaseException as error:  # the user's code may raise anything
+        if isinstance(error, SimulationError) and error.__cause__ is None:
+            raise ConfigError(str(error)) from error
+        message = f"{where}: {what} raises {told(error)}"
+        raise ConfigError(message) from error
 
 
 def _row(states: StateBatch, row: int) -> StateBatch:

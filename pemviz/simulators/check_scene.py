@@ -6,6 +6,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray
 from pemviz.errors import ConfigError
+from pemviz.faults import told
 from pemviz.simulators.scene import DrawsScene, DrawsTracks, Road, SceneCar, SceneStates
 from pemviz.types import StateBatch
 
@@ -66,8 +67,8 @@ def _check_places(simulator: Any, states: StateBatch, where: str) -> None:
     for asked, shape in ((states, (count,)), (_twice(states), (count, 2))):
         try:
             drawn = simulator.scene(asked.signals)
-        except Exception as error:  # the user's code may raise anything
-            _refuse_raised(f"{where}: scene raises", shape, error)
+        except BaseException as error:  # the user's code may raise anything
+            _refuse_raised(f"{where}: scene", shape, error)
         if not isinstance(drawn, SceneStates):
             _refuse(f"{where}: scene gives a {type(drawn).__name__}: must be a pemviz.SceneStates")
         of_cars = (*shape, cars)
@@ -85,8 +86,8 @@ def _check_tracks(simulator: Any, states: StateBatch, *, slots: int, where: str)
     for asked, shape in ((states, (count, slots)), (_twice(states), (count, 2, slots))):
         try:
             drawn = simulator.scene_tracks(asked)
-        except Exception as error:  # the user's code may raise anything
-            _refuse_raised(f"{where}: scene_tracks raises", shape[:-1], error)
+        except BaseException as error:  # the user's code may raise anything
+            _refuse_raised(f"{where}: scene_tracks", shape[:-1], error)
         confirmed = getattr(drawn, "confirmed", None)
         _check_array(confirmed, "scene_tracks: confirmed", shape, np.bool_, where)
         for name in ("x_m", "y_m", "x_sd_m", "y_sd_m"):
@@ -119,9 +120,9 @@ def _twice(states: StateBatch) -> StateBatch:
     )
 
 
-def _refuse_raised(what: str, shape: tuple[int, ...], error: Exception) -> NoReturn:
-    text = f"{what} {type(error).__name__} for signals of shape {shape}: {error}"
-    raise ConfigError(" ".join(text.split())) from error
+def _refuse_raised(what: str, shape: tuple[int, ...], error: BaseException) -> NoReturn:
+    message = f"{what} raises {told(error)} (for signals of shape {shape})"
+    raise ConfigError(message) from error
 
 
 def _refuse(message: str) -> NoReturn:

@@ -7,6 +7,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
+from pemviz.faults import told
 from pemviz.simulators.remembering import LAST, LAST_OUTCOME
 from pemviz.simulators.slots import (
     ERROR,
@@ -100,12 +101,12 @@ def check_asked(simulator: SlotSimulator, states: StateBatch, where: str) -> Non
             if isinstance(simulator, SaysWhereItReacts):
                 reacts = simulator.reacts(signals)
             other = _told_otherwise(simulator, signals)
-        except Exception as error:  # the user's code may raise anything
+        except BaseException as error:  # the user's code may raise anything
             message = (
-                f"{where}: present, salient or reacts raises {type(error).__name__} for signals "
-                f"of shape {shape}: {error}"
+                f"{where}: present, salient or reacts raises {told(error)} (for signals of shape "
+                f"{shape})"
             )
-            raise ConfigError(" ".join(message.split())) from error
+            raise ConfigError(message) from error
         for what, found in (("present", present), ("reacts", reacts)):
             if np.shape(found) != (*shape, slots) or np.asarray(found).dtype != np.bool_:
                 _refuse(

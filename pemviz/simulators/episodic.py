@@ -5,7 +5,7 @@ rollouts at once; a rollout costs one environment step for each of its steps. Wh
 kept states (splitting, value-twisted, the reference) cannot have them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count as counter
 from typing import Any, Protocol, runtime_checkable
@@ -15,6 +15,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError, RunError
+from pemviz.faults import SimulationError, blame
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StateBatch
@@ -181,6 +182,9 @@ class SideBySide:
         """Begin an episode in each of ``count`` environments, arrays ``[count]``.
 
         Of more episodes than :attr:`count` only the starts can be told.
+
+        Raises:
+            SimulationError: One of them raises something, or gives what does not fit.
         """
         running, places = self.running, min(count, self.count)
         while len(running.environments) < places:
@@ -188,15 +192,19 @@ class SideBySide:
         given = (
             [()] * count if start is None or not self.latents.at_start else [(z,) for z in start]
         )
-        for row, z in enumerate(given if count == places else ()):
+        running.values, running.ended, running.step = [], [False] * count, 0
+
+        def begin(row: int) -> None:
             environment = running.environments[row]
             if isinstance(environment, WorksElsewhere):
-                environment.begin_reset(*z)
-        running.values = [
-            self._checked(running.environments[row % places].reset(*z))
-            for row, z in enumerate(given)
-        ]
-        running.ended, running.step = [False] * count, 0
+                environment.begin_reset(*given[row])
+
+        def reset(row: int) -> None:
+            values = running.environments[row % places].reset(*given[row])
+            running.values.append(self._checked(values))
+
+        self._ask("reset", begin, range(count if count == places else 0))
+        self._ask("reset", reset, range(count))
         running.episodes = np.array([next(_NUMBERS) for _ in range(count)], dtype=np.int64)
         return self._batch()
 
@@ -207,6 +215,7 @@ class SideBySide:
 
         Raises:
             RunError: These are not the states that the environments are in.
+            SimulationError: One of them raises something, or gives what does not fit.
         """
         running = self.running
         here = np.array_equal(states.memory[EPISODE], running.episodes)
@@ -218,24 +227,40 @@ class SideBySide:
             for row, outcome in enumerate(detected.tolist())
         ]
         going = [row for row, ended in enumerate(running.ended) if not ended]
-        for row in going:
+
+        def begin(row: int) -> None:
             environment = running.environments[row]
             if isinstance(environment, WorksElsewhere):
                 environment.begin_step(*given[row])
-        for row in going:
+
+        def step(row: int) -> None:
             values, ended = running.environments[row].step(*given[row])
             running.values[row], running.ended[row] = self._checked(values), bool(ended)
+
+        self._ask("step", begin, going)
+        self._ask("step", step, going)
         running.step += 1
         return self._batch()
+
+    def _ask(self, what: str, ask: Callable[[int], None], rows: Iterable[int]) -> None:
+        """Ask one environment after the other; what one raises is told of its rollout."""
+        row = 0
+        try:
+            for row in rows:
+                ask(row)
+        except BaseException as error:  # an environment may raise anything
+            rollouts = range(row, row + 1)
+            what = f"simulator {self.name}: {what}"
+            blame(error, what, step=self.running.step, rollouts=rollouts)
 
     def _checked(self, values: Mapping[str, float]) -> Mapping[str, float]:
         declared = {signal.name for signal in self.signals}
         if set(values) != declared:
-            message = (
+            what = (
                 f"simulator {self.name!r}: reset or step gives {sorted(values)}, signals declare "
-                f"{sorted(declared)}: must be the same names"
+                f"{sorted(declared)}"
             )
-            raise ConfigError(message)
+            raise SimulationError(what, why="must be the same names")
         return values
 
     def _batch(self) -> StateBatch:

@@ -1,11 +1,12 @@
 """Scenarios with latents, those without, and what wraps them: begun, stepped and asked alike."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.faults import SimulationError, blame
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.types import Signal, Simulator, StateBatch
 
@@ -73,12 +74,18 @@ def begun(
         simulator: The scenario, with or without latents.
         count: Number of rollouts N.
         start: Its latents, ``[N, S]``; ``None``: all 0, the median.
+
+    Raises:
+        SimulationError: The scenario raises something.
     """
     latents = latent_counts(simulator).at_start
-    if latents == 0:
-        return simulator.initial(count=count)
-    given = np.zeros((count, latents)) if start is None else start
-    return cast_latent(simulator).initial(count=count, start=given)
+    try:
+        if latents == 0:
+            return _states(simulator, simulator.initial(count=count))
+        given = np.zeros((count, latents)) if start is None else start
+        return _states(simulator, cast_latent(simulator).initial(count=count, start=given))
+    except BaseException as error:  # theirs may raise anything
+        blame(error, f"simulator {simulator.name}: initial", step=0, rollouts=range(count))
 
 
 def stepped(
@@ -94,12 +101,18 @@ def stepped(
         states: ``[N]``.
         detected: ``[N]``, or as the scenario has its outcomes.
         noise: Latents of the step, ``[N, M]``; ``None``: all 0.
+
+    Raises:
+        SimulationError: The scenario raises something.
     """
     latents = latent_counts(simulator).noise
-    if latents == 0:
-        return simulator.step(states, detected)
-    given = np.zeros((len(detected), latents)) if noise is None else noise
-    return cast_latent(simulator).step(states, detected, given)
+    try:
+        if latents == 0:
+            return _states(simulator, simulator.step(states, detected))
+        given = np.zeros((len(detected), latents)) if noise is None else noise
+        return _states(simulator, cast_latent(simulator).step(states, detected, given))
+    except BaseException as error:  # as above
+        _blame_at(error, simulator, "step", states)
 
 
 def salient_of(simulator: Simulator, states: StateBatch) -> FloatArray:
@@ -107,9 +120,36 @@ def salient_of(simulator: Simulator, states: StateBatch) -> FloatArray:
 
     Asked are the signals, or the simulator's ``salient_at(states)`` if it has one: where states
     already know what their signals would tell.
+
+    Raises:
+        SimulationError: The simulator raises something.
     """
     at_states = getattr(simulator, "salient_at", None)
-    return simulator.salient(states.signals) if at_states is None else at_states(states)
+    try:
+        return simulator.salient(states.signals) if at_states is None else at_states(states)
+    except BaseException as error:  # as above
+        _blame_at(error, simulator, "salient", states)
+
+
+def _states(simulator: Any, given: Any) -> StateBatch:
+    if isinstance(given, StateBatch):
+        return given
+    what = f"simulator {simulator.name} gives a {type(given).__name__}"
+    raise SimulationError(what, why="must be a pemviz.StateBatch")
+
+
+def _blame_at(error: BaseException, simulator: Any, asked: str, states: StateBatch) -> NoReturn:
+    """Tell of what a scenario raised at ``states``, which count its turns where it takes turns."""
+    turns, part = 1, simulator
+    while (inner := getattr(part, "scenario", None)) is not None:
+        turns, part = getattr(part, "turns", turns), inner
+    step = int(states.step) // turns if np.ndim(states.step) == 0 else None
+    blame(
+        error,
+        f"simulator {simulator.name}: {asked}",
+        step=step,
+        rollouts=range(len(next(iter(states.signals.values())))),
+    )
 
 
 def cast_latent(simulator: Any) -> LatentSimulator:

@@ -7,6 +7,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import ConfigError
+from pemviz.faults import told
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import Signal
 
@@ -101,9 +102,9 @@ def _values(simulator: NamesStarts, start: FloatArray, where: str) -> Mapping[st
         return simulator.start_values(start.copy())
     except ConfigError:  # said in words already
         raise
-    except Exception as error:  # the user's code may raise anything
-        message = f"{where}: start_values raises {type(error).__name__}: {error}"
-        raise ConfigError(" ".join(message.split())) from error
+    except BaseException as error:  # the user's code may raise anything
+        message = f"{where}: start_values raises {told(error)}"
+        raise ConfigError(message) from error
 
 
 def _refuse(message: str) -> NoReturn:

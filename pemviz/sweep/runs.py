@@ -86,7 +86,7 @@ def carry_out(task: RunTask, *, scratch: Path | None = None) -> RunOutcome:
             tempfile.TemporaryDirectory(prefix=SCRATCH_PREFIX, dir=scratch) as temporary,
         ):
             return _carry_out(task, Path(temporary))
-    except Exception as error:
+    except BaseException as error:  # signals are not for workers: it is the run's own
         return RunOutcome(task.name, message=one_line(error))
 
 

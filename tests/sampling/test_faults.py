@@ -1,15 +1,24 @@
 """Simulators that raise, return what is no number, or hang."""
 
+import dataclasses
+import pickle
+import signal
 import threading
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from pemviz.faults import SimulationError, from_outside, signals_told_apart
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.batches import SimulationError
+from pemviz.sampling.rollouts.worker_batches import PooledRunner
 from pemviz.sampling.splitting.method import SplittingSampling
+from pemviz.sampling.splitting.run import split as splitting
+from pemviz.simulators.episodic import side_by_side
+from pemviz.simulators.slots import UnrolledSimulator
+from tests.slot_toys import TwoCars
 from tests.toy import FunctionPem, MissCounter, constant_pem
 
 STATES = 12
@@ -96,9 +105,265 @@ def test_a_simulator_that_hangs_fails_in_time(carry_out):
         released.set()
 
 
-def test_what_a_simulator_raises_comes_through():
-    def fail(gap):
-        raise ZeroDivisionError("wheel fell off")
+class Odd(BaseException):
+    """What nobody expects."""
 
-    with pytest.raises(ZeroDivisionError, match="wheel fell off"):
-        draw(problem_of(fail, batch_time_limit_s=5.0))
+
+RAISED = (SystemExit(0), SystemExit(1), KeyboardInterrupt(), Odd("neither"), StopIteration(),
+          GeneratorExit(), ZeroDivisionError("wheel fell off"))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Raises(MissCounter):
+    """Raises something at a step, as soon as more rollouts than it is tried with are there."""
+
+    states: int = STATES
+    at: int = 5
+    error: BaseException = dataclasses.field(default_factory=lambda: ValueError("wheel fell off"))
+
+    def step(self, states, detected):
+        if int(states.step) == self.at and states.shape[0] > 4:
+            raise self.error
+        return super().step(states, detected)
+
+
+def raising(**options):
+    return replace(problem_of(lambda gap: gap), simulator=Raises(**options))
+
+
+@pytest.mark.parametrize("error", RAISED, ids=repr)
+@pytest.mark.parametrize("limit_s", [None, 5.0])
+def test_whatever_a_simulator_raises_is_told_with_its_place(error, limit_s):
+    problem = replace(raising(error=error), batch_rollouts=30, batch_time_limit_s=limit_s)
+    with signals_told_apart(), pytest.raises(SimulationError) as caught:
+        draw(problem, count=50)
+    words = (
+        f"simulator miss-counter: step raises {type(error).__name__} in rollouts 0 to 29, step 5"
+    )
+    assert str(caught.value).startswith(words)
+    assert caught.value.__cause__ is error
+    first, *frames = caught.value.traceback_text.splitlines()
+    assert first.startswith("Traceback")
+    assert __file__ in frames[0]
+
+
+def at_once(function, *arguments):
+    future = Future()
+    try:
+        future.set_result(function(*arguments))
+    except BaseException as error:
+        future.set_exception(error)
+    return future
+
+
+def test_rollouts_are_counted_from_the_first_of_the_stage():
+    """Only the second batch has so few rollouts."""
+
+    class Late(Raises):
+        def step(self, states, detected):
+            if states.shape[0] == 300 and int(states.step) == 3:
+                raise ValueError("late")
+            return MissCounter.step(self, states, detected)
+
+    problem = replace(raising(), simulator=Late(), batch_rollouts=700)
+    with pytest.raises(SimulationError, match="in rollouts 700 to 999, step 3: late"):
+        draw(problem, count=1000)
+    pooled = replace(problem, run_batches=PooledRunner(at_once, 2), batch_rollouts=1300)
+    with pytest.raises(SimulationError, match="in rollouts 1300 to 1599, step 3: late"):
+        draw(pooled, count=1900)
+
+
+class Places:
+    """An environment that fails at a step of the episode that is the so many-th from now."""
+
+    name, states, dt_s, signals = "places", 41, 0.1, MissCounter(states=41).signals
+
+    def __init__(self, episode, step, outcome=None):
+        self.left, self.step_, self.outcome = episode, step, outcome
+
+    def reset(self):
+        self.left, self.now, self.gap = self.left - 1, 0, 3.5
+        return {"gap": self.gap}
+
+    def step(self, detected):
+        if self.left < 0 and self.now == self.step_:
+            if isinstance(self.outcome, BaseException):
+                raise self.outcome
+            return self.outcome
+        self.now, self.gap = self.now + 1, self.gap - (not detected)
+        return {"gap": self.gap}, False
+
+    def salient(self, signals):
+        return signals["gap"][..., None]
+
+
+@pytest.mark.parametrize(
+    ("outcome", "words"),
+    [
+        (ValueError("wheel fell off"), "step raises ValueError in {}, step 30: wheel fell off"),
+        (SystemExit(0), "step raises SystemExit in {}, step 30: 0"),
+        (None, "step raises TypeError in {}, step 30: cannot unpack"),
+        (({"speed": 1.0}, False), r"gives \['speed'\], signals declare \['gap'\] in {}, step 30"),
+        (({"gap": np.nan}, False), "gap is nan in {}, step 31: must be a finite number"),
+    ],
+    ids=["error", "exit", "nothing", "other names", "no number"],
+)
+@pytest.mark.parametrize("beside", [1, 3])
+def test_an_environment_that_fails_names_the_very_rollout(outcome, words, beside):
+    """Rollout 700 is place 1 of 3 in the 234th reset of each, or the 701st of the one."""
+    made = [Places(10_000, 30) for _ in range(beside)]
+    made[700 % beside] = Places(700 // beside, 30, outcome)
+    simulator = side_by_side(made)
+    problem = replace(problem_of(None), simulator=simulator, batch_rollouts=510)
+    with pytest.raises(SimulationError, match=words.format("rollout 700")):
+        draw(problem, count=800)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda gap: gap[:1], r"gap has shape \(1,\) in rollouts 0 to 9, step 6: must be \(10,\)"),
+        (lambda gap: gap[0], r"gap has shape \(\) in rollouts 0 to 9, step 6: must be \(10,\)"),
+        (lambda gap: gap[:3], r"gap has shape \(3,\) in rollouts 0 to 9, step 6: must be \(10,\)"),
+    ],
+)
+def test_a_wrong_shape_is_refused_where_numpy_would_repeat_it(spoil, words):
+    with pytest.raises(SimulationError, match=words):
+        draw(problem_of(spoil))
+
+
+def test_a_signal_that_goes_missing_is_told():
+    class Forgets(MissCounter):
+        def step(self, states, detected):
+            after = super().step(states, detected)
+            return replace(after, signals={} if int(after.step) == 4 else after.signals)
+
+    problem = replace(problem_of(None), simulator=Forgets(states=STATES))
+    with pytest.raises(SimulationError, match=r"step gives \[\] in rollouts 0 to 9, step 4"):
+        draw(problem)
+
+
+def test_states_that_are_none_are_told_with_their_step():
+    class Nothing(MissCounter):
+        def step(self, states, detected):
+            return None if int(states.step) == 4 else super().step(states, detected)
+
+    problem = replace(problem_of(None), simulator=Nothing(states=STATES))
+    with pytest.raises(SimulationError, match="gives a NoneType in rollouts 0 to 9, step 4"):
+        draw(problem)
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (SystemExit(0), "logit raises SystemExit in {}, step 3: 0"),
+        (lambda x: np.zeros(1), r"logit has shape \(1,\) in {}, step 3: must be"),
+        (lambda x: None, r"logit has shape \(\) in {}, step 3: must be"),
+    ],
+    ids=["exit", "one for all", "nothing"],
+)
+@pytest.mark.parametrize(
+    ("carry_out", "who"), [(draw, "rollouts 0 to 9"), (split, "one of 10 rollouts")]
+)
+def test_an_error_model_that_fails_is_told_with_its_step(answer, words, carry_out, who):
+    asked = []
+
+    def logit(salient):
+        asked.append(0)
+        if len(asked) <= 3:
+            return np.zeros(salient.shape[0])
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer(salient)
+
+    problem = replace(problem_of(lambda gap: gap), pem=FunctionPem(logit))
+    with pytest.raises(SimulationError, match=words.format(who)):
+        carry_out(problem)
+
+
+def test_slots_turns_are_no_steps():
+    class Fails(TwoCars):
+        def step(self, states, detected):
+            if int(states.step) == 4:
+                raise ValueError("wheel fell off")
+            return super().step(states, detected)
+
+    problem = Problem(
+        simulator=UnrolledSimulator(Fails(starts=(3, 4), states=11, in_view=3)),
+        pem=FunctionPem(lambda salient: np.zeros(salient.shape[:-1])),
+        robustness=lambda signals: next(iter(signals.values())).min(axis=1),
+        violated=None,
+        turns=2,
+    )
+    with pytest.raises(SimulationError, match="ValueError in rollouts 0 to 9, step 4: wheel"):
+        draw(problem)
+
+
+@dataclass(frozen=True)
+class SpoiltLate(MissCounter):
+    """No number at step 8 once the third miss has come, which no rollout begins with."""
+
+    states: int = STATES
+
+    def step(self, states, detected):
+        after = super().step(states, detected)
+        gap = after.signals["gap"].copy()
+        gap[(gap < 1.0) & (int(after.step) == 8)] = np.nan
+        return replace(after, signals={"gap": gap})
+
+
+def test_splitting_names_run_and_particle():
+    """The first that is no number, of all runs, is among the particles that were drawn first."""
+    problem = replace(problem_of(None), simulator=SpoiltLate())
+    generators = [np.random.default_rng(seed) for seed in range(4)]
+    with pytest.raises(SimulationError) as caught:
+        splitting(problem, count=20, generators=generators)
+    alone = []
+    for run in range(4):
+        uniforms = np.random.default_rng(run).random((STATES - 1, 20))
+        misses = (uniforms[:8] < 0.1).sum(axis=0)
+        alone += [(run, row) for row in np.flatnonzero(misses >= 3).tolist()]
+    found = caught.value
+    assert (found.ahead, found.rollouts[0]) == alone[0]
+    assert found.step == 8
+
+
+def test_where_it_was_survives_another_process():
+    with pytest.raises(SimulationError) as caught:
+        draw(raising(error=Odd("two\nlines")))
+    sent = pickle.loads(pickle.dumps(caught.value))  # noqa: S301  just made
+    assert str(sent) == str(caught.value)
+    assert "two lines" in str(sent)
+    assert sent.traceback_text == caught.value.traceback_text != ""
+
+
+def test_a_message_that_cannot_be_told_does_no_harm():
+    class NastyError(Exception):
+        def __str__(self):
+            raise SystemExit(0)
+
+    with pytest.raises(SimulationError, match="its message cannot be told"):
+        draw(raising(error=NastyError()))
+
+
+@pytest.mark.parametrize("turned", [None, SystemExit(1), RuntimeError("interrupted")])
+def test_a_signals_interrupt_is_no_fault_of_the_simulator(turned):
+    """Nor is what the simulator makes of it."""
+
+    class Interrupted(MissCounter):
+        def step(self, states, detected):
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt:
+                if turned is None:
+                    raise
+                raise turned from None
+            return super().step(states, detected)
+
+    problem = replace(problem_of(None), simulator=Interrupted(states=STATES))
+    before = signal.getsignal(signal.SIGINT)
+    expected = KeyboardInterrupt if turned is None else type(turned)
+    with signals_told_apart(), pytest.raises(expected) as caught:
+        draw(problem)
+    assert isinstance(from_outside(caught.value), KeyboardInterrupt)
+    assert signal.getsignal(signal.SIGINT) is before

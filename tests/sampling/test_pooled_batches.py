@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pemviz.faults import SimulationError
 from pemviz.processes import ProcessPool
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.batches import SimulationError
 from pemviz.sampling.rollouts.worker_batches import PooledRunner
 from tests.toy import ConstantPem
 

@@ -10,9 +10,9 @@ from scipy import stats
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
+from pemviz.faults import SimulationError
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.batches import SimulationError
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.splitting.importance import OUT_OF_REACH, importance
 from pemviz.sampling.splitting.looks import MOST_LOOKS

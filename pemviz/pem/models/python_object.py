@@ -4,6 +4,7 @@ import re
 from importlib import import_module
 
 from pemviz.errors import PemError
+from pemviz.faults import told
 from pemviz.pem.models.protocol import Pem
 
 _OBJECT_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -38,8 +39,8 @@ def load_object(text: str, *, allowed: bool) -> Pem:
         # A class passes for a model by its attributes: it is an instance that answers.
         if isinstance(model, type) or (not isinstance(model, Pem) and callable(model)):
             model = model()
-    except Exception as error:
-        raise PemError(f"{text!r} cannot be imported: {type(error).__name__}: {error}") from error
+    except BaseException as error:  # the user's code may raise anything
+        raise PemError(f"{text!r} cannot be imported: {told(error)}") from error
     if not isinstance(model, Pem):
         raise PemError(
             f"{text!r} is no perception error model: it needs name, digest, data, licence, logit"

@@ -22,6 +22,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.drawn import Drawn
+from pemviz.faults import counted_from
 from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import part_sizes
@@ -117,7 +118,8 @@ class InParts:
         thinned, whole = Thinned(count=self.count, most=self.most), Whole()
         done = violations = 0
         for number, size in enumerate(self.sizes):
-            scored = part(_counting_from(problem, done, of=self.count), number, size)
+            with counted_from(done):
+                scored = part(_counting_from(problem, done, of=self.count), number, size)
             thinned = thinned.extended(scored)
             if not problem.thins:
                 whole = whole.extended(scored)

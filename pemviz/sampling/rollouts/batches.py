@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from pemviz.arrays import LARGEST_NUMBER, FloatArray
-from pemviz.errors import RunError
+from pemviz.faults import SimulationError
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.draw import of_rows, simulate
@@ -16,10 +16,6 @@ from pemviz.types import Proposal, RolloutBatch, Simulator
 
 VALUES_CHECKED = 1 << 16
 """At once."""
-
-
-class SimulationError(RunError):
-    """A simulator or model gave what is no number, or gave nothing in time."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +89,11 @@ def _are_numbers(by_step: FloatArray) -> bool:
     return all(-LARGEST_NUMBER <= one.min() <= one.max() <= LARGEST_NUMBER for one in pieces)
 
 
-def check_numbers(
-    rollouts: RolloutBatch, *, first_rollout: int, simulator: str, turns: int = 1
-) -> None:
+def check_numbers(rollouts: RolloutBatch, *, simulator: str, turns: int = 1) -> None:
     """Refuse rollouts in which something is no finite number.
 
     Args:
-        rollouts: A batch of a stage's rollouts.
-        first_rollout: Index in the stage of the batch's first.
+        rollouts: A batch, whose rollouts are counted from 0 here.
         simulator: Its name, for the message.
         turns: Outcomes of a step.
 
@@ -119,15 +112,20 @@ def check_numbers(
         if not all(np.isfinite(values).all() for values in moved):
             message = "proposal: the mean of a latent is no finite number"
             raise SimulationError(message)
-    worst: tuple[int, int, str] | None = None
+    worst, earliest = None, rollouts.pem_logit.shape[1] + 1
     for what, values in named:
         if _are_numbers(values.T):
             continue
         allowed = np.abs(values) <= LARGEST_NUMBER  # false for NaN, as the comparison above
         by_step = np.argwhere(~allowed.T)
-        step, rollout = int(by_step[0, 0]), int(by_step[0, 1])
-        complaint = f"{what} is {values[rollout, step]} in rollout {first_rollout + rollout}"
-        if worst is None or step < worst[0]:
-            worst = (step, rollout, complaint)
+        step, row = by_step[0].tolist()
+        if step < earliest:
+            earliest = step
+            worst = SimulationError(
+                f"{what} is {values[row, step]}",
+                why="must be a finite number",
+                step=step // turns,
+                rollouts=range(row, row + 1),
+            )
     if worst is not None:
-        raise SimulationError(f"{worst[2]}, step {worst[0] // turns}: must be a finite number")
+        raise worst

@@ -1,17 +1,19 @@
 """Rollouts: the scenario stepped with outcomes drawn from a proposal."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 from scipy import special
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, is_tensor, namespace
+from pemviz.faults import SimulationError, blame, counted_from
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.sampling.rollouts import compiled_replay
 from pemviz.sampling.rollouts.latent_draws import LatentTrack
+from pemviz.sampling.slots import turns_of
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import begun, salient_of, stepped
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
@@ -37,22 +39,25 @@ def simulate(
 
     Returns:
         N rollouts; of environments side by side as many at a time as there are.
+
+    Raises:
+        SimulationError: Something that is asked raises something, or gives what does not fit.
     """
     count, steps = uniforms.shape
     pieces = _pieces(simulator, count)
     if len(pieces) > 1:
-        return RolloutBatch.concatenate(
-            [
-                simulate(
+        parts: list[RolloutBatch] = []
+        for rows in pieces:
+            with counted_from(rows.start):
+                part = simulate(
                     simulator=simulator,
                     pem=pem,
                     proposal=of_rows(proposal, rows),
                     uniforms=uniforms[rows],
                     normals=None if normals is None else normals.take(rows),
                 )
-                for rows in pieces
-            ]
-        )
+            parts.append(part)
+        return RolloutBatch.concatenate(parts)
     track = None
     if normals is not None:
         track = LatentTrack.begun(normals, proposal, outcomes=steps)
@@ -78,22 +83,29 @@ def roll_out(
     """Rollouts from initial ``states`` ``[N]`` for draws ``[T-1, N]``, here or on a device.
 
     With latents, whose ``track`` is continued, it is here alone.
+
+    Raises:
+        SimulationError: Something that is asked raises something, or gives what does not fit.
     """
-    steps = draws.shape[0]
+    steps, step = draws.shape[0], 0
     xp = namespace(draws)
     detected = xp.empty(draws.shape, dtype=xp.bool, device=draws.device)
     under_pem = xp.empty(draws.shape, dtype=draws.dtype, device=draws.device)
     under_proposal = xp.empty(draws.shape, dtype=draws.dtype, device=draws.device)
-    signals = _Track(states.signals, steps + 1)
-    memory = _Track(kept_with_rollouts(states.memory), steps + 1)
-    for step in range(steps):
-        under_pem[step] = pem.logit(salient_of(simulator, states))
-        under_proposal[step] = proposal.logit(states, under_pem[step])
-        detected[step] = draws[step] >= _expit(-under_proposal[step])
-        noise = None if track is None else track.noise(step, states, detected[step], proposal)
-        states = stepped(simulator, states, detected[step], noise)
-        signals.record(step + 1, states.signals)
-        memory.record(step + 1, kept_with_rollouts(states.memory))
+    signals = _Track(states.signals, steps + 1, simulator=simulator)
+    memory = _Track(kept_with_rollouts(states.memory), steps + 1, simulator=simulator)
+    try:
+        for step in range(steps):
+            under_pem[step] = logit_of(pem, salient_of(simulator, states))
+            under_proposal[step] = proposal.logit(states, under_pem[step])
+            detected[step] = draws[step] >= _expit(-under_proposal[step])
+            noise = None if track is None else track.noise(step, states, detected[step], proposal)
+            states = stepped(simulator, states, detected[step], noise)
+            signals.record(step + 1, states.signals)
+            memory.record(step + 1, kept_with_rollouts(states.memory))
+    except BaseException as error:  # parts of the user's may raise anything
+        rollouts = range(draws.shape[1])
+        blame(error, "proposal", step=step // turns_of(simulator), rollouts=rollouts)
     return RolloutBatch(
         signals=signals.by_rollout(),
         memory=memory.by_rollout(),
@@ -102,6 +114,22 @@ def roll_out(
         proposal_logit=under_proposal.T,
         latents=None if track is None else track.latents,
     )
+
+
+def logit_of(pem: DetectorModel, salient: FloatArray, *, step: int | None = None) -> FloatArray:
+    """The error model's answer to salient variables ``[N, D]`` of a step: logits ``[N]``.
+
+    Raises:
+        SimulationError: It raises something, or answers in another shape.
+    """
+    try:
+        logit = pem.logit(salient)
+        if np.shape(logit) != salient.shape[:-1]:  # numpy would repeat a single value
+            what = f"error model: logit has shape {tuple(np.shape(logit))}"
+            raise SimulationError(what, why=f"must be {tuple(salient.shape[:-1])}")
+    except BaseException as error:  # a model of the user's may raise anything
+        blame(error, "error model: logit", step=step, rollouts=range(len(salient)))
+    return logit
 
 
 def replay(
@@ -118,6 +146,9 @@ def replay(
         detected: ``[N, T-1]``, or ``[N, T-1, K]``.
         start: ``[N, S]``; ``None``: all 0.
         noise: ``[N, T-1, M]``, with slots not unrolled; ``None`` likewise.
+
+    Raises:
+        SimulationError: The simulator raises something, or gives what does not fit.
     """
     pieces = _pieces(simulator, len(detected))
     if len(pieces) > 1:
@@ -135,7 +166,7 @@ def replay(
     if compiled is not None:
         return compiled
     states = begun(simulator, count=detected.shape[0], start=start)
-    signals = _Track(states.signals, simulator.states)
+    signals = _Track(states.signals, simulator.states, simulator=simulator)
     by_step = np.ascontiguousarray(np.moveaxis(detected, 0, 1))
     turns = 1 if noise is None else detected.shape[1] // noise.shape[1]
     for step in range(simulator.states - 1):
@@ -178,8 +209,9 @@ class _Track:
     vectorized back end, and a large block comes in large pages.
     """
 
-    def __init__(self, first: Mapping[str, AnyArray], states: int) -> None:
-        self._values = dict(first)
+    def __init__(self, first: Mapping[str, AnyArray], states: int, *, simulator: Simulator) -> None:
+        self._values, self._simulator = dict(first), simulator
+        self._shapes = {name: array.shape for name, array in first.items()}
         for dtype in {array.dtype for array in first.values()}:
             alike = {name: array for name, array in first.items() if array.dtype == dtype}
             array = next(iter(alike.values()))
@@ -189,8 +221,18 @@ class _Track:
         self.record(0, first)
 
     def record(self, index: int, values: Mapping[str, AnyArray]) -> None:
+        if values.keys() != self._shapes.keys():  # what is absent would be anything
+            self._refuse(index, f"step gives {sorted(values)}", sorted(self._shapes))
         for name, array in values.items():
+            if array.shape != self._shapes[name]:  # numpy would repeat a single value
+                shapes = tuple(array.shape), tuple(self._shapes[name])
+                self._refuse(index, f"{name} has shape {shapes[0]}", shapes[1])
             self._values[name][index] = array
+
+    def _refuse(self, index: int, what: str, allowed: object) -> NoReturn:
+        step = index // turns_of(self._simulator)
+        what = f"simulator {self._simulator.name}: {what}"
+        raise SimulationError(what, why=f"must be {allowed}", step=step)
 
     def by_rollout(self) -> dict[str, AnyArray]:
         return {name: array.T for name, array in self._values.items()}

@@ -1,19 +1,19 @@
 """Batches of rollouts simulated by processes elsewhere, for simulators that are slow."""
 
+import itertools
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass
 from typing import Any
 
+from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED
-from pemviz.sampling.rollouts.batches import BatchTask, Simulated, SimulationError, by_numpy
+from pemviz.sampling.rollouts.batches import BatchTask, Simulated, by_numpy
 from pemviz.types import RolloutBatch, Simulator
 
 BATCHES_AHEAD = 1  # so that workers need not wait until a batch is scored
-
-Pieces = list[Future[RolloutBatch]]
 
 
 @dataclass(frozen=True)
@@ -40,28 +40,45 @@ class PooledRunner:
         """The batches of ``tasks``, in their order, as they are done.
 
         Raises:
-            SimulationError: A worker died.
+            SimulationError: A worker died, or what it asked raised something.
         """
-        ahead: deque[Pieces] = deque()
+        ahead: deque[_Batch] = deque()
         try:
             for task in tasks:
                 ahead.append(self._handed_in(simulator, pem, task))
                 if len(ahead) > BATCHES_AHEAD:
-                    yield _joined(ahead[0])
+                    yield ahead[0].joined()
                     ahead.popleft()
             while ahead:
-                yield _joined(ahead[0])
+                yield ahead[0].joined()
                 ahead.popleft()
         except BrokenExecutor as error:
-            raise SimulationError(f"a {DIED}") from error
+            what, why = DIED.split(": ", 1)
+            raise SimulationError(f"a {what}", why=why) from error
         finally:
-            for piece in (piece for pieces in ahead for piece in pieces):
+            for piece in (piece for batch in ahead for piece in batch.pieces):
                 piece.cancel()
 
-    def _handed_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> Pieces:
-        pieces = task.split(self.workers)
-        return [self.submit(self.simulated, simulator, pem, piece) for piece in pieces]
+    def _handed_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> "_Batch":
+        tasks = task.split(self.workers)
+        return _Batch(
+            [self.submit(self.simulated, simulator, pem, piece) for piece in tasks],
+            [len(piece.uniforms) for piece in tasks],
+        )
 
 
-def _joined(pieces: Pieces) -> RolloutBatch:
-    return RolloutBatch.concatenate([piece.result() for piece in pieces])
+@dataclass(frozen=True)
+class _Batch:
+    """A batch that is under way, in pieces of known sizes."""
+
+    pieces: Sequence[Future[RolloutBatch]]
+    sizes: Sequence[int]
+
+    def joined(self) -> RolloutBatch:
+        """All of it, once it is there."""
+        parts: list[RolloutBatch] = []
+        firsts = itertools.accumulate(self.sizes, initial=0)
+        for first, piece in zip(firsts, self.pieces, strict=False):
+            with counted_from(first):
+                parts.append(piece.result())
+        return RolloutBatch.concatenate(parts)

@@ -6,6 +6,7 @@ from pemviz.arrays import AnyArray, BoolArray, IntArray
 from pemviz.sampling.frailty import dynamics_of
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.moving import is_last_of_step, states_at
+from pemviz.simulators.latents import stepped
 from pemviz.types import CERTAIN, RolloutBatch, Simulator, StateBatch
 
 MOST_LOOKS = 64
@@ -67,7 +68,7 @@ def _marked(to_look: BoolArray, looks: AnyArray, ready: BoolArray, step: int) ->
 def _mattered(simulator: Simulator, rollouts: RolloutBatch, step: int, rows: IntArray) -> BoolArray:
     """Whether the other outcome at ``step`` would have led the ``rows [M]`` elsewhere."""
     before, after = (_rows_at(rollouts, moment, rows) for moment in (step, step + 1))
-    other = dynamics_of(simulator).step(before, ~rollouts.detected[rows, step])
+    other = stepped(dynamics_of(simulator), before, ~rollouts.detected[rows, step])
     differs = np.zeros(rows.size, dtype=np.bool_)
     for reached, instead in ((after.signals, other.signals), (after.memory, other.memory)):
         for name, values in instead.items():

@@ -14,6 +14,7 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.frailty import carried_at
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.compiled import CompiledRollouts, is_served
+from pemviz.sampling.rollouts.draw import logit_of
 from pemviz.sampling.slots import unrolled
 from pemviz.sampling.splitting.loops import loops_for, plain_beneath
 from pemviz.simulators.latents import salient_of, stepped
@@ -85,7 +86,8 @@ def _by_numpy(problem: Problem, way: Way) -> RolloutBatch:
         }
         before = replace(before, memory={**before.memory, **carried})
         before = before if slots is None else slots.seen(before)
-        logit = problem.pem.logit(salient_of(simulator, before))
+        salient = salient_of(simulator, before)
+        logit = logit_of(problem.pem, salient, step=step // problem.turns)
         detected = way.uniforms[step, :active] >= expit(-logit)
         noise = _drawn_noise(way, step, active, turns=problem.turns)
         after = stepped(simulator, before, detected, noise)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, Batch, FloatArray, IntArray
 from pemviz.errors import ConfigError
+from pemviz.faults import of_no_rollouts, reordered
 from pemviz.latents import Latents
 from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.sampling.problem import Problem, ranked
@@ -150,7 +151,8 @@ def continued(
     what the error model has answered before.
 
     Raises:
-        SimulationError: Something is no finite number.
+        SimulationError: Something raises, or is no finite number; of which of the particles, those
+            of one run after those of the other.
     """
     mover = mover or Mover()
     if len(runs) == 1:
@@ -158,16 +160,14 @@ def continued(
         return [_continued(problem, run, mover)]
     cut = np.concatenate([run.cut for run in runs])
     order = np.argsort(cut, kind="stable")
-    together = _continued(
-        problem,
-        Continuation(
-            paths=Particles.concatenate([run.paths for run in runs]).take(order),
-            cut=cut[order],
-            uniforms=np.concatenate([run.uniforms for run in runs], axis=1)[:, order],
-            noise=np.concatenate([run.noise for run in runs])[order],
-        ),
-        mover,
+    all_runs = Continuation(
+        paths=Particles.concatenate([run.paths for run in runs]).take(order),
+        cut=cut[order],
+        uniforms=np.concatenate([run.uniforms for run in runs], axis=1)[:, order],
+        noise=np.concatenate([run.noise for run in runs])[order],
     )
+    with reordered(order.tolist()):
+        together = _continued(problem, all_runs, mover)
     place = np.empty_like(order)
     place[order] = np.arange(order.size)
     ends = np.cumsum([run.cut.size for run in runs])[:-1]
@@ -197,11 +197,12 @@ def _continued(problem: Problem, run: Continuation, mover: Mover) -> Particles:
     paths, cut = run.paths, run.cut
     rollouts = mover.moved_on(problem, Way(paths.rollouts, cut, run.uniforms, run.noise))
     name = problem.simulator.name
-    check_numbers(rollouts, first_rollout=0, simulator=name, turns=problem.turns)
-    to_look = looked_at(problem, rollouts, cut=cut, looks=paths.looks)
-    step, row = np.nonzero(to_look.T)
-    fresh = np.full_like(paths.score, np.inf)
-    fresh[row, step] = importance(problem, rollouts, row=row, step=step)
+    check_numbers(rollouts, simulator=name, turns=problem.turns)
+    with of_no_rollouts():  # what might have been
+        to_look = looked_at(problem, rollouts, cut=cut, looks=paths.looks)
+        step, row = np.nonzero(to_look.T)
+        fresh = np.full_like(paths.score, np.inf)
+        fresh[row, step] = importance(problem, rollouts, row=row, step=step)
     fresh[:, -1] = importance_at_end(ranked(problem, rollouts.signals))
     moments = np.arange(paths.score.shape[1])[:, None]
     shared = (moments <= np.where(cut > 0, cut, -1)).T

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from pemviz.arrays import BoolArray, IntArray
+from pemviz.faults import SimulationError
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.splitting.moving import Mover
@@ -82,7 +83,7 @@ def split(
 
     Raises:
         ConfigError: The simulator's states hold more than can be kept.
-        SimulationError: Something is no finite number, or a level takes too long.
+        SimulationError: Something raises, is no finite number, or a level takes too long.
     """
     done = [0] * len(generators)
 
@@ -98,7 +99,11 @@ def split(
     runs: dict[int, SplittingRun] = {}
     mover = Mover()
     while wanted:
-        found = in_time(problem, partial(continued, problem, list(wanted.values()), mover))
+        try:
+            found = in_time(problem, partial(continued, problem, list(wanted.values()), mover))
+        except SimulationError as error:
+            _tell_particle(error, wanted, count=count)
+            raise
         for index, particles in zip(list(wanted), found, strict=True):
             try:
                 wanted[index] = going[index].send(particles)
@@ -106,6 +111,26 @@ def split(
                 del wanted[index]
                 runs[index] = end.value
     return [runs[index] for index in going]
+
+
+def _tell_particle(
+    error: SimulationError, wanted: Mapping[int, Continuation], *, count: int
+) -> None:
+    """Let a fault name run and particle, of all that were gone on with, one run after the other."""
+    rows = error.rollouts
+    if rows is None:
+        return
+    alone = len(wanted) == 1 and all(each.cut.size == count for each in wanted.values())
+    if len(rows) > 1 and not alone:
+        error.among, error.rollouts = len(rows), None
+        return
+    row = rows[0]
+    for run, each in wanted.items():
+        if row < each.cut.size:
+            first = count - each.cut.size + row  # after those that are kept
+            error.ahead, error.rollouts = run, range(first, first + len(rows))
+            return
+        row -= each.cut.size
 
 
 def _levels(

@@ -13,11 +13,13 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
+from pemviz.faults import of_no_rollouts
 from pemviz.pem.models.own_detector import DetectorModel
+from pemviz.sampling.rollouts.draw import logit_of
 from pemviz.sampling.value_twisted.merging import Pause, no_pause
 from pemviz.sampling.value_twisted.reachable_states import SAFE_NODE, StateGraph, Unsafe
 from pemviz.sampling.value_twisted.values import Values
-from pemviz.simulators.latents import begun
+from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.quantised import start_cells
 from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
 
@@ -29,6 +31,7 @@ STANDARD_ERRORS = 2.0
 LARGEST_LOG = 700.0
 
 
+@of_no_rollouts()
 def left_out_share(
     graph: StateGraph,
     values: Values,
@@ -62,7 +65,7 @@ def left_out_share(
         trials = trials.stepped(twin, pem, generator)
         chosen = moves.take(moves.step == step)
         if chosen.step.size:
-            entered = twin.step(graph.layers[step].states.take(chosen.node), chosen.hit)
+            entered = stepped(twin, graph.layers[step].states.take(chosen.node), chosen.hit)
             begun = _Trials.begun(entered, chosen.log_weight, twin, generator)
             trials = _Trials.joined(trials, begun)
         bad = unsafe(trials.states)
@@ -186,10 +189,10 @@ class _Trials:
         hit = generator.random(count) >= expit(-self.logits[rows, part])
         outcomes = self.outcomes.copy()
         outcomes[rows, part, hit.astype(np.int64)] += 1
-        under_pem = outcome_log_likelihood(pem.logit(twin.salient(self.states.signals)), hit)
+        under_pem = outcome_log_likelihood(logit_of(pem, twin.salient(self.states.signals)), hit)
         return replace(
             self,
-            states=twin.step(self.states, hit),
+            states=stepped(twin, self.states, hit),
             log_p=self.log_p + under_pem,
             outcomes=outcomes,
         )

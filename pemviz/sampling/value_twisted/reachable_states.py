@@ -11,8 +11,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.faults import blame, of_no_rollouts
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.pem.models.pieces import logit_along
+from pemviz.sampling.slots import turns_of
 from pemviz.sampling.value_twisted.certain import CertainViolation, certain_violation
 from pemviz.sampling.value_twisted.merging import (
     LARGEST_LAYER,
@@ -23,7 +25,7 @@ from pemviz.sampling.value_twisted.merging import (
 )
 from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
 from pemviz.simulators.bounds import signal_bounds, tells_bounds
-from pemviz.simulators.latents import begun
+from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.quantised import StartCells, start_cells
 from pemviz.types import Simulator, StateBatch
 
@@ -83,6 +85,7 @@ class StateGraph:
     certain: CertainViolation | None = None
 
 
+@of_no_rollouts()
 def explore(
     *,
     twin: Simulator,
@@ -175,14 +178,14 @@ class _Walk:
         return self.unsafe.possible(bounds, after=step)
 
     def _after(self, states: StateBatch, *, hit: bool) -> StateBatch:
-        result = self.twin.step(states, np.full(states.shape[0], hit))
+        result = stepped(self.twin, states, np.full(states.shape[0], hit))
         self.pause()
         return result
 
 
 def _from_start(walk: _Walk, pem: DetectorModel, merger: Merger) -> StateGraph:
     """The graph of all states that matter from one start."""
-    start = walk.twin.initial(count=1)
+    start = begun(walk.twin, count=1)
     if walk.must_violate(start)[0]:
         return StateGraph(layers=(), start=UNSAFE_NODE, exact=True)
     explored = _explored(walk, start, merger)
@@ -272,7 +275,10 @@ def _live_layers(
             [np.where(after, np.cumsum(after) - 1, SAFE_NODE), [UNSAFE_NODE, SAFE_NODE]]
         )
         node = number[move if alive.all() else move[:, alive]]
-        logit = logit_along(pem, walk.twin.salient(states.signals))
+        try:
+            logit = logit_along(pem, walk.twin.salient(states.signals))
+        except BaseException as error:  # a model of the user's may raise anything
+            blame(error, "error model: logit", step=step // turns_of(walk.twin))
         walk.pause()
         layers.append(Layer(states, logit, after_miss=node[0], after_hit=node[1]))
         if not after.any():

@@ -1,0 +1,301 @@
+"""What code of other people's raises while it is asked: told in one line, with where and how.
+
+Simulators, error models, proposals and methods may raise anything, SystemExit and KeyboardInterrupt
+included. Whoever asks them hands what they raise to :func:`blame`; what a signal raises, a person's
+Ctrl-C above all, is no fault of theirs and passes.
+"""
+
+import contextlib
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from types import FrameType, TracebackType
+from typing import Any, NoReturn
+
+from pemviz.errors import InputError, RunError, one_line
+
+STOPS = (signal.SIGINT, signal.SIGTERM)
+MARK = "_pemviz_from_outside"
+LIBRARIES = ("pemviz", "numpy", "scipy", "torch")
+"""Whose code other people's may be reached through; a traceback that ends there is told whole."""
+LONGEST_TRACEBACK = 100
+"""Lines; of a longer one the middle is left out."""
+
+
+class StopRequested(Exception):  # noqa: N818  not an error: the user asked
+    """Raised between batches when a run is to stop."""
+
+
+class SimulationError(RunError):
+    """A simulator or model raised something, gave what is no number, or gave nothing in time.
+
+    Those that it passes on its way add what they know of where that was. All it holds are numbers
+    and text: it can be sent from one process to another.
+
+    Attributes:
+        what: What was asked, and what came of it.
+        why: What was raised, or what is allowed.
+        step: The scenario's own step, or those that were asked about at once.
+        rollouts: Which of the stage's: the one, or all that were asked about at once.
+        among: One of so many, where they do not lie beside each other.
+        ahead: So many stages after the one that is being carried out.
+        during: The stage and the repetition, in words.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        why: str = "",
+        step: int | range | None = None,
+        rollouts: range | None = None,
+        traceback_text: str = "",
+    ) -> None:
+        """Tell what is known where it happened."""
+        super().__init__(what, traceback_text=traceback_text)
+        self.what, self.why, self.step, self.rollouts = what, why, step, rollouts
+        self.among: int | None = None
+        self.ahead = 0
+        self.during = ""
+
+    def __str__(self) -> str:
+        """One line: what, where, why."""
+        place = [self._rollouts(), _numbered("step", self.step)]
+        words = ", ".join(part for part in place if part)
+        where = f" in {words}" if words else ""
+        during = f" ({self.during})" if self.during else ""
+        return one_line(f"{self.what}{where}{during}{f': {self.why}' if self.why else ''}")
+
+    def _rollouts(self) -> str:
+        return _numbered("rollout", self.rollouts) if self.among is None else (
+            f"one of {self.among} rollouts"
+        )  # fmt: skip
+
+    def add(self, *, step: int | range | None = None, rollouts: range | None = None) -> None:
+        """Where it was, as far as that is not known better."""
+        self.step = step if self.step is None else self.step
+        self.rollouts = rollouts if self.rollouts is None else self.rollouts
+
+
+def _numbered(name: str, numbers: int | range | None) -> str:
+    if numbers is None:
+        return ""
+    if isinstance(numbers, int) or len(numbers) == 1:
+        return f"{name} {numbers if isinstance(numbers, int) else numbers[0]}"
+    return f"{name}s {numbers[0]} to {numbers[-1]}" if numbers else ""
+
+
+def blame(
+    error: BaseException,
+    what: str,
+    *,
+    step: int | range | None = None,
+    rollouts: range | None = None,
+) -> NoReturn:
+    """Raise, of what was raised while something was asked, what tells of it.
+
+    Args:
+        error: What was raised.
+        what: What was asked.
+        step: See :class:`SimulationError`.
+        rollouts: Likewise, as they are counted where this is called.
+
+    Raises:
+        SimulationError: With where it was, as far as that was not known.
+        BaseException: As it came, what a signal raised, a request to stop, or a complaint about
+            what was given.
+    """
+    if is_from_outside(error) or isinstance(error, StopRequested | InputError):
+        raise error
+    if isinstance(error, SimulationError):
+        error.add(step=step, rollouts=rollouts)
+        raise error
+    if isinstance(error, RunError):  # in our words
+        found = SimulationError(str(error))
+    else:
+        found = SimulationError(
+            f"{what} raises {type(error).__name__}",
+            why=message_of(error),
+            traceback_text=traceback_of(error),
+        )
+    found.add(step=step, rollouts=rollouts)
+    raise found from error
+
+
+@contextlib.contextmanager
+def counted_from(first: int, count: int | None = None) -> Generator[None, None, None]:
+    """Let a fault be told of rollouts that are counted from another one on.
+
+    Args:
+        first: What the first of them counts as.
+        count: How many there are, for a fault that does not say which it was.
+    """
+    try:
+        yield
+    except SimulationError as error:
+        if count is not None:
+            error.add(rollouts=range(count))
+        if error.rollouts is not None:
+            error.rollouts = range(error.rollouts.start + first, error.rollouts.stop + first)
+        raise
+
+
+@contextlib.contextmanager
+def reordered(order: Sequence[int]) -> Generator[None, None, None]:
+    """Let a fault in one rollout name the place that it had before they were put in ``order``."""
+    try:
+        yield
+    except SimulationError as error:
+        if error.rollouts is not None and len(error.rollouts) == 1:
+            row = order[error.rollouts[0]]
+            error.rollouts = range(row, row + 1)
+        raise
+
+
+@contextlib.contextmanager
+def of_no_rollouts() -> Generator[None, None, None]:
+    """Let a fault name none of a stage's rollouts: it is others that are asked about here."""
+    try:
+        yield
+    except SimulationError as error:
+        error.rollouts = None
+        raise
+
+
+@contextlib.contextmanager
+def refusing() -> Generator[None, None, None]:
+    """Let what other people's code does while it is looked at be bad input, an exit included.
+
+    Raises:
+        InputError: One line that says whose code it was.
+    """
+    try:
+        yield
+    except SimulationError as error:
+        raise InputError(str(error)) from error.__cause__
+    except BaseException as error:
+        if isinstance(error, Exception) or is_from_outside(error):
+            raise
+        last = traceback.extract_tb(_from_theirs(error.__traceback__))[0]
+        message = f"{last.name} ({last.filename}, line {last.lineno}) raises {told(error)}"
+        raise InputError(message) from error
+
+
+def told(error: BaseException) -> str:
+    """What other people's code raised, in one line; what a signal raised is raised on.
+
+    Raises:
+        BaseException: It comes from outside.
+    """
+    if is_from_outside(error):
+        raise error
+    if isinstance(error, SimulationError):
+        return str(error) if error.__cause__ is None else told(error.__cause__)
+    text, kind = message_of(error), type(error).__name__
+    return f"{kind}: {text}" if text else kind
+
+
+def message_of(error: BaseException) -> str:
+    """An error's message in one line."""
+    try:
+        return " ".join(str(error).split())
+    except BaseException:  # theirs, as all of it
+        return "its message cannot be told"
+
+
+def traceback_of(error: BaseException) -> str:
+    """The traceback as Python prints it, from the first frame on that is other people's.
+
+    All of it where none is; lines do nothing to a terminal.
+    """
+    found = traceback.TracebackException(type(error), error, _from_theirs(error.__traceback__))
+    lines = "".join(found.format()).splitlines()
+    if len(lines) > LONGEST_TRACEBACK:
+        half = LONGEST_TRACEBACK // 2
+        lines = [*lines[:half], f"  ... {len(lines) - 2 * half} lines ...", *lines[-half:]]
+    return "\n".join(one_line(line) for line in lines)
+
+
+def _from_theirs(frames: TracebackType | None) -> TracebackType | None:
+    each = frames
+    while each is not None and _home(each) == "pemviz":
+        each = each.tb_next
+    return frames if each is None or _home(each) in LIBRARIES else each
+
+
+def _home(frames: TracebackType) -> str:
+    return str(frames.tb_frame.f_globals.get("__name__", "")).split(".")[0]
+
+
+@dataclass(frozen=True)
+class _Marking:
+    """A signal's handler; what it raises can be told from what other code raises."""
+
+    handler: Callable[[int, FrameType | None], Any]
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        try:
+            self.handler(number, frame)
+        except BaseException as error:
+            mark_from_outside(error)
+            raise
+
+
+def mark_from_outside(error: BaseException) -> None:
+    """Let :func:`is_from_outside` know it."""
+    setattr(error, MARK, True)
+
+
+@contextlib.contextmanager
+def signals_told_apart() -> Generator[None, None, None]:
+    """While this lasts, it is known what signals raise; handlers do what they did.
+
+    Only the main thread gets signals: elsewhere there is nothing to do.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in STOPS}
+    marking = {n: _Marking(h) for n, h in before.items() if callable(h)}
+    for number, handler in marking.items():
+        signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, handler in marking.items():
+            if signal.getsignal(number) is handler:  # else somebody wants another one
+                signal.signal(number, before[number])
+
+
+def is_from_outside(error: BaseException) -> bool:
+    """Whether a signal raised it, or what led to it, and not the code that was asked."""
+    return from_outside(error) is not None
+
+
+def from_outside(error: BaseException) -> BaseException | None:
+    """What a signal raised, be it the error or what led to it; ``None``: it is another's.
+
+    Where that cannot be told, a KeyboardInterrupt counts as a signal's.
+    """
+    seen: set[int] = set()
+    each: BaseException | None = error
+    while each is not None and id(each) not in seen:
+        if getattr(each, MARK, False):
+            return each
+        seen.add(id(each))
+        each = each.__cause__ or each.__context__
+    return error if isinstance(error, KeyboardInterrupt) and _may_get_signals() else None
+
+
+def _may_get_signals() -> bool:
+    """Whether a Ctrl-C may raise something in this thread that is not marked."""
+    if threading.current_thread() is not threading.main_thread():
+        return False
+    if isinstance(signal.getsignal(signal.SIGINT), _Marking | signal.Handlers):
+        return False
+    if not hasattr(signal, "pthread_sigmask"):  # as on Windows
+        return True
+    held_back = signal.pthread_sigmask(signal.SIG_BLOCK, ())  # as in worker processes
+    return signal.SIGINT not in held_back
