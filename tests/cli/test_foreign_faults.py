@@ -1,0 +1,195 @@
+"""Exit codes 0 and 1 are for runs that were judged: whatever a user's code raises, it is 3."""
+
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import pytest
+
+from pemviz.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULE = '''
+"""A simulator of a third party with a fault that can be removed: by a file beside it."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
+
+FAULT = Path(__file__).with_name("fault.txt")
+
+
+class Odd(BaseException):
+    pass
+
+
+def do(fault):
+    if fault.startswith("exit"):
+        sys.exit(int(fault[-1]))
+    if fault == "interrupt":
+        raise KeyboardInterrupt
+    if fault == "odd":
+        raise Odd("neither")
+    if fault == "error":
+        raise ValueError("wheel fell off")
+
+
+@dataclass(frozen=True)
+class Faulty(VectorizedSimulator):
+    @property
+    def name(self):
+        return "faulty"
+
+    def step(self, states, detected):
+        if states.shape[0] > 10 and int(states.step) == 30:
+            do(FAULT.read_text())
+        return super().step(states, detected)
+
+
+def build(scenario):
+    if FAULT.read_text() == "build":
+        sys.exit(0)
+    return Faulty(scenario)
+'''
+WORDS = ["--simulator", "faulty", "--method", "mixture", "--stages", "1", "--rollouts", "40",
+         "--final-rollouts", "40", "--no-plan", "--no-recording",
+         "--fail-above", "0.5"]  # fmt: skip
+FAULTS = {
+    "exit0": "SystemExit", "exit1": "SystemExit", "interrupt": "KeyboardInterrupt", "odd": "Odd",
+    "error": "ValueError",
+}  # fmt: skip
+
+
+@pytest.fixture
+def fault(tmp_path, monkeypatch):
+    """What the third party's simulator does: written to this file."""
+    home = tmp_path / "site"
+    info = home / "third_party_faults-1.0.dist-info"
+    info.mkdir(parents=True)
+    (home / "third_party_faults.py").write_text(MODULE, encoding="utf-8")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: third-party-faults\n")
+    (info / "entry_points.txt").write_text(
+        "[pemviz.simulators]\nfaulty = third_party_faults:build\n"
+    )
+    monkeypatch.syspath_prepend(home)
+    monkeypatch.setenv("PYTHONPATH", f"{home}:{ROOT}")  # for worker processes
+    importlib.invalidate_caches()
+    yield home / "fault.txt"
+    sys.modules.pop("third_party_faults", None)
+
+
+def record(tmp_path, *words):
+    reports = ["--junit", str(tmp_path / "gate.xml"), "--summary", str(tmp_path / "page.md")]
+    return main(["record", *words, *reports, "--json"])
+
+
+def check_told(shown, folder, kind):
+    """Traceback, then one line with what, where, the folder and how to go on."""
+    *traceback, line = shown.err.splitlines()
+    traceback = [each for each in traceback if not each.startswith("pemviz: ")]
+    assert traceback[0] == "Traceback (most recent call last):"
+    assert "third_party_faults.py" in traceback[1]
+    assert kind in traceback[-1]
+    assert line.startswith(f"pemviz: simulator faulty: step raises {kind} in rollouts 0 to ")
+    assert ", step 30 (stage 0)" in line
+    assert line.endswith(
+        f"what was finished is in {folder}; once the cause is removed, go on with: "
+        f"pemviz record --resume {folder}"
+    )
+
+
+@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("workers", [(), ("--workers", "2")], ids=["here", "two workers"])
+def test_whatever_a_simulator_raises_is_a_failed_run(name, workers, fault, tmp_path, capsys):
+    fault.write_text(name)
+    out = ["--out", str(tmp_path / "runs")]
+    assert record(tmp_path, *WORDS, *out, *workers) == 3
+    shown = capsys.readouterr()
+    (folder,) = (tmp_path / "runs").iterdir()
+    check_told(shown, folder, FAULTS[name])
+    document = json.loads(shown.out)
+    assert document["status"] == "failed"
+    assert FAULTS[name] in document["message"]
+    assert document == json.loads((folder / "result.json").read_text())
+    suite = Xml.parse(tmp_path / "gate.xml").getroot()  # noqa: S314  our own
+    assert suite.get("errors") == "1"
+    assert FAULTS[name] in suite.find(".//error").get("message")
+    assert FAULTS[name] in (tmp_path / "page.md").read_text()
+
+    assert record(tmp_path, "--resume", str(folder), "--fail-above", "0.5") == 3
+    check_told(capsys.readouterr(), folder, FAULTS[name])
+    if workers or name != "exit0":
+        return
+    fault.write_text("none")
+    resumed = record(tmp_path, "--resume", str(folder), "--no-recording", "--fail-above", "0.5")
+    went_on = json.loads(capsys.readouterr().out)
+    assert record(tmp_path, *WORDS, "--out", str(tmp_path / "whole")) == resumed
+    (whole,) = (tmp_path / "whole").iterdir()
+    undisturbed = json.loads(capsys.readouterr().out)
+    for each in (went_on, undisturbed):
+        del each["run_id"], each["timings_s"]
+    assert went_on == undisturbed
+    for file in ("rollouts.npz", "proposals.safetensors"):
+        assert (folder / file).read_bytes() == (whole / file).read_bytes()
+
+
+def test_an_exit_while_the_simulator_is_built_is_bad_input(fault, tmp_path, capsys):
+    fault.write_text("build")
+    assert record(tmp_path, *WORDS, "--out", str(tmp_path / "runs")) == 2
+    told = capsys.readouterr().err
+    assert told == "pemviz: simulator = 'faulty': third_party_faults:build raises SystemExit: 0\n"
+
+
+@pytest.mark.parametrize(
+    ("source", "code", "words"),
+    [
+        ("import sys; sys.exit(0)", 2, "cannot be imported: SystemExit: 0"),
+        ("import sys\ndef MODEL(): sys.exit(1)", 2, "cannot be imported: SystemExit: 1"),
+    ],
+)
+def test_an_exit_while_an_error_model_is_imported_is_bad_input(
+    source, code, words, fault, tmp_path, capsys
+):
+    (fault.parent / "exiting_model.py").write_text(source)
+    try:
+        pem = ["--pem", "exiting_model:MODEL", "--allow-python"]
+        assert main(["record", "--out", str(tmp_path / "runs"), *pem]) == code
+    finally:
+        sys.modules.pop("exiting_model", None)
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+
+
+def test_a_sweep_marks_the_run_and_does_the_rest(fault, tmp_path, capsys):
+    fault.write_text("exit0")
+    config = tmp_path / "tiny.toml"
+    config.write_text(
+        'method = "naive"\nfinal_rollouts = 20\nseed = 3\nplan = false\nreference = false\n'
+    )
+    varied = ["--vary", "simulator=faulty,vectorized", "--workers", "1", "--json"]
+    assert main(["sweep", str(config), *varied, "--out", str(tmp_path / "out")]) == 3
+    by_simulator = {row["simulator"]: row for row in json.loads(capsys.readouterr().out)["runs"]}
+    assert by_simulator["vectorized"]["status"] == "done"
+    assert by_simulator["faulty"]["status"] == "failed"
+    assert "raises SystemExit in rollouts 0 to 19, step 30" in by_simulator["faulty"]["message"]
+
+
+@pytest.mark.parametrize("raised", [SystemExit(0), SystemExit(1), ZeroDivisionError("x")])
+def test_no_command_ends_with_the_exit_code_of_something_it_called(raised, monkeypatch, capsys):
+    def fails(words):
+        raise raised
+
+    monkeypatch.setattr("pemviz.cli.open.run", fails)
+    assert main(["open", "anything"]) == 3
+    assert capsys.readouterr().err.splitlines()[-1].startswith("pemviz: open failed: ")
+
+
+def test_help_ends_with_0():
+    command = [sys.executable, "-m", "pemviz", "record", "--help"]
+    assert subprocess.run(command, capture_output=True, cwd=ROOT, check=False).returncode == 0
