@@ -1,4 +1,5 @@
 import os
+import signal
 from pathlib import Path
 
 # a worker a core: threads within one would but wait for those of the others; before numpy is loaded
@@ -71,3 +72,11 @@ def toy_problem() -> Problem:
         robustness=lambda signals: np.min(signals["gap"], axis=1),
         violated=lambda signals: np.min(signals["gap"], axis=1) < 0.0,
     )
+
+
+@pytest.fixture
+def ctrl_c():
+    """SIGINT raises KeyboardInterrupt, as in a terminal; what runs in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

@@ -85,7 +85,7 @@ def test_a_reference_that_disagrees_is_no_extrapolation():
 
 
 def test_the_page_tells_the_whole_story():
-    one = estimate(diagnostics=(warned("only 9 failures were seen"),))
+    one = estimate(method="mixture", diagnostics=(warned("only 9 failures were seen"),))
     page = summary_markdown(result(one), gate=decide_gate(one, limit=1e-9))
     html = github().render(page)
     for part in (

@@ -136,6 +136,7 @@ def test_a_method_of_another_package_may_raise_anything(when):
     assert ("(stage 0" in str(caught.value)) == (when == "step")
 
 
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.parametrize("limit_s", [None, 600.0])
 def test_a_signal_stops_the_run_as_ever(limit_s):
     class Interrupting(Car):
@@ -152,6 +153,7 @@ def test_a_signal_stops_the_run_as_ever(limit_s):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_what_a_signal_was_turned_into_is_the_signals():
     class Leaves(Car):
         def fault(self):

@@ -346,6 +346,7 @@ def test_a_message_that_cannot_be_told_does_no_harm():
         draw(raising(error=NastyError()))
 
 
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.parametrize("turned", [None, SystemExit(1), RuntimeError("interrupted")])
 def test_a_signals_interrupt_is_no_fault_of_the_simulator(turned):
     """Nor is what the simulator makes of it."""
