@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pemviz.runs.experiment import Experiment, build_experiment
     from pemviz.runs.kept_stages import KeptStages
     from pemviz.runs.least_robust import LeastRobust, Rollout
+    from pemviz.runs.reading import read_result
     from pemviz.runs.result import RunResult
-    from pemviz.runs.result_file import read_result
     from pemviz.runs.store import RunStore
     from pemviz.sampling.description import MethodDescription
     from pemviz.simulators.episodic import EpisodicSimulator, side_by_side
@@ -97,7 +97,7 @@ _HOMES = {
     "build_experiment": "runs.experiment",
     "named_detections_action": "simulators.gymnasium_episodes",
     "quantised_start": "simulators.quantised",
-    "read_result": "runs.result_file",
+    "read_result": "runs.reading",
     "run": "runs.engine",
     "run_experiment": "runs.engine",
     "side_by_side": "simulators.episodic",

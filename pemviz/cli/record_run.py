@@ -19,10 +19,10 @@ from pemviz.reports.gate import decide_limits
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Event, Observer, RunDone, RunFailed
 from pemviz.runs.experiment import Experiment, build_experiment, device_notes
+from pemviz.runs.reading import result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.resume import carry_out
-from pemviz.runs.same_run import read_whole_run, result_left
 from pemviz.runs.store import create_run_folder
 
 
@@ -165,10 +165,8 @@ def _done_before(folder: Path) -> RunResult | None:
     Raises:
         InputError: The folder's files are damaged, or do not belong together.
     """
-    if result_left(folder) is None:
-        return None
-    result = read_whole_run(folder)
-    return result if result.status == "done" else None
+    result = result_left(folder)
+    return result if result is not None and result.status == "done" else None
 
 
 def _tell_done(arguments: RecordArguments, result: RunResult, *, reports: ReportWriter) -> int:

@@ -11,9 +11,9 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.errors import InputError
 from pemviz.runs.ranking import ranked_rows
+from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import BROKEN, LATENTS, ROLLOUT, load_rollouts
-from pemviz.runs.same_run import read_whole_run
 
 PER_ROLLOUT = ("repetition", "stage", "robustness", "violated")
 PER_OUTCOME = ("detected", "log_p", "log_q")

@@ -35,7 +35,7 @@ def write_atomically(
     """
     partial = path.with_name(f".{path.name}.partial")
     try:
-        with partial.open("wb") as stream:
+        with partial.open("w+b") as stream:
             write(stream)
             stream.flush()
             if durable:

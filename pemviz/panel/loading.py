@@ -22,9 +22,9 @@ from pemviz.panel.tables import check_table, checked_rows, numbered, thinned
 from pemviz.pem import load_pem
 from pemviz.proposals.gap_network import gap_network_from_arrays
 from pemviz.runs.back_ends import build_back_end
+from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result_file import RESULT_FILE
 from pemviz.runs.rollout_files import load_rollouts, stage_files
-from pemviz.runs.same_run import read_whole_run
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator

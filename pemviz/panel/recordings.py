@@ -8,10 +8,10 @@ from typing import Literal
 from pemviz.config import MethodName, MetricName
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_text
+from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result import RunResult, RunStatus
 from pemviz.runs.result_file import RESULT_FILE, has_result
 from pemviz.runs.resume import run_lock
-from pemviz.runs.same_run import read_whole_run
 from pemviz.runs.trust import run_interval_caveats
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]

@@ -16,6 +16,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import load_preset
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result import RunResult
+from pemviz.runs.result_file import RESULT_FILE, write_result
 from pemviz.runs.store import RunStore
 
 TARGET = Path(__file__).resolve().parents[2] / "recordings" / "sample"
@@ -45,9 +46,10 @@ def make_sample(folder: Path) -> RunResult:
     """
     from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
 
-    observers = (RunStore(folder), Recorder(folder / "run.rrd", compacted=True))
+    observers = (Recorder(folder / "run.rrd", compacted=True), RunStore(folder))
     result = run_experiment(sample_config(), run_id=RUN_ID, observers=observers)
     _compress(folder / "rollouts.npz")
+    write_result(folder, result, files=[p.name for p in folder.iterdir() if p.name != RESULT_FILE])
     return result
 
 

@@ -50,6 +50,7 @@ from pemviz.runs.result import PemInfo, RunResult, position_info, with_stage
 from pemviz.runs.rules import estimates_by_rule, rule_answers
 from pemviz.runs.specification import may_leave_bounds
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
+from pemviz.sampling.kept import KeepsColumns
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.slots import Slot
 from pemviz.types import Estimate, ScoredRollouts, StageResult
@@ -235,7 +236,12 @@ class _Runner:
             rules=rule_answers(rules, self._by_rule),
         )
         self._tell(
-            RepetitionDone(repetition=repetition, estimate=estimate, result=self._keep(result))
+            RepetitionDone(
+                repetition=repetition,
+                estimate=estimate,
+                result=self._keep(result),
+                columns=method.kept_columns(state) if isinstance(method, KeepsColumns) else {},
+            )
         )
 
     def _progress(self, repetition: int, stage: int) -> Callable[[int, int], None]:

@@ -1,9 +1,10 @@
 """What the engine tells its observers; recorder, panel, progress bar and store listen."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
+from pemviz.arrays import AnyArray
 from pemviz.config import ExperimentConfig
 from pemviz.pem import Pem
 from pemviz.runs.result import RunResult
@@ -75,11 +76,14 @@ class RepetitionDone:
         repetition: Zero-based.
         estimate: Its estimate.
         result: The run's result so far.
+        columns: What the estimate needs of each of the repetition's rollouts beside what every run
+            folder keeps, ``[N]`` by name (:class:`pemviz.sampling.kept.KeepsColumns`).
     """
 
     repetition: int
     estimate: Estimate
     result: RunResult
+    columns: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
 
 
 @dataclass(frozen=True)

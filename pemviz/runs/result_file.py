@@ -1,10 +1,10 @@
 """``result.json``: the one place that writes a run's result to its folder and reads it back.
 
-What a result.json may hold (schema 1):
+What a result.json may hold (schema 2):
 
 - One JSON object in UTF-8, of at most 100 MB, strict: null where a figure is undefined or
   infinite, never NaN or Infinity.
-- ``schema``, which is 1, and the fields of :class:`pemviz.runs.result.RunResult`, each with the
+- ``schema``, which is 2, and the fields of :class:`pemviz.runs.result.RunResult`, each with the
   type and the range that its annotation states; null only where that says ``None``.
 - ``seed``, the configuration's, for scripts that look for it.
 - An estimate's unbiased figures in a table ``unbiased`` of ``probability`` and ``std_error``,
@@ -22,6 +22,12 @@ What a result.json may hold (schema 1):
 - ``ladder``, what leaves the answer open (:class:`pemviz.runs.ladder.Rung`): it follows from the
   other fields, which are what is read.
 - Null for the robustness of a rollout where it is infinite.
+- ``files``, SHA-256 of files of the run folder by name: of ``config.toml``, and once the run is
+  done of all that it left there.
+- Last ``digest``, SHA-256 of everything before it (:func:`pemviz.files.digests.document_digest`).
+  It finds what was changed; whoever means to forge a result can compute it too.
+
+Schema 1 is the same without these two: what older versions write, and ``record --json`` prints.
 
 A field that has a default may be absent, as it is in results of versions that did not know it.
 Entries that this version does not know are ignored, but for settings in ``config``: a setting
@@ -29,38 +35,60 @@ says what the figures mean. A result of another schema is refused.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
-from pemviz.config.ranges import AtLeastZero, shown
+from pemviz.config.ranges import shown
 from pemviz.config.records import read_record, read_value
 from pemviz.config.toml_files import config_from_table, config_table
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_json
+from pemviz.files.digests import document_digest, file_digest
 from pemviz.files.json_text import parse_json
+from pemviz.runs.estimate_tables import (
+    Table,
+    estimate_of,
+    estimate_table,
+    field_names,
+    fields_of,
+)
 from pemviz.runs.ladder import Rung, uncertainty_ladder
 from pemviz.runs.rates import DistanceRate, ViolationRate, distance_rates, violation_rates
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.rules import RuleAnswer
 from pemviz.runs.trust import run_interval_caveats
-from pemviz.sampling.estimates.diagnostics import classified
 from pemviz.sampling.estimates.trust import interval_caveats
-from pemviz.types import Estimate
 
-SCHEMA = 1
+SCHEMA, OPEN_SCHEMA = 2, 1
 RESULT_FILE = "result.json"
 LARGEST_BYTES = 100_000_000
-
-Table = dict[str, Any]
+DIGEST = "digest"
+CHANGED = "it was changed after it was written"
+SHOWN = 12
+"""Of a digest in a message."""
 
 
 class UnreadableResultError(InputError):
     """``result.json`` is no JSON document: empty or cut, as a power cut may leave it."""
+
+
+@dataclass(frozen=True)
+class KeptResult:
+    """What a ``result.json`` holds.
+
+    Attributes:
+        result: The result.
+        files: SHA-256 of the run's files by name; empty in older versions' results.
+        fault: How its digest says that it was changed; ``None``: not at all, or it has none.
+    """
+
+    result: RunResult
+    files: Mapping[str, str]
+    fault: str | None
 
 
 def has_result(folder: Path) -> bool:
@@ -68,8 +96,10 @@ def has_result(folder: Path) -> bool:
     return (folder / RESULT_FILE).is_file()
 
 
-def read_result(folder: Path) -> RunResult:
-    """The result that a run folder holds; what it may hold is said above.
+def read_kept(folder: Path) -> KeptResult:
+    """What the ``result.json`` of a run folder holds, believed so far.
+
+    :func:`pemviz.runs.reading.read_result` holds it to itself and to the folder's other files.
 
     Raises:
         UnreadableResultError: It is no JSON document.
@@ -90,25 +120,36 @@ def read_result(folder: Path) -> RunResult:
         message = f"result {path}: cannot be read ({error})"
         raise UnreadableResultError(message) from error
     try:
-        return result_from_document(document)
+        return _kept(document)
     except InputError as error:
         message = f"result {path}: {error}"
         raise InputError(message) from error
 
 
-def write_result(folder: Path, result: RunResult) -> None:
+def write_result(folder: Path, result: RunResult, *, files: Sequence[str] = ()) -> None:
     """Write ``result.json``, whole or not at all.
+
+    Args:
+        folder: The run folder.
+        result: What is written.
+        files: Names of files in it that are whole; those that are there get a digest.
 
     Raises:
         OSError: It cannot be written.
     """
-    write_json(folder / RESULT_FILE, result_document(result))
+    there = [name for name in files if (folder / name).is_file()]
+    digests = {name: file_digest(folder / name) for name in there}
+    document = {**result_document(result), "schema": SCHEMA, "files": digests}
+    write_json(folder / RESULT_FILE, {**document, DIGEST: document_digest(document)})
 
 
 def result_document(result: RunResult) -> Table:
-    """The contents of ``result.json`` as plain values, in the order in which they stand there."""
+    """The contents of ``result.json`` as plain values, in the order in which they stand there.
+
+    Of schema 1, which has no digests: a result may be anywhere, they belong to a run folder.
+    """
     document: Table = {
-        "schema": SCHEMA,
+        "schema": OPEN_SCHEMA,
         "run_id": result.run_id,
         "status": result.status,
         "message": result.message,
@@ -119,7 +160,7 @@ def result_document(result: RunResult) -> Table:
         "estimate": (
             None
             if result.estimate is None
-            else _estimate_table(result.estimate, caveats=run_interval_caveats(result))
+            else estimate_table(result.estimate, caveats=run_interval_caveats(result))
         ),
         **_rule_tables(result.rules),
         **_rate_tables(result),
@@ -135,7 +176,7 @@ def result_document(result: RunResult) -> Table:
         "plan": result.plan,
         **_explanation_tables(result.explanation),
         "repetitions": [
-            _estimate_table(estimate, caveats=interval_caveats(estimate))
+            estimate_table(estimate, caveats=interval_caveats(estimate))
             for estimate in result.repetitions
         ],
         "stages": result.stages,
@@ -158,12 +199,7 @@ def result_from_document(document: object) -> RunResult:
         message = f"is {shown(document)}, must be a JSON object"
         raise InputError(message)
     table = cast(Table, document)
-    if table.get("schema") != SCHEMA or isinstance(table["schema"], bool):
-        message = (
-            f"schema = {shown(table.get('schema'))}: must be {SCHEMA}; another version of "
-            "pemviz wrote it"
-        )
-        raise InputError(message)
+    _check_schema(table)
     config = config_from_table(table.get("config"), name="config")
     config.validate()
     if table.get("seed", config.seed) != config.seed:
@@ -175,11 +211,11 @@ def result_from_document(document: object) -> RunResult:
     fields = {
         **table,
         "config": config,
-        "estimate": _estimate(table.get("estimate"), name="estimate"),
+        "estimate": estimate_of(table.get("estimate"), name="estimate"),
         "explanation": _explanation(table.get("causes"), table.get("sensitivity")),
         "repetitions": _each(
             table.get("repetitions", []),
-            lambda entry, index: _estimate(entry, name=f"repetitions[{index}]"),
+            lambda entry, index: estimate_of(entry, name=f"repetitions[{index}]"),
         ),
         "rules": _each(table.get("rules", []), _rule),
         "least_robust": _each(
@@ -190,54 +226,35 @@ def result_from_document(document: object) -> RunResult:
     return read_record(RunResult, fields, ignore_unknown=True)
 
 
-@dataclass(frozen=True)
-class _Unbiased:
-    """The table ``unbiased`` of an estimate."""
+def _kept(document: object) -> KeptResult:
+    """A document with its digests.
 
-    probability: AtLeastZero | None
-    std_error: AtLeastZero | None
-
-
-def _estimate_table(estimate: Estimate, *, caveats: Sequence[str]) -> Table:
-    table = _fields_of(estimate)
-    probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
-    diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
-    return {
-        **table,
-        "warnings": list(estimate.warnings),
-        "confidence": confidence,
-        "interval_caveats": list(caveats),
-        "unbiased": {"probability": probability, "std_error": std_error},
-        "diagnostics": diagnostics,
-    }
-
-
-def _estimate(entry: object, *, name: str) -> object:
-    """The estimate of a table; what is no table is left as it is."""
-    if not isinstance(entry, dict):
-        return entry
-    table = cast(Table, entry)
-    unbiased = read_record(
-        _Unbiased, table.get("unbiased"), name=f"{name}.unbiased", ignore_unknown=True
-    )
-    estimate = read_record(
-        Estimate,
-        {
-            **table,
-            "unbiased_probability": unbiased.probability,
-            "unbiased_std_error": unbiased.std_error,
-        },
-        name=name,
-        ignore_unknown=True,
-    )
-    read_value(tuple[str, ...], table.get("interval_caveats", []), name=f"{name}.interval_caveats")
-    warnings = read_value(tuple[str, ...], table.get("warnings", []), name=f"{name}.warnings")
-    if "diagnostics" not in table:
-        return replace(estimate, diagnostics=classified(warnings, estimate))
-    if estimate.warnings != warnings:
-        message = f"{name}.warnings = {shown(warnings)}: must be the texts of its diagnostics"
+    Raises:
+        InputError: It holds what no run writes.
+    """
+    result = result_from_document(document)
+    table = cast(Table, document)
+    if table["schema"] == OPEN_SCHEMA:
+        return KeptResult(result, {}, None)
+    files: Mapping[str, str] = read_value(Mapping[str, str], table.get("files"), name="files")
+    strange = [name for name in files if not name or name in (".", "..") or set(name) & set("/\\")]
+    if strange:
+        message = f"files.{strange[0]}: must be the name of a file in the run's folder"
         raise InputError(message)
-    return estimate
+    told = read_value(str, table.get(DIGEST), name=DIGEST)
+    found = document_digest({name: value for name, value in table.items() if name != DIGEST})
+    fault = f"{DIGEST} = {told[:SHOWN]!r}...: all before it gives {found[:SHOWN]!r}...; {CHANGED}"
+    return KeptResult(result, files, None if told == found else fault)
+
+
+def _check_schema(table: Table) -> None:
+    schema = table.get("schema")
+    if schema not in (SCHEMA, OPEN_SCHEMA) or isinstance(schema, bool):
+        message = (
+            f"schema = {shown(schema)}: must be {SCHEMA} or {OPEN_SCHEMA}; another version of "
+            "pemviz wrote it"
+        )
+        raise InputError(message)
 
 
 def _position_errors(result: RunResult) -> dict[str, Any]:
@@ -250,8 +267,8 @@ def _rule_tables(rules: Sequence[RuleAnswer]) -> Table:
     """Each rule's answer; nothing where there are none."""
     tables = [
         {
-            **_fields_of(rule),
-            "estimate": _estimate_table(rule.estimate, caveats=interval_caveats(rule.estimate)),
+            **fields_of(rule),
+            "estimate": estimate_table(rule.estimate, caveats=interval_caveats(rule.estimate)),
         }
         for rule in rules
     ]
@@ -268,7 +285,7 @@ def _rate_tables(result: RunResult) -> Table:
 
 
 def _ranked_table(rollout: RankedRollout) -> Table:
-    table = _fields_of(rollout)
+    table = fields_of(rollout)
     if not rollout.broken:
         del table["broken"]
     return table
@@ -298,13 +315,16 @@ def _rule(entry: object, index: int) -> object:
     if not isinstance(entry, dict):
         return entry
     table = cast(Table, entry)
-    return {**table, "estimate": _estimate(table.get("estimate"), name=f"rules[{index}].estimate")}
+    return {
+        **table,
+        "estimate": estimate_of(table.get("estimate"), name=f"rules[{index}].estimate"),
+    }
 
 
 def _explanation_tables(explanation: Explanation | None) -> Table:
     if explanation is None:
         return {"sensitivity": None, "causes": None}
-    causes = _fields_of(explanation)
+    causes = fields_of(explanation)
     return {"sensitivity": causes.pop("sensitivity"), "causes": causes}
 
 
@@ -340,16 +360,6 @@ def _each(entries: object, change: Callable[[object, int], object]) -> object:
     return [change(entry, index) for index, entry in enumerate(cast(list[object], entries))]
 
 
-def _fields_of(record: Any) -> Table:
-    """A dataclass's values by name, in order; those that are dataclasses stay so."""
-    return {name: getattr(record, name) for name in _names(type(record))}
-
-
-@cache
-def _names(kind: Any) -> tuple[str, ...]:
-    return tuple(one.name for one in fields(kind))
-
-
 def _strict(value: Any) -> Any:
     """``value`` with every number that JSON cannot hold replaced by null, tuples as lists.
 
@@ -360,7 +370,7 @@ def _strict(value: Any) -> Any:
     if value is None or isinstance(value, str | int):
         return value
     if is_dataclass(value):
-        return {name: _strict(getattr(value, name)) for name in _names(type(value))}
+        return {name: _strict(getattr(value, name)) for name in field_names(type(value))}
     if isinstance(value, dict):
         return {str(key): _strict(item) for key, item in cast(Table, value).items()}
     if isinstance(value, list | tuple):

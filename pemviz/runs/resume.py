@@ -13,15 +13,16 @@ from pemviz.runs.engine import run, versions
 from pemviz.runs.events import Event, Observer, RunDone, notify_all
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.finished_stages import Archive
+from pemviz.runs.reading import result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import has_result
-from pemviz.runs.same_run import result_left, run_differs
+from pemviz.runs.same_run import run_differs
 from pemviz.runs.store import RunStore
 from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.problem import Problem, rule_scores
 
 LOG = logging.getLogger(__name__)
-LOCK = ".lock"
+LOCK, RECORDING = ".lock", "run.rrd"
 
 
 @dataclass(frozen=True)
@@ -70,10 +71,11 @@ def carry_out(
         finished = archive if folding is None else folding.finished(archive)
         judged = partial(_judged, finished, experiment.problem)
         problem = replace(experiment.problem, finished=judged)
+        store = RunStore(folder, archive=archive, others=(RECORDING,))
         return run(
             replace(experiment, problem=problem),
             run_id=folder.name,
-            observers=[_DoneLast(RunStore(folder, archive=archive), recorders), *observers],
+            observers=[_DoneLast(store, recorders), *observers],
             should_stop=should_stop,
         )
 

@@ -5,13 +5,14 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, BinaryIO, cast
 
 import numpy as np
 from numpy.lib import format as npy
 
 from pemviz.arrays import LARGEST_NUMBER, AnyArray, FloatArray, IntArray, row_sums
 from pemviz.errors import InputError
+from pemviz.files.array_digests import DIGEST, append_digest, read_digested
 from pemviz.files.array_files import read_arrays
 from pemviz.files.atomic import write_atomically
 from pemviz.latents import Latents
@@ -31,6 +32,8 @@ PARTS_OWN = MEMORY, KEPT, ALL
 """Before the names of what stands in a stage's file alone."""
 BROKEN = "broken."
 """Before a rule's name: whether a rollout breaks it."""
+COLUMN = "method."
+"""Before the names of what the method keeps of each rollout once a run is done."""
 LATENTS = "latents."
 """Before the names of :class:`pemviz.latents.Latents`' arrays, of those that have columns."""
 DRAWN = "drawn"
@@ -149,7 +152,7 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | Non
     Raises:
         InputError: It is damaged.
     """
-    arrays = read_arrays(path)
+    arrays = read_digested(path)
     held = arrays["violated"].size if "violated" in arrays else 0
     try:
         drawn = drawn_of(arrays)
@@ -220,20 +223,32 @@ def stage_files(folder: Path) -> list[Path]:
 
 
 def write_part(path: Path, arrays: Mapping[str, AnyArray]) -> None:
-    """Write one stage's arrays.
+    """Write one stage's arrays, and last a digest of them.
 
     Raises:
         OSError: They cannot be written.
     """
     path.parent.mkdir(exist_ok=True)
     contents = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    write_atomically(path, lambda stream: np.savez(stream, **cast(Any, contents)))
+
+    def write(stream: BinaryIO) -> None:
+        np.savez(stream, **cast(Any, contents))
+        append_digest(stream)
+
+    write_atomically(path, write)
 
 
-def join_parts(parts: Sequence[Path], target: Path) -> None:
+def join_parts(
+    parts: Sequence[Path], target: Path, *, columns: Sequence[Mapping[str, AnyArray]] = ()
+) -> None:
     """Join the stages' files into one, holding one array of one stage in memory at a time.
 
     The same stages give the same bytes.
+
+    Args:
+        parts: The stages' files.
+        target: The file.
+        columns: What the method keeps of all rollouts that each stage drew, in the same order.
 
     Raises:
         OSError: A file cannot be read or written.
@@ -252,6 +267,12 @@ def join_parts(parts: Sequence[Path], target: Path) -> None:
                 info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whenever it is written
                 with archive.open(info, mode="w", force_zip64=True) as entry:
                     _join_array(entry, name, stages, rows=rows)
+            for name in columns[0] if columns else ():
+                info = zipfile.ZipInfo(f"{COLUMN}{name}.npy")
+                with archive.open(info, mode="w", force_zip64=True) as entry:
+                    of_stages = zip(stages, columns, strict=True)
+                    held = [_held(stage, values[name]) for stage, values in of_stages]
+                    npy.write_array(entry, np.concatenate(held), version=(2, 0))
 
     write_atomically(target, write)
 
@@ -266,8 +287,8 @@ def _opened(part: Path, kept: contextlib.ExitStack | None) -> Opened:
 
 def _documented(names: Sequence[str]) -> list[str]:
     """Of a stage's file, what stands in ``rollouts.npz``, in its order."""
-    left_out = {DRAWN, *LOGITS.values()}
-    columns = [n for n in names if not n.startswith(PARTS_OWN) and n not in left_out]
+    left_out = {DRAWN, DIGEST, *LOGITS.values()}
+    columns = [n for n in names if not n.startswith((*PARTS_OWN, COLUMN)) and n not in left_out]
     if "log_p" in columns:
         return columns
     after = columns.index("detected") + 1
@@ -279,6 +300,12 @@ def _array(arrays: Any, name: str) -> AnyArray:
     if name in LOGITS and name not in arrays:
         return outcome_log_likelihood(arrays[LOGITS[name]], arrays["detected"])
     return arrays[name]
+
+
+def _held(stage: Opened, values: AnyArray) -> AnyArray:
+    """Of what is known of all rollouts that a stage drew, what is of those that its file holds."""
+    with stage() as arrays:
+        return values[arrays[ROLLOUT]] if ROLLOUT in arrays else values
 
 
 def _rows(stage: Opened) -> int:
@@ -302,6 +329,8 @@ def _join_array(entry: IO[bytes], name: str, stages: Sequence[Opened], *, rows: 
 def load_rollouts(folder: Path) -> dict[str, AnyArray]:
     """The rollouts of a run folder, finished or not, stages in order.
 
+    Without the columns that the method keeps for :mod:`pemviz.runs.recount`.
+
     Raises:
         InputError: There are none, or a file is damaged.
     """
@@ -313,7 +342,7 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
     if not parts:
         message = f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)"
         raise InputError(message)
-    tables = [read_arrays(part) for part in parts]
+    tables = [read_arrays(whole)] if parts == [whole] else [read_digested(part) for part in parts]
     for part, table in zip(parts[1:], tables[1:], strict=True):
         if _layout(table) != _layout(tables[0]):
             message = f"rollouts {part}: must hold the same arrays as {parts[0].name}"
@@ -333,5 +362,5 @@ def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[in
     return {
         name: (array.dtype.str, array.ndim, array.shape[1:])
         for name, array in table.items()
-        if not name.startswith(PARTS_OWN) and name != DRAWN
+        if not name.startswith(PARTS_OWN) and name not in (DRAWN, DIGEST)
     }

@@ -4,15 +4,11 @@ Asked before a run goes on, before a sweep takes a run for done, before the pane
 """
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, cast
 
 from pemviz.config import ExperimentConfig
-from pemviz.config.toml_files import every_setting, load_config
-from pemviz.errors import InputError
+from pemviz.config.toml_files import every_setting
 from pemviz.runs.result import RunResult
-from pemviz.runs.result_file import UnreadableResultError, has_result, read_result
-from pemviz.runs.rollout_files import stage_files
 
 DIGITS = 12
 """Of a digest; enough to tell two apart."""
@@ -69,36 +65,3 @@ def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, An
         else:
             found[prefix + name] = value
     return found
-
-
-def result_left(folder: Path) -> RunResult | None:
-    """What ``result.json`` says of a run that is to go on.
-
-    ``None`` where there is none, or where a power cut left no JSON document: then finished stages
-    beside it are enough to go on from.
-
-    Raises:
-        InputError: It is damaged, and there are no stages or it is a document all the same.
-    """
-    if not has_result(folder):
-        return None
-    try:
-        return read_result(folder)
-    except UnreadableResultError:
-        if stage_files(folder):
-            return None
-        raise
-
-
-def read_whole_run(folder: Path) -> RunResult:
-    """The result of a run folder, whose ``config.toml`` says the same of the settings.
-
-    Raises:
-        InputError: One of the two files is absent or damaged, or they differ.
-    """
-    result = read_result(folder)
-    difference = run_differs(result, config=load_config(folder / "config.toml"))
-    if difference is not None:
-        message = f"run {folder}: was begun with {difference}"
-        raise InputError(message)
-    return result

@@ -15,6 +15,7 @@ from pemviz.config import ExperimentConfig
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
     from pemviz.sampling.budgets import Budget
+    from pemviz.sampling.kept import KeptRepetition, Recounted
     from pemviz.sampling.method import Method
 
 Need = Literal["twin", "gap", "single states", "restarts"]
@@ -47,6 +48,8 @@ class MethodDescription:
         budget: Configuration to what one repetition simulates.
         with_budget: Configuration and a number of rollouts to the configuration that spends them;
             raises :class:`pemviz.errors.InputError` where they are too few.
+        recount: Forms a repetition's estimate again from the rollouts that a run folder keeps, so
+            that the two are held to each other; ``None``: they are not.
         alpha: Exponent of the training weights where the configuration leaves it out; ``None``: the
             method chooses it at each stage, or has none.
         needs: What must be there for it.
@@ -76,6 +79,7 @@ class MethodDescription:
     settings: frozenset[str]
     budget: Callable[[ExperimentConfig], Budget]
     with_budget: Callable[[ExperimentConfig, int], ExperimentConfig]
+    recount: Callable[[KeptRepetition], Recounted] | None = None
     alpha: float | None = None
     needs: frozenset[Need] = frozenset()
     interval_basis: IntervalBasis = "weights"

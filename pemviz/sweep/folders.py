@@ -1,6 +1,7 @@
 """A sweep's run folders: written whole, read with suspicion."""
 
 import contextlib
+import logging
 import shutil
 from collections.abc import Generator, Sequence
 from dataclasses import replace
@@ -10,13 +11,15 @@ from pemviz.config.toml_files import config_text
 from pemviz.errors import ConfigError, InputError, RunError
 from pemviz.files.atomic import write_bytes
 from pemviz.files.locks import held
-from pemviz.runs.result_file import read_result
+from pemviz.runs.reading import read_result
+from pemviz.runs.result_file import has_result
 from pemviz.runs.same_run import run_differs
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sweep.plan import PlannedRun
 from pemviz.sweep.runs import RESULT_FILES, File, Keep
 from pemviz.types import Estimate
 
+LOG = logging.getLogger(__name__)
 RUNS = "runs"
 LOCK = ".sweep.lock"
 PARTIAL, REPLACED = ".partial", ".replaced"
@@ -74,7 +77,7 @@ def read_finished(runs: Path, planned: PlannedRun, *, keep: Keep) -> Estimate | 
     """The answer of a run that is done, as configured, with that error model; else ``None``.
 
     Its diagnostics are those of the run: what the reference says is among them. Whatever is
-    damaged counts as not done.
+    damaged or does not agree counts as not done, and is told of.
     """
     folder = runs / planned.name
     if keep == "all" and not all((folder / name).is_file() for name in ALL_FILES):
@@ -83,7 +86,9 @@ def read_finished(runs: Path, planned: PlannedRun, *, keep: Keep) -> Estimate | 
         return None
     try:
         result = read_result(folder)
-    except InputError:
+    except InputError as error:
+        if has_result(folder):
+            LOG.warning("%s; the run counts as not done", error)
         return None
     difference = run_differs(
         result,

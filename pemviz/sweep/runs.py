@@ -16,10 +16,9 @@ from pemviz._version import __version__
 from pemviz.config.toml_files import config_from_table, config_text
 from pemviz.errors import RunError
 from pemviz.processes import ONE_THREAD
-from pemviz.runs.engine import run
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.runs.store import RunStore
+from pemviz.runs.resume import carry_out as carry_out_kept
 from pemviz.sweep.model_files import ModelFiles
 from pemviz.sweep.plan import PlannedRun
 
@@ -109,7 +108,7 @@ def _carry_out(task: RunTask, temporary: Path) -> RunOutcome:
     _use_one_thread()
     message = None
     try:
-        run(experiment, run_id=task.name, observers=_observers(task, folder))
+        carry_out_kept(experiment, folder, recorders=_recorders(task, folder))
     except RunError as error:
         message = one_line(error)
     return RunOutcome(task.name, message=message, files=tuple(_files(folder, task.keep)))
@@ -121,13 +120,12 @@ def _experiment(task: RunTask, temporary: Path) -> Experiment:
     return replace(build_experiment(task.model.put_into(temporary, config)), config=config)
 
 
-def _observers(task: RunTask, folder: Path) -> list[Observer]:
-    observers: list[Observer] = [RunStore(folder)]
-    if task.keep == "all":
-        from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
+def _recorders(task: RunTask, folder: Path) -> list[Observer]:
+    if task.keep != "all":
+        return []
+    from pemviz.recording import Recorder  # noqa: PLC0415  rerun is slow to import
 
-        observers.append(Recorder(folder / "run.rrd"))
-    return observers
+    return [Recorder(folder / "run.rrd")]
 
 
 def _use_one_thread() -> None:

@@ -31,7 +31,8 @@ from pemviz.panel.views.why import why
 from pemviz.recording.open import find_recording
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
-from pemviz.runs.result_file import has_result, read_result, result_document
+from pemviz.runs.reading import read_result
+from pemviz.runs.result_file import has_result, result_document
 from pemviz.runs.rollout_files import PART_FOLDER, finished_stage, load_rollouts
 from pemviz.simulators.braking.scenario import scenario_signals
 from tests.fuzz.containers import archive, damage_npz, damage_safetensors

@@ -15,7 +15,8 @@ from pemviz.reports.safety_case.case import CaseRun, read_case_run, run_folders
 from pemviz.reports.safety_case.claims import claim_sentence, claims
 from pemviz.reports.safety_case.page import MOST_IN_FULL, safety_case_page
 from pemviz.runs.memory import RunMemory
-from pemviz.runs.result_file import read_result, write_result
+from pemviz.runs.reading import read_result
+from pemviz.runs.result_file import write_result
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import PLAN, estimate, nasty_result, result, warned
 from tests.runs.test_ladder import FAMILIES

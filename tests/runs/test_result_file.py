@@ -15,9 +15,9 @@ from pemviz.errors import LONGEST_MESSAGE, InputError
 from pemviz.files.shipped import sample_run
 from pemviz.runs import result_file
 from pemviz.runs.engine import run_experiment
+from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import (
     has_result,
-    read_result,
     result_document,
     result_from_document,
     write_result,

@@ -19,7 +19,8 @@ from pemviz.reports.safety_case.case import CaseRun
 from pemviz.reports.safety_case.evidence import evidence
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.result_file import read_result, result_document, result_from_document
+from pemviz.runs.reading import read_result
+from pemviz.runs.result_file import result_document, result_from_document
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts, stage_files
 from pemviz.runs.store import create_run_folder

@@ -15,7 +15,7 @@ from pemviz.panel.scene_page import scene_html
 from pemviz.panel.tabs.player import Player
 from pemviz.panel.views.recordings import delete_question, recordings_table, viewer_link
 from pemviz.reports.pictures.html import block, quiet
-from pemviz.runs.same_run import read_whole_run
+from pemviz.runs.reading import read_whole_run
 
 NONE = "no runs yet"
 SETTINGS_HINT = "Fill the Experiment tab with the settings of the run chosen; nothing is run yet."

@@ -1,6 +1,5 @@
 """What a safety case is made from: runs as they were kept, and the cards of their models."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +8,12 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import InputError
+from pemviz.files.digests import file_digest
 from pemviz.pem import PemCard, load_pem
+from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import RESULT_FILE, has_result
 from pemviz.runs.rollout_files import load_rollouts, log_weights
-from pemviz.runs.same_run import read_whole_run
 
 ROLLOUTS = "rollouts.npz"
 LARGEST_BYTES = 200_000_000
@@ -93,7 +93,7 @@ def read_case_run(folder: Path) -> CaseRun:
         InputError: Its files are absent or damaged, or do not belong together.
     """
     result = read_whole_run(folder)
-    digests = {name: _digest(folder / name) for name in KEPT_FILES if (folder / name).is_file()}
+    digests = {name: file_digest(folder / name) for name in KEPT_FILES if (folder / name).is_file()}
     return CaseRun(
         name=folder.resolve().name,
         result=result,
@@ -106,11 +106,6 @@ def read_case_run(folder: Path) -> CaseRun:
 def _is_small(path: Path) -> bool:
     """Whether the file is there, and not so large that a picture is not worth reading it."""
     return path.is_file() and path.stat().st_size <= LARGEST_BYTES
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _card(result: RunResult) -> PemCard | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
+from pemviz.sampling.again import averaged_again, counted_again
 from pemviz.sampling.budgets import final_budget, with_final_budget
 from pemviz.sampling.description import MethodDescription
 
@@ -45,6 +46,7 @@ MONTE_CARLO = MethodDescription(
     name="monte-carlo",
     summary="rollouts from the error model itself: what plain simulation sees",
     build=_build_monte_carlo,
+    recount=counted_again,
     remedy="pemviz record --method mixture",
     settings=frozenset({"final_rollouts"}),
     budget=final_budget,
@@ -64,6 +66,7 @@ NAIVE = MethodDescription(
     name="naive",
     summary="rollouts from one constant detection probability, weighted",
     build=_build_naive,
+    recount=averaged_again,
     remedy="pemviz record --method mixture",
     settings=frozenset({"final_rollouts", "naive_detection_probability"}),
     budget=final_budget,

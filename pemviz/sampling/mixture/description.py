@@ -10,6 +10,7 @@ from pemviz.sampling.description import MethodDescription
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
+    from pemviz.sampling.kept import KeptRepetition, Recounted
     from pemviz.sampling.mixture.method import MixtureSampling
 
 
@@ -32,10 +33,17 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     )
 
 
+def _recounted(kept: KeptRepetition) -> Recounted:
+    from pemviz.sampling.mixture.recount import recounted  # noqa: PLC0415  slow to import
+
+    return recounted(kept)
+
+
 MIXTURE = MethodDescription(
     name="mixture",
     summary="generalised linear proposals around the error model, all stages' rollouts kept",
     build=_build,
+    recount=_recounted,
     remedy="more rollouts; --method value-twisted or splitting beside it",
     remedy_with_latents="more rollouts; --method splitting beside it",
     settings=frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts"}),

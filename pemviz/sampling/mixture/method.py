@@ -39,11 +39,12 @@ over what they were drawn from.
 """
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import (
     PolynomialBasis,
@@ -51,11 +52,7 @@ from pemviz.proposals.offset_logistic import (
     StateFeatures,
 )
 from pemviz.sampling.estimates.diagnostics import unlatched
-from pemviz.sampling.estimates.estimate import (
-    ADAPTATION,
-    SLOTS_AND_STARTS_ADAPTATION,
-    mixture_estimate,
-)
+from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.balance_heuristic import Pool
@@ -72,6 +69,7 @@ from pemviz.sampling.mixture.fit import FitSettings
 from pemviz.sampling.mixture.large_stages import InParts, Joining, StageDrawn
 from pemviz.sampling.mixture.learning import next_proposals
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
+from pemviz.sampling.mixture.recount import adaptation, columns_of
 from pemviz.sampling.mixture.state import MixtureState
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
@@ -170,8 +168,7 @@ class MixtureSampling:
         if pool is None or not self.is_done(state):
             message = "the final rollouts have not been drawn yet"
             raise ValueError(message)
-        final, judged = slice(pool.drawn - sum(state.frozen), None), pool.judged
-        many = state.turns > 1 and state.starts > 1
+        final, judged = state.final, pool.judged
         found = mixture_estimate(
             method=self.name,
             log_weight=judged.log_weight,
@@ -180,7 +177,7 @@ class MixtureSampling:
             log_p=judged.log_p,
             frozen_log_weight=pool.weights_among(final),
             frozen=final,
-            adaptation=SLOTS_AND_STARTS_ADAPTATION if many else ADAPTATION,
+            adaptation=adaptation(turns=state.turns, starts=state.starts),
         )
         wrong = [*found.diagnostics, *disagreements(pool, final=final)]
         found = replace(found, diagnostics=tuple(wrong))
@@ -196,6 +193,10 @@ class MixtureSampling:
         """
         pool = state.pool
         return np.empty(0) if pool is None else pool.judged.log_weight
+
+    def kept_columns(self, state: MixtureState) -> Mapping[str, AnyArray]:
+        """What each rollout was drawn from, and its weights by the balance heuristic."""
+        return {} if state.pool is None else columns_of(state.pool, final=state.final)
 
     def _drawn(self, problem: Problem, state: MixtureState) -> StageDrawn:
         """The next stage, as an interrupted run left it or else drawn."""

@@ -39,3 +39,9 @@ class MixtureState:
     starts: int = 0
     rules: tuple[str, ...] = ()
     many: bool = False
+
+    @property
+    def final(self) -> slice:
+        """Which rollouts of the pool are the final batch, as far as it is drawn."""
+        drawn = 0 if self.pool is None else self.pool.drawn
+        return slice(drawn - sum(self.frozen), None)

@@ -10,6 +10,7 @@ from pemviz.sampling.description import MethodDescription
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
+    from pemviz.sampling.kept import KeptRepetition, Recounted
     from pemviz.sampling.splitting.method import SplittingSampling
 
 
@@ -19,10 +20,17 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> SplittingSampling:  #
     return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
 
 
+def _recounted(kept: KeptRepetition) -> Recounted:
+    from pemviz.sampling.splitting.recount import recounted  # noqa: PLC0415  slow to import
+
+    return recounted(kept)
+
+
 SPLITTING = MethodDescription(
     name="splitting",
     summary="adaptive multilevel splitting in independent runs, a check of the others",
     build=_build,
+    recount=_recounted,
     settings=frozenset({"stages", "rollouts"}),
     budget=particle_budget,
     with_budget=with_particle_budget,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, row_sums
+from pemviz.arrays import FloatArray
 from pemviz.binomial import exact_interval
 from pemviz.sampling.estimates.diagnostics import count_diagnostics, undermining
 from pemviz.sampling.estimates.estimate import CONFIDENCE, negative_log_likelihood
@@ -16,7 +16,7 @@ from pemviz.sampling.splitting.diagnostics import (
     width_diagnostics,
 )
 from pemviz.sampling.splitting.interval import interval_between_runs
-from pemviz.sampling.splitting.run import SplittingRun
+from pemviz.sampling.splitting.run import RunFigures
 from pemviz.types import Diagnostic, Estimate
 
 Error = tuple[float | None, float | None, float | None]
@@ -24,7 +24,7 @@ Error = tuple[float | None, float | None, float | None]
 WITHHELD: Error = (None, None, None)
 
 
-def estimate_of_runs(runs: Sequence[SplittingRun], *, method: str) -> Estimate:
+def estimate_of_runs(runs: Sequence[RunFigures], *, method: str) -> Estimate:
     """The mean of at least one run; standard error and interval where the runs bear them out.
 
     Where particles died out in a run, where there are few runs, where they differ too much or
@@ -35,9 +35,7 @@ def estimate_of_runs(runs: Sequence[SplittingRun], *, method: str) -> Estimate:
     log_mean = log_sum(logs) - math.log(logs.size) if np.isfinite(logs).any() else -math.inf
     probability = math.exp(log_mean)
     (std_error, low, high), diagnostics = _error(runs, logs, probability=probability)
-    log_p = np.concatenate(
-        [row_sums(run.scored.rollouts.log_p[run.scored.violated]) for run in runs]
-    )
+    log_p = np.concatenate([run.log_p for run in runs])
     nll_mean, nll_log_mean = negative_log_likelihood(log_p)
     return Estimate(
         method=method,
@@ -47,7 +45,7 @@ def estimate_of_runs(runs: Sequence[SplittingRun], *, method: str) -> Estimate:
         ci_low=low,
         ci_high=high,
         rollouts_simulated=sum(run.simulated for run in runs),
-        rollouts_in_estimate=sum(run.scored.rollouts.count for run in runs),
+        rollouts_in_estimate=sum(run.count for run in runs),
         failures=int(log_p.size),
         nll_mean=nll_mean,
         nll_log_mean=nll_log_mean,
@@ -61,7 +59,7 @@ def estimate_of_runs(runs: Sequence[SplittingRun], *, method: str) -> Estimate:
 
 
 def _error(
-    runs: Sequence[SplittingRun], logs: FloatArray, *, probability: float
+    runs: Sequence[RunFigures], logs: FloatArray, *, probability: float
 ) -> tuple[Error, tuple[Diagnostic, ...]]:
     died = int(np.isneginf(logs).sum())
     if died:
@@ -82,10 +80,9 @@ def _error(
     return (std_error, low, high), (*against, *width)
 
 
-def _of_count(runs: Sequence[SplittingRun]) -> tuple[Error, tuple[Diagnostic, ...]]:
+def _of_count(runs: Sequence[RunFigures]) -> tuple[Error, tuple[Diagnostic, ...]]:
     """Nothing was cut: the runs are plain Monte Carlo (Clopper and Pearson 1934)."""
-    violated = np.concatenate([run.scored.violated for run in runs])
-    count, failures = violated.size, int(violated.sum())
+    count, failures = sum(run.count for run in runs), sum(run.log_p.size for run in runs)
     share = failures / count
     low, high = exact_interval(failures, count, confidence=CONFIDENCE)
     std_error = math.sqrt(share * (1.0 - share) / count)

@@ -14,16 +14,18 @@ compared with levels is the importance function of :mod:`pemviz.sampling.splitti
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pemviz.arrays import AnyArray
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.estimate import estimate_of_runs
+from pemviz.sampling.splitting.recount import columns_of
 from pemviz.sampling.splitting.run import SplittingRun, split
 from pemviz.types import Estimate, StageResult
 
@@ -116,7 +118,11 @@ class SplittingSampling:
         if not state.runs:
             message = "no run of multilevel splitting is done yet"
             raise ValueError(message)
-        return estimate_of_runs(state.runs, method=self.name)
+        return estimate_of_runs([run.figures for run in state.runs], method=self.name)
+
+    def kept_columns(self, state: SplittingState) -> Mapping[str, AnyArray]:
+        """What each run's particles share."""
+        return columns_of(state.runs)
 
 
 def _restored(finished: FinishedStage) -> SplittingRun:

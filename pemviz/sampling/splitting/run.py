@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.faults import SimulationError
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.problem import Problem, in_time, score
@@ -23,6 +23,39 @@ from pemviz.types import ScoredRollouts
 
 KILLED_SHARE = 0.5
 MOST_LEVELS = 10_000
+
+
+@dataclass(frozen=True)
+class RunFigures:
+    """What an estimate needs of a run of ``count`` particles, F of which violate.
+
+    Attributes:
+        log_probability: As in :class:`SplittingRun`, like the next four.
+        least_variance: Likewise.
+        common_ancestry: Likewise.
+        simulated: Likewise.
+        levels: Likewise.
+        count: How many particles.
+        log_p: Log likelihood of those that violate under the error model, ``[F]`` [nats].
+    """
+
+    log_probability: float
+    least_variance: float
+    common_ancestry: float
+    simulated: int
+    levels: int
+    count: int
+    log_p: FloatArray
+
+    def of_share(self, share: float, *, before: float) -> "RunFigures":
+        """The same where a share of the particles counts as violating, which was ``before``."""
+        if self.log_probability == -math.inf or share == 0.0:
+            return replace(self, log_probability=-math.inf)
+        return replace(
+            self,
+            log_probability=self.log_probability + math.log(share / before),
+            least_variance=self.least_variance + (1.0 / share - 1.0 / before) / self.count,
+        )
 
 
 @dataclass(frozen=True)
@@ -49,19 +82,29 @@ class SplittingRun:
     scored: ScoredRollouts
     rule_ancestry: Mapping[str, float] = field(default_factory=dict[str, float])
 
+    @property
+    def figures(self) -> RunFigures:
+        """What an estimate needs of it."""
+        scored = self.scored
+        return RunFigures(
+            log_probability=self.log_probability,
+            least_variance=self.least_variance,
+            common_ancestry=self.common_ancestry,
+            simulated=self.simulated,
+            levels=self.levels,
+            count=scored.rollouts.count,
+            log_p=row_sums(scored.rollouts.log_p[scored.violated]),
+        )
+
     def under_rule(self, rule: str) -> "SplittingRun":
         """The same particles, of which those that break one rule violate."""
         broken = self.scored.broken[rule]
         before, share = float(self.scored.violated.mean()), float(broken.mean())
-        if self.log_probability == -math.inf or share == 0.0:
-            log_probability, least = -math.inf, self.least_variance
-        else:
-            log_probability = self.log_probability + math.log(share / before)
-            least = self.least_variance + (1.0 / share - 1.0 / before) / broken.size
+        under = self.figures.of_share(share, before=before)
         return replace(
             self,
-            log_probability=log_probability,
-            least_variance=least,
+            log_probability=under.log_probability,
+            least_variance=under.least_variance,
             common_ancestry=self.rule_ancestry[rule],
             scored=replace(self.scored, violated=broken),
         )

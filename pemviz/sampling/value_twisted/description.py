@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
+from pemviz.sampling.again import averaged_again
 from pemviz.sampling.budgets import final_budget, with_final_budget
 from pemviz.sampling.description import MethodDescription
 
@@ -30,6 +31,7 @@ VALUE_TWISTED = MethodDescription(
     name="value-twisted",
     summary="proposal from the exact value function of a fast twin",
     build=_build,
+    recount=averaged_again,
     settings=frozenset({"final_rollouts"}),
     budget=final_budget,
     with_budget=with_final_budget,
