@@ -27,6 +27,7 @@ from safetensors.numpy import load_file
 import pemviz.cli.record_run  # noqa: F401
 from pemviz.cli import record
 from pemviz.runs.rollout_files import load_rollouts
+from tests.told import told
 
 CONFIG = """\
 method = "adaptive"
@@ -131,8 +132,8 @@ def start(words: Sequence[str]) -> int:
 
 
 def contents(folder: Path) -> dict:
-    document = json.loads((folder / "result.json").read_text())
-    del document["timings_s"], document["run_id"]
+    document = told(folder)
+    del document["run_id"]
     files = ("config.toml", "rollouts.npz", "proposals.safetensors")
     return {"result": document, **{name: (folder / name).read_bytes() for name in files}}
 

@@ -15,9 +15,11 @@ from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError, RunError
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.result_file import write_result
 from pemviz.runs.resume import carry_out, run_lock
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.sampling.rollouts.batches import run_here
+from tests.told import told
 
 SMALL = ExperimentConfig(method="adaptive",
     stages=3, rollouts=40, final_rollouts=60, epochs=5, repetitions=2, seed=11,
@@ -29,10 +31,8 @@ FILES = ("config.toml", "rollouts.npz", "proposals.safetensors")
 
 def contents(folder):
     """Everything that must be the same, bytes where they are."""
-    result = json.loads((folder / "result.json").read_text())
-    del result["timings_s"]
     files = {n: (folder / n).read_bytes() for n in FILES if (folder / n).exists()}
-    return {**files, "result": result}
+    return {**files, "result": told(folder)}
 
 
 def folder_of(root, name):
@@ -249,10 +249,8 @@ def test_two_processes_never_share_a_folder(tmp_path):
 
 def test_another_error_model_under_the_same_name_is_refused(tmp_path):
     experiment = build_experiment(replace(SMALL, method="naive"))
-    carry_out(experiment, tmp_path)
-    document = json.loads((tmp_path / "result.json").read_text())
-    document["pem"]["digest"] = "0" * 64
-    (tmp_path / "result.json").write_text(json.dumps(document))
+    result = carry_out(experiment, tmp_path)
+    write_result(tmp_path, replace(result, pem=replace(result.pem, digest="0" * 64)))
     with pytest.raises(InputError, match="begun with another error model"):
         carry_out(experiment, tmp_path)
 

@@ -1,5 +1,6 @@
 """Results made up for the reports' tests."""
 
+import math
 from dataclasses import replace
 
 from pemviz.analysis.data_plan import DataPlan
@@ -53,7 +54,7 @@ def estimate(**changes):
     values = {
         "method": "adaptive",
         "probability": 2e-15,
-        "log10_probability": -14.69897,
+        "log10_probability": math.log10(2e-15),
         "std_error": 1e-15,
         "ci_low": 8e-16,
         "ci_high": 5e-15,
@@ -95,7 +96,9 @@ def result(one=None, *, repetitions=1, **changes):
         ),
         timings_s={"total": 2.5},
         warnings=("no obstacle closer than 7 m",),
-        reference=Reference(probability=6.69e-15, std_error=6e-18, log10_probability=-14.17),
+        reference=Reference(
+            probability=6.69e-15, std_error=6e-18, log10_probability=math.log10(6.69e-15)
+        ),
         data_bound=DataBound(probability=0.0042, rollouts=1000, failures=1, confidence=0.95),
         pem_interval=ModelInterval(
             low=1e-17, high=1e-13, median=3e-15, members=20, confidence=0.95,

@@ -11,6 +11,8 @@ from pemviz.export.rollout import read_ranked_rollout
 from pemviz.panel.loading import load_run
 from pemviz.reports.markdown import summary_markdown
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.reading import read_result
+from pemviz.runs.result_file import write_result
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts
 from tests.faults.test_resume import StopAfter, contents, folder_of
@@ -80,8 +82,8 @@ def test_the_panel_and_the_report_say_that_others_are_left_out(folders):
 
 def test_a_table_whose_numbers_are_none_is_refused(folders, tmp_path):
     folder = folder_of(tmp_path, "damaged")
-    for name in ("config.toml", "result.json"):
-        (folder / name).write_bytes((folders["violations"] / name).read_bytes())
+    (folder / "config.toml").write_bytes((folders["violations"] / "config.toml").read_bytes())
+    write_result(folder, read_result(folders["violations"]))
     table = load_rollouts(folders["violations"])
     np.savez(folder / "rollouts.npz", **table | {"rollout": table["rollout"][1:]})
     with pytest.raises(InputError, match="rollout has shape"):

@@ -45,7 +45,9 @@ def test_a_result_of_many_stages_is_whole_at_the_end_however_rarely_it_is_writte
     written = []
     write = store.write_result
     monkeypatch.setattr(
-        store, "write_result", lambda *given: written.append(given[1]) or write(*given)
+        store,
+        "write_result",
+        lambda *given, **files: written.append(given[1]) or write(*given, **files),
     )
     few = replace(LARGE, final_rollouts=40, spec="always[0,99] (gap >= 9.0)", memory_s=0.4)
     experiment = build_experiment(few)

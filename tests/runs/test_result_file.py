@@ -17,7 +17,9 @@ from pemviz.runs import result_file
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import (
+    KeptResult,
     has_result,
+    read_kept,
     result_document,
     result_from_document,
     write_result,
@@ -26,6 +28,7 @@ from pemviz.runs.store import RunStore
 from tests.reports.runs import PLAN
 from tests.reports.runs import result as made_up_result
 from tests.runs.results import results
+from tests.told import told
 
 MAY_BE_NULL = re.compile(
     r"message|config\.(target|alpha)|memory|memory\.fitted|memory\.(frailty_)?curve\[\d+\]\.(low|high|ess)"
@@ -129,27 +132,28 @@ def changed(document, path, value):
 @given(results())
 def test_what_is_written_is_read_back(tmp_path, result):
     write_result(tmp_path, result)
-    assert read_result(tmp_path) == result
+    assert read_kept(tmp_path) == KeptResult(result, {}, None)
 
 
 def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
     write_result(tmp_path, made_up_result())
     document = result_document(made_up_result())
     text = (tmp_path / "result.json").read_text(encoding="utf-8")
-    assert text == f"{json.dumps(document, indent=1, ensure_ascii=False)}\n"
-    assert list(json.loads(text)) == [
+    kept = json.loads(text)
+    assert text == f"{json.dumps(kept, indent=1, ensure_ascii=False)}\n"
+    assert {**document, "schema": 2, "files": {}, "digest": kept["digest"]} == kept
+    assert list(kept) == [
         "schema", "run_id", "status", "message", "seed", "versions", "config", "pem", "estimate",
         "memory", "reference", "pem_interval", "families", "ladder", "data_bound", "plan",
         "sensitivity", "causes", "repetitions", "stages", "least_robust", "assumptions", "warnings",
-        "timings_s",
+        "timings_s", "files", "digest",
     ]  # fmt: skip
 
 
-def test_the_sample_run_is_read_and_written_to_the_same_bytes(tmp_path):
+def test_the_sample_run_is_read_and_written_to_the_same_document(tmp_path):
     result = read_result(sample_run())
     write_result(tmp_path, result)
-    written = (tmp_path / "result.json").read_bytes()
-    assert written == (sample_run() / "result.json").read_bytes()
+    assert told(tmp_path) == told(sample_run())
     assert result.run_id == "sample"
     assert result.estimate.probability == pytest.approx(10**result.estimate.log10_probability)
     assert len(result.least_robust) == 20
@@ -192,7 +196,7 @@ def test_undefined_and_infinite_figures_are_null_and_read_as_such(tmp_path):
     estimate = replace(one.estimate, ci_high=math.inf, ess=math.nan)
     wild = replace(one, estimate=estimate, repetitions=(), least_robust=ranked)
     write_result(tmp_path, wild)
-    found = read_result(tmp_path)
+    found = read_kept(tmp_path).result
     assert "Infinity" not in (tmp_path / "result.json").read_text()
     assert found.estimate == replace(one.estimate, ci_high=None, ess=None)
     assert found.least_robust == ranked
@@ -262,9 +266,9 @@ def test_what_is_out_of_range_is_named_with_what_is_allowed(sample, path, value,
     assert len(str(caught.value)) <= LONGEST_MESSAGE
 
 
-@pytest.mark.parametrize("schema", [2, 0, None, True, "1", ...])
+@pytest.mark.parametrize("schema", [3, 0, None, True, "1", ...])
 def test_another_schema_is_refused(sample, schema):
-    with pytest.raises(InputError, match=r"schema = .*: must be 1; another version of pemviz"):
+    with pytest.raises(InputError, match=r"schema = .*: must be 2 or 1; another version of pemviz"):
         result_from_document(changed(sample, ("schema",), schema))
 
 

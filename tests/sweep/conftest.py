@@ -1,10 +1,10 @@
-import json
 import os
 from pathlib import Path
 
 import pytest
 
 from pemviz.cli.main import main
+from tests.told import told
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = """
@@ -43,9 +43,7 @@ def contents(out: Path) -> dict[str, object]:
         name: (out / name).read_bytes() for name in ("sweep.csv", "sweep.parquet", "summary.md")
     }
     for folder in sorted((out / "runs").iterdir()):
-        document = json.loads((folder / "result.json").read_text())
-        document.pop("timings_s")
-        found[folder.name] = (document, (folder / "config.toml").read_bytes())
+        found[folder.name] = (told(folder), (folder / "config.toml").read_bytes())
     return found
 
 

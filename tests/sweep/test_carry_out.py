@@ -22,6 +22,7 @@ from pemviz.sweep.model_files import ModelFiles, model_files, models_of
 from pemviz.sweep.plan import make_plan
 from pemviz.sweep.runs import RunOutcome, carry_out, task_of
 from pemviz.sweep.table import rows
+from tests.told import told, told_by
 
 NAIVE = ExperimentConfig(method="naive", final_rollouts=20)
 MODELS = {("ml-nn", None): ModelFiles()}
@@ -76,8 +77,8 @@ def test_what_fails_is_tried_once_more_and_the_rest_goes_on(tmp_path, failures):
         assert state.status == ("failed" if failed == ATTEMPTS else "done")
         assert state.message == ("the simulator raised" if failed == ATTEMPTS else None)
         assert workers.handed_in.count(run.name) == min(failed + 1, ATTEMPTS)
-        told = [report for report in reports if report.state.planned == run]
-        assert [report.again for report in told] == [True, False][2 - len(told) :]
+        of_run = [report for report in reports if report.state.planned == run]
+        assert [report.again for report in of_run] == [True, False][2 - len(of_run) :]
         assert (tmp_path / run.name / "result.json").exists() == (state.status == "done")
     table = rows(plan, [states[run.name] for run in plan.runs])
     assert [row["probability"] is None for row in table] == [
@@ -198,9 +199,7 @@ def test_a_process_that_is_killed_costs_one_attempt_of_its_own_run(tmp_path):
     for run in plan.runs:
         alone = carry_out(task_of(run, model=ModelFiles(), keep="results"))
         expected = json.loads(dict(alone.files)["result.json"])
-        found = json.loads((tmp_path / run.name / "result.json").read_text())
-        del expected["timings_s"], found["timings_s"]
-        assert found == expected
+        assert told(tmp_path / run.name) == told_by(expected)
     assert multiprocessing.active_children() == []
 
 

@@ -1,0 +1,15 @@
+"""What a run's ``result.json`` tells, without what differs from one run of a kind to the next."""
+
+import json
+
+VARYING = ("schema", "files", "digest", "timings_s")
+
+
+def told_by(document):
+    """A document without timings, and without the digests that stand in a run folder alone."""
+    return {name: value for name, value in document.items() if name not in VARYING}
+
+
+def told(folder):
+    """The same of a run folder's."""
+    return told_by(json.loads((folder / "result.json").read_text(encoding="utf-8")))
