@@ -45,7 +45,8 @@ class LoadedRuns:
     """Runs read from folders; browsers that look at the same one share its arrays."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock, self._looking = threading.Lock(), threading.Lock()
+        self._looked_at = set[tuple[Path, int]]()
         self._runs: WeakValueDictionary[tuple[Path, int], RunData] = WeakValueDictionary()
 
     def get(self, folder: Path) -> RunData:
@@ -65,6 +66,20 @@ class LoadedRuns:
                 self._runs[key] = run = load_run(folder)
             return run
 
+    def disagreement(self, folder: Path) -> InputError | None:
+        """What a look at all of a large run's files finds wrong; it takes some seconds a run."""
+        with self._looking:
+            try:
+                changed_ns = (folder / RESULT_FILE).stat().st_mtime_ns
+                if (folder, changed_ns) not in self._looked_at:
+                    read_whole_run(folder)
+                    self._looked_at.add((folder, changed_ns))
+            except OSError as error:
+                return InputError(f"run {folder}: cannot be read ({error.strerror or error})")
+            except InputError as error:
+                return error
+        return None
+
 
 def load_run(folder: Path, *, most_read_bytes: int = READ_BYTES) -> RunData:
     """Read a run folder.
@@ -72,12 +87,13 @@ def load_run(folder: Path, *, most_read_bytes: int = READ_BYTES) -> RunData:
     Args:
         folder: The folder.
         most_read_bytes: A larger ``rollouts.npz`` is not read: what it holds of each step stays
-            on disk, and is read and checked when it is looked at.
+            on disk, and is read and checked when it is looked at. Nor are larger files held to
+            the result: :meth:`LoadedRuns.disagreement` does.
 
     Raises:
         InputError: Something in it is absent or damaged.
     """
-    result = read_whole_run(folder)
+    result = read_whole_run(folder, most_bytes=most_read_bytes)
     config = result.config
     own = _own_scenario(config)
     table, mapped = _rollouts(folder, config, own, most_read_bytes=most_read_bytes)

@@ -16,6 +16,7 @@ from pemviz.runs.trust import run_interval_caveats
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
+LISTED_BYTES = 1_000_000
 NOTES_FILE = "notes.txt"
 MOST_NOTED = 20_000
 """Characters of a run's notes."""
@@ -177,11 +178,20 @@ class RecordingsFolder:
             cached = self._entries.get(name)
             if cached is not None and cached[0] == changed_s:
                 return cached[1]
-            entry = _entry_of(name, read_whole_run(path.parent), folder=path.parent)
+            entry = _entry_of(name, read_listed(path.parent), folder=path.parent)
         except InputError as error:
             entry = str(error)
         self._entries[name] = (changed_s, entry)
         return entry
+
+
+def read_listed(folder: Path) -> RunResult:
+    """A run's result, held to its small files; what is large is looked at when it is opened.
+
+    Raises:
+        InputError: Something is damaged, or does not agree.
+    """
+    return read_whole_run(folder, most_bytes=LISTED_BYTES)
 
 
 def _entry_of(name: str, result: RunResult, *, folder: Path) -> RunEntry:

@@ -30,13 +30,18 @@ MORE, LESS = "must be at least", "must be at most"
 
 def complaints(result: RunResult) -> Iterator[str]:
     """What is wrong, a line each that names the field; fields of files may come from anywhere."""
-    for name, record in _records(result, ""):
-        yield from _out_of_order(name, record)
-        yield from _counts(name, record)
-        yield from _logarithm(name, record)
+    yield from disorders(result)
     if result.estimate is not None and result.repetitions and _is_known(result.estimate):
         of_all = summarise_repetitions(result.repetitions)
         yield from differences("estimate", result.estimate, of_all, source="repetitions")
+
+
+def disorders(value: Any) -> Iterator[str]:
+    """What contradicts itself in a record, or in records within it."""
+    for name, record in _records(value, ""):
+        yield from _out_of_order(name, record)
+        yield from _counts(name, record)
+        yield from _logarithm(name, record)
 
 
 def differences(

@@ -17,6 +17,7 @@ from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts, part_path
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.recording.read_back import read_stages
+from tests.runs.recounts import assert_recounted
 
 RULES = {"near": "always[0,99] (gap >= 2.0)", "far": "always[0,99] (gap >= 4.0)"}
 ALL = ExperimentConfig(
@@ -141,3 +142,8 @@ def test_a_recording_tells_of_all_rollouts(runs):
         np.testing.assert_array_equal(whole.rollout[rows], found.rollout)
         np.testing.assert_array_equal(whole.robustness[rows], found.robustness)
         np.testing.assert_allclose(whole.series["gap_m"][rows], found.series["gap_m"])
+
+
+def test_what_a_folder_keeps_gives_the_estimate_again(runs):
+    for folder, _, _ in runs.values():
+        assert_recounted(folder)

@@ -13,6 +13,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import part_path
 from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.runs.recounts import assert_recounted
 from tests.runs.test_learning_in_parts import Stages
 
 pytestmark = pytest.mark.slow
@@ -95,3 +96,8 @@ def test_held_rollouts_are_those_of_the_whole_stage(runs):
         row = numbers_of(few.scored.rollouts.count, few.drawn)
         for name, values in whole.scored.rollouts.signals.items():
             np.testing.assert_array_equal(few.scored.rollouts.signals[name], values[row])
+
+
+def test_what_a_folder_keeps_gives_the_estimate_again(runs):
+    for folder, _, _ in runs.values():
+        assert_recounted(folder)

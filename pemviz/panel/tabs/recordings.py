@@ -10,12 +10,12 @@ from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
 from pemviz.panel.ranking import rank, ranking_csv
+from pemviz.panel.recordings import read_listed
 from pemviz.panel.run_data import RunData
 from pemviz.panel.scene_page import scene_html
 from pemviz.panel.tabs.player import Player
 from pemviz.panel.views.recordings import delete_question, recordings_table, viewer_link
 from pemviz.reports.pictures.html import block, quiet
-from pemviz.runs.reading import read_whole_run
 
 NONE = "no runs yet"
 SETTINGS_HINT = "Fill the Experiment tab with the settings of the run chosen; nothing is run yet."
@@ -135,9 +135,19 @@ class RecordingsTab:
             if self._opening == folder:
                 self._opening = None
                 browser.look_at(run)
+                if run.mapped:
+                    look = partial(hub.loaded.disagreement, folder)
+                    browser.beside(look, partial(self._held_to_files, run))
 
         set_html(self._link, block(quiet(f"Opening {escape(name)} ...")))
         browser.beside(read, show, ended=lambda: set_html(self._link, ""))
+
+    def _held_to_files(self, run: RunData, wrong: InputError | None) -> None:
+        """Say what large files contradict, and show the run no longer."""
+        if wrong is not None:
+            if self._browser.loaded is run:
+                self._browser.look_at(None)
+            raise wrong
 
     def _back(self) -> None:
         self._opening = None
@@ -145,7 +155,7 @@ class RecordingsTab:
 
     def _settings(self) -> None:
         name = self.name.value
-        self._use_settings(read_whole_run(self._browser.hub.recordings.folder(name)).config)
+        self._use_settings(read_listed(self._browser.hub.recordings.folder(name)).config)
         self._browser.tell("Settings taken over", f"The Experiment tab has those of {name}.",
             color="blue")  # fmt: skip
 

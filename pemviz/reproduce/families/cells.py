@@ -1,6 +1,7 @@
 """One cell by one method: carried out, and kept in a file that the same command finds again."""
 
 import hashlib
+import logging
 import math
 import time
 from collections.abc import Mapping
@@ -17,7 +18,9 @@ from pemviz.config.records import read_record
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_json
+from pemviz.files.digests import document_digest
 from pemviz.files.json_text import parse_json
+from pemviz.runs.coherence import disorders
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.rules import estimates_by_rule
 from pemviz.types import Estimate
@@ -25,6 +28,9 @@ from pemviz.types import Estimate
 ANY = "any rule"
 """What breaks at least one of the rules."""
 HASH_DIGITS = 16
+WHOLE = "whole"
+"""The entry with the digest of all others."""
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -74,10 +80,20 @@ def cell_path(folder: Path, config: ExperimentConfig, digest: str) -> Path:
 
 
 def kept_estimates(path: Path, *, digest: str) -> CellEstimates | None:
-    """What an earlier call found; ``None`` if there is nothing that can be read or is meant."""
+    """What an earlier call found; ``None`` if there is nothing that can be read or is meant.
+
+    What was changed since is told of, and counts as nothing.
+    """
     try:
-        found = read_record(CellEstimates, parse_json(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, InputError):
+        document = dict(parse_json(path.read_text(encoding="utf-8")))
+        told = document.pop(WHOLE, None)  # older versions wrote none
+        found = read_record(CellEstimates, document)
+        is_changed = told is not None and told != document_digest(document)
+    except (OSError, TypeError, ValueError, InputError):
+        return None
+    wrong = next(disorders(found), "it was changed after it was written" if is_changed else None)
+    if wrong is not None:
+        LOG.warning("estimates %s: %s; they are computed again", path, wrong)
         return None
     return found if found.digest == digest else None
 
@@ -108,7 +124,7 @@ def cell_estimates(config: ExperimentConfig, path: Path, digest: str) -> CellEst
         by_rule = {ANY: method.estimate(state), **estimates_by_rule(method, state, config.rules)}
     rules = [{"rule": rule, "estimate": _finite(asdict(one))} for rule, one in by_rule.items()]
     document = {"digest": digest, "cpu_s": time.process_time() - began, "rules": rules}
-    write_json(path, document)
+    write_json(path, {**document, WHOLE: document_digest(document)})
     return read_record(CellEstimates, document)
 
 

@@ -1,0 +1,242 @@
+"""Edited run folders are refused, in a line that names what does not agree; whoever reads them."""
+
+import json
+import math
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import pemviz
+from pemviz.cli.main import main
+from pemviz.errors import InputError
+from pemviz.files.digests import document_digest, file_digest
+from pemviz.panel.loading import load_run
+from pemviz.panel.recordings import RecordingsFolder
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.reading import read_result
+from pemviz.runs.resume import carry_out
+from pemviz.runs.rollout_files import part_path
+from tests.faults.test_resume import StopAfter, contents
+from tests.runs.test_reading import RULES, SMALL
+from tests.runs.test_result_file import changed, paths
+
+CONFIG = replace(SMALL.with_rules(RULES), method="mixture", repetitions=2)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A run of ours, with a recording's place taken, and one that differs from it by its seed."""
+    folders = []
+    for seed in (3, 4):
+        folder = tmp_path_factory.mktemp("recordings") / "run"
+        folder.mkdir()
+        (folder / "run.rrd").write_bytes(b"RRF2" + bytes(range(256)) * 20)
+        carry_out(build_experiment(replace(CONFIG, seed=seed)), folder)
+        folders.append(folder)
+    return folders
+
+
+@pytest.fixture
+def run(made, tmp_path):
+    """A copy that may be edited."""
+    shutil.copytree(made[0], tmp_path / "recordings" / "run")
+    return tmp_path / "recordings" / "run"
+
+
+def edit(run, change, *, sealed=False):
+    """Change the document; ``sealed``: with digests that fit, as who means to deceive would."""
+    path = run / "result.json"
+    document = json.loads(path.read_text())
+    change(document)
+    if sealed:
+        document["files"] = {name: file_digest(run / name) for name in document["files"]}
+        del document["digest"]
+        document["digest"] = document_digest(document)
+    path.write_text(json.dumps(document))
+
+
+def edit_rollouts(run, **changes):
+    path = run / "rollouts.npz"
+    with np.load(path) as arrays:
+        table = {name: arrays[name] for name in arrays.files}
+    for name, change in changes.items():
+        table[name] = change(table[name])
+    np.savez(path, **table)
+
+
+def lower_bound(document):
+    document["estimate"]["ci_high"] /= 100
+
+
+def probability_alone(document):
+    document["estimate"]["probability"] /= 10
+
+
+def scale(estimate, factor):
+    for name in ("probability", "std_error", "ci_low", "ci_high"):
+        estimate[name] *= factor
+    estimate["log10_probability"] += math.log10(factor)
+
+
+def all_consistently(document):
+    for estimate in (document["estimate"], *document["repetitions"]):
+        scale(estimate, 0.01)
+
+
+def one_repetition(document):
+    scale(document["repetitions"][1], 0.5)
+
+
+def a_rule(document):
+    scale(document["rules"][0]["estimate"], 0.5)
+
+
+def failures_of_a_stage(document):
+    document["stages"][2]["failures"] -= 1
+
+
+def flip(values):
+    values = values.copy()
+    row = int(np.flatnonzero(values)[0])
+    values[row] = not values[row]
+    return values
+
+
+def shifted(values):
+    return np.where(values < 0, values - 0.1, values)
+
+
+def bounds_of_refits(document):
+    document["pem_interval"]["high"] = document["pem_interval"]["low"] / 2
+
+
+def cut(run, name):
+    (run / name).write_bytes((run / name).read_bytes()[:-100])
+
+
+def drop_a_rollout(run):
+    with np.load(run / "rollouts.npz") as arrays:
+        names = arrays.files
+    edit_rollouts(run, **dict.fromkeys(names, lambda values: values[1:]))
+
+
+def another_seed(run):
+    path = run / "config.toml"
+    path.write_text(path.read_text().replace("seed = 3", "seed = 5", 1))
+
+
+def without_digest(document):
+    del document["digest"]
+
+
+def in_document(change, **how):
+    return lambda run, _: edit(run, change, **how)
+
+
+EDITS = {
+    "bound": (in_document(lower_bound), "estimate.ci_high = ", "must be at least"),
+    "probability": (in_document(probability_alone), "estimate.probability", "estimate.ci_low = "),
+    "consistent": (in_document(all_consistently), "repetitions[0].probability = ", "npz give "),
+    "consistent and sealed": (
+        in_document(all_consistently, sealed=True), "repetitions[0].probability = ", "npz give "),
+    "repetition": (in_document(one_repetition), "estimate.", "repetitions give "),
+    "rule": (in_document(a_rule, sealed=True), "rules[0].estimate.probability = ", "npz give "),
+    "stage": (in_document(failures_of_a_stage, sealed=True), "stages[2].failures = ", "npz holds "),
+    "refits": (in_document(bounds_of_refits, sealed=True), "pem_interval.high", "pem_interval."),
+    "digest": (in_document(without_digest), "digest", "must be a text"),
+    "verdict": (lambda run, _: edit_rollouts(run, violated=flip), "violated = False", "robustness"),
+    "rule's verdict": (
+        lambda run, _: edit_rollouts(run, **{"broken.near": flip}),
+        "rules[0].estimate.failures = ", "npz give "),
+    "likelihoods": (
+        lambda run, _: edit_rollouts(run, log_p=shifted), "repetitions[0].nll_mean", "npz give "),
+    "proposal's likelihoods": (
+        lambda run, _: edit_rollouts(run, log_q=shifted), "files.rollouts.npz = ", "was changed"),
+    "rollout dropped": (lambda run, _: drop_a_rollout(run), "stages[0].rollouts = 40", "holds 39"),
+    "seed": (lambda run, _: another_seed(run), "seed = 3, not 5", "config.toml"),
+    "proposals": (
+        lambda run, _: cut(run, "proposals.safetensors"), "files.proposals.safetensors", "changed"),
+    "recording cut": (lambda run, _: cut(run, "run.rrd"), "files.run.rrd = ", "was changed"),
+    "another run's rollouts": (
+        lambda run, other: shutil.copy(other / "rollouts.npz", run), "failures = ", "rollouts.npz"),
+}  # fmt: skip
+
+
+def line_of(capsys):
+    lines = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+@pytest.mark.parametrize("kind", EDITS)
+def test_an_edited_run_is_refused_everywhere_in_the_same_line(kind, made, run, tmp_path, capsys):
+    change, *words = EDITS[kind]
+    change(run, made[1])
+    with pytest.raises(InputError) as refused:
+        pemviz.read_result(run)
+    told = str(refused.value)
+    assert all(word in told for word in words), told
+    assert str(run) in told
+    if kind != "seed":  # of which each has its own configuration
+        assert main(["record", "--resume", str(run)]) == 2
+        assert told in line_of(capsys)
+    for command in (
+        ["report", str(run), "--out", str(tmp_path / "page.html")],
+        ["export", str(run), "--format", "csv", "--out", str(tmp_path / "rollout.csv")],
+    ):
+        assert main(command) == 2
+        assert told in line_of(capsys)
+    with pytest.raises(InputError) as refused:
+        load_run(run)
+    assert str(refused.value) == told
+    assert RecordingsFolder(run.parent).damaged() == [told]
+
+
+def test_the_runs_are_believed_before(made):
+    for folder in made:
+        assert read_result(folder).status == "done"
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_whatever_single_value_is_changed_is_found(made, tmp_path, data):
+    document = json.loads((made[0] / "result.json").read_text())
+    leaves = [
+        (path, value) for path, value in paths(document) if not isinstance(value, dict | list)
+    ]
+    path, value = data.draw(st.sampled_from(leaves))
+    others = st.one_of(
+        st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False),
+        st.text(max_size=4), st.just(...),
+    )  # fmt: skip
+    other = data.draw(others.filter(lambda x: json.dumps(x, default=str) != json.dumps(value)))
+    folder = tmp_path / "one"
+    folder.mkdir(exist_ok=True)
+    (folder / "result.json").write_text(json.dumps(changed(document, path, other)))
+    with pytest.raises(InputError) as refused:
+        read_result(folder)
+    assert "\n" not in str(refused.value)
+
+
+def test_an_edited_stage_of_an_unfinished_run_is_computed_again(tmp_path, caplog):
+    folders = [tmp_path / name / "run" for name in ("whole", "edited")]
+    experiment = build_experiment(replace(CONFIG, repetitions=1))
+    for folder in folders:
+        folder.mkdir(parents=True)
+        stop = StopAfter(3)
+        carry_out(experiment, folder, observers=[stop], should_stop=stop)
+    path = part_path(folders[1], repetition=0, stage=1)
+    with np.load(path) as arrays:
+        table = {name: arrays[name] for name in arrays.files}
+    np.savez(path, **{**table, "violated": ~table["violated"]})
+    with pytest.raises(InputError, match="was changed since it was written"):
+        load_run(folders[1])
+    for folder in folders:
+        carry_out(experiment, folder)
+    assert "was changed since it was written" in caplog.text
+    assert "it is computed again" in caplog.text
+    assert contents(folders[1]) == contents(folders[0])

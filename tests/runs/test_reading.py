@@ -1,0 +1,118 @@
+"""Runs as they were kept are believed, whatever they are of; figures that were scaled are not."""
+
+import shutil
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+import pemviz
+from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.config.encounters import EncounterConfig
+from pemviz.errors import InputError
+from pemviz.files.shipped import sample_run
+from pemviz.runs.experiment import build_experiment
+from pemviz.runs.reading import read_result, read_whole_run
+from pemviz.runs.recount import recount
+from pemviz.runs.result_file import read_kept
+from pemviz.runs.resume import carry_out
+from pemviz.sampling.registry import SHIPPED
+from tests.faults.test_resume import StopAfter, folder_of
+from tests.runs.recounts import assert_recounted
+
+SMALL = ExperimentConfig(
+    stages=5, rollouts=40, final_rollouts=90, epochs=20, seed=3, plan=False,
+    spec="always[0,59] (gap >= 6.5)", scenario=ScenarioConfig(states=60),
+)  # fmt: skip
+RULES = {"near": "always[0,59] (gap >= 6.5)", "nearer": "always[0,59] (gap >= 6.2)"}
+CUT_IN = replace(
+    SMALL,
+    scenario=ScenarioConfig(),
+    spec="always[0,90] (needless_deceleration <= 3.0)",
+    encounter=EncounterConfig(family="cut-in", ghost_probability=0.05),
+)
+KINDS = {
+    "plain": SMALL,
+    "violations": replace(SMALL, keep="violations"),
+    "repetitions": replace(SMALL, repetitions=3),
+    "rules": replace(SMALL.with_rules(RULES), repetitions=2),
+    "rules, violations": replace(SMALL.with_rules(RULES), keep="violations"),
+    "latents": replace(SMALL, position_errors="pointpillars"),
+    "memory": replace(SMALL, memory_s=0.3),
+    "agm": replace(SMALL, metric="agm"),
+    "slots": CUT_IN,
+}
+WITHOUT = {"latents": ("adaptive", "value-twisted"), "slots": ("adaptive", "value-twisted")}
+CASES = [
+    (kind, method.name)
+    for kind in KINDS
+    for method in SHIPPED
+    if method.name not in WITHOUT.get(kind, ())
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Kind and method to the folder of such a run, made once."""
+
+    @cache
+    def made(kind, method):
+        found = folder_of(tmp_path_factory.mktemp("kept"), "a")
+        carry_out(build_experiment(replace(KINDS[kind], method=method)), found)
+        return found
+
+    return made
+
+
+@pytest.mark.parametrize(("kind", "method"), CASES)
+def test_a_run_as_it_was_kept_is_believed_and_scaled_figures_are_not(folder, kind, method):
+    assert_recounted(folder(kind, method))
+    assert read_result(folder(kind, method)).estimate.failures > 0
+
+
+def test_results_of_older_versions_are_held_to_themselves(tmp_path):
+    result = read_whole_run(sample_run())
+    assert read_kept(sample_run()).files == {}
+    assert pemviz.read_result(sample_run()) == result
+    # their mixture kept no weights: what rollouts count is compared all the same
+    (one,) = result.repetitions
+    wrong = replace(one, failures=one.failures - 1)
+    (words, *_) = recount(sample_run(), replace(result, repetitions=(wrong,)))
+    assert words == "repetitions[0].failures = 104: rollouts.npz give 105"
+
+
+def test_an_unfinished_run_is_read(tmp_path):
+    stop = StopAfter(3)
+    experiment = build_experiment(replace(SMALL, method="mixture"))
+    carry_out(experiment, tmp_path, observers=[stop], should_stop=stop)
+    assert read_whole_run(tmp_path).status == "stopped"
+    assert list(read_kept(tmp_path).files) == ["config.toml"]
+
+
+def test_files_that_were_taken_away_are_not_missed(folder, tmp_path):
+    kept = tmp_path / "run"
+    shutil.copytree(folder("plain", "mixture"), kept)
+    for name in ("rollouts.npz", "proposals.safetensors"):
+        (kept / name).unlink()
+        assert read_result(kept).status == "done"
+    (kept / "config.toml").unlink()
+    with pytest.raises(InputError, match=r"config\.toml: cannot be read"):
+        read_whole_run(kept)
+
+
+def test_a_method_that_is_not_installed_here_is_no_hindrance(folder, tmp_path):
+    kept = folder("plain", "naive")
+    result = read_result(kept)
+    elsewhere = replace(result, config=replace(result.config, method="of-another-package"))
+    assert list(recount(kept, elsewhere)) == []
+
+
+def test_large_files_are_left_to_another_look(folder, tmp_path):
+    kept = tmp_path / "run"
+    shutil.copytree(folder("plain", "naive"), kept)
+    rollouts = kept / "rollouts.npz"
+    rollouts.write_bytes(rollouts.read_bytes() + b"\0")
+    size = rollouts.stat().st_size
+    assert read_result(kept, most_bytes=size - 1).status == "done"
+    with pytest.raises(InputError, match=r"rollouts\.npz"):
+        read_result(kept, most_bytes=size)
