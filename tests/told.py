@@ -13,3 +13,11 @@ def told_by(document):
 def told(folder):
     """The same of a run folder's."""
     return told_by(json.loads((folder / "result.json").read_text(encoding="utf-8")))
+
+
+def without_digests(folder):
+    """Make the run folder's result one of an older version, that has none."""
+    path = folder / "result.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    del document["files"], document["digest"]
+    path.write_text(json.dumps({**document, "schema": 1}), encoding="utf-8")

@@ -16,7 +16,7 @@ from pemviz.runs.trust import run_interval_caveats
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
-LISTED_BYTES = 1_000_000
+LISTED_BYTES = 16_000_000
 NOTES_FILE = "notes.txt"
 MOST_NOTED = 20_000
 """Characters of a run's notes."""

@@ -249,7 +249,7 @@ def _kept(document: object) -> KeptResult:
 
 def _check_schema(table: Table) -> None:
     schema = table.get("schema")
-    if schema not in (SCHEMA, OPEN_SCHEMA) or isinstance(schema, bool):
+    if isinstance(schema, bool) or schema not in (SCHEMA, OPEN_SCHEMA):
         message = (
             f"schema = {shown(schema)}: must be {SCHEMA} or {OPEN_SCHEMA}; another version of "
             "pemviz wrote it"

@@ -8,9 +8,10 @@ from dataclasses import replace
 from pemviz.panel.controller import Controller
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result_file import result_document
+from tests import told
 from tests.panel.conftest import NAIVE, SMALL, wait_until
 
-VARYING = ("run_id", "timings_s")
+VARYING = ("run_id", *told.VARYING)
 
 
 def fixed(document):

@@ -1,5 +1,6 @@
 """A run whose rollouts stay on disk shows the same as one that is read, in bounded memory."""
 
+import shutil
 import threading
 import time
 import tracemalloc
@@ -15,7 +16,7 @@ from pemviz.files.array_files import read_arrays
 from pemviz.files.mapped_arrays import map_arrays
 from pemviz.panel import run_observer, scans
 from pemviz.panel.browser import Browser
-from pemviz.panel.loading import load_run
+from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.ranking import elites, rank, ranking_csv, row, scoring
 from pemviz.panel.tables import thinned
 from pemviz.panel.views.details import details
@@ -26,6 +27,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out
 from pemviz.runs.store import create_run_folder
 from tests.panel.conftest import NAIVE, wait_until
+from tests.told import without_digests
 
 METRICS = ("classical", "agm", "smooth-cumulative")
 PART = 7
@@ -130,6 +132,7 @@ def test_numbers_of_a_mapped_run_are_checked_when_they_are_looked_at(kept, tmp_p
     gap_m = read_arrays(kept[0] / "rollouts.npz")["gap_m"].copy()
     gap_m[3, 5] = np.nan
     damaged = rewritten(kept[0], tmp_path / "damaged", gap_m=gap_m)
+    without_digests(damaged)
     with pytest.raises(InputError, match="gap_m must hold numbers between"):
         load_run(damaged)
     run = load_run(damaged, most_read_bytes=0)
@@ -349,3 +352,14 @@ def test_the_words_say_of_how_many_violations_some_are_shown(naive_run, monkeypa
     total = int(run.rollouts["violated"].sum())
     assert failures.missed.shape[0] == 6
     assert f"From 6 of {total} violations" in why(run)
+
+
+def test_large_files_are_held_to_the_result_beside(latent_folder, tmp_path):
+    folder, loaded = tmp_path / "run", LoadedRuns()
+    shutil.copytree(latent_folder, folder)
+    assert loaded.disagreement(folder) is None
+    rollouts = folder / "rollouts.npz"
+    rollouts.write_bytes(rollouts.read_bytes() + b"\0")
+    assert load_run(folder, most_read_bytes=0).mapped
+    assert loaded.disagreement(folder) is None  # one look for all who open it
+    assert "files.rollouts.npz = " in str(LoadedRuns().disagreement(folder))

@@ -1,20 +1,26 @@
 """No name leads out of the recordings folder; damaged runs are told in one line."""
 
-import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
+from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
 from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.recordings import RecordingsFolder
+from pemviz.panel.tables import check_table
 from pemviz.panel.views.recordings import recordings_table
+from pemviz.runs.reading import read_result
+from pemviz.runs.result_file import write_result
 from pemviz.runs.resume import run_lock
+from pemviz.runs.rollout_files import load_rollouts
+from tests.told import without_digests
 
 CRAFTED = (
     "..", ".", "", "/", "../outside", "run/../../outside", "/etc", "run/", "./run", "run\x00",
@@ -68,8 +74,7 @@ def test_a_folder_that_is_not_there_is_empty(tmp_path):
 def test_a_rewritten_result_is_read_again(folder):
     assert folder.entries()[0].status == "done"
     path = folder.root / "run" / "result.json"
-    document = json.loads(path.read_text())
-    path.write_text(json.dumps(document | {"status": "stopped"}))
+    write_result(path.parent, replace(read_result(path.parent), status="stopped"))
     os.utime(path, (1, 1))
     assert folder.entries()[0].status == "stopped"
 
@@ -170,7 +175,10 @@ def first_is(value):
 def test_rollouts_with_impossible_numbers_are_refused(folder, name, change, words):
     run = folder.root / "run"
     edit(run, **{name: change})
+    config = load_config(run / "config.toml")
     with pytest.raises(InputError, match=words):
+        check_table(load_rollouts(run), config, where=str(run))
+    with pytest.raises(InputError):  # what it is that a result contradicts, is told first
         load_run(run)
 
 
@@ -188,6 +196,7 @@ def test_proposals_that_overflow_are_not_drawn(folder):
     run = folder.root / "run"
     path = run / "proposals.safetensors"
     save_file({name: np.full_like(a, 1e200) for name, a in load_file(path).items()}, path)
+    without_digests(run)
     # the rollouts tell what was sampled from
     assert all(np.nanmax(curve.detection) <= 1.0 for curve in load_run(run).curves)
 

@@ -114,6 +114,18 @@ def bounds_of_refits(document):
     document["pem_interval"]["high"] = document["pem_interval"]["low"] / 2
 
 
+def reference(document):
+    document["reference"]["probability"] /= 2
+    document["reference"]["log10_probability"] -= math.log10(2)
+
+
+def of_an_older_version(document):
+    """As far as it goes: what has no digests is held to its rollouts all the same."""
+    all_consistently(document)
+    document["schema"] = 1
+    del document["files"], document["digest"]
+
+
 def cut(run, name):
     (run / name).write_bytes((run / name).read_bytes()[:-100])
 
@@ -147,6 +159,8 @@ EDITS = {
     "rule": (in_document(a_rule, sealed=True), "rules[0].estimate.probability = ", "npz give "),
     "stage": (in_document(failures_of_a_stage, sealed=True), "stages[2].failures = ", "npz holds "),
     "refits": (in_document(bounds_of_refits, sealed=True), "pem_interval.high", "pem_interval."),
+    "reference": (in_document(reference), "digest = ", "it was changed after it was written"),
+    "older": (in_document(of_an_older_version), "repetitions[0].probability = ", "npz give "),
     "digest": (in_document(without_digest), "digest", "must be a text"),
     "verdict": (lambda run, _: edit_rollouts(run, violated=flip), "violated = False", "robustness"),
     "rule's verdict": (
@@ -240,3 +254,15 @@ def test_an_edited_stage_of_an_unfinished_run_is_computed_again(tmp_path, caplog
     assert "was changed since it was written" in caplog.text
     assert "it is computed again" in caplog.text
     assert contents(folders[1]) == contents(folders[0])
+
+
+def test_a_stages_file_of_an_older_version_has_no_digest(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    stop = StopAfter(2)
+    experiment = build_experiment(replace(CONFIG, repetitions=1))
+    carry_out(experiment, folder, observers=[stop], should_stop=stop)
+    path = part_path(folder, repetition=0, stage=1)
+    with np.load(path) as arrays:
+        np.savez(path, **{name: arrays[name] for name in arrays.files if name != "digest"})
+    assert load_run(folder).kept == 80

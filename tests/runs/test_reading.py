@@ -4,6 +4,7 @@ import shutil
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 import pemviz
@@ -19,6 +20,7 @@ from pemviz.runs.resume import carry_out
 from pemviz.sampling.registry import SHIPPED
 from tests.faults.test_resume import StopAfter, folder_of
 from tests.runs.recounts import assert_recounted
+from tests.told import without_digests
 
 SMALL = ExperimentConfig(
     stages=5, rollouts=40, final_rollouts=90, epochs=20, seed=3, plan=False,
@@ -70,15 +72,27 @@ def test_a_run_as_it_was_kept_is_believed_and_scaled_figures_are_not(folder, kin
     assert read_result(folder(kind, method)).estimate.failures > 0
 
 
-def test_results_of_older_versions_are_held_to_themselves(tmp_path):
-    result = read_whole_run(sample_run())
-    assert read_kept(sample_run()).files == {}
-    assert pemviz.read_result(sample_run()) == result
-    # their mixture kept no weights: what rollouts count is compared all the same
-    (one,) = result.repetitions
+@pytest.mark.parametrize("method", ["mixture", "splitting", "naive"])
+def test_results_of_older_versions_are_held_as_far_as_they_go(folder, tmp_path, method):
+    """They have no digests, and their rollouts nothing that a method alone keeps."""
+    kept = tmp_path / "run"
+    shutil.copytree(folder("rules", method), kept)
+    with np.load(kept / "rollouts.npz") as arrays:
+        table = {n: arrays[n] for n in arrays.files if not n.startswith("method.")}
+    np.savez(kept / "rollouts.npz", **table)
+    without_digests(kept)
+    result = read_whole_run(kept)
+    assert result == read_result(folder("rules", method))
+    assert read_kept(kept).files == {}
+    (one, *others) = result.repetitions
     wrong = replace(one, failures=one.failures - 1)
-    (words, *_) = recount(sample_run(), replace(result, repetitions=(wrong,)))
-    assert words == "repetitions[0].failures = 104: rollouts.npz give 105"
+    (words, *_) = recount(kept, replace(result, repetitions=(wrong, *others)))
+    told = f"repetitions[0].failures = {one.failures - 1}: rollouts.npz give {one.failures}"
+    assert words == told
+
+
+def test_the_shipped_sample_is_believed():
+    assert pemviz.read_result(sample_run()).status == "done"
 
 
 def test_an_unfinished_run_is_read(tmp_path):

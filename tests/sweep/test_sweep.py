@@ -285,3 +285,19 @@ def test_a_sweep_killed_outright_leaves_no_process_behind(tiny, tmp_path):
             break
         time.sleep(0.1)
     assert left == []
+
+
+def test_a_run_that_was_edited_is_named_and_carried_out_again(tiny, tmp_path, capsys, caplog):
+    words = ["--vary", "method=monte-carlo", "--seeds", "2", "--workers", "1"]
+    assert sweep(tiny, tmp_path, *words) == 0
+    before = contents(tmp_path)
+    path = sorted((tmp_path / "runs").iterdir())[1] / "result.json"
+    document = json.loads(path.read_text())
+    document["estimate"]["ci_high"] /= 100
+    path.write_text(json.dumps(document))
+    capsys.readouterr()
+    assert sweep(tiny, tmp_path, *words) == 0
+    assert "1 of 2 runs are done already" in capsys.readouterr().err
+    assert str(path) in caplog.text
+    assert "the run counts as not done" in caplog.text
+    assert contents(tmp_path) == before
