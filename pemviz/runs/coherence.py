@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any, cast
 
+import numpy as np
+
 from pemviz.errors import ConfigError
 from pemviz.runs.result import RunResult
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
@@ -32,7 +34,12 @@ def complaints(result: RunResult) -> Iterator[str]:
     """What is wrong, a line each that names the field; fields of files may come from anywhere."""
     yield from disorders(result)
     if result.estimate is not None and result.repetitions and _is_known(result.estimate):
-        of_all = summarise_repetitions(result.repetitions)
+        try:
+            with np.errstate(all="ignore"):
+                of_all = summarise_repetitions(result.repetitions)
+        except (ArithmeticError, ValueError) as error:
+            yield f"repetitions: give no estimate together ({error})"
+            return
         yield from differences("estimate", result.estimate, of_all, source="repetitions")
 
 

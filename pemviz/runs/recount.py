@@ -24,6 +24,7 @@ AT_ONCE = 10_000
 MOST_RECOUNTED = 20_000_000
 """Rollouts; what a damaged file claims is not to take more memory than there is."""
 PER_OUTCOME = ("detected", "log_p", "log_q")
+Recount = Callable[[KeptRepetition], Recounted]
 KINDS = {"repetition": "i", "stage": "i", "robustness": "f", "violated": "b"}
 
 
@@ -39,7 +40,7 @@ def recount(folder: Path, result: RunResult) -> Iterator[str]:
     arrays = map_arrays(path)
     try:
         yield from _complaints(arrays, result)
-    except (KeyError, ValueError, TypeError, IndexError, OverflowError) as error:
+    except (KeyError, ValueError, TypeError, IndexError, ArithmeticError) as error:
         message = f"rollouts {path}: do not fit together ({error})"
         raise InputError(message) from error
 
@@ -58,15 +59,23 @@ def _complaints(arrays: Mapping[str, AnyArray], result: RunResult) -> Iterator[s
         return
     found = _Found.of(arrays, place, result)
     kept = [found.repetition(number) for number in range(len(result.repetitions))]
-    every = [recounted(one) for one in kept]
+    every = [_formed(recounted, one) for one in kept]
     for number, (said, one) in enumerate(zip(result.repetitions, every, strict=True)):
         yield from _differences(f"repetitions[{number}]", said, one)
     for number, rule in enumerate(result.rules):
-        under = [recounted(found.under_rule(one, n, rule.name)) for n, one in enumerate(kept)]
+        under = [
+            _formed(recounted, found.under_rule(one, n, rule.name)) for n, one in enumerate(kept)
+        ]
         yield from _differences(f"rules[{number}].estimate", rule.estimate, _together(under))
 
 
-def _again(config: ExperimentConfig) -> Callable[[KeptRepetition], Recounted] | None:
+def _formed(recounted: Recount, kept: KeptRepetition) -> Recounted:
+    """What a repetition's rollouts give; numbers of an edited file may be beyond all bounds."""
+    with np.errstate(all="ignore"):
+        return recounted(kept)
+
+
+def _again(config: ExperimentConfig) -> Recount | None:
     """How its method forms an estimate again; ``None`` where that is not known here."""
     try:
         return by_name(config.method).recount
@@ -80,8 +89,9 @@ def _differences(name: str, said: Estimate, found: Recounted) -> Iterator[str]:
 
 def _together(repetitions: Sequence[Recounted]) -> Recounted:
     """Of all repetitions; what is not known of each is not known of all."""
-    names = repetitions[0].names
-    return Recounted(summarise_repetitions([one.estimate for one in repetitions]), names)
+    with np.errstate(all="ignore"):
+        estimate = summarise_repetitions([one.estimate for one in repetitions])
+    return Recounted(estimate, repetitions[0].names)
 
 
 def _checked(arrays: Mapping[str, AnyArray]) -> dict[str, AnyArray]:

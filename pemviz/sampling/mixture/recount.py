@@ -82,7 +82,7 @@ def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Esti
         violated=spread(np.ones(final.size), 0.0).astype(np.bool_),
         component=np.concatenate(
             [
-                _filled(_strata(known, place[own], drawn), size, NOT_KEPT)
+                _filled(_strata(known, place[own], drawn, most=size), size, NOT_KEPT)
                 for own, size, drawn in parts
             ]
         ),
@@ -93,9 +93,16 @@ def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Esti
     )
 
 
-def _strata(known: IntArray, place: IntArray, drawn: IntArray) -> IntArray:
-    """Components of violations, then as many of each as were drawn and hold."""
+def _strata(known: IntArray, place: IntArray, drawn: IntArray, *, most: int) -> IntArray:
+    """Components of violations, then as many of each as were drawn and hold.
+
+    Raises:
+        ValueError: They are more than ``most``, or more violate than were drawn.
+    """
     hold = drawn - np.bincount(place, minlength=known.size)
+    if np.any(hold > most) or place.size + hold.sum() > most:
+        message = "more rollouts are of a component than there are"
+        raise ValueError(message)
     return np.concatenate([known[place], np.repeat(known, hold)])
 
 
