@@ -8,6 +8,7 @@ import pytest
 from pemviz.cli.main import main
 from pemviz.export import formats
 from pemviz.export.rollout import UNDATED, read_ranked_rollout
+from tests.told import without_digests
 
 
 def refused(words, capsys):
@@ -56,6 +57,7 @@ def test_a_road_that_is_there_is_not_replaced_either(sample_run, tmp_path, capsy
 def test_a_folder_without_rollouts_is_refused(sample_run, tmp_path, capsys):
     for name in ("config.toml", "result.json"):
         shutil.copy(sample_run / name, tmp_path)
+    without_digests(tmp_path)
     words = [str(tmp_path), "--format", "csv", "--out", str(tmp_path / "one.csv")]
     assert "has no rollouts" in refused(words, capsys)
     assert "there is no such folder" in refused([str(tmp_path / "none"), *words[1:]], capsys)
@@ -90,6 +92,7 @@ def test_runs_with_a_memory_have_cars_too(form, memory_run, tmp_path):
 def test_a_file_is_dated_by_its_run(sample_run, tmp_path):
     assert read_ranked_rollout(sample_run, rank=1).date == UNDATED
     shutil.copytree(sample_run, tmp_path / "run")
+    without_digests(tmp_path / "run")
     path = tmp_path / "run" / "result.json"
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace('"run_id": "sample"', '"run_id": "20261122-153400-mixture-2"'))
