@@ -1,13 +1,9 @@
-"""Array type names used in signatures, whose docstrings give the shapes; and batches of rows.
-
-What is said to be on a device may be handed tensors in place of arrays, all on one device.
-"""
+"""Array type names used in signatures, whose docstrings give the shapes; and batches of rows."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, fields
-from importlib import import_module
-from typing import Any, ClassVar, Protocol, Self, cast, runtime_checkable
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,43 +19,6 @@ LARGEST_NUMBER = 1e100
 """No signal and no logit of a rollout is larger: sums over a rollout stay finite."""
 
 Merge = Callable[[Sequence[AnyArray]], AnyArray]
-Move = Callable[[AnyArray], Any]
-"""An array to a tensor on some device."""
-
-
-@runtime_checkable
-class Movable(Protocol):
-    """A simulator, error model, proposal or rule that computes on a device as well.
-
-    Written with operators, methods and functions that numpy and torch share (see `namespace`).
-    """
-
-    def moved(self, move: Move) -> Any:
-        """The same for tensors, its own arrays moved too; ``None`` if some part of it cannot."""
-        ...
-
-
-def moved(part: object, move: Move) -> Any:
-    """``part`` for tensors on the device that ``move`` moves to; ``None`` if it cannot go there."""
-    return part.moved(move) if isinstance(part, Movable) else None
-
-
-def is_tensor(array: Any) -> bool:
-    """Whether ``array`` is a device's tensor: neither an array nor a number."""
-    return not isinstance(array, np.ndarray | np.generic | float | int)
-
-
-def namespace(array: Any) -> Any:
-    """The module whose functions take ``array``: numpy, or torch for a tensor.
-
-    torch is imported by whoever makes a tensor, not here.
-    """
-    return import_module(type(array).__module__) if is_tensor(array) else np
-
-
-def to_numpy(array: Any) -> AnyArray:
-    """An array, or a tensor copied back from its device."""
-    return array.cpu().numpy() if is_tensor(array) else array
 
 
 class Batch:

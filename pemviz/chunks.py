@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pemviz.arrays import FloatArray, IntArray, is_tensor
+from pemviz.arrays import FloatArray, IntArray
 
 ROWS = 256
 FEWEST = 4 * ROWS
@@ -23,16 +23,12 @@ def map_rows(
 ) -> FloatArray:
     """Apply ``function`` (``[ROWS, D]`` to ``[ROWS]``) to rows ``[N, D]``, giving ``[N]``.
 
-    Tensors go through in one piece: on a device no last digit is promised.
-
     Args:
         function: What is applied.
         rows: To what.
         padded: Whether what the function gives a row depends on how many there are, so that the
             last chunk has to be filled up with zeros.
     """
-    if is_tensor(rows):
-        return function(rows)
     return map_distinct(lambda distinct: _map_chunks(function, distinct, padded), rows)
 
 

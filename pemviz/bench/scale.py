@@ -9,9 +9,8 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from pemviz.config import DEVICES, KeepName
+from pemviz.config import KeepName
 from pemviz.errors import ConfigError, RunError
-from pemviz.sampling.rollouts.devices import missing_cuda
 
 GRID = ("1000x100", "10000x100", "100000x100", "1000000x100", "10000x500", "10000x2000")
 DISK_BYTES_PER_STEP: Mapping[KeepName, float] = {"all": 120.0, "violations": 0.3}
@@ -28,8 +27,6 @@ class ScaleStudy:
 
     cases: tuple[str, ...] = GRID
     """Rollouts and states of a rollout, as 1000x100."""
-    devices: tuple[str, ...] = ("cpu", "cuda")
-    """Where to compute: cpu, torch-cpu, cuda or cuda:N."""
     keep: KeepName = "all"
     """What is kept: all rollouts, or violations, which take hardly any disk space."""
     json: bool = False
@@ -43,7 +40,6 @@ class ScaleRow:
     Attributes:
         rollouts: Of the run.
         states: Of each rollout.
-        device: Where they were computed.
         run_s: The whole run, from the first rollout to the finished run folder [s].
         run_ns_per_step: The same, divided by rollouts and steps [ns].
         simulation_ns_per_step: Of that, simulation [ns].
@@ -54,7 +50,6 @@ class ScaleRow:
 
     rollouts: int
     states: int
-    device: str
     run_s: float | None = None
     run_ns_per_step: float | None = None
     simulation_ns_per_step: float | None = None
@@ -67,19 +62,11 @@ def run_scale(study: ScaleStudy) -> Iterator[ScaleRow]:
     """Measure case by case.
 
     Raises:
-        InputError: A case or device is not written as it should be.
+        InputError: A case is not written as it should be.
         RunError: A run failed.
     """
     cases = [_sizes(case) for case in study.cases]
-    for device in study.devices:
-        if DEVICES.fullmatch(device) is None:
-            message = f"devices = {device!r}: must be cpu, torch-cpu, cuda or cuda:N"
-            raise ConfigError(message)
-    return (
-        _row(rollouts=rollouts, states=states, device=device, keep=study.keep)
-        for device in study.devices
-        for rollouts, states in cases
-    )
+    return (_row(rollouts=n, states=states, keep=study.keep) for n, states in cases)
 
 
 def _sizes(case: str) -> tuple[int, int]:
@@ -90,17 +77,16 @@ def _sizes(case: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _row(*, rollouts: int, states: int, device: str, keep: KeepName) -> ScaleRow:
+def _row(*, rollouts: int, states: int, keep: KeepName) -> ScaleRow:
     steps = rollouts * (states - 1)
-    reason = _why_not(device=device, disk_bytes=steps * DISK_BYTES_PER_STEP[keep])
+    reason = _why_not(disk_bytes=steps * DISK_BYTES_PER_STEP[keep])
     if reason:
-        return ScaleRow(rollouts=rollouts, states=states, device=device, skipped=reason)
+        return ScaleRow(rollouts=rollouts, states=states, skipped=reason)
     with tempfile.TemporaryDirectory(prefix="pemviz-scale-") as folder:
         measured = _in_a_process(
             {
                 "rollouts": rollouts,
                 "states": states,
-                "device": device,
                 "keep": keep,
                 "folder": folder,
             }
@@ -108,7 +94,6 @@ def _row(*, rollouts: int, states: int, device: str, keep: KeepName) -> ScaleRow
     return ScaleRow(
         rollouts=rollouts,
         states=states,
-        device=device,
         run_s=measured["run_s"],
         run_ns_per_step=1e9 * measured["run_s"] / steps,
         simulation_ns_per_step=1e9 * measured["simulation_s"] / steps,
@@ -117,16 +102,12 @@ def _row(*, rollouts: int, states: int, device: str, keep: KeepName) -> ScaleRow
     )
 
 
-def _why_not(*, device: str, disk_bytes: float) -> str:
+def _why_not(*, disk_bytes: float) -> str:
     """Why a case cannot run here; empty if it can."""
-    index = re.fullmatch(r"cuda(?::([0-9]+))?", device)
-    missing = missing_cuda(int(index[1] or 0)) if index else ""
     free = shutil.disk_usage(tempfile.gettempdir()).free
-    if not missing and disk_bytes > free:
-        missing = (
-            f"needs {disk_bytes / 1e9:.1f} GB in {tempfile.gettempdir()}, free {free / 1e9:.1f}"
-        )
-    return missing
+    if disk_bytes <= free:
+        return ""
+    return f"needs {disk_bytes / 1e9:.1f} GB in {tempfile.gettempdir()}, free {free / 1e9:.1f}"
 
 
 def _in_a_process(case: dict[str, str | int]) -> dict[str, float]:
@@ -136,12 +117,11 @@ def _in_a_process(case: dict[str, str | int]) -> dict[str, float]:
     )
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-        raise RunError(f"case of {case['rollouts']} rollouts on {case['device']}: {last}")
+        raise RunError(f"case of {case['rollouts']} rollouts: {last}")
     return json.loads(done.stdout)
 
 
 HEADER = (
-    "device",
     "rollouts",
     "states",
     "run [s]",
@@ -157,7 +137,6 @@ def cells(row: ScaleRow) -> Sequence[str]:
     """A row's entries under `HEADER`."""
     figures = (row.run_ns_per_step, row.simulation_ns_per_step, row.peak_mb, row.disk_mb)
     return (
-        row.device,
         f"{row.rollouts:,}",
         f"{row.states:,}",
         "-" if row.run_s is None else f"{row.run_s:.1f}",
@@ -168,7 +147,7 @@ def cells(row: ScaleRow) -> Sequence[str]:
 def reasons(rows: Sequence[ScaleRow]) -> Sequence[str]:
     """What was skipped and why, a line each."""
     return [
-        f"{row.device}, {row.rollouts:,} rollouts of {row.states:,}: skipped, {row.skipped}"
+        f"{row.rollouts:,} rollouts of {row.states:,}: skipped, {row.skipped}"
         for row in rows
         if row.skipped
     ]

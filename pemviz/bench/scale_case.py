@@ -15,7 +15,7 @@ from pemviz.sampling.problem import sample
 
 
 def run_case(
-    *, rollouts: int, states: int, device: str, folder: Path, keep: KeepName = "all"
+    *, rollouts: int, states: int, folder: Path, keep: KeepName = "all"
 ) -> dict[str, float]:
     """Keep one Monte Carlo run of ``rollouts`` rollouts of ``states`` states in ``folder``.
 
@@ -27,7 +27,6 @@ def run_case(
         method="monte-carlo",
         final_rollouts=rollouts,
         spec=f"always[0,{states - 1}] (gap >= 2.0)",
-        device=device,
         keep=keep,
         scenario=ScenarioConfig(states=states),
     )
@@ -65,7 +64,6 @@ if __name__ == "__main__":
     figures = run_case(
         rollouts=asked["rollouts"],
         states=asked["states"],
-        device=asked["device"],
         keep=asked["keep"],
         folder=Path(asked["folder"]),
     )

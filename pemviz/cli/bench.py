@@ -89,7 +89,7 @@ def _scale(study: ScaleStudy) -> int:
 def _print_scale(rows: Sequence[ScaleRow]) -> None:
     table = Table(title="pemviz bench scale: Monte Carlo runs, kept", title_justify="left")
     for name in HEADER:
-        table.add_column(name, justify="left" if name == "device" else "right")
+        table.add_column(name, justify="right")
     for row in rows:
         table.add_row(*cells(row))
     Console().print(table)

@@ -18,7 +18,7 @@ from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
 from pemviz.reports.gate import decide_limits
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Event, Observer, RunDone, RunFailed
-from pemviz.runs.experiment import Experiment, build_experiment, device_notes
+from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.reading import result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
@@ -42,7 +42,7 @@ def record(arguments: RecordArguments) -> int:
             return _tell_done(arguments, done, reports=reports)
     experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
-    for note in (*arguments.notes, *device_notes(experiment)):
+    for note in arguments.notes:
         print(f"pemviz: {note}", file=sys.stderr)
     folder = arguments.source.resume or create_run_folder(
         arguments.out, label=arguments.experiment.method

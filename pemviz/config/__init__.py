@@ -4,7 +4,6 @@ from pemviz.config.encounters import FAMILIES, EncounterConfig, StartChoice
 from pemviz.config.settings import (
     BLACK_BOXES,
     CLIENTS,
-    DEVICES,
     METHODS,
     SHIPPED_SIMULATORS,
     ExperimentConfig,
@@ -18,7 +17,6 @@ from pemviz.config.settings import (
 __all__ = [
     "BLACK_BOXES",
     "CLIENTS",
-    "DEVICES",
     "FAMILIES",
     "METHODS",
     "SHIPPED_SIMULATORS",

@@ -29,7 +29,6 @@ BLACK_BOXES = ("merge",)
 CLIENTS = ("carla",)
 """Servers with a client of their own, on which the braking scenario is carried out."""
 
-DEVICES = re.compile(r"cpu|torch-cpu|cuda(:[0-9]{1,3})?")
 Positive = Range(low=0.0, low_open=True, high=1e6)
 NotNegative = Range(low=0.0, high=1e6)
 
@@ -144,10 +143,6 @@ class ExperimentConfig:
     point of the group pemviz.simulators."""
     carla: str | None = None
     """With simulator carla: HOST:PORT of the server; left out, 127.0.0.1:2000."""
-    device: str = "cpu"
-    """Where rollouts are computed: cpu (numpy), cuda or cuda:N (a GPU, in double precision; the
-    same estimate to 1e-6), or torch-cpu (the GPU's code on the CPU). Splitting, highway-env and
-    everything that is fitted stay on the CPU."""
     alpha: Annotated[float, Range(low=0.0, high=1.0)] | None = None
     """Exponent that smooths the training weights; 0 to 1. It never enters an estimate. Left out,
     it is the method's own: the paper's 0.1 with adaptive; with mixture as large as the weights'
@@ -271,9 +266,6 @@ class ExperimentConfig:
         self._validate_carla()
         if not self.pem.strip():
             message = "pem = '': must be the name of a shipped model or a file"
-            raise ConfigError(message)
-        if DEVICES.fullmatch(self.device) is None:
-            message = f"device = {self.device!r}: must be cpu, torch-cpu, cuda or cuda:N"
             raise ConfigError(message)
         if not self.simulator.strip():
             message = f"simulator = '': must be {', '.join(SHIPPED_SIMULATORS)} or registered"

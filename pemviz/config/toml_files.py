@@ -18,6 +18,8 @@ from pemviz.files.shipped import asset_path
 
 LARGEST_BYTES = 1_000_000
 """A configuration has a kilobyte; no more than this is read of what is given as one."""
+GONE = {"device": "cpu"}
+"""Settings of earlier versions, with the one value that means what there is now."""
 DEEPEST_KEY = 200
 FREE_TRAFFIC = "free-traffic"
 """The preset that has the rules of all traffic in SUMO."""
@@ -115,9 +117,10 @@ def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
     Raises:
         ConfigError: A field is unknown or of the wrong type.
     """
-    if not isinstance(table, Mapping) or not {"rules", "start"} & set(cast(Any, table)):
+    if not isinstance(table, Mapping):
         return read_record(ExperimentConfig, table, name=name)
-    others = dict(cast(Mapping[str, Any], table))
+    given = cast(Mapping[str, Any], table)
+    others = {key: value for key, value in given.items() if GONE.get(key, ...) != value}
     named = {key: _named_texts(others.pop(key, None), key, name) for key in ("rules", "start")}
     start = tuple(StartChoice(*choice) for choice in named["start"].items())
     config = read_record(ExperimentConfig, others, name=name).with_rules(named["rules"])

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, is_tensor, namespace
+from pemviz.arrays import BoolArray, FloatArray
 
 LARGEST_SHARE = 0.1
 
@@ -26,9 +26,9 @@ def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> Float
         pem_logit: The error model's.
         share: Of the error model, in (0, 1).
     """
-    xp, log_share, log_rest = namespace(logit), float(np.log(share)), float(np.log1p(-share))
-    detected = xp.logaddexp(_log_hit(logit) + log_rest, _log_hit(pem_logit) + log_share)
-    missed = xp.logaddexp(_log_miss(logit) + log_rest, _log_miss(pem_logit) + log_share)
+    log_share, log_rest = float(np.log(share)), float(np.log1p(-share))
+    detected = np.logaddexp(_log_hit(logit) + log_rest, _log_hit(pem_logit) + log_share)
+    missed = np.logaddexp(_log_miss(logit) + log_rest, _log_miss(pem_logit) + log_share)
     return detected - missed
 
 
@@ -86,7 +86,4 @@ def _log_hit(logit: FloatArray) -> FloatArray:
 
 def _log_miss(logit: FloatArray) -> FloatArray:
     """Log of the probability of a miss."""
-    if not is_tensor(logit):
-        return -np.logaddexp(0.0, logit)
-    xp = namespace(logit)
-    return -xp.logaddexp(logit, xp.zeros_like(logit))
+    return -np.logaddexp(0.0, logit)

@@ -1,12 +1,11 @@
 """The paper's proposal: a small network that sees nothing but the gap."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, FloatArray, Move, namespace
+from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
 from pemviz.types import CERTAIN, StateBatch
 
@@ -40,7 +39,7 @@ class GapNetwork:
         """Logit of 'detected' ``[...]``, from the gap alone; the model's where that is certain."""
         logit = self.logit_at(states.signals["gap"])
         if CERTAIN in states.memory:
-            return namespace(logit).where(states.memory[CERTAIN], pem_logit, logit)
+            return np.where(states.memory[CERTAIN], pem_logit, logit)
         return logit
 
     def arrays(self) -> Mapping[str, AnyArray]:
@@ -51,20 +50,13 @@ class GapNetwork:
             named[f"{layer}.bias"] = bias
         return named
 
-    def moved(self, move: Move) -> Self:
-        """The same for tensors."""
-        weights, biases = (
-            tuple(move(array) for array in arrays) for arrays in (self.weights, self.biases)
-        )
-        return replace(self, weights=weights, biases=biases)
-
     def _forward(self, rows: FloatArray) -> FloatArray:
-        xp, hidden = namespace(rows), rows
-        zero = xp.zeros((), dtype=rows.dtype, device=rows.device)
+        hidden = rows
+        zero = np.zeros((), dtype=rows.dtype)
         for weight, bias in zip(self.weights[:2], self.biases[:2], strict=True):
             hidden = hidden @ weight.T
             hidden += bias
-            xp.maximum(hidden, zero, out=hidden)
+            np.maximum(hidden, zero, out=hidden)
         outputs = hidden @ self.weights[2].T + self.biases[2]
         return outputs[:, 1] - outputs[:, 0]
 

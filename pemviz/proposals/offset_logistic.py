@@ -2,13 +2,13 @@
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, Move, moved, namespace
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.proposals.defensive_share import defended
 from pemviz.proposals.latent_means import LatentMeans
 from pemviz.types import CERTAIN, Signal, StateBatch
@@ -38,9 +38,8 @@ class SignalFeatures:
     def values(self, states: StateBatch) -> FloatArray:
         """Signals in their order, then the step, ``[..., D]``."""
         columns = [states.signals[signal.name] for signal in self.signals]
-        first, shape = columns[0], (*columns[0].shape, len(columns) + 1)
-        xp = namespace(first)
-        values = xp.empty(shape, dtype=xp.float64, device=first.device)
+        shape = (*columns[0].shape, len(columns) + 1)
+        values = np.empty(shape, dtype=np.float64)
         for index, column in enumerate((*columns, states.step * 1.0)):
             values[..., index] = column
         return values
@@ -48,12 +47,7 @@ class SignalFeatures:
     def reacts(self, states: StateBatch) -> BoolArray:
         """True everywhere."""
         like = states.signals[self.signals[0].name]
-        xp = namespace(like)
-        return xp.ones_like(like, dtype=xp.bool)
-
-    def moved(self, move: Move) -> Self:  # noqa: ARG002
-        """Itself: it holds no arrays."""
-        return self
+        return np.ones_like(like, dtype=np.bool)
 
 
 @dataclass(frozen=True)
@@ -84,11 +78,10 @@ class PolynomialBasis:
         """Monomials ``[n, B]`` of features ``[n, D]``, standardised and kept within +-3."""
         standard = ((values - self.mean) / self.spread).clip(-STANDARD_RANGE, STANDARD_RANGE)
         shape = (values.shape[0], len(self.exponents))
-        xp = namespace(values)
-        result = xp.ones(shape, dtype=values.dtype, device=values.device)
+        result = np.ones(shape, dtype=values.dtype)
         by_monomial, by_feature = result.T, standard.T
         for column, (lower, feature) in enumerate(self.factors, start=1):
-            xp.multiply(by_monomial[lower], by_feature[feature], out=by_monomial[column])
+            np.multiply(by_monomial[lower], by_feature[feature], out=by_monomial[column])
         return result
 
     @cached_property
@@ -128,25 +121,15 @@ class OffsetLogisticProposal:
 
     def logit_where(self, acts: BoolArray, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """The same, of which ``acts [...]`` says where it leaves the error model."""
-        xp = namespace(pem_logit)
         values = _filling(self.features.values(states), (*pem_logit.shape, len(self.basis.mean)))
         values = values[acts]
-        result = xp.asarray(pem_logit, copy=True)
+        result = np.asarray(pem_logit, copy=True)
         under_pem = pem_logit[acts]
         by_row = self.coefficients.ndim > 1
         coefficients = self.coefficients[acts] if by_row else self.coefficients
         logit = under_pem - shift(self.basis.evaluate(values), coefficients)
         result[acts] = defended(logit, under_pem, share=self.defensive)
         return result
-
-    def moved(self, move: Move) -> Self | None:
-        """The same for tensors, if the features can."""
-        features = moved(self.features, move)
-        if features is None:
-            return None
-        basis = replace(self.basis, mean=move(self.basis.mean), spread=move(self.basis.spread))
-        coefficients = move(self.coefficients)
-        return replace(self, features=features, basis=basis, coefficients=coefficients)
 
     def arrays(self) -> Mapping[str, AnyArray]:
         """Coefficients and standardisation, and means of latents."""
@@ -167,7 +150,7 @@ def shift(basis: FloatArray, coefficients: FloatArray) -> FloatArray:
     """
     # einsum, unlike a library's matrix product, gives a row the same in any batch
     products = "nb,nb->n" if coefficients.ndim > 1 else "nb,b->n"
-    raised = namespace(basis).einsum(products, basis, coefficients)
+    raised = np.einsum(products, basis, coefficients)
     return raised.clip(-LARGEST_SHIFT, LARGEST_SHIFT)
 
 
@@ -184,4 +167,4 @@ def acting(
 
 def _filling(values: Any, shape: tuple[int, ...]) -> Any:
     """The values, broadcast where their shape is not yet ``shape``."""
-    return values if values.shape == shape else namespace(values).broadcast_to(values, shape)
+    return values if values.shape == shape else np.broadcast_to(values, shape)

@@ -12,17 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import (
-    AnyArray,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    Move,
-    log_sum_exp,
-    moved,
-    namespace,
-    softplus,
-)
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, log_sum_exp, softplus
 from pemviz.proposals.offset_logistic import StateFeatures, acting
 from pemviz.types import RolloutBatch, StateBatch
 
@@ -175,7 +165,7 @@ class PilotProposal:
         if self.slot is not None:
             within &= (self.slot < 0) | (self.slot == states.step % self.turns)
         raised_logit = -raised(-pem_logit, self.strength)
-        return namespace(pem_logit).where(within, raised_logit, pem_logit)
+        return np.where(within, raised_logit, pem_logit)
 
     def rows(self, rows: slice) -> Self:
         """The members of some of the rollouts."""
@@ -187,14 +177,6 @@ class PilotProposal:
             slot=None if self.slot is None else self.slot[rows],
         )
 
-    def moved(self, move: Move) -> Self | None:
-        """The same for tensors, if the features can."""
-        features = moved(self.features, move)
-        if features is None:
-            return None
-        strength, first, stop = (move(each) for each in (self.strength, self.first, self.stop))
-        return replace(self, features=features, strength=strength, first=first, stop=stop)
-
     def arrays(self) -> Mapping[str, AnyArray]:
         """Strengths, windows and, where there are several, slots."""
         own = {"strength": self.strength, "first": self.first, "stop": self.stop}
@@ -205,7 +187,7 @@ def raised(miss_logit: FloatArray, strength: FloatArray | float) -> FloatArray:
     """The logit of a miss under a pilot of a strength."""
     up = (CEILING_LOGIT - miss_logit).clip(0.0)
     down = (miss_logit + CEILING_LOGIT).clip(0.0)
-    return miss_logit + strength * namespace(miss_logit).where(strength > 0.0, up, down)
+    return miss_logit + strength * np.where(strength > 0.0, up, down)
 
 
 def _over_all(steps: int) -> PilotFamily:

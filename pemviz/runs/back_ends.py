@@ -12,7 +12,6 @@ from pemviz.sampling.back_end import GAP, BackEnd
 from pemviz.sampling.description import Need
 from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.sampling.registry import by_name
-from pemviz.sampling.rollouts.devices import NUMPY, is_gpu
 from pemviz.sampling.rollouts.final_batch import largest_part
 from pemviz.sampling.slots import SlotFeatures, StepFeatures, turns_of
 from pemviz.sampling.tracks import TrackFeatures
@@ -139,9 +138,7 @@ def batch_rollouts(config: ExperimentConfig) -> int:
         return SUMO_BATCH_ROLLOUTS
     largest = largest_part(states=config.states)
     # parts of a large final batch are not joined from smaller batches, which costs as much as they
-    at_once = config.device == NUMPY and config.final_rollouts > largest
-    at_once = at_once or is_gpu(config.device)
-    return largest if at_once else min(BATCH_ROLLOUTS, largest)
+    return largest if config.final_rollouts > largest else min(BATCH_ROLLOUTS, largest)
 
 
 def own_back_end(

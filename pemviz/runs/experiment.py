@@ -29,16 +29,11 @@ from pemviz.sampling.memory import remembering_as, with_memory
 from pemviz.sampling.method import AnswersRules, Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
-from pemviz.sampling.rollouts.devices import (
-    NUMPY,
-    check_device,
-    has_tensors,
-)
 from pemviz.sampling.slots import with_slots
 from pemviz.sampling.value_twisted.method import require_unsafe
 from pemviz.simulators.check_latents import latent_warnings
 from pemviz.simulators.episodic import EpisodicSimulator
-from pemviz.simulators.latents import LatentSimulator, latent_counts
+from pemviz.simulators.latents import LatentSimulator
 from pemviz.simulators.registry import build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.types import Simulator
@@ -143,7 +138,7 @@ def build_experiment(
             Never taken from a configuration: a file must not decide that code runs.
 
     Raises:
-        InputError: A value is out of range, the device is not there, the specification does not
+        InputError: A value is out of range, the specification does not
             parse or fit the scenario, the perception error model cannot be loaded, or your own
             simulator or detector does not keep to its protocol.
     """
@@ -225,7 +220,6 @@ def _named_parts(
         config = replace(config, pem=_name_of(own_pem))
     config = config if own is not None else with_own_rules(config)
     config.validate()
-    check_device(config.device)
     model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
     if own is not None:
         check_measures(config)
@@ -244,25 +238,6 @@ def _name_of(pem: Pem | Mapping[str, Pem]) -> str:
     if not isinstance(pem, Mapping):
         return pem.name
     return "+".join(dict.fromkeys(model.name for model in pem.values()))
-
-
-def device_notes(experiment: Experiment) -> tuple[str, ...]:
-    """What an experiment that asks for a device computes on the CPU all the same, a line each."""
-    config, problem = experiment.config, experiment.problem
-    if config.device == NUMPY:
-        return ()
-    stays = "computes on the CPU all the same"
-    restarts = "restarts" in experiment.description.needs
-    if restarts or latent_counts(problem.simulator) or not has_tensors(problem.simulator):
-        by = config.method if restarts else f"simulator {problem.simulator.name}"
-        by += " with frailty" if config.frailty and not restarts else ""
-        return (f"device {config.device}: {by} {stays}",)
-    notes: list[str] = []
-    if not has_tensors(experiment.pem):
-        notes.append(f"device {config.device}: error model {experiment.pem.name} {stays}")
-    if not experiment.description.proposal_on_device:
-        notes.append(f"device {config.device}: {config.method}'s proposal {stays}")
-    return tuple(notes)
 
 
 def build_simulator(config: ExperimentConfig) -> Simulator:

@@ -15,7 +15,7 @@ from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.fitted.drawing import simulated
 from pemviz.sampling.folding import Folding, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.problem import Problem, ScoredRule
-from pemviz.sampling.rollouts.devices import batch_runner
+from pemviz.sampling.rollouts.compiled import CompiledRunner
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
@@ -58,7 +58,7 @@ def build_problem(
         robustness=whole.robustness,
         violated=whole.violated,
         batch_rollouts=back_end.batch_rollouts,
-        run_batches=batch_runner(config.device, simulated),
+        run_batches=CompiledRunner(simulated=simulated),
         batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula, turns=turns),
         monitor=whole.monitor,

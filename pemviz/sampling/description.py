@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Need = Literal["twin", "gap", "single states", "restarts"]
 """``twin``: a fast simulator of the same scenario; ``gap``: a signal of that name;
 ``single states``: a specification that they decide; ``restarts``: states can be kept and
-continued from, outside the batches that devices and worker processes simulate."""
+continued from, outside the batches that worker processes simulate."""
 IntervalBasis = Literal["counts", "weights", "runs"]
 """What an estimate and its interval rest on: a count of failures and the exact binomial, an average
 of importance weights and their spread, or a mean of independent runs, whose rollouts carry no
@@ -67,8 +67,6 @@ class MethodDescription:
         counting: What progress is counted in: ``rollouts``, or the ``level`` of robustness that
             has been reached on the way to a violation.
         follows_model: Whether rollouts are drawn from the error model itself.
-        proposal_on_device: Whether what final rollouts are drawn from is computed on a device
-            too, see :class:`pemviz.arrays.Movable`.
         curve_name: What the proposal is called where it is drawn; ``None``: that of a stage.
         learning_words: What there is to see of the proposal, in a few sentences.
     """
@@ -90,7 +88,6 @@ class MethodDescription:
     stage_interval: StageInterval = "log-normal"
     counting: Counting = "rollouts"
     follows_model: bool = False
-    proposal_on_device: bool = False
     curve_name: str | None = None
     learning_words: str = LEARNING_WORDS
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.special import log_ndtr
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import FEWEST, distinct_rows
 from pemviz.errors import ConfigError
 from pemviz.pem.models.frailty import VisibilityNodes, log_sums, remembered_outcomes
@@ -168,10 +168,6 @@ class FrailSimulator(WrappedSimulator):
         """The back end's salient variables and the logit of the next outcome, ``[..., D + 1]``."""
         own = self.scenario.salient(_without(signals, OWN_SIGNALS))
         return np.concatenate((own, signals[SEEN_LOGIT.name][..., None]), -1)
-
-    def moved(self, move: Move) -> None:  # noqa: ARG002
-        """Nothing: frailty is computed by numpy alone."""
-        return
 
     def _seen(self, states: StateBatch, log_posterior: FloatArray, mean: FloatArray) -> StateBatch:
         after, logit = self._next(*self._own(states.signals), log_posterior)

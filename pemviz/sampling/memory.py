@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem import Pem, PemEnsemble
 from pemviz.pem.models.memory import Memory, persistence, remembering_logit
 from pemviz.pem.models.with_memory import PemWithMemory
@@ -45,12 +45,7 @@ class RememberingPem(PemWithMemory):
     def after(self, own: FloatArray, last: FloatArray) -> FloatArray:
         """The model's own logits ``[...]`` after what :data:`LAST_OUTCOME` says ``[...]``."""
         remembered = remembering_logit(own, missed_before=last < 0.0, rho=self.rho)
-        return namespace(own).where(last == 0.0, own, remembered)
-
-    def moved(self, move: Move) -> "RememberingPem | None":
-        """The same for tensors, if the model can."""
-        pem = moved(self.pem, move)
-        return None if pem is None else replace(self, pem=pem)
+        return np.where(last == 0.0, own, remembered)
 
 
 @dataclass(frozen=True)
@@ -91,8 +86,8 @@ class RememberingFeatures:
     def values(self, states: StateBatch) -> FloatArray:
         """The scenario's features and the last outcome, ``[..., D + 1]``."""
         last = states.signals[LAST_OUTCOME.name]
-        xp, own = namespace(last), self.features.values(states)
-        return xp.concatenate((own, xp.broadcast_to(last, own.shape[:-1])[..., None]), -1)
+        own = self.features.values(states)
+        return np.concatenate((own, np.broadcast_to(last, own.shape[:-1])[..., None]), -1)
 
     def reacts(self, states: StateBatch) -> BoolArray:
         """True everywhere, unless it ``ignores`` what the scenario does."""
@@ -101,7 +96,7 @@ class RememberingFeatures:
         if self.within_steps is not None and isinstance(self.features, ForeseesReactions):
             return self.features.reacts_within(states, steps=self.within_steps)
         last = states.signals[LAST_OUTCOME.name]
-        return namespace(last).ones_like(last, dtype=namespace(last).bool)
+        return np.ones_like(last, dtype=np.bool)
 
     def for_proposals(self) -> "RememberingFeatures":
         """The same to a proposal, which leaves the model where that is worth its price."""
@@ -109,11 +104,6 @@ class RememberingFeatures:
             return replace(self, ignores=True)
         steps = None if self.rho >= 1.0 else int(np.ceil(np.log(SHORT_RHO) / np.log(self.rho)))
         return replace(self, within_steps=steps)
-
-    def moved(self, move: Move) -> "RememberingFeatures | None":
-        """The same for tensors, if the scenario's features can."""
-        features = moved(self.features, move)
-        return None if features is None else replace(self, features=features)
 
 
 def with_memory(

@@ -1,10 +1,10 @@
 """What proposals see of the tracks that a simulator of the user's own holds."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.simulators.slots import UnrolledSimulator
 from pemviz.simulators.tracking.tracker import Tracker
@@ -28,7 +28,6 @@ class TrackFeatures:
     def values(self, states: StateBatch) -> FloatArray:
         """The scenario's features and :meth:`Tracker.numbers`, ``[..., D]``."""
         own = self.features.values(states)
-        xp = namespace(own)
         if self.unrolled is None:
             numbers = self.tracker.numbers(self.tracker.state(states.memory))
         else:
@@ -36,13 +35,8 @@ class TrackFeatures:
             tracks = self.tracker.state(states.memory, slots=self.unrolled.turns)
             of_all = self.tracker.numbers(tracks)
             numbers = [np.take_along_axis(one, slot, axis=-1)[..., 0] for one in of_all]
-        return xp.concatenate((own, xp.stack(numbers, -1)), -1)
+        return np.concatenate((own, np.stack(numbers, -1)), -1)
 
     def reacts(self, states: StateBatch) -> BoolArray:
         """Where the scenario may react to what is tracked, ``[...]``."""
         return self.features.reacts(states)
-
-    def moved(self, move: Move) -> "TrackFeatures | None":
-        """The same for tensors, if the scenario's features can."""
-        features = moved(self.features, move)
-        return None if features is None else replace(self, features=features)

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, Move, moved, to_numpy
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.latents import LatentCounts
 from pemviz.simulators.latents import begun, latent_counts, salient_of, stepped
 from pemviz.types import Signal, Simulator, StateBatch
@@ -137,18 +137,6 @@ class LatchedSimulator(WrappedSimulator):
         """The back end's next states; a violation stays."""
         after = stepped(self.scenario, states, detected, noise)
         return self._latched(after, states.memory[VIOLATED])
-
-    def moved(self, move: Move) -> "LatchedSimulator | None":
-        """The same for tensors, if the scenario can; a rule that cannot is asked through numpy."""
-        scenario = moved(self.scenario, move)
-        if scenario is None:
-            return None
-
-        def unsafe_here(states: StateBatch) -> Any:
-            return move(self.unsafe(states.map(to_numpy)))
-
-        unsafe = moved(self.unsafe, move) or unsafe_here
-        return LatchedSimulator(scenario=scenario, unsafe=unsafe)
 
     def _latched(self, states: StateBatch, before: BoolArray) -> StateBatch:
         return replace(states, memory={**states.memory, VIOLATED: before | self.unsafe(states)})

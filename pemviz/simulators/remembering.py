@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, Move, moved, namespace
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.simulators.latched import WrappedSimulator
 from pemviz.simulators.latents import begun, salient_of, stepped
@@ -41,24 +41,19 @@ class RememberingSimulator(WrappedSimulator):
     ) -> StateBatch:
         """The back end's next states after outcomes ``[N]``."""
         own = {name: v for name, v in states.signals.items() if name != LAST_OUTCOME.name}
-        last = namespace(detected).where(detected, _ones(states), -_ones(states))
+        last = np.where(detected, _ones(states), -_ones(states))
         return _after(stepped(self.scenario, replace(states, signals=own), detected, noise), last)
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The back end's salient variables and the last outcome, ``[..., D + 1]``."""
         own = self.scenario.salient({n: v for n, v in signals.items() if n != LAST_OUTCOME.name})
         last = signals[LAST_OUTCOME.name]
-        return namespace(last).concatenate((own, last[..., None]), -1)
+        return np.concatenate((own, last[..., None]), -1)
 
     def salient_at(self, states: StateBatch) -> FloatArray:
         """The same at states."""
         own, last = salient_of(self.scenario, states), states.signals[LAST_OUTCOME.name]
-        return namespace(last).concatenate((own, last[..., None]), -1)
-
-    def moved(self, move: Move) -> "RememberingSimulator | None":
-        """The same for tensors, if the scenario can."""
-        scenario = moved(self.scenario, move)
-        return None if scenario is None else RememberingSimulator(scenario)
+        return np.concatenate((own, last[..., None]), -1)
 
 
 @dataclass(frozen=True)
@@ -114,4 +109,4 @@ def _after(states: StateBatch, last: FloatArray) -> StateBatch:
 
 def _ones(states: StateBatch) -> Any:
     last = states.signals[LAST_OUTCOME.name]
-    return namespace(last).ones_like(last)
+    return np.ones_like(last)

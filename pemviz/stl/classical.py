@@ -12,7 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 
-from pemviz.arrays import FloatArray, namespace
+import numpy as np
+
+from pemviz.arrays import FloatArray
 from pemviz.stl.expressions import Predicate
 from pemviz.stl.numbers import NumberSemantics
 from pemviz.stl.windows import fold, sliding_idempotent
@@ -24,7 +26,7 @@ class Classical:
 
 
 class ClassicalSemantics(NumberSemantics):
-    """Classical robustness of every operator; it takes tensors too."""
+    """Classical robustness of every operator."""
 
     def opposite(self) -> ClassicalSemantics:
         return self
@@ -39,14 +41,14 @@ class ClassicalSemantics(NumberSemantics):
         return -value
 
     def conjunction(self, values: Sequence[FloatArray]) -> FloatArray:
-        return reduce(namespace(values[0]).minimum, values)
+        return reduce(np.minimum, values)
 
     def disjunction(self, values: Sequence[FloatArray]) -> FloatArray:
-        return reduce(namespace(values[0]).maximum, values)
+        return reduce(np.maximum, values)
 
     def always(self, value: FloatArray, width: int) -> FloatArray:
         if len(value) == width:
-            return fold(namespace(value).minimum, value)
+            return fold(np.minimum, value)
         return sliding_idempotent(_minimum, (value,), width)[0]
 
     def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
@@ -54,7 +56,7 @@ class ClassicalSemantics(NumberSemantics):
 
     def eventually(self, value: FloatArray, width: int) -> FloatArray:
         if len(value) == width:
-            return fold(namespace(value).maximum, value)
+            return fold(np.maximum, value)
         return sliding_idempotent(_maximum, (value,), width)[0]
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
@@ -63,35 +65,33 @@ class ClassicalSemantics(NumberSemantics):
             return _until_once(left, right, first)
         # Over [t, t'] with t' >= t + first: [t, t + first - 1] is common to all t'.
         later = left[first:]
-        minimum = namespace(left).minimum
-        reached = sliding_idempotent(_then, (later, minimum(later, right)), width)[1]
-        return reached if first == 0 else minimum(self.always(left[:-width], first), reached)
+        reached = sliding_idempotent(_then, (later, np.minimum(later, right)), width)[1]
+        return reached if first == 0 else np.minimum(self.always(left[:-width], first), reached)
 
 
 def _minimum(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> tuple[FloatArray]:
-    return (namespace(earlier[0]).minimum(earlier[0], later[0]),)
+    return (np.minimum(earlier[0], later[0]),)
 
 
 def _maximum(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> tuple[FloatArray]:
-    return (namespace(earlier[0]).maximum(earlier[0], later[0]),)
+    return (np.maximum(earlier[0], later[0]),)
 
 
 def _then(
     earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]
 ) -> tuple[FloatArray, FloatArray]:
     """Two stretches of time after one another: (left held throughout, right reached)."""
-    (held, reached), xp = earlier, namespace(earlier[0])
-    return xp.minimum(held, later[0]), xp.maximum(reached, xp.minimum(held, later[1]))
+    held, reached = earlier
+    return np.minimum(held, later[0]), np.maximum(reached, np.minimum(held, later[1]))
 
 
 def _until_once(left: FloatArray, right: FloatArray, first: int) -> FloatArray:
     """Until at a single step, by a running minimum: [1, n]."""
-    xp = namespace(left)
-    held = xp.amin(left[: first + 1], 0)
-    reached = xp.minimum(held, right[0])
-    met = xp.empty_like(held)
+    held = np.amin(left[: first + 1], 0)
+    reached = np.minimum(held, right[0])
+    met = np.empty_like(held)
     for now, target in zip(left[first + 1 :], right[1:], strict=True):
-        xp.minimum(held, now, out=held)
-        xp.minimum(held, target, out=met)
-        xp.maximum(reached, met, out=reached)
+        np.minimum(held, now, out=held)
+        np.minimum(held, target, out=met)
+        np.maximum(reached, met, out=reached)
     return reached[None]

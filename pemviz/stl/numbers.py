@@ -4,30 +4,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+import numpy as np
 
-from pemviz.arrays import FloatArray, namespace
+from pemviz.arrays import FloatArray
 
 
 class NumberSemantics:
-    """The part of `Semantics` that is the same for all metrics; it takes tensors too."""
+    """The part of `Semantics` that is the same for all metrics."""
 
     def minimum(self, left: FloatArray | float, right: FloatArray | float) -> FloatArray:
-        xp, one, other = _alike(left, right)
-        return xp.minimum(one, other)
+        return np.asarray(np.minimum(left, right), dtype=np.float64)
 
     def maximum(self, left: FloatArray | float, right: FloatArray | float) -> FloatArray:
-        xp, one, other = _alike(left, right)
-        return xp.maximum(one, other)
+        return np.asarray(np.maximum(left, right), dtype=np.float64)
 
     def constant(self, value: float, like: FloatArray, steps: int) -> FloatArray:
-        xp, shape = namespace(like), (steps, like.shape[1])
-        return xp.full(shape, value, dtype=xp.float64, device=like.device)
-
-
-def _alike(left: FloatArray | float, right: FloatArray | float) -> tuple[Any, Any, Any]:
-    """The namespace of whichever is an array, if any, and both as its arrays."""
-    like: Any = right if isinstance(left, float) else left
-    xp, device = namespace(like), getattr(like, "device", None)
-    one, other = (xp.asarray(value, dtype=xp.float64, device=device) for value in (left, right))
-    return xp, one, other
+        return np.full((steps, like.shape[1]), value)

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, namespace
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.stl.classical import Classical, ClassicalSemantics
 from pemviz.stl.evaluation import robustness, time_first
 from pemviz.stl.expressions import Predicate
@@ -29,7 +29,7 @@ class BooleanSemantics(ClassicalSemantics):
 
     def predicate(self, predicate: Predicate, margin: FloatArray) -> FloatArray:
         holds = margin > 0.0 if predicate.is_strict else margin >= 0.0
-        return namespace(margin).where(holds, 1.0, -1.0)
+        return np.where(holds, 1.0, -1.0)
 
 
 def violated(formula: Formula, signals: Mapping[str, AnyArray]) -> BoolArray:

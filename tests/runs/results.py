@@ -64,11 +64,10 @@ def plainly(kind, **chosen):
 
 def configurations():
     named = st.text(min_size=1, max_size=8).filter(str.strip)
-    devices = st.sampled_from(("cpu", "torch-cpu", "cuda", "cuda:12"))
     trackers = st.sampled_from(("none", "2/3", "1/1,coast=0.5,filter=kalman"))
     scenarios = plainly(ScenarioConfig, tracker=trackers)
     alone = plainly(
-        ExperimentConfig, pem=named, simulator=named, device=devices, rules=st.just(()),
+        ExperimentConfig, pem=named, simulator=named, rules=st.just(()),
         scenario=scenarios, encounter=st.just(EncounterConfig()), start=st.just(()),
         sumo=st.just(SumoConfig()), carla=st.none(),
     )  # fmt: skip

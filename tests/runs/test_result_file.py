@@ -180,13 +180,19 @@ def test_results_of_versions_that_knew_fewer_fields_are_read(sample):
     document = copy.deepcopy(sample)
     for name in ("causes", "sensitivity", "data_bound"):
         del document[name]
-    for name in ("device", "batch_time_limit_s", "reference", "target"):
+    for name in ("batch_time_limit_s", "reference", "target"):
         del document["config"][name]
     result = result_from_document(document)
     assert result.explanation is None
     assert result.data_bound is None
-    assert result.config.device == "cpu"
+    assert result.config.batch_time_limit_s == 600.0
     assert result.estimate == result_from_document(sample).estimate
+
+
+def test_what_earlier_versions_could_set_is_read_where_it_means_what_there_is(sample):
+    document = copy.deepcopy(sample)
+    document["config"]["device"] = "cpu"
+    assert result_from_document(document) == result_from_document(sample)
 
 
 def test_undefined_and_infinite_figures_are_null_and_read_as_such(tmp_path):
@@ -241,7 +247,7 @@ def test_what_a_run_always_writes_may_not_be_absent(sample):
         ("seed", 6, "seed = 6: must be that of config, 7"),
         ("config.method", "best", "config.method = 'best': no such method; there are: adaptive,"),
         ("config.seed", -1, "config.seed = -1: must be a whole number, at least 0"),
-        ("config.device", "gpu", "device = 'gpu': must be cpu"),
+        ("config.device", "cuda", "device"),
         ("config.scenario.dt_s", 0, "config.scenario.dt_s = 0: must be a number, at least 0.001"),
         ("estimate.failures", -1, "estimate.failures = -1: must be a whole number, at least 0"),
         ("estimate.probability", -1e-9, "estimate.probability = -1e-09: must be a number, at lea"),

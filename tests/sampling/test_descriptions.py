@@ -14,7 +14,6 @@ from pemviz.runs.experiment import Experiment, build_experiment, build_method
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.registry import SHIPPED, by_name
 from pemviz.sampling.rollouts.batches import run_here
-from pemviz.sampling.rollouts.devices import has_tensors
 from tests.toy import constant_pem
 
 EVERY = pytest.mark.parametrize("method", SHIPPED, ids=lambda method: method.name)
@@ -31,7 +30,7 @@ CHANGES = {
 COMMON = {"seed"}
 """What every method looks at."""
 NOT_THE_METHODS = {
-    "method", "metric", "spec", "pem", "simulator", "device", "smooth_beta_per_m", "repetitions",
+    "method", "metric", "spec", "pem", "simulator", "smooth_beta_per_m", "repetitions",
     "batch_time_limit_s", "reference", "target", "scenario", "memory_s", "memory_curve",
     "plan", "rules", "frailty", "position_errors", "encounter", "start", "encounters_per_hour",
     "keep", "sumo", "carla",
@@ -174,13 +173,6 @@ def test_progress_is_counted_as_the_description_says(method: MethodDescription):
         # batches are of 16 rollouts at most, but a level has no such step
         steps = np.diff([0, *done])
         assert (method.counting == "rollouts") == bool(np.all((steps > 0) & (steps <= 16)))
-
-
-@EVERY
-def test_proposals_that_a_device_computes_are_named(method: MethodDescription):
-    _, heard, _ = short_run(method.name)
-    if "restarts" not in method.needs:
-        assert method.proposal_on_device == has_tensors(heard.stages[-1].sampled_from)
 
 
 @EVERY

@@ -21,7 +21,6 @@ from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.memory import RememberingPem, with_memory, without_memory
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.devices import has_tensors
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
 from pemviz.simulators.remembering import LAST_OUTCOME, RememberingSimulator
@@ -233,18 +232,6 @@ def test_both_back_ends_give_the_same_rollouts_with_memory():
     assert one is not None
     assert other is not None
     assert other.probability == pytest.approx(one.probability, rel=1e-6)
-
-
-def test_tensors_give_the_same_rollouts_with_memory():
-    for pem in ("ml-nn", "lr"):  # one goes to the device, the other is asked through numpy
-        config = replace(SHORT, pem=pem, method="naive", final_rollouts=300)
-        one, other = (run_experiment(replace(config, device=d)) for d in ("cpu", "torch-cpu"))
-        assert one.estimate is not None
-        assert other.estimate is not None
-        assert other.estimate.probability == pytest.approx(one.estimate.probability, rel=1e-6)
-    experiment = build_experiment(replace(SHORT, pem="ml-nn"))
-    assert has_tensors(experiment.problem.simulator)
-    assert has_tensors(experiment.features)
 
 
 def test_rollouts_say_what_the_last_outcome_was():

@@ -19,7 +19,6 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.rollout_files import finished_stage, part_arrays, write_part
 from pemviz.sampling.method import final_stage
 from pemviz.sampling.problem import sample, score
-from pemviz.sampling.rollouts.devices import DeviceRunner
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.rollouts.worker_batches import PooledRunner
 from pemviz.sampling.splitting.particles import beginning, continued, restart
@@ -64,9 +63,8 @@ def pooled_elsewhere(function, *arguments):
         {},
         {"batch_rollouts": 7},
         {"run_batches": PooledRunner(pooled_elsewhere, 3)},
-        {"run_batches": DeviceRunner("torch-cpu"), "batch_rollouts": 40},
     ],
-    ids=["here", "batches", "workers", "torch"],
+    ids=["here", "batches", "workers"],
 )
 def test_rollouts_are_time_major_wherever_they_are_drawn(experiment, changes):
     problem = replace(experiment.problem, **changes)

@@ -69,17 +69,6 @@ def test_methods_agree_with_all_chains(method):
     assert abs(found.probability - by_chains(experiment)) < 5 * found.std_error
 
 
-@pytest.mark.parametrize("tracker", ["2/3,coast=0.5", KALMAN])
-def test_on_a_device_it_is_the_same(tracker):
-    settings = {"method": "naive", "final_rollouts": 100}
-    here, there = (
-        run(experiment_of(tracker, device=device, **settings)).estimate
-        for device in ("cpu", "torch-cpu")
-    )
-    assert here.failures > 5
-    assert there.probability == pytest.approx(here.probability, rel=1e-9)
-
-
 def test_the_environment_alone_tracks_too():
     scenario = replace(COARSE, tracker=KALMAN)
     detected = np.random.default_rng(4).random((3, COARSE.states - 1)) < 0.7

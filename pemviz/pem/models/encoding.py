@@ -6,7 +6,7 @@ rotation_y, each less its training mean and divided by its training standard dev
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, namespace
+from pemviz.arrays import FloatArray
 from pemviz.errors import PemError
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN, OCCLUSION_NAMES, SALIENT_COLUMNS
 
@@ -65,11 +65,11 @@ def paper_inputs(
         pose_std: their standard deviations, shape [4].
         multiple: columns of zeros follow, to a multiple of so many.
     """
-    columns, xp, count = rows.T, namespace(rows), len(rows)
+    columns, count = rows.T, len(rows)
     shape = len(PAPER_INPUTS), count + -count % multiple
-    inputs = xp.empty(shape, dtype=rows.dtype, device=rows.device)
+    inputs = np.empty(shape, dtype=rows.dtype)
     inputs[:, count:] = 0.0
-    codes = xp.arange(len(CLASS_NAMES), dtype=rows.dtype, device=rows.device)[:, None]
+    codes = np.arange(len(CLASS_NAMES), dtype=rows.dtype)[:, None]
     inputs[: len(CLASS_NAMES), :count] = columns[COLUMN["class_id"]] == codes
     inputs[len(CLASS_NAMES) : _FIRST_POSE, :count] = (
         columns[COLUMN["occlusion"]] == codes[: len(OCCLUSION_NAMES)]

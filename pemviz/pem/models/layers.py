@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, IntArray, namespace
+from pemviz.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,13 @@ def forward(layers: Sequence[Layer], inputs: FloatArray) -> FloatArray:
     the linear algebra library, what one column gives cannot depend on the others or on threads,
     nor, while there are several, on how many they are.
     """
-    xp, hidden = namespace(inputs), inputs
-    zero = xp.zeros((), dtype=inputs.dtype, device=inputs.device)
+    hidden = inputs
+    zero = np.zeros((), dtype=inputs.dtype)
     for layer in layers[:-1]:
-        hidden = xp.einsum("hk,kn->hn", layer.weight, hidden)
+        hidden = np.einsum("hk,kn->hn", layer.weight, hidden)
         hidden += layer.bias[:, None]
-        xp.maximum(hidden, zero, out=hidden)
-    return xp.einsum("hk,kn->hn", layers[-1].weight, hidden)[0] + layers[-1].bias[0]
+        np.maximum(hidden, zero, out=hidden)
+    return np.einsum("hk,kn->hn", layers[-1].weight, hidden)[0] + layers[-1].bias[0]
 
 
 class PackedNetwork(NamedTuple):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
-from pemviz.arrays import BoolArray, FloatArray, namespace
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import PemError
 
 TAU_MEANS = "outcomes h seconds apart have the correlation exp(-h / tau)"
@@ -59,25 +59,24 @@ def persistence(since_s: FloatArray | float, tau_s: float) -> FloatArray:
 def remembering_logit(
     logit: FloatArray, *, missed_before: BoolArray, rho: FloatArray | float
 ) -> FloatArray:
-    """Logit of P(detected | state, outcome before), elementwise ``[...]``; here or on a device.
+    """Logit of P(detected | state, outcome before), elementwise ``[...]``.
 
     Args:
         logit: The error model's own logit of P(detected) ``[...]``.
         missed_before: Whether the outcome before was a miss ``[...]``.
         rho: Correlation with the outcome before, from 0 to below 1; 0 gives ``logit`` itself.
     """
-    xp = namespace(logit)
-    zero = xp.zeros_like(logit)
+    zero = np.zeros_like(logit)
     with np.errstate(divide="ignore"):
         log_rho, log_rest = zero + np.log(rho), np.log1p(np.negative(rho))
     # logaddexp is most of the time: once for -log P of both fresh outcomes, once for the one that
     # is remembered as well; the other stays what it is
-    rest = xp.logaddexp(zero, -xp.abs(logit))
-    fresh_hit = log_rest - xp.where(logit > 0.0, rest, rest - logit)
-    fresh_miss = log_rest - xp.where(logit < 0.0, rest, rest + logit)
-    kept = xp.logaddexp(xp.where(missed_before, fresh_miss, fresh_hit), log_rho)
-    remembered = xp.where(missed_before, fresh_hit - kept, kept - fresh_miss)
-    return xp.where(zero + rho == 0.0, logit, remembered)
+    rest = np.logaddexp(zero, -np.abs(logit))
+    fresh_hit = log_rest - np.where(logit > 0.0, rest, rest - logit)
+    fresh_miss = log_rest - np.where(logit < 0.0, rest, rest + logit)
+    kept = np.logaddexp(np.where(missed_before, fresh_miss, fresh_hit), log_rho)
+    remembered = np.where(missed_before, fresh_hit - kept, kept - fresh_miss)
+    return np.where(zero + rho == 0.0, logit, remembered)
 
 
 def frail_logit(logit: FloatArray, *, visibility: FloatArray, frailty: float) -> FloatArray:

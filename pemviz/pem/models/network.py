@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pemviz.arrays import AnyArray, FloatArray, Move, is_tensor
+from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
 from pemviz.errors import PemError
 from pemviz.lanes import LANES
@@ -96,11 +96,6 @@ class NetworkPem(Carded):
     def _packed(self) -> PackedNetwork:
         return packed(self.pose_mean, self.pose_std, self.layers)
 
-    def moved(self, move: Move) -> "_Forward":
-        """What answers for tensors."""
-        layers = tuple(Layer(move(layer.weight), move(layer.bias)) for layer in self.layers)
-        return _Forward(move(self.pose_mean), move(self.pose_std), layers)
-
 
 @dataclass(frozen=True)
 class _Forward:
@@ -111,9 +106,8 @@ class _Forward:
     layers: tuple[Layer, ...]
 
     def logit(self, salient: FloatArray) -> FloatArray:
-        lanes = 1 if is_tensor(salient) else LANES
         inputs = paper_inputs(
-            salient, pose_mean=self.pose_mean, pose_std=self.pose_std, multiple=lanes
+            salient, pose_mean=self.pose_mean, pose_std=self.pose_std, multiple=LANES
         )
         return forward(self.layers, inputs)[: len(salient)]
 

@@ -50,5 +50,4 @@ ADAPTIVE = MethodDescription(
         "truth, as its weights degenerate"
     ),
     alpha=PAPER_ALPHA,
-    proposal_on_device=True,
 )

@@ -55,7 +55,6 @@ MONTE_CARLO = MethodDescription(
     stages="parts",
     stage_interval="binomial",
     follows_model=True,
-    proposal_on_device=True,
     learning_words=(
         "Nothing is learned by this method: all rollouts are drawn from the error model (black), "
         "under which violations are rare."
@@ -72,7 +71,6 @@ NAIVE = MethodDescription(
     budget=final_budget,
     with_budget=with_final_budget,
     stages="parts",
-    proposal_on_device=True,
     curve_name="what rollouts are drawn from",
     learning_words=(
         "Nothing is learned by this method: all rollouts are drawn with one constant probability "

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, IntArray, Move, namespace
+from pemviz.arrays import AnyArray, BoolArray, IntArray
 from pemviz.simulators.latched import violated_rule
 
 Rule = str | None
@@ -48,10 +48,6 @@ class Aims:
         """Of some of the rollouts."""
         return Aims(self.rules, self.chosen[rows])
 
-    def moved(self, move: Move) -> "Aims":
-        """The same for tensors."""
-        return Aims(self.rules, move(self.chosen))
-
 
 def broken_at(memory: Mapping[str, AnyArray], rules: Sequence[str]) -> BoolArray | None:
     """Which rules are broken at states ``[...]``, ``[..., R]``; ``None`` without rules."""
@@ -77,4 +73,4 @@ def both(first: BoolArray | None, second: BoolArray | None) -> BoolArray | None:
 
 def where_open(values: AnyArray, open_there: BoolArray | None) -> AnyArray:
     """The values, 0 elsewhere."""
-    return values if open_there is None else namespace(values).where(open_there, values, 0.0)
+    return values if open_there is None else np.where(open_there, values, 0.0)

@@ -49,5 +49,4 @@ MIXTURE = MethodDescription(
     settings=frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts"}),
     budget=learning_budget,
     with_budget=with_learning_budget,
-    proposal_on_device=True,
 )

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Move, moved, namespace
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, StateFeatures, acting
 from pemviz.proposals.pilots import PilotFamily, PilotProposal
 from pemviz.sampling.mixture.aims import Aims
@@ -54,7 +54,7 @@ class DividedProposal:
         if self.aims.rules:
             acts &= ~self.aims.reached(states.memory)
         by_fitted = fitted.logit_where(acts, states, pem_logit)
-        return namespace(pem_logit).where(self.piloted, by_pilots, by_fitted)
+        return np.where(self.piloted, by_pilots, by_fitted)
 
     def start_mean(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
         """Of the latents at the start, ``[N, S]``.
@@ -115,16 +115,6 @@ class DividedProposal:
             aims=self.aims.rows(rows),
             latents=None if self.latents is None else self.latents.rows(rows),
         )
-
-    def moved(self, move: Move) -> Self | None:
-        """The same for tensors, if the features can."""
-        pilots, fitted = moved(self.pilots, move), self.fitted
-        if pilots is None:
-            return None
-        if fitted is not None:
-            fitted = moved(fitted, move)
-        aims, piloted = self.aims.moved(move), move(self.piloted)
-        return replace(self, pilots=pilots, fitted=fitted, piloted=piloted, aims=aims)
 
     def arrays(self) -> Mapping[str, AnyArray]:
         """Of both kinds."""

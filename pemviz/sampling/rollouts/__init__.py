@@ -1,1 +1,1 @@
-"""How rollouts are drawn: here, on a device, or by worker processes."""
+"""How rollouts are drawn: here, or by worker processes."""

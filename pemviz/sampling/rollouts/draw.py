@@ -1,12 +1,12 @@
 """Rollouts: the scenario stepped with outcomes drawn from a proposal."""
 
 from collections.abc import Mapping
-from typing import Any, NoReturn, Protocol, runtime_checkable
+from typing import NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 from scipy import special
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, is_tensor, namespace
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame, counted_from
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.own_detector import DetectorModel
@@ -80,25 +80,22 @@ def roll_out(
     draws: FloatArray,
     track: LatentTrack | None = None,
 ) -> RolloutBatch:
-    """Rollouts from initial ``states`` ``[N]`` for draws ``[T-1, N]``, here or on a device.
-
-    With latents, whose ``track`` is continued, it is here alone.
+    """Rollouts from initial ``states [N]`` for draws ``[T-1, N]``; latents go on by ``track``.
 
     Raises:
         SimulationError: Something that is asked raises something, or gives what does not fit.
     """
     steps, step = draws.shape[0], 0
-    xp = namespace(draws)
-    detected = xp.empty(draws.shape, dtype=xp.bool, device=draws.device)
-    under_pem = xp.empty(draws.shape, dtype=draws.dtype, device=draws.device)
-    under_proposal = xp.empty(draws.shape, dtype=draws.dtype, device=draws.device)
+    detected = np.empty(draws.shape, dtype=np.bool_)
+    under_pem = np.empty(draws.shape)
+    under_proposal = np.empty(draws.shape)
     signals = _Track(states.signals, steps + 1, simulator=simulator)
     memory = _Track(kept_with_rollouts(states.memory), steps + 1, simulator=simulator)
     try:
         for step in range(steps):
             under_pem[step] = logit_of(pem, salient_of(simulator, states))
             under_proposal[step] = proposal.logit(states, under_pem[step])
-            detected[step] = draws[step] >= _expit(-under_proposal[step])
+            detected[step] = draws[step] >= special.expit(-under_proposal[step])
             noise = None if track is None else track.noise(step, states, detected[step], proposal)
             states = stepped(simulator, states, detected[step], noise)
             signals.record(step + 1, states.signals)
@@ -197,11 +194,6 @@ def of_rows(proposal: Proposal, rows: slice) -> Proposal:
     return proposal.rows(rows) if isinstance(proposal, RowBoundProposal) else proposal
 
 
-def _expit(logit: Any) -> Any:
-    # of one name in neither: scipy's for arrays, to the last digit
-    return logit.sigmoid() if is_tensor(logit) else special.expit(logit)
-
-
 class _Track:
     """Named values as they come, kept time-major: each step writes one contiguous row.
 
@@ -216,7 +208,7 @@ class _Track:
             alike = {name: array for name, array in first.items() if array.dtype == dtype}
             array = next(iter(alike.values()))
             shape = (len(alike), states, *array.shape)
-            block = namespace(array).empty(shape, dtype=dtype, device=array.device)
+            block = np.empty(shape, dtype=dtype)
             self._values.update(zip(alike, block, strict=True))
         self.record(0, first)
 

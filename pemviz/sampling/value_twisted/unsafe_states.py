@@ -5,12 +5,11 @@ import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 
 from pemviz import stl
-from pemviz.arrays import BoolArray, FloatArray, Move, is_tensor, namespace
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.simulators.bounds import SignalBounds
 from pemviz.stl.expressions import Constant, Predicate, Signal
 from pemviz.stl.formulas import And, Formula, Or
@@ -34,10 +33,8 @@ class StateRule:
         Raises:
             InputError: A number is not finite, or becomes so.
         """
-        known = is_tensor(next(iter(signals.values()))) or (
-            self._compares_numbers and all(_is_finite(signals.get(name)) for name in self._named)
-        )
-        if not known:  # the whole evaluation, which tells what is wrong and where
+        finite = all(_is_finite(signals.get(name)) for name in self._named)
+        if not (self._compares_numbers and finite):  # the whole evaluation tells what is wrong
             return stl.violated(self.predicate, {name: v[:, None] for name, v in signals.items()})
         # of a formula without signals the others say how many states there are
         single = {name: signals[name][None] for name in self._named or signals}
@@ -85,8 +82,7 @@ class UnsafeStates:
         if asked:
             return functools.reduce(operator.or_, (one.broken(states.signals) for one in asked))
         like = next(iter(states.signals.values()))
-        xp = namespace(like)
-        return xp.zeros(like.shape, dtype=xp.bool, device=like.device)
+        return np.zeros(like.shape, dtype=np.bool)
 
     def possible(self, bounds: SignalBounds, *, after: int) -> BoolArray | bool:
         """Whether signals that stay within bounds ``[N]`` can break a rule after step ``after``.
@@ -115,10 +111,6 @@ class UnsafeStates:
                 told = reached(self.turns * rule.last - after)
                 result = np.logical_or(result, _surely_broken(rule.predicate, told))
         return result
-
-    def moved(self, move: Move) -> Self:  # noqa: ARG002
-        """Itself: it holds no arrays."""
-        return self
 
 
 def _breakable(predicate: Formula, bounds: SignalBounds) -> BoolArray | bool:

@@ -1,6 +1,6 @@
 """The emergency braking rule: brake hard if perception detected and the gap is small.
 
-Written for whatever compares and combines as arrays do: numpy arrays, torch tensors, one number.
+Written for whatever compares and combines as arrays do: numpy arrays, one number.
 """
 
 from typing import Any, TypeVar

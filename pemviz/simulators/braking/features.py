@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, Move, namespace
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking.emergency_braking import is_close
 from pemviz.simulators.braking.measured_gap import FORGETFUL_NOISE, LASTING_NOISE, RangeErrors
@@ -42,10 +41,6 @@ class BrakingFeatures:
         """What stands between perception and controller."""
         return scenario_tracker(self.config)
 
-    def moved(self, move: Move) -> Self | None:  # noqa: ARG002
-        """Itself: it holds no arrays; ``None`` with errors, which numpy computes."""
-        return self if self._errors is None else None
-
     def values(self, states: StateBatch) -> FloatArray:
         """Gap [m], closing speed [m/s] and time [s] of states ``[...]``, as ``[..., 3]``.
 
@@ -54,7 +49,6 @@ class BrakingFeatures:
         """
         gap_m = states.signals[GAP]
         closing_mps = states.signals[EGO_SPEED] - states.signals[LEAD_SPEED]
-        xp = namespace(gap_m)
         more: list[FloatArray] = []
         if self._errors is not None:
             lasting, forgetful = states.memory[LASTING_NOISE], states.memory[FORGETFUL_NOISE]
@@ -62,7 +56,7 @@ class BrakingFeatures:
         if self.tracker is not None:
             more += self.tracker.numbers(self.tracker.state(states.memory))
         shape = (*gap_m.shape, 3 + len(more))
-        values = xp.empty(shape, dtype=xp.float64, device=gap_m.device)
+        values = np.empty(shape, dtype=np.float64)
         values[..., 0] = gap_m
         values[..., 1] = closing_mps
         values[..., 2] = states.step * self.config.dt_s

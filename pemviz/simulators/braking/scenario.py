@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, namespace
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.simulators.braking.measured_gap import MeasuredGap, RangeErrors
@@ -208,10 +208,9 @@ def lead_car_salient(config: ScenarioConfig, signals: Mapping[str, FloatArray]) 
         0.0,
         HEADING_AWAY_RAD,
     )
-    xp = namespace(gap_m)
     shape = (len(fixed), *gap_m.shape)
-    salient = xp.empty(shape, dtype=xp.float64, device=gap_m.device)
-    values = xp.asarray(fixed, dtype=xp.float64, device=gap_m.device)
+    salient = np.empty(shape, dtype=np.float64)
+    values = np.asarray(fixed, dtype=np.float64)
     salient[...] = values.reshape(-1, *[1] * gap_m.ndim)
     salient[9] = gap_m + config.lead_length_m / 2
-    return salient.T if gap_m.ndim == 1 else xp.moveaxis(salient, 0, -1)
+    return salient.T if gap_m.ndim == 1 else np.moveaxis(salient, 0, -1)

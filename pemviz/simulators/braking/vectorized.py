@@ -2,11 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, Move, namespace
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.simulators.bounds import SignalBounds
 from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import (
@@ -28,13 +27,8 @@ class VectorizedSimulator(BrakingScenario):
     """Explicit Euler steps of ``pemviz.simulators.braking``: positions, then speeds.
 
     The arithmetic works in place on arrays that a step has itself made, since the time goes
-    into moving temporaries; the states it is given are never written to. On a device all states
-    are of one step, whose number stays a number.
+    into moving temporaries; the states it is given are never written to.
     """
-
-    def moved(self, move: Move) -> Self | None:  # noqa: ARG002
-        """Itself: it holds no arrays; ``None`` with errors, which numpy computes."""
-        return self if self.errors is None else None
 
     @property
     def name(self) -> str:
@@ -149,10 +143,9 @@ class VectorizedSimulator(BrakingScenario):
             -config.maximum_deceleration_mps2, config.maximum_acceleration_mps2
         )
         emergency = brakes(told.present, told.gap_m, config)
-        xp = namespace(emergency)
         return (
-            xp.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),
-            xp.where(emergency, held_m, grown_m),
+            np.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),
+            np.where(emergency, held_m, grown_m),
         )
 
     def _lead_acceleration(self, states: StateBatch) -> FloatArray:

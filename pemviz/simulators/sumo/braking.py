@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, Move
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M, EGO_SPEED, GAP, LEAD_SPEED
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
@@ -18,9 +18,6 @@ BOTH_SCRIPTED = ("ego", "ego")
 @dataclass(frozen=True)
 class SumoBraking(VectorizedSimulator):
     """Speeds as the vectorized back end has them, places by SUMO's ballistic steps."""
-
-    def moved(self, move: Move) -> None:
-        """SUMO has no arrays on a device."""
 
     @property
     def name(self) -> str:

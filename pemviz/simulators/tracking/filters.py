@@ -8,7 +8,9 @@ at hits. The axes are independent of each other and filtered alike.
 from dataclasses import dataclass, replace
 from typing import Annotated, Protocol
 
-from pemviz.arrays import FloatArray, namespace
+import numpy as np
+
+from pemviz.arrays import FloatArray
 from pemviz.config.ranges import Range, check_fields
 from pemviz.config.tracker_text import ALPHA, check_stable
 
@@ -155,7 +157,7 @@ class Kalman:
     def first(self, measured_m: FloatArray) -> Motion:
         """The measured position with its error, at rest but for the speed's spread."""
         motion = at_rest(measured_m)
-        variances = namespace(measured_m).zeros_like(motion.variances)
+        variances = np.zeros_like(motion.variances)
         variances[..., 0] = self.position_sd_m**2
         variances[..., 2] = self.first_speed_sd_mps**2
         return replace(motion, variances=variances)
@@ -164,7 +166,7 @@ class Kalman:
         """Moved: F x and F P F' + Q, with F = [[1, dt], [0, 1]]."""
         position, both, speed = (motion.variances[..., place] for place in range(3))
         noise = self.acceleration_sd_mps2**2
-        variances = namespace(position).stack(
+        variances = np.stack(
             (
                 position + 2.0 * dt_s * both + dt_s**2 * speed + noise * dt_s**4 / 4.0,
                 both + dt_s * speed + noise * dt_s**3 / 2.0,
@@ -185,15 +187,12 @@ class Kalman:
         return Motion(
             position_m=predicted.position_m + gain[..., None] * error_m,
             speed_mps=predicted.speed_mps + speed_gain[..., None] * error_m,
-            variances=namespace(position).stack(
-                (position * kept, both * kept, speed - speed_gain * both), -1
-            ),
+            variances=np.stack((position * kept, both * kept, speed - speed_gain * both), -1),
         )
 
 
 def at_rest(position_m: FloatArray) -> Motion:
     """Tracks at ``[..., A]`` that stand and are known exactly."""
-    xp = namespace(position_m)
     shape = (*position_m.shape[:-1], 3)
-    variances = xp.zeros(shape, dtype=position_m.dtype, device=position_m.device)
-    return Motion(position_m, xp.zeros_like(position_m), variances)
+    variances = np.zeros(shape, dtype=position_m.dtype)
+    return Motion(position_m, np.zeros_like(position_m), variances)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, namespace
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError
 from pemviz.simulators.tracking.filters import LastPosition, Motion, TrackFilter, at_rest
 
@@ -140,43 +140,41 @@ class Tracker:
         Raises:
             ValueError: Positions are missing, too many, or of another shape.
         """
-        xp = namespace(detected)
         measured_m = self._measured(detected, position_m)
-        hit = xp.where(detected, 1, 0)
+        hit = np.where(detected, 1, 0)
         window = (state.window << 1) | hit
-        misses = xp.where(state.confirmed, (state.misses + 1) * (1 - hit), 0)
-        confirmed = xp.where(
+        misses = np.where(state.confirmed, (state.misses + 1) * (1 - hit), 0)
+        confirmed = np.where(
             state.confirmed, misses <= self.coast_steps, self._count(window) >= self.hits
         )
         settled = confirmed | state.confirmed  # or dropped: what is there begins anew
-        window = xp.where(settled, 0, window & ((1 << (self.window - 1)) - 1))
+        window = np.where(settled, 0, window & ((1 << (self.window - 1)) - 1))
         if self.filter == LastPosition():
-            position_m = xp.where(detected[..., None], measured_m, state.position_m)
-            motion = at_rest(xp.where(confirmed[..., None], position_m, 0.0))
+            position_m = np.where(detected[..., None], measured_m, state.position_m)
+            motion = at_rest(np.where(confirmed[..., None], position_m, 0.0))
         else:
             motion = self._moved(state, detected, measured_m)
-            none = at_rest(xp.zeros_like(measured_m))
+            none = at_rest(np.zeros_like(measured_m))
             motion = _chosen(confirmed | (window != 0), motion, none)
         return TrackerState(
             window=window,
-            misses=xp.where(confirmed, misses, 0),
+            misses=np.where(confirmed, misses, 0),
             confirmed=confirmed,
             motion=motion,
         )
 
     def hits_seen(self, state: TrackerState) -> IntArray:
         """Hits ``[...]`` that count towards a confirmation; all of them once there is one."""
-        xp = namespace(state.confirmed)
-        return xp.where(state.confirmed, self.hits, self._count(state.window))
+        return np.where(state.confirmed, self.hits, self._count(state.window))
 
     def steps_since_hit(self, state: TrackerState) -> IntArray:
         """Misses in a row ``[...]``; without a track as many as forget one."""
-        xp, result = namespace(state.confirmed), state.misses
+        result = state.misses
         for misses in range(self.window):
             none_later = state.window & ((1 << misses) - 1) == 0
-            result = xp.where(none_later & ~state.confirmed, misses, result)
+            result = np.where(none_later & ~state.confirmed, misses, result)
         none = (state.window == 0) & ~state.confirmed
-        return xp.where(none, max(self.window - 1, self.coast_steps + 1), result)
+        return np.where(none, max(self.window - 1, self.coast_steps + 1), result)
 
     def numbers(self, state: TrackerState) -> list[FloatArray]:
         """What a proposal may look at, arrays ``[...]``.
@@ -184,9 +182,9 @@ class Tracker:
         A track's hits, which are all once it is confirmed, and the steps since the last; with a
         filter of its motion also where it is [m] and how it moves [m/s], along each axis.
         """
-        xp, like = namespace(state.confirmed), state.motion.variances[..., 0]
+        like = state.motion.variances[..., 0]
         facts = (self.hits_seen(state), self.steps_since_hit(state))
-        numbers = [xp.ones_like(like) * fact for fact in facts]
+        numbers = [np.ones_like(like) * fact for fact in facts]
         if "speed_mps" in self.filter.keeps:
             for axis in range(self.axes):
                 numbers += [state.position_m[..., axis], state.speed_mps[..., axis]]
@@ -215,13 +213,13 @@ class Tracker:
             if slots is None:
                 return memory[f"{self.name}_{name}"]
             of_slots = [memory[f"{self.name}_{name}_{slot}"] for slot in range(slots)]
-            return namespace(of_slots[0]).stack(of_slots, -1)
+            return np.stack(of_slots, -1)
 
         window = part("window")
-        xp, shape = namespace(window), (*window.shape, self.axes)
-        motion = at_rest(xp.zeros(shape, dtype=xp.float64, device=window.device))
+        shape = (*window.shape, self.axes)
+        motion = at_rest(np.zeros(shape, dtype=np.float64))
         kept = {
-            field: xp.stack([part(f"{f}_{place}") for f, place in self._places if f == field], -1)
+            field: np.stack([part(f"{f}_{place}") for f, place in self._places if f == field], -1)
             for field in dict.fromkeys(field for field, _ in self._places)
         }
         return TrackerState(
@@ -252,9 +250,9 @@ class Tracker:
         Raises:
             ValueError: They do not fit.
         """
-        xp, shape = namespace(detected), (*detected.shape, self.axes)
+        shape = (*detected.shape, self.axes)
         if self.axes == 0 and position_m is None:
-            return xp.zeros(shape, dtype=xp.float64, device=detected.device)
+            return np.zeros(shape, dtype=np.float64)
         if position_m is not None and self.axes == 1 and position_m.shape == detected.shape:
             return position_m[..., None]
         if position_m is None or self.axes == 0 or position_m.shape != shape:
@@ -274,11 +272,11 @@ class Tracker:
 
 def _chosen(condition: BoolArray, one: Motion, other: Motion) -> Motion:
     """``one`` where ``condition [...]``, else ``other``."""
-    xp, where = namespace(condition), condition[..., None]
+    where = condition[..., None]
     return Motion(
-        position_m=xp.where(where, one.position_m, other.position_m),
-        speed_mps=xp.where(where, one.speed_mps, other.speed_mps),
-        variances=xp.where(where, one.variances, other.variances),
+        position_m=np.where(where, one.position_m, other.position_m),
+        speed_mps=np.where(where, one.speed_mps, other.speed_mps),
+        variances=np.where(where, one.variances, other.variances),
     )
 
 
