@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from pemviz.bench.compiled_limit import limit_work
-from pemviz.bench.fitted_rollouts import DRAWN, has_loop, last_batch
 from pemviz.bench.ratios import Comparison, LeftOut, Ratio, made_with, ratio_of_turns
 from pemviz.bench.simulators import replaying
 from pemviz.bench.stl import (
@@ -33,14 +32,11 @@ from pemviz.pem.models.network import NetworkPem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.rollouts.compiled import CompiledRollouts
 from pemviz.sampling.rollouts.draw import simulate
-from pemviz.sampling.rollouts.kernels import compiled_loops
+from pemviz.simulators.braking.compiled import CompiledRollouts, compiled_loops
 from pemviz.simulators.braking.highway import HighwaySimulator
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.stl import Classical, parse, robustness
-from pemviz.stl.compiled import DECISION
-from pemviz.stl.compiled import compiled_loops as compiled_folds
 
 Work = Callable[[], object]
 Found = Iterator[Ratio | LeftOut]
@@ -62,7 +58,6 @@ def compare(*, turns: int = 5, rtamt_python: str | None = None) -> Comparison:
     python = rtamt_python or os.environ.get(ORACLE_PYTHON)
     found = [
         *compiled_ratios(turns=turns),
-        *fitted_ratios(turns=turns),
         *replay_ratios(turns=turns),
         *hand_written_ratios(turns=turns),
         *rtamt_ratios(python, turns=turns),
@@ -111,7 +106,7 @@ def compiled_ratios(*, rollouts: int = 20_000, turns: int = 5) -> Found:
         return
     simulator, pem = VectorizedSimulator(ScenarioConfig()), load_pem(ExperimentConfig().pem)
     uniforms = np.random.default_rng(0).random((rollouts, simulator.states - 1))
-    compiled = CompiledRollouts(simulator, pem, kernels)
+    compiled = CompiledRollouts(simulator, pem.logit, kernels)
     compiled.simulate(uniforms)  # from here on it knows every gap
     limit = limit_work(compiled, uniforms)
     works: list[Work] = [
@@ -139,26 +134,11 @@ def compiled_ratios(*, rollouts: int = 20_000, turns: int = 5) -> Found:
     )
 
 
-def fitted_ratios(*, rollouts: int = 4000, turns: int = 5) -> Found:
-    """Final rollouts of `adaptive` and `mixture`, drawn by the compiled loop and by numpy."""
-    if not has_loop():
-        for name in DRAWN:
-            yield LeftOut(name, "numba is not there: pip install 'pemviz[fast]'")
-        return
-    for name, config in DRAWN.items():
-        last = last_batch(config, rollouts=rollouts)
-        numpy_s, compiled_s = in_turns_s([last.by_numpy, last.by_loop], turns)
-        yield ratio_of_turns(name, "numpy", theirs_s=numpy_s, ours_s=compiled_s)
-
-
 def replay_ratios(
     *, vectorized_rollouts: int = 10_000, highway_rollouts: int = 20, turns: int = 5
 ) -> Found:
-    """Rollouts of given outcomes: the vectorized back end against highway-env.
-
-    The compiled loop replays them where numba is there; how long that takes to load is not counted.
-    """
-    config, kernels = ScenarioConfig(), compiled_loops()
+    """Rollouts of given outcomes: the vectorized back end against highway-env."""
+    config = ScenarioConfig()
     works = [
         replaying(VectorizedSimulator(config), vectorized_rollouts),
         replaying(HighwaySimulator(config), highway_rollouts),
@@ -169,12 +149,11 @@ def replay_ratios(
         "highway-env",
         theirs_s=[time_s / highway_rollouts for time_s in highway_s],
         ours_s=[time_s / vectorized_rollouts for time_s in batch_s],
-        note="by numpy" if kernels is None else "by the compiled loop",
     )
 
 
 def hand_written_ratios(*, turns: int = 5) -> Found:
-    """Classical robustness of three formulas, by numpy alone, against numpy written for each."""
+    """Classical robustness of three formulas against numpy written for each."""
     batch = random_batch(rollouts=ROLLOUTS, states=STATES)
     for text, by_hand in BY_HAND.items():
         formula = parse(text)
@@ -182,38 +161,28 @@ def hand_written_ratios(*, turns: int = 5) -> Found:
             lambda formula=formula: robustness(formula, batch, Classical()),
             lambda by_hand=by_hand: by_hand(batch),
         ]
-        with DECISION.from_the_start(False):
-            ours_s, theirs_s = in_turns_s(works, 2 * turns)
+        ours_s, theirs_s = in_turns_s(works, 2 * turns)
         yield ratio_of_turns(
             f"classical of {text}", "numpy by hand", theirs_s=theirs_s, ours_s=ours_s
         )
 
 
 def rtamt_ratios(python: str | None, *, turns: int = 5) -> Found:
-    """Robustness of one formula under each metric, against rtamt's classical one.
-
-    By the compiled loops, where numba is there, and by numpy alone.
-    """
+    """Robustness of one formula under each metric, against rtamt's classical one."""
     batch, formula = random_batch(rollouts=ROLLOUTS, states=STATES), parse(ALWAYS)
     if not python:
         why = f"{ORACLE_PYTHON} names no Python with rtamt (tests/stl/oracle_requirements.txt)"
         yield LeftOut("robustness against rtamt", why)
         return
-    ways = {"numpy alone": False}
-    if compiled_folds() is not None:
-        ways = {"": True} | ways
     rtamt_s = [time_rtamt(python, batch["d"][:TRACES])]
-    ours_s: dict[str, list[float]] = {}
+    ours_s: dict[str, list[float]] = {name: [] for name in METRICS}
     for _ in range(max(1, turns // 2)):
-        for way, compiled in ways.items():
-            for name, metric in METRICS.items():
-                works: list[Work] = [lambda metric=metric: robustness(formula, batch, metric)]
-                with DECISION.from_the_start(compiled):
-                    each_s = min(in_turns_s(works, 3 * turns)[0]) / ROLLOUTS
-                label = f"{name} of {ALWAYS}" + (f", {way}" if way else "")
-                ours_s.setdefault(label, []).append(each_s)
+        for name, metric in METRICS.items():
+            works: list[Work] = [lambda metric=metric: robustness(formula, batch, metric)]
+            ours_s[name].append(min(in_turns_s(works, 3 * turns)[0]) / ROLLOUTS)
         rtamt_s.append(time_rtamt(python, batch["d"][:TRACES]))
-    for label, each_s in ours_s.items():
+    for name, each_s in ours_s.items():
+        label = f"{name} of {ALWAYS}"
         yield ratio_of_turns(label, "rtamt's classical", theirs_s=rtamt_s[1:], ours_s=each_s)
 
 

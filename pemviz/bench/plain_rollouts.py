@@ -11,9 +11,8 @@ from pemviz.bench.simulators import elapsed_s
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal
-from pemviz.sampling.rollouts.compiled import CompiledRollouts
 from pemviz.sampling.rollouts.draw import simulate
-from pemviz.sampling.rollouts.kernels import compiled_loops
+from pemviz.simulators.braking.compiled import CompiledRollouts, compiled_loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 
@@ -29,7 +28,7 @@ def plain_rollout_figures(*, rollouts: int = 20_000, repeats: int = 11) -> Seque
     """
     simulator, pem = VectorizedSimulator(ScenarioConfig()), load_pem(ExperimentConfig().pem)
     kernels, generator = compiled_loops(), np.random.default_rng(0)
-    compiled = None if kernels is None else CompiledRollouts(simulator, pem, kernels)
+    compiled = None if kernels is None else CompiledRollouts(simulator, pem.logit, kernels)
     numpy_s: list[float] = []
     compiled_s: list[float] = []
     for _ in range(repeats + 1):

@@ -15,7 +15,6 @@ from pemviz.arrays import FloatArray
 from pemviz.bench.figures import Figure
 from pemviz.errors import RunError
 from pemviz.stl import Agm, Classical, Formula, Metric, SmoothCumulative, parse, robustness
-from pemviz.stl.compiled import DECISION, compiled_loops
 
 ROLLOUTS, STATES = 10_000, 100
 
@@ -65,12 +64,11 @@ def stl_figures(*, repeats: int = 15, rtamt_python: str | None = None) -> Sequen
     """
     batch = random_batch(rollouts=ROLLOUTS, states=STATES)
     python = rtamt_python or os.environ.get(ORACLE_PYTHON)
-    with DECISION.from_the_start(False):  # where the label does not say otherwise
-        return (
-            *_against_hand_written(batch, repeats),
-            *_between_metrics(batch, repeats, python),
-            *_with_size(max(2, repeats // 5)),
-        )
+    return (
+        *_against_hand_written(batch, repeats),
+        *_between_metrics(batch, repeats, python),
+        *_with_size(max(2, repeats // 5)),
+    )
 
 
 def random_batch(*, rollouts: int, states: int) -> dict[str, FloatArray]:
@@ -141,10 +139,7 @@ def _against_hand_written(batch: Mapping[str, FloatArray], repeats: int) -> Iter
 def _between_metrics(
     batch: Mapping[str, FloatArray], repeats: int, python: str | None
 ) -> Iterator[Figure]:
-    per_rollout_s = _per_rollout_s(batch, repeats, compiled=False)
-    compiled_s: Mapping[str, float] = {}
-    if compiled_loops() is not None:
-        compiled_s = _per_rollout_s(batch, repeats, compiled=True)
+    per_rollout_s = _per_rollout_s(batch, repeats)
     for name, time_s in per_rollout_s.items():
         yield Figure(f"stl, {name} of {ALWAYS}, per rollout", time_s * 1e6, "us")
         if name != "classical":
@@ -156,20 +151,15 @@ def _between_metrics(
         yield Figure(f"stl, rtamt of {ALWAYS}, per rollout", rtamt_s * 1e6, "us")
         for name, time_s in per_rollout_s.items():
             yield Figure(f"stl, rtamt / {name}", rtamt_s / time_s, "", "at least 1000")
-        for name, time_s in compiled_s.items():
-            yield Figure(f"stl, rtamt / {name}, compiled", rtamt_s / time_s, "", "at least 3000")
 
 
-def _per_rollout_s(
-    batch: Mapping[str, FloatArray], repeats: int, *, compiled: bool
-) -> Mapping[str, float]:
+def _per_rollout_s(batch: Mapping[str, FloatArray], repeats: int) -> Mapping[str, float]:
     formula = parse(ALWAYS)
 
     def evaluate(metric: Metric) -> Callable[[], FloatArray]:
         return lambda: robustness(formula, batch, metric)
 
-    with DECISION.from_the_start(compiled):
-        times_s = _best_times_s([evaluate(metric) for metric in METRICS.values()], repeats)
+    times_s = _best_times_s([evaluate(metric) for metric in METRICS.values()], repeats)
     return {name: time_s / ROLLOUTS for name, time_s in zip(METRICS, times_s, strict=True)}
 
 

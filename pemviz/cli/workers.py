@@ -7,7 +7,6 @@ from dataclasses import replace
 from pemviz.errors import ConfigError
 from pemviz.processes import ProcessPool
 from pemviz.runs.experiment import Experiment
-from pemviz.sampling.fitted.drawing import simulated
 from pemviz.sampling.rollouts.worker_batches import PooledRunner
 from pemviz.sweep.cluster import cluster_pool
 
@@ -53,10 +52,10 @@ def with_workers(
     """
     if scheduler is not None:
         with cluster_pool(scheduler) as (submit, count):
-            yield _simulated_by(experiment, PooledRunner(submit, count, simulated))
+            yield _simulated_by(experiment, PooledRunner(submit, count))
     elif workers is not None and workers > 1:
         with ProcessPool(workers) as pool:
-            yield _simulated_by(experiment, PooledRunner(pool.submit, workers, simulated))
+            yield _simulated_by(experiment, PooledRunner(pool.submit, workers))
     else:
         yield experiment
 

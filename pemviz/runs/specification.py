@@ -12,7 +12,6 @@ from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem import Pem
 from pemviz.sampling.back_end import BackEnd
-from pemviz.sampling.fitted.drawing import simulated
 from pemviz.sampling.folding import Folding, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.problem import Problem, ScoredRule
 from pemviz.sampling.rollouts.compiled import CompiledRunner
@@ -58,7 +57,7 @@ def build_problem(
         robustness=whole.robustness,
         violated=whole.violated,
         batch_rollouts=back_end.batch_rollouts,
-        run_batches=CompiledRunner(simulated=simulated),
+        run_batches=CompiledRunner(),
         batch_time_limit_s=config.batch_time_limit_s,
         unsafe=unsafe_states(formula, turns=turns),
         monitor=whole.monitor,

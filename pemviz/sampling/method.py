@@ -86,11 +86,8 @@ def sample_stage(
     seed: int,
     repetition: int,
     stage: int,
-    many: bool = False,
 ) -> ScoredRollouts:
     """A stage's rollouts: those that an interrupted run left, or else drawn and scored.
-
-    Whether it is of ``many`` is said as in :func:`pemviz.sampling.problem.sample_batches`.
 
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
@@ -102,7 +99,6 @@ def sample_stage(
             proposal=proposal,
             count=count,
             seeds=stage_seeds(seed=seed, repetition=repetition, stage=stage),
-            many=many,
         ),
         repetition=repetition,
         stage=stage,

@@ -128,14 +128,13 @@ def sample(
     proposal: Proposal,
     count: int,
     seeds: np.random.SeedSequence,
-    many: bool = False,
 ) -> ScoredRollouts:
     """Draw and score ``count`` rollouts, in batches that do not change the result.
 
     Raises:
         SimulationError: In a batch something raises, is no finite number, or takes too long.
     """
-    batches = sample_batches(problem, proposal=proposal, count=count, seeds=seeds, many=many)
+    batches = sample_batches(problem, proposal=proposal, count=count, seeds=seeds)
     return ScoredRollouts.concatenate(list(batches))
 
 
@@ -145,7 +144,6 @@ def sample_batches(
     proposal: Proposal,
     count: int,
     seeds: np.random.SeedSequence,
-    many: bool = False,
 ) -> Iterator[ScoredRollouts]:
     """What :func:`sample` draws, batch by batch, for use where not all must be kept.
 
@@ -154,7 +152,6 @@ def sample_batches(
         proposal: What outcomes are drawn from.
         count: Number of rollouts.
         seeds: Of these rollouts.
-        many: As :class:`BatchTask` has it; must follow from a run's settings alone.
 
     Raises:
         SimulationError: In a batch something raises, is no finite number, or takes too long.
@@ -174,7 +171,6 @@ def sample_batches(
             of_rows(proposal, slice(start, start + size)),
             generator.random((size, steps)),
             latents.draw(size),
-            many,
         )
         for start, size in zip(starts, sizes, strict=False)
     )

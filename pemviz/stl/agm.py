@@ -18,7 +18,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.errors import InputError
 from pemviz.stl.bounds import Interval, check_interval, margin_range
 from pemviz.stl.errors import shorten
@@ -165,28 +165,7 @@ def _join(earlier: Means, later: Means) -> Means:
 def _conclude(means: Means, count: int | FloatArray) -> FloatArray:
     """The conjunction of ``count`` values."""
     least, failing, growth = means
-    return _mean(least <= 0.0, failing, growth, count)
-
-
-def _mean(
-    fails: BoolArray, failing: FloatArray, growth: FloatArray, count: int | FloatArray
-) -> FloatArray:
-    return np.where(fails, failing / count, np.expm1(growth / count))
-
-
-def conclude_all(
-    fails: BoolArray, failing: FloatArray, growth: FloatArray, count: int
-) -> FloatArray:
-    """The conjunction ``[n]`` of ``count`` values a rollout.
-
-    Args:
-        fails: Whether any of them is at most 0, ``[n]``.
-        failing: The sum of min(value, 0), ``[n]``; counts where one fails.
-        growth: prod(1 + value) - 1 of each of `compounded` groups, ``[groups, n]``; counts where
-            none fails.
-        count: How many values.
-    """
-    return _mean(fails, failing, fold(np.add, np.log1p(growth))[0], count)
+    return np.where(least <= 0.0, failing / count, np.expm1(growth / count))
 
 
 def _over_windows(values: FloatArray, width: int) -> FloatArray:
@@ -211,15 +190,8 @@ HALVINGS = 4
 """Before logarithms are taken, so that one serves up to 16 steps."""
 
 
-def compounded(steps: int) -> int:
-    """The number of groups that `_compound` makes of so many steps."""
-    for _ in range(HALVINGS):
-        steps = half_of(steps) if steps > 1 else 1
-    return steps
-
-
 def _compound(values: FloatArray) -> FloatArray:
-    """prod(1 + value) - 1 over groups of steps, [s, n] -> [compounded(s), n], in place.
+    """prod(1 + value) - 1 over groups of steps, [s, n] -> [groups, n], in place.
 
     To full accuracy where all values are positive. The steps are folded as by `fold`.
     """

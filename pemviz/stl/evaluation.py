@@ -15,7 +15,6 @@ from pemviz.stl.checks import check_bounds, check_finite, check_horizon, check_n
 from pemviz.stl.classical import Classical, ClassicalSemantics
 from pemviz.stl.errors import shorten
 from pemviz.stl.expressions import Predicate, Product, Quotient
-from pemviz.stl.folds import folded_robustness
 from pemviz.stl.formulas import Formula, Truth, negates
 from pemviz.stl.semantics import Semantics, evaluate, margin
 from pemviz.stl.smooth_cumulative import SmoothCumulative, SmoothCumulativeSemantics
@@ -133,11 +132,6 @@ def _by_blocks(
     check_horizon(formula, states)
     steps = states - formula.horizon_steps() if steps is None else steps
     semantics = _semantics(metric)
-    if steps == 1:
-        with np.errstate(all="ignore"):
-            folded = folded_robustness(formula, used, semantics)
-        if folded is not None:
-            return _all_finite(folded.T, formula)
     needed, predicates = steps + formula.horizon_steps(), predicates_to_check(formula)
     named = formula.signals()
     result = np.empty((rollouts, steps))

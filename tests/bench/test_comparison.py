@@ -9,9 +9,7 @@ import pytest
 import torch
 
 from pemviz.bench import comparison
-from pemviz.bench.comparison import fitted_ratios
 from pemviz.bench.compiled_limit import limit_work
-from pemviz.bench.fitted_rollouts import DRAWN, last_batch
 from pemviz.bench.plain_torch import draw, error_model, fit, proposal_logit, proposal_network
 from pemviz.bench.ratios import Comparison, LeftOut, Ratio, changes, ratio_of_turns
 from pemviz.cli.main import main
@@ -22,10 +20,8 @@ from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import gap_network_from_arrays
 from pemviz.proposals.gap_network_fit import fit_gap_network, pool_outcomes
-from pemviz.sampling.fitted import drawing
-from pemviz.sampling.fitted.terms import is_served
-from pemviz.sampling.rollouts.compiled import CompiledRollouts, Loops
 from pemviz.sampling.rollouts.draw import simulate
+from pemviz.simulators.braking.compiled import CompiledRollouts, Loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 RUN = Comparison(
@@ -169,25 +165,11 @@ def test_a_whole_run_is_timed_beside_plain_rollouts():
     assert ratio.note.endswith(" s")
 
 
-def test_fitted_rollouts_are_timed_on_what_the_loop_knows(monkeypatch):
-    name = "rollouts from pilots and fits, with memory of misses"
-    config = replace(DRAWN[name], stages=1, rollouts=40)
-    last = last_batch(config, rollouts=50)
-    assert last.task.many
-    assert len(last.task.uniforms) == 50
-    assert is_served(last.simulator, last.pem, last.task.proposal)
-    monkeypatch.setattr(drawing, "compiled_draw", lambda: None)
-    by_numpy = last.by_numpy()
-    np.testing.assert_array_equal(last.by_loop().proposal_logit, by_numpy.proposal_logit)
-    monkeypatch.setattr(comparison, "has_loop", lambda: False)
-    assert [one.name for one in fitted_ratios()] == list(DRAWN)
-
-
 def test_the_limits_arithmetic_is_the_loops_own():
     simulator, pem = VectorizedSimulator(ScenarioConfig(states=12)), load_pem("ml-nn")
     uniforms = np.random.default_rng(0).random((64, 11))
     with np.errstate(over="ignore"):
-        rollouts = CompiledRollouts(simulator, pem, Loops())
+        rollouts = CompiledRollouts(simulator, pem.logit, Loops())
         rollouts.simulate(uniforms)
         limit_work(rollouts, uniforms).arithmetic()
         _, tracks = rollouts.begun(64)

@@ -40,8 +40,6 @@ def test_a_result_of_many_stages_is_whole_at_the_end_however_rarely_it_is_writte
 ):
     monkeypatch.setattr(store, "ALWAYS_WRITTEN", 2)
     monkeypatch.setattr(store, "PAUSES", 1e9)
-    # parts so small are not worth ten seconds of compiling
-    monkeypatch.setattr("pemviz.sampling.fitted.drawing.compiled_draw", lambda: None)
     written = []
     write = store.write_result
     monkeypatch.setattr(

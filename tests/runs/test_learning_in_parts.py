@@ -42,8 +42,6 @@ def runs(tmp_path_factory):
     root, found = tmp_path_factory.mktemp("parts"), {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pemviz.sampling.rollouts.final_batch.LARGEST_PART", 60)
-        # final parts so small are not worth ten seconds of compiling
-        patch.setattr("pemviz.sampling.fitted.drawing.compiled_draw", lambda: None)
         patch.setattr("pemviz.analysis.model_uncertainty.DATA_BOUND_ROLLOUTS", 200)
         for name, value in (("HELD", HELD), ("EVEN", EVEN), ("LISTED", LISTED)):
             patch.setattr(f"pemviz.sampling.rollouts.thinning.{name}", value)

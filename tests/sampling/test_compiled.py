@@ -9,17 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pemviz import compiling
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.pem import as_pem, load_pem
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts import compiled, compiled_replay
 from pemviz.sampling.rollouts.batches import BatchTask, run_here
-from pemviz.sampling.rollouts.compiled import CompiledRollouts, CompiledRunner, is_served
-from pemviz.sampling.rollouts.draw import replay, simulate
-from pemviz.sampling.rollouts.kernels import Loops, compiled_loops
+from pemviz.sampling.rollouts.compiled import CompiledRunner
+from pemviz.sampling.rollouts.draw import simulate
+from pemviz.simulators.braking import compiled, vectorized
+from pemviz.simulators.braking.compiled import CompiledRollouts, Loops, compiled_loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 
 PEM = load_pem("ml-nn")
@@ -64,10 +63,8 @@ def assert_same(found, expected):
     assert found.latents is expected.latents is None
 
 
-def both(simulator, rollouts, uniforms):
-    expected = simulate(
-        simulator=simulator, pem=rollouts.pem, proposal=PemProposal(), uniforms=uniforms
-    )
+def both(simulator, rollouts, uniforms, pem=PEM):
+    expected = simulate(simulator=simulator, pem=pem, proposal=PemProposal(), uniforms=uniforms)
     assert_same(rollouts.simulate(uniforms), expected)
 
 
@@ -75,7 +72,7 @@ def both(simulator, rollouts, uniforms):
 @given(config=SCENARIOS, seed=st.integers(0, 2**31))
 def test_random_scenarios_written_out(config, seed):
     simulator, generator = VectorizedSimulator(config), np.random.default_rng(seed)
-    rollouts = CompiledRollouts(simulator, PEM, Loops())
+    rollouts = CompiledRollouts(simulator, PEM.logit, Loops())
     uniforms = generator.random((6, config.states - 1))
     with np.errstate(over="ignore"):
         both(simulator, rollouts, uniforms)  # nothing is known: all by numpy
@@ -87,16 +84,17 @@ def test_random_scenarios_written_out(config, seed):
 def test_shipped_models_and_tables_that_grow(loops, pem, monkeypatch):
     simulator, generator = VectorizedSimulator(ScenarioConfig(states=20)), np.random.default_rng(3)
     monkeypatch.setattr(compiled, "FEWEST_PLACES", 4)
-    rollouts = CompiledRollouts(simulator, load_pem(pem), loops)
+    model = load_pem(pem)
+    rollouts = CompiledRollouts(simulator, model.logit, loops)
     for count in (3, 70, 1, 200):
-        both(simulator, rollouts, generator.random((count, 19)))
+        both(simulator, rollouts, generator.random((count, 19)), model)
 
 
 def test_a_full_table_is_begun_anew(loops, monkeypatch):
     simulator, generator = VectorizedSimulator(ScenarioConfig(states=30)), np.random.default_rng(4)
     monkeypatch.setattr(compiled, "FEWEST_PLACES", 64)
     monkeypatch.setattr(compiled, "MOST_PLACES", 256)
-    rollouts = CompiledRollouts(simulator, PEM, loops)
+    rollouts = CompiledRollouts(simulator, PEM.logit, loops)
     for _ in range(4):
         both(simulator, rollouts, generator.random((40, 29)))
 
@@ -108,59 +106,9 @@ def test_every_config_and_number_of_the_scenario_is_told(loops):
         lead_brake_time_s=0.7, emergency_deceleration_mps2=6.0, states=40,
     )  # fmt: skip
     simulator, generator = VectorizedSimulator(config), np.random.default_rng(5)
-    rollouts = CompiledRollouts(simulator, PEM, loops)
+    rollouts = CompiledRollouts(simulator, PEM.logit, loops)
     for _ in range(2):
         both(simulator, rollouts, generator.random((50, 39)))
-
-
-@settings(max_examples=25, deadline=None)
-@given(config=SCENARIOS, seed=st.integers(0, 2**31), count=st.sampled_from([0, 1, 7]))
-def test_replay_of_random_outcomes_in_random_scenarios_written_out(config, seed, count):
-    assert_replayed(config, count, Loops(), np.random.default_rng(seed))
-
-
-@pytest.mark.parametrize("count", [1, 1023, 1024, 1025, 2300])
-def test_compiled_replay_of_more_than_are_taken_together(count):
-    pytest.importorskip("numba")
-    found = compiled_loops()
-    assert found is not None
-    for config in (ScenarioConfig(), ScenarioConfig(lead_brake_time_s=0.7, states=37)):
-        assert_replayed(config, count, found, np.random.default_rng(count))
-
-
-def assert_replayed(config, count, loops, generator):
-    simulator = VectorizedSimulator(config)
-    detected = generator.random((count, config.states - 1)) < generator.random()
-    states, expected = simulator.initial(count=count), []
-    for outcomes in [*detected.T, None]:
-        expected.append(states.signals)
-        states = states if outcomes is None else simulator.step(states, outcomes)
-    found = compiled_replay.replay(simulator, detected, loops)
-    for name in expected[0]:
-        assert found[name].T.flags.c_contiguous
-        by_hand = np.stack([signals[name] for signals in expected], axis=1)
-        np.testing.assert_array_equal(found[name], by_hand, err_msg=name)
-
-
-def test_replay_is_compiled_where_the_loop_is_loaded_and_only_of_what_it_knows(monkeypatch):
-    told = []
-    monkeypatch.setattr(compiled_replay, "compiled_loops", lambda: told.append(1) or Loops())
-    monkeypatch.setattr(compiled_replay, "are_loaded", lambda: False)
-    monkeypatch.setattr(compiled_replay, "WORTH_LOADING", 31)
-    simulator = VectorizedSimulator(ScenarioConfig(states=11))
-    tracked = VectorizedSimulator(ScenarioConfig(states=11, tracker="2/3"))
-    outcomes = np.random.default_rng(9).random((4, 10)) < 0.5
-    few, many = replay(simulator=simulator, detected=outcomes[:3]), len(told)
-    assert not many
-    all_of_them = replay(simulator=simulator, detected=outcomes)
-    assert told == [1]
-    for name, values in few.items():
-        np.testing.assert_array_equal(values, all_of_them[name][:3], err_msg=name)
-    monkeypatch.setattr(compiled_replay, "are_loaded", lambda: True)
-    replay(simulator=simulator, detected=outcomes[:1])
-    assert told == [1, 1]
-    replay(simulator=tracked, detected=outcomes)
-    assert told == [1, 1]
 
 
 SIMULATOR = VectorizedSimulator(ScenarioConfig())
@@ -175,9 +123,11 @@ SIMULATOR = VectorizedSimulator(ScenarioConfig())
         (build_experiment(ExperimentConfig(memory_s=0.2)).problem.simulator, PEM, PemProposal()),
     ],
 )
-def test_what_the_loop_does_not_know_numpy_simulates(simulator, pem, proposal):
-    assert is_served(SIMULATOR, PEM, PemProposal())
-    assert not is_served(simulator, pem, proposal)
+def test_what_the_loop_does_not_know_numpy_simulates(simulator, pem, proposal, monkeypatch):
+    monkeypatch.setattr(vectorized, "compiled_loops", Loops)
+    task = BatchTask(proposal, np.full((2, simulator.states - 1), 0.5))
+    assert CompiledRunner(0)._compiled(simulator, pem, task) is None
+    assert CompiledRunner(0)._compiled(SIMULATOR, PEM, replace(task, proposal=PemProposal()))
 
 
 @pytest.mark.parametrize("broken", ["absent", "no cache", "fails"])
@@ -189,7 +139,7 @@ def test_without_a_numba_that_works_numpy_simulates(broken, monkeypatch, caplog)
             raise RuntimeError("cannot cache function")
         return function
 
-    monkeypatch.setattr(compiling, "is_installed", lambda: broken != "absent")
+    monkeypatch.setattr(compiled, "find_spec", lambda _: None if broken == "absent" else "there")
     monkeypatch.setitem(sys.modules, "numba", SimpleNamespace(njit=njit))
     compiled_loops.cache_clear()
     try:

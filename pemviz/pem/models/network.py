@@ -5,7 +5,6 @@ Logistic regression is a network without hidden layers, guessing the mean one wh
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -15,11 +14,9 @@ from numpy.typing import ArrayLike
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
 from pemviz.errors import PemError
-from pemviz.lanes import LANES
 from pemviz.pem.models.card import Carded, PemCard
-from pemviz.pem.models.compiled_network import ROWS_ASKED, by_loop
 from pemviz.pem.models.encoding import PAPER_INPUTS, POSE_COLUMNS, check_rows, paper_inputs
-from pemviz.pem.models.layers import Layer, PackedNetwork, forward, packed
+from pemviz.pem.models.layers import COLUMNS, Layer, forward
 from pemviz.pem.models.protocol import as_rows
 from pemviz.pem.models.tensors import check_finite, tensors_digest
 
@@ -77,39 +74,14 @@ class NetworkPem(Carded):
     def logit(self, salient: ArrayLike) -> FloatArray:
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""
         rows, shape = as_rows(salient)
-        loops = ROWS_ASKED.loops_for(0)
-        found = None if loops is None else by_loop(rows, self._packed, loops)
-        if found is None:
-            check_rows(rows)
-            found = map_rows(self._counted, rows, padded=False)
-        return found.reshape(shape)
+        check_rows(rows)
+        return map_rows(self._answer, rows, padded=False).reshape(shape)
 
-    def _counted(self, rows: FloatArray) -> FloatArray:
-        ROWS_ASKED.done += len(rows)
-        return self._by_numpy.logit(rows)
-
-    @cached_property
-    def _by_numpy(self) -> "_Forward":
-        return _Forward(self.pose_mean, self.pose_std, self.layers)
-
-    @cached_property
-    def _packed(self) -> PackedNetwork:
-        return packed(self.pose_mean, self.pose_std, self.layers)
-
-
-@dataclass(frozen=True)
-class _Forward:
-    """A network's answer to rows that are known to be in order."""
-
-    pose_mean: FloatArray
-    pose_std: FloatArray
-    layers: tuple[Layer, ...]
-
-    def logit(self, salient: FloatArray) -> FloatArray:
+    def _answer(self, rows: FloatArray) -> FloatArray:
         inputs = paper_inputs(
-            salient, pose_mean=self.pose_mean, pose_std=self.pose_std, multiple=LANES
+            rows, pose_mean=self.pose_mean, pose_std=self.pose_std, multiple=COLUMNS
         )
-        return forward(self.layers, inputs)[: len(salient)]
+        return forward(self.layers, inputs)[: len(rows)]
 
 
 def largest_output(pem: "NetworkPem") -> float:

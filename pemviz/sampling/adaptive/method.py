@@ -197,7 +197,6 @@ class AdaptiveSampling:
             seed=self.seed,
             repetition=state.repetition,
             stage=state.stage,
-            many=state.batch.in_parts,
         )
         return _Stage(scored, timings_s=scored.timings_s)
 

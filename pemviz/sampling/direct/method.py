@@ -63,7 +63,6 @@ class DirectSampling:
             seed=self.seed,
             repetition=state.repetition,
             stage=stage,
-            many=state.batch.in_parts,
         )
         result = final_stage(
             repetition=state.repetition, stage=stage, scored=scored, sampled_from=self.proposal

@@ -57,11 +57,8 @@ def drawn(
     component: IntArray,
     *,
     seeds: np.random.SeedSequence,
-    many: bool = False,
 ) -> ScoredRollouts:
     """Rollouts drawn from given components, ascending, ``[N]``, and scored.
-
-    Whether they are of ``many`` is said as in :func:`pemviz.sampling.problem.sample_batches`.
 
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
@@ -95,7 +92,7 @@ def drawn(
             turns=state.turns,
         )
         proposal = replace(proposal, latents=latents)
-    return sample(problem, proposal=proposal, count=component.size, seeds=seeds, many=many)
+    return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
 
 
 def defence(steps: int) -> float:

@@ -217,7 +217,6 @@ class MixtureSampling:
                     state,
                     component,
                     seeds=seeds,
-                    many=last and len(sizes) > 1,
                 ),
                 repetition=state.repetition,
                 stage=state.stage,

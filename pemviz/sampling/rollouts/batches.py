@@ -26,14 +26,11 @@ class BatchTask:
         proposal: What outcomes are drawn from.
         uniforms: ``[N, T-1]``; see :func:`pemviz.sampling.rollouts.draw.simulate`.
         normals: Of N rollouts of a scenario with latents.
-        many: Whether it is of a stage of so many that logits may be rounded otherwise, within
-            1e-12, if that is faster: see :mod:`pemviz.sampling.fitted.drawing`.
     """
 
     proposal: Proposal
     uniforms: FloatArray
     normals: StandardNormals | None = None
-    many: bool = False
 
     def split(self, pieces: int) -> "Sequence[BatchTask]":
         """The same rollouts as at most ``pieces`` tasks, in order."""
@@ -42,15 +39,7 @@ class BatchTask:
 
     def _rows(self, rows: slice) -> "BatchTask":
         normals = None if self.normals is None else self.normals.take(rows)
-        return BatchTask(of_rows(self.proposal, rows), self.uniforms[rows], normals, self.many)
-
-
-class Simulated(Protocol):
-    """Simulates one batch; can be pickled."""
-
-    def __call__(self, simulator: Simulator, pem: Pem, task: BatchTask, /) -> RolloutBatch:
-        """The batch's rollouts."""
-        ...
+        return BatchTask(of_rows(self.proposal, rows), self.uniforms[rows], normals)
 
 
 class BatchRunner(Protocol):

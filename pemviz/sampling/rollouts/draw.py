@@ -11,7 +11,6 @@ from pemviz.faults import SimulationError, blame, counted_from
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.frailty import kept_with_rollouts
-from pemviz.sampling.rollouts import compiled_replay
 from pemviz.sampling.rollouts.latent_draws import LatentTrack
 from pemviz.sampling.slots import turns_of
 from pemviz.simulators.episodic import episodic
@@ -159,9 +158,6 @@ def replay(
             for rows in pieces
         ]
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    compiled = compiled_replay.replayed(simulator, detected)
-    if compiled is not None:
-        return compiled
     states = begun(simulator, count=detected.shape[0], start=start)
     signals = _Track(states.signals, simulator.states, simulator=simulator)
     by_step = np.ascontiguousarray(np.moveaxis(detected, 0, 1))

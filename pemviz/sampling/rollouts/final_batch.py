@@ -105,11 +105,6 @@ class FinalBatch:
         return self.sizes[len(self.drawn)]
 
     @property
-    def in_parts(self) -> bool:
-        """Whether it is too large to be drawn at once."""
-        return len(self.sizes) > 1
-
-    @property
     def is_done(self) -> bool:
         """Whether all parts are drawn."""
         return len(self.drawn) == len(self.sizes)

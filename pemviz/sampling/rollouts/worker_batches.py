@@ -10,7 +10,7 @@ from typing import Any
 from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED
-from pemviz.sampling.rollouts.batches import BatchTask, Simulated, by_numpy
+from pemviz.sampling.rollouts.batches import BatchTask, by_numpy
 from pemviz.types import RolloutBatch, Simulator
 
 BATCHES_AHEAD = 1  # so that workers need not wait until a batch is scored
@@ -27,12 +27,10 @@ class PooledRunner:
         submit: Takes a function and its arguments, all of which can be pickled, to a worker,
             as :meth:`concurrent.futures.Executor.submit` does.
         workers: How many there are.
-        simulated: What they do with a piece; can be pickled likewise.
     """
 
     submit: Callable[..., Future[Any]]
     workers: int
-    simulated: Simulated = by_numpy
 
     def __call__(
         self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
@@ -62,7 +60,7 @@ class PooledRunner:
     def _handed_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> "_Batch":
         tasks = task.split(self.workers)
         return _Batch(
-            [self.submit(self.simulated, simulator, pem, piece) for piece in tasks],
+            [self.submit(by_numpy, simulator, pem, piece) for piece in tasks],
             [len(piece.uniforms) for piece in tasks],
         )
 

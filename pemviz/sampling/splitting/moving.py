@@ -1,27 +1,17 @@
-"""Particles of multilevel splitting moved on under the error model, from states they have come to.
+"""Particles of multilevel splitting moved on under the error model, from where they are."""
 
-Plain rollouts of the braking scenario are taken on by the compiled loop where that pays: outcomes
-are given up to the states, and what the loop gives is what numpy gives, to the last bit.
-"""
-
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.frailty import carried_at
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.compiled import CompiledRollouts, is_served
 from pemviz.sampling.rollouts.draw import logit_of
 from pemviz.sampling.slots import unrolled
-from pemviz.sampling.splitting.loops import loops_for, plain_beneath
 from pemviz.simulators.latents import salient_of, stepped
 from pemviz.types import RolloutBatch, StateBatch
-
-MISSED, DETECTED = -1.0, 2.0
-"""Draws below and above any probability of a miss."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,37 +31,8 @@ class Way:
     noise: FloatArray
 
 
-@dataclass
-class Mover:
-    """Moves particles on; what the error model has answered is kept from level to level."""
-
-    _compiled: CompiledRollouts | None = field(default=None, init=False, repr=False)
-
-    def moved_on(self, problem: Problem, way: Way) -> RolloutBatch:
-        """The rollouts to their ends, under the error model; the given ones may be overwritten."""
-        compiled = self._loop(problem, way)
-        if compiled is None:
-            return _by_numpy(problem, way)
-        problem.pause()
-        before = np.arange(len(way.uniforms)) < way.cut[:, None]
-        given = np.where(way.rollouts.detected, DETECTED, MISSED)
-        return compiled.simulate(np.ascontiguousarray(np.where(before, given, way.uniforms.T)))
-
-    def _loop(self, problem: Problem, way: Way) -> CompiledRollouts | None:
-        if way.rollouts.latents is not None:
-            return None
-        if not is_served(problem.simulator, problem.pem, PemProposal()):
-            return None
-        simulator = plain_beneath(problem.simulator)
-        loops = loops_for(way.uniforms.size)
-        if simulator is None or loops is None:
-            return None
-        if self._compiled is None:
-            self._compiled = CompiledRollouts(simulator, problem.pem, loops)
-        return self._compiled
-
-
-def _by_numpy(problem: Problem, way: Way) -> RolloutBatch:
+def moved_on(problem: Problem, way: Way) -> RolloutBatch:
+    """The rollouts to their ends, under the error model; the given ones are overwritten."""
     simulator, rollouts, cut = problem.simulator, way.rollouts, way.cut
     slots = unrolled(simulator)
     arriving = carried_at(simulator, rollouts, step=cut)

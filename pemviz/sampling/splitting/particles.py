@@ -19,7 +19,7 @@ from pemviz.sampling.problem import Problem, ranked
 from pemviz.sampling.rollouts.batches import check_numbers
 from pemviz.sampling.splitting.importance import importance, importance_at_end
 from pemviz.sampling.splitting.looks import LOOKS, looked_at
-from pemviz.sampling.splitting.moving import Mover, Way
+from pemviz.sampling.splitting.moving import Way, moved_on
 from pemviz.simulators.latents import begun, latent_counts
 from pemviz.simulators.slots import SeenStates
 from pemviz.types import RolloutBatch, Simulator, StateBatch
@@ -142,22 +142,18 @@ def restart(
     )
 
 
-def continued(
-    problem: Problem, runs: Sequence[Continuation], mover: Mover | None = None
-) -> Sequence[Particles]:
+def continued(problem: Problem, runs: Sequence[Continuation]) -> Sequence[Particles]:
     """The particles of several runs, gone on together: a step of all costs little more than of one.
 
-    What comes out for a run does not depend on the others, nor on the ``mover``, which may know
-    what the error model has answered before.
+    What comes out for a run does not depend on the others.
 
     Raises:
         SimulationError: Something raises, or is no finite number; of which of the particles, those
             of one run after those of the other.
     """
-    mover = mover or Mover()
     if len(runs) == 1:
         (run,) = runs
-        return [_continued(problem, run, mover)]
+        return [_continued(problem, run)]
     cut = np.concatenate([run.cut for run in runs])
     order = np.argsort(cut, kind="stable")
     all_runs = Continuation(
@@ -167,7 +163,7 @@ def continued(
         noise=np.concatenate([run.noise for run in runs])[order],
     )
     with reordered(order.tolist()):
-        together = _continued(problem, all_runs, mover)
+        together = _continued(problem, all_runs)
     place = np.empty_like(order)
     place[order] = np.arange(order.size)
     ends = np.cumsum([run.cut.size for run in runs])[:-1]
@@ -192,10 +188,10 @@ def _first_column(values: AnyArray, states: int) -> AnyArray:
     return result
 
 
-def _continued(problem: Problem, run: Continuation, mover: Mover) -> Particles:
+def _continued(problem: Problem, run: Continuation) -> Particles:
     """A run's particles, gone on after the states ``cut``."""
     paths, cut = run.paths, run.cut
-    rollouts = mover.moved_on(problem, Way(paths.rollouts, cut, run.uniforms, run.noise))
+    rollouts = moved_on(problem, Way(paths.rollouts, cut, run.uniforms, run.noise))
     name = problem.simulator.name
     check_numbers(rollouts, simulator=name, turns=problem.turns)
     with of_no_rollouts():  # what might have been

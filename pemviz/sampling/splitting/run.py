@@ -11,7 +11,6 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.faults import SimulationError
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.problem import Problem, in_time, score
-from pemviz.sampling.splitting.moving import Mover
 from pemviz.sampling.splitting.particles import (
     Continuation,
     Particles,
@@ -140,10 +139,9 @@ def split(
     }
     wanted = {index: next(levels) for index, levels in going.items()}
     runs: dict[int, SplittingRun] = {}
-    mover = Mover()
     while wanted:
         try:
-            found = in_time(problem, partial(continued, problem, list(wanted.values()), mover))
+            found = in_time(problem, partial(continued, problem, list(wanted.values())))
         except SimulationError as error:
             _tell_particle(error, wanted, count=count)
             raise

@@ -9,10 +9,7 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.sampling.frailty import dynamics_of, kept_with_rollouts
 from pemviz.sampling.problem import Problem, ranked
-from pemviz.sampling.rollouts.compiled_replay import replay
-from pemviz.sampling.splitting.loops import loops_for, plain_beneath
 from pemviz.simulators.latents import stepped
-from pemviz.simulators.remembering import LAST_OUTCOME
 from pemviz.types import RolloutBatch, Simulator, StateBatch
 
 
@@ -43,11 +40,8 @@ class Ways:
             then: All later outcomes, ``[M]``.
         """
         simulator, until = dynamics_of(problem.simulator), self.step + others
-        replayed = self._replayed(simulator, until, then)
-        if replayed is None:
-            self._go_on(simulator, until, then)
-            replayed = self._signals
-        return ranked(problem, replayed)
+        self._go_on(simulator, until, then)
+        return ranked(problem, self._signals)
 
     @cached_property
     def _signals(self) -> Mapping[str, FloatArray]:
@@ -57,28 +51,6 @@ class Ways:
             name: np.asfortranarray(values.T.take(self.row, axis=-1).T)
             for name, values in self.rollouts.signals.items()
         }
-
-    def _replayed(
-        self, simulator: Simulator, until: IntArray, then: BoolArray
-    ) -> Mapping[str, FloatArray] | None:
-        """All signals ``[M, T]`` by the compiled loop; ``None`` where it is not to be used."""
-        plain, detected = plain_beneath(simulator), self.rollouts.detected
-        loops = None if plain is None else loops_for(self.row.size * detected.shape[1])
-        if plain is None or loops is None:
-            return None
-        moment = np.arange(detected.shape[1])
-        outcomes = np.where(
-            moment < self.step[:, None],
-            detected[self.row],
-            then[:, None] ^ (moment < until[:, None]),
-        )
-        signals = replay(plain, outcomes, loops)
-        if LAST_OUTCOME.name in self.rollouts.signals:
-            last = np.zeros((outcomes.shape[1] + 1, outcomes.shape[0]))
-            last[1:] = np.where(outcomes.T, 1.0, -1.0)
-            signals = {**signals, LAST_OUTCOME.name: last.T}
-        known = self.rollouts.signals.keys() <= signals.keys()
-        return signals if known else {**self._signals, **signals}
 
     def _go_on(self, simulator: Simulator, until: IntArray, then: BoolArray) -> None:
         """Overwrite the signals after the states."""

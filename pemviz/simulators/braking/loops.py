@@ -19,8 +19,6 @@ MULTIPLIER = np.uint64(0x9E37_79B9_7F4A_7C15)
 ONE = np.uint64(1)
 BLOCK = 128
 """Rollouts that are taken through all steps together: their draws fit the processor's cache."""
-REPLAYED_TOGETHER = 1024
-"""The same where outcomes are given and nothing is looked up."""
 
 
 class Answers(NamedTuple):
@@ -94,34 +92,6 @@ def numbers_of(config: ScenarioConfig) -> Numbers:
     )
 
 
-def moved(
-    state: tuple[float, float, float],
-    lead: float,
-    present: bool,
-    told: float,
-    numbers: Numbers,
-) -> tuple[float, float, float]:
-    """Gap [m], ego speed [m/s] and its speed error integral [m] one step after ``state``.
-
-    Args:
-        state: The same before the step.
-        lead: Speed of the lead car there [m/s].
-        present: Whether the controller is told of a car ahead.
-        told: The gap to it that it is told then [m].
-        numbers: The scenario's.
-    """
-    gap, speed, held = state
-    error = numbers.target - speed
-    grown = error * numbers.dt + held
-    wanted = error * numbers.gain + numbers.integral_gain * grown
-    wanted = min(max(wanted, numbers.lowest), numbers.highest)
-    brakes = present & (told < numbers.close)
-    wanted = numbers.emergency if brakes else wanted
-    grown = held if brakes else grown
-    gap = (lead - speed) * numbers.dt + gap
-    return gap, max(speed + wanted * numbers.dt, 0.0), grown
-
-
 def advance(
     tracks: Tracks, answers: Answers, uniforms: FloatArray, rows: IntArray, numbers: Numbers
 ) -> None:
@@ -163,8 +133,15 @@ def advance(
                 detected = not uniforms[n, step] < miss  # true for NaN
                 tracks.logit[step, n] = answers.logit[place]
                 tracks.detected[step, n] = detected
-                state = moved((gap[n], speed[n], held[n]), lead, detected, gap[n], numbers)
-                gap_after[n], speed_after[n], held_after[n] = state
+                error = numbers.target - speed[n]
+                grown = error * numbers.dt + held[n]
+                wanted = error * numbers.gain + numbers.integral_gain * grown
+                wanted = min(max(wanted, numbers.lowest), numbers.highest)
+                brakes = detected & (gap[n] < numbers.close)
+                wanted = numbers.emergency if brakes else wanted
+                gap_after[n] = (lead - speed[n]) * numbers.dt + gap[n]
+                speed_after[n] = max(speed[n] + wanted * numbers.dt, 0.0)
+                held_after[n] = held[n] if brakes else grown
                 if tracks.reached[n] == step and not np.isnan(miss):
                     tracks.reached[n] = step + 1
 
@@ -179,35 +156,3 @@ def insert(answers: Answers, bits: Any, logit: FloatArray, miss: FloatArray) -> 
         answers.bits[place], answers.logit[place], answers.miss[place] = bits[n], logit[n], miss[n]
         answers.taken[answers.held[0]] = place
         answers.held[0] += 1
-
-
-def replay(
-    gap_m: FloatArray,
-    ego_mps: FloatArray,
-    detected: BoolArray,
-    lead_mps: FloatArray,
-    numbers: Numbers,
-) -> None:
-    """Take rollouts from their first state through all steps by given outcomes.
-
-    Args:
-        gap_m: ``[T, N]`` [m], of which the first row is there.
-        ego_mps: Speeds of the ego ``[T, N]`` [m/s], likewise.
-        detected: ``[T-1, N]``.
-        lead_mps: Speeds of the lead car ``[T]`` [m/s].
-        numbers: The scenario's.
-    """
-    steps, count = detected.shape
-    held_m = np.empty(REPLAYED_TOGETHER)
-    for first in range(0, count, REPLAYED_TOGETHER):
-        last = min(first + REPLAYED_TOGETHER, count)
-        held_m[:] = 0.0
-        for step in range(steps):
-            gap, speed, lead = gap_m[step, first:last], ego_mps[step, first:last], lead_mps[step]
-            gap_after = gap_m[step + 1, first:last]
-            speed_after = ego_mps[step + 1, first:last]
-            outcome = detected[step, first:last]
-            for n in range(last - first):
-                state = gap[n], speed[n], held_m[n]
-                state = moved(state, lead, outcome[n], gap[n], numbers)
-                gap_after[n], speed_after[n], held_m[n] = state

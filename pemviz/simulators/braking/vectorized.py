@@ -1,12 +1,14 @@
 """The braking scenario for a whole batch of rollouts at once."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.simulators.bounds import SignalBounds
+from pemviz.simulators.braking.compiled import CompiledRollouts, compiled_loops
 from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
@@ -16,7 +18,7 @@ from pemviz.simulators.braking.scenario import (
     BrakingScenario,
     Perceived,
 )
-from pemviz.types import StateBatch
+from pemviz.types import RolloutBatch, StateBatch
 
 ROUNDING = 1e-3
 """By which bounds of signals are wider than they would be without rounding [m, m/s]."""
@@ -56,6 +58,15 @@ class VectorizedSimulator(BrakingScenario):
             },
             memory={SPEED_ERROR_INTEGRAL: integral_m, **told.memory},
         )
+
+    def compiled_rollouts(
+        self, logit: Callable[[FloatArray], FloatArray]
+    ) -> Callable[[FloatArray], RolloutBatch] | None:
+        """As :class:`pemviz.sampling.rollouts.compiled.CompilesRollouts` has it."""
+        if type(self) is not VectorizedSimulator or self.tracker or self.errors:
+            return None
+        kernels = compiled_loops()
+        return None if kernels is None else CompiledRollouts(self, logit, kernels).simulate
 
     def signal_bounds(self, states: StateBatch, *, steps: int) -> SignalBounds:
         """Between which values signals stay, from states ``[N]`` to ``steps`` steps later.

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.simulators.families import compiled_arrival, margins
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.simulators.families import margins
 from pemviz.simulators.families.arrival import Left, Moved, arrive
 from pemviz.simulators.families.cars import (
     KEPT,
@@ -17,7 +17,6 @@ from pemviz.simulators.families.cars import (
 )
 from pemviz.simulators.families.ego import Told
 from pemviz.simulators.families.ghost import GHOST_GAP, ghost_signals
-from pemviz.simulators.families.kernels import loops_for
 from pemviz.simulators.families.margins import Cars
 from pemviz.simulators.families.measured import displaced
 from pemviz.simulators.families.names import (
@@ -121,7 +120,7 @@ class VectorizedFamily(FamilyScenario):
             others_mps2=decelerations(config, values, time_s=time_s),
             states_ahead=of_cars(STATES_AHEAD, self.cars, memory),
         )
-        arrived, states_ahead, each = self._arrived(left)
+        arrived, states_ahead, each = arrive(*self._driven(left))
         if self.has_ghost:
             arrived = {**arrived, **ghost_signals(values[GHOST_GAP], arrived[EGO_X])}
         kept = {name: values for name, values in memory.items() if name.startswith(KEPT_START)}
@@ -132,13 +131,6 @@ class VectorizedFamily(FamilyScenario):
             memory={**kept, **ahead, **remembered, **noises},
             sight=self.sight_of(each, arrived),
         )
-
-    def _arrived(self, left: Left) -> tuple[Mapping[str, FloatArray], IntArray, Each]:
-        """Signals of the next states, states ahead ``[K, N]``, and where the other cars are."""
-        compiled = loops_for(left.along_mps.shape[1]) if type(self) is VectorizedFamily else None
-        if compiled is not None:
-            return compiled_arrival.arrive(compiled, left)
-        return arrive(*self._driven(left))
 
     @property
     def _kept(self) -> tuple[str, ...]:

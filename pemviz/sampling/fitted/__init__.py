@@ -1,1 +1,0 @@
-"""Fitted proposals drawn from by a compiled loop."""
