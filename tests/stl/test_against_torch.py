@@ -6,8 +6,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pemviz.stl import Agm, Classical, SmoothCumulative, parse, robustness_trace
-from pemviz.stl.classical import ClassicalSemantics
-from pemviz.stl.semantics import evaluate
 
 from .strategies import BOUNDS, formula_and_rollouts
 
@@ -43,16 +41,3 @@ def test_clipping_agrees_with_torch():
     ours = robustness_trace(formula, {"gap": gap}, metric)
     theirs = torch_semantics.robustness_trace(formula, {"gap": torch.from_numpy(gap)}, metric)
     np.testing.assert_allclose(theirs.numpy(), ours, rtol=1e-12)
-
-
-@MANY
-@given(formula_and_rollouts(3))
-def test_classical_operators_give_the_same_bits_on_tensors(case):
-    formula, batch = case
-    expected = robustness_trace(formula, batch, Classical())
-    tensors = {name: torch.from_numpy(np.array(values.T)) for name, values in batch.items()}
-    steps = expected.shape[1]
-    with torch.inference_mode():
-        ours = evaluate(formula, ClassicalSemantics(), tensors, start=0, steps=steps).T
-    assert ours.dtype == torch.float64
-    np.testing.assert_array_equal(ours.numpy(), expected)
