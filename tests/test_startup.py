@@ -61,7 +61,7 @@ def test_what_methods_are_is_told_without_numpy():
     assert loaded(code) == "loaded []"
 
 
-@pytest.mark.parametrize("command", ["serve", "open", "export", "reproduce", "bench", "pem"])
+@pytest.mark.parametrize("command", ["serve", "open", "export", "reproduce", "pem"])
 def test_other_commands_explain_themselves_without_torch(command):
     watched = {"torch", "sklearn", "highway_env", "pygame"}
     assert loaded(CODE.format(words=[command, "--help"], watched=watched)) == "loaded []"

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 
 from pemviz._version import __version__
@@ -42,7 +43,6 @@ COMMANDS = {
     "reproduce": Command(
         "pemviz.cli.reproduce", "the paper's tables and figures beside its numbers"
     ),
-    "bench": Command("pemviz.cli.bench", "measure speed on this machine"),
 }
 
 
@@ -55,13 +55,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[0] == "--version":
         print(f"pemviz {__version__}")
         return EXIT_DONE
-    return _carry_out(words[0], words[1:])
+    return carry_out(words[0], partial(_run, words[0]), words[1:])
 
 
-def _carry_out(name: str, words: Sequence[str]) -> int:
-    """A command's exit code; what it cannot do is told in one line."""
+def carry_out(name: str, run: Callable[[Sequence[str]], int], words: Sequence[str]) -> int:
+    """A command's exit code; what it cannot do is told in one line.
+
+    Args:
+        name: The command's.
+        run: What it does with its words.
+        words: After the command.
+    """
     try:
-        return _command(name)(words)
+        return run(words)
     except InputError as error:
         return _complain(str(error), code=EXIT_BAD_INPUT)
     except PemvizError as error:
@@ -77,6 +83,10 @@ def _carry_out(name: str, words: Sequence[str]) -> int:
     except BaseException as error:  # exit codes 0 and 1 are for runs that were judged
         _show(traceback_of(error))
         return _complain(f"{name} failed: {told(error)}", code=EXIT_FAILED)
+
+
+def _run(name: str, words: Sequence[str]) -> int:
+    return _command(name)(words)
 
 
 def _command(name: str) -> Callable[[Sequence[str]], int]:

@@ -26,6 +26,7 @@ def parse_arguments(
     command: str,
     default: Arguments | None = None,
     description: str | None = None,
+    program: str = "pemviz",
 ) -> Arguments:
     """Parse a command's words into ``kind``; ``--help`` prints and exits with 0.
 
@@ -35,6 +36,7 @@ def parse_arguments(
         command: Its name, for messages.
         default: Values of fields that the words leave out; without it, the fields' own.
         description: Shown above the options.
+        program: What the command is one of.
 
     Raises:
         InputError: One line with tyro's complaint.
@@ -44,7 +46,7 @@ def parse_arguments(
         with contextlib.redirect_stderr(complaint):
             return tyro.cli(
                 kind,
-                prog=f"pemviz {command}",
+                prog=f"{program} {command}",
                 args=list(words),
                 description=description,
                 config=(tyro.conf.FlagCreatePairsOff,),
@@ -53,7 +55,8 @@ def parse_arguments(
     except SystemExit as stop:
         if not stop.code:
             raise HelpShown(EXIT_DONE) from None
-        raise InputError(one_line(complaint.getvalue(), command=command)) from None
+        text = one_line(complaint.getvalue(), command=f"{program} {command}")
+        raise InputError(text) from None
 
 
 def one_line(complaint: str, *, command: str) -> str:
@@ -63,4 +66,4 @@ def one_line(complaint: str, *, command: str) -> str:
     text = re.sub(r" ?Perhaps you meant: (\S+).*$", r"; did you mean \1?", text)
     text = re.sub(r"^(Unrecognized options) \1:", r"\1:", text)
     text = re.sub(r"^(Value error|Missing argument|Parsing error|Invalid choice) ", "", text)
-    return f"{text.strip() or 'the arguments cannot be read'} (see pemviz {command} --help)"
+    return f"{text.strip() or 'the arguments cannot be read'} (see {command} --help)"

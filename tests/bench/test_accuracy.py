@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from pemviz.bench.accuracy import (
+from benchmarks.accuracy import (
     Case,
     Outcome,
     accuracy_table,
@@ -13,8 +13,8 @@ from pemviz.bench.accuracy import (
     summarise,
     with_budget,
 )
-from pemviz.bench.accuracy_report import accuracy_lines, write_accuracy
-from pemviz.bench.accuracy_study import AccuracyStudy, check_study
+from benchmarks.accuracy_report import accuracy_lines, write_accuracy
+from benchmarks.accuracy_study import AccuracyStudy, check_study
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import InputError
 from pemviz.runs.experiment import build_experiment

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from pemviz.bench import comparison
-from pemviz.bench.compiled_limit import limit_work
-from pemviz.bench.plain_torch import draw, error_model, fit, proposal_logit, proposal_network
-from pemviz.bench.ratios import Comparison, LeftOut, Ratio, changes, ratio_of_turns
-from pemviz.cli.main import main
+from benchmarks import comparison
+from benchmarks.__main__ import main
+from benchmarks.compiled_limit import limit_work
+from benchmarks.plain_torch import draw, error_model, fit, proposal_logit, proposal_network
+from benchmarks.ratios import Comparison, LeftOut, Ratio, changes, ratio_of_turns
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import load_preset
 from pemviz.errors import RunError
@@ -68,14 +68,14 @@ def test_what_only_one_run_measured_is_never_slower():
 
 def test_a_run_that_is_kept_is_held_against_a_later_one(capsys, measured, tmp_path):
     kept = tmp_path / "ratios.json"
-    assert main(["bench", "--compare", "--out", str(kept)]) == 0
+    assert main(["compare", "--out", str(kept)]) == 0
     shown = capsys.readouterr().out
     assert "its limit" in shown
     assert "left out: metrics: no rtamt" in shown
-    assert main(["bench", "--compare", str(kept)]) == 0
+    assert main(["compare", str(kept)]) == 0
     capsys.readouterr()
     measured[0] = replace(with_value(2.0), made_with={"pemviz": "0.2.0", "machine": "two cores"})
-    assert main(["bench", "--compare", str(kept), "--json"]) == 1
+    assert main(["compare", str(kept), "--json"]) == 1
     out, err = capsys.readouterr()
     assert err.splitlines() == [
         "the earlier run had pemviz 0.1.0 (now 0.2.0)",
@@ -84,7 +84,7 @@ def test_a_run_that_is_kept_is_held_against_a_later_one(capsys, measured, tmp_pa
     document = json.loads(out)
     assert [change["slower"] for change in document["changes"]] == [True, False]
     assert document["ratios"][1]["note"] == "limit: memory"
-    assert main(["bench", str(kept), "--compare", "--threshold", "0.6"]) == 0
+    assert main(["compare", str(kept), "--threshold", "0.6"]) == 0
 
 
 def damaged(kept, damage):
@@ -108,10 +108,10 @@ def damaged(kept, damage):
 @pytest.mark.usefixtures("measured")
 def test_a_damaged_file_is_one_line(capsys, tmp_path, damage, fragment):
     kept = tmp_path / "ratios.json"
-    assert main(["bench", "--compare", "--out", str(kept)]) == 0
+    assert main(["compare", "--out", str(kept)]) == 0
     damaged(kept, damage)
     capsys.readouterr()
-    assert main(["bench", "--compare", str(kept)]) == 2
+    assert main(["compare", str(kept)]) == 2
     shown = capsys.readouterr().err
     assert fragment in shown
     assert shown.count("\n") == 1
@@ -128,7 +128,7 @@ def test_a_damaged_file_is_one_line(capsys, tmp_path, damage, fragment):
     ],
 )
 def test_bad_input_is_one_line(capsys, words, fragment):
-    assert main(["bench", "--compare", *words]) == 2
+    assert main(["compare", *words]) == 2
     shown = capsys.readouterr().err
     assert fragment in shown
     assert shown.count("\n") == 1

@@ -1,6 +1,6 @@
 """The figures of a recording: what they are called, and that they are sane."""
 
-from pemviz.bench.recording import recording_figures
+from benchmarks.recording import recording_figures
 from pemviz.config import ExperimentConfig
 
 

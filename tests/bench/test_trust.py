@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.bench.accuracy import Outcome, summarise
-from pemviz.bench.trust_cases import BRAKING, SPECIFICATIONS, TrustCase, trust_cases
-from pemviz.bench.trust_report import case_lines, report_lines
-from pemviz.bench.trust_study import RUNS, TrustStudy, chosen, run_trust
-from pemviz.bench.trust_systems import LinearLogit, TwoWayWalk
-from pemviz.bench.trust_truth import (
+from benchmarks.__main__ import main
+from benchmarks.accuracy import Outcome, summarise
+from benchmarks.trust_cases import BRAKING, SPECIFICATIONS, TrustCase, trust_cases
+from benchmarks.trust_report import case_lines, report_lines
+from benchmarks.trust_study import RUNS, TrustStudy, chosen, run_trust
+from benchmarks.trust_systems import LinearLogit, TwoWayWalk
+from benchmarks.trust_truth import (
     VIOLATED,
     always,
     always_eventually,
@@ -23,7 +24,6 @@ from pemviz.bench.trust_truth import (
     response,
     until,
 )
-from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.pem import as_pem
@@ -197,7 +197,7 @@ def test_a_small_study_that_is_interrupted_goes_on(tmp_path):
 
 
 def test_the_command_lists_its_cases(capsys):
-    assert main(["bench", "trust", "--list", "--cases", "walk", "drone"]) == 0
+    assert main(["trust", "--list", "--cases", "walk", "drone"]) == 0
     printed = capsys.readouterr().out
     assert "two modes" in printed
     assert "plain Monte Carlo" in printed

@@ -3,15 +3,15 @@ from functools import partial
 
 import pytest
 
-from pemviz.bench.paper import paper_figures
-from pemviz.cli.main import main
+from benchmarks.__main__ import main
+from benchmarks.paper import paper_figures
 
 
 @pytest.mark.slow
 def test_figures_of_the_paper_repetition(capsys, monkeypatch):
     # more repeats only make the medians steadier
-    monkeypatch.setattr("pemviz.bench.paper.paper_figures", partial(paper_figures, repeats=1))
-    assert main(["bench", "--part", "paper", "--json"]) == 0
+    monkeypatch.setattr("benchmarks.paper.paper_figures", partial(paper_figures, repeats=1))
+    assert main(["--part", "paper", "--json"]) == 0
     (figures,) = json.loads(capsys.readouterr().out).values()
     by_name = {figure["name"]: figure for figure in figures}
     wall = by_name["paper repetition, wall"]
@@ -30,7 +30,7 @@ def test_figures_of_the_paper_repetition(capsys, monkeypatch):
     ],
 )
 def test_bad_input_is_one_line(capsys, words, fragment):
-    assert main(["bench", *words]) == 2
+    assert main([*words]) == 2
     shown = capsys.readouterr()
     assert fragment in shown.err
     assert shown.err.count("\n") == 1

@@ -20,9 +20,9 @@ from pemviz.pem.data.nuscenes_errors import load_error_table, load_nuscenes_erro
 from pemviz.pem.data.position_errors import load_error_csv
 from pemviz.pem.files.model_files import read_tensors
 from pemviz.pem.files.position_error_files import POSITION_METADATA_KEY
-from pemviz.pem.files.ship_position_errors import NAMES, shipped_table
 from pemviz.pem.judging.position_error_report import straight_ahead
 from pemviz.pem.models.position_error_card import position_card_markdown
+from studies.shipped_models.position_errors import NAMES, shipped_table
 from tests.conftest import shared
 from tests.pem.test_position_errors import MODEL, drawn_table
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.trust_cases import trust_cases
+from benchmarks.trust_study import chosen
 from pemviz.analysis.explanation import explain
 from pemviz.analysis.model_uncertainty import member_estimates, model_interval
-from pemviz.bench.trust_cases import trust_cases
-from pemviz.bench.trust_study import chosen
 from pemviz.config import ExperimentConfig
 from pemviz.reports.estimate_text import reference_text
 from pemviz.reports.gate import decide_run

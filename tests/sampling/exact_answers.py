@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pemviz
-from pemviz.bench.accuracy import Accuracy, Outcome, run_once, summarise, with_budget
+from benchmarks.accuracy import Accuracy, Outcome, run_once, summarise, with_budget
 from pemviz.config import MethodName
 from pemviz.config.toml_files import load_preset
 from pemviz.runs.experiment import Experiment, build_method

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 from scipy.special import expit
 
-from pemviz.bench.trust_systems import TwoWayWalk
+from benchmarks.trust_systems import TwoWayWalk
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.proposals.offset_logistic_fit import WeightedOutcomes

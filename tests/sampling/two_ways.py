@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import expit
 
-from pemviz.bench.trust_systems import TwoWayWalk
+from benchmarks.trust_systems import TwoWayWalk
 from tests.lattice_walk import ToyPem
 
 

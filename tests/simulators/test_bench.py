@@ -2,9 +2,9 @@ import math
 
 import pytest
 
-from pemviz.bench import plain_rollouts
-from pemviz.bench.families import family_figures
-from pemviz.bench.simulators import simulator_figures
+from benchmarks import plain_rollouts
+from benchmarks.families import family_figures
+from benchmarks.simulators import simulator_figures
 from pemviz.config import ScenarioConfig
 
 

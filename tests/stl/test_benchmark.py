@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pemviz.bench import stl as bench
+from benchmarks import stl as bench
 from pemviz.stl import Classical, parse, robustness
 
 

@@ -25,7 +25,7 @@ ADAPTATION = 1.15
 """Factor on the standard error of rollouts whose proposals were fitted to one another.
 
 The strata's own spread leaves out that the proposals are random too. Over 491 unwarned runs of
-``pemviz bench trust --first-seed 100 --seeds 25`` intervals held the truth in 93.1 % without a
+``benchmarks trust --first-seed 100 --seeds 25`` intervals held the truth in 93.1 % without a
 factor, 95.9 % with 1.1, 96.5 % with 1.15, 98.2 % with sqrt(2); other seeds judge the choice.
 """
 SLOTS_AND_STARTS_ADAPTATION = 1.4

@@ -1,4 +1,4 @@
-"""Makes the shipped models with a memory: ``python -m pemviz.pem.files.ship_tracked --help``.
+"""Makes the shipped models with a memory: ``python -m studies.shipped_models.tracked --help``.
 
 P(missed | state) and the memory of misses come from the same video, KITTI's tracking sequences,
 and from a detector's published output on them. Seed 0, taken as it came.

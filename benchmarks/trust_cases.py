@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pemviz.bench.trust_systems import DroneAtWall, LinearLogit, TwoWayWalk
-from pemviz.bench.trust_truth import (
+from benchmarks.trust_systems import DroneAtWall, LinearLogit, TwoWayWalk
+from benchmarks.trust_truth import (
     Automaton,
     Condition,
     always,
@@ -23,7 +23,7 @@ from pemviz.config.toml_files import load_preset
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.types import Simulator
 
-AUTHORS = Path(__file__).resolve().parents[3] / "shared" / "data" / "authors_pem"
+AUTHORS = Path(__file__).resolve().parents[2] / "shared" / "data" / "authors_pem"
 AUTHORS_MODEL = AUTHORS / "pem_ml_nn.safetensors"
 """The authors' published model; part of the development data, absent in a user's checkout."""
 RECURSION = "recursion over states and automaton, `trust_truth.exact_probability`"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pemviz.bench.figures import Figure, median_ratio
+from benchmarks.figures import Figure, median_ratio
 from pemviz.config import ScenarioConfig
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.braking.highway import HighwaySimulator

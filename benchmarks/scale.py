@@ -1,4 +1,4 @@
-"""``pemviz bench scale``: how time and memory grow with rollouts and with their length."""
+"""``python -m benchmarks scale``: how time and memory grow with rollouts and with their length."""
 
 import json
 import re
@@ -8,10 +8,12 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from pemviz.config import KeepName
 from pemviz.errors import ConfigError, RunError
 
+ROOT = Path(__file__).resolve().parents[1]
 GRID = ("1000x100", "10000x100", "100000x100", "1000000x100", "10000x500", "10000x2000")
 DISK_BYTES_PER_STEP: Mapping[KeepName, float] = {"all": 120.0, "violations": 0.3}
 """Of a run folder at its largest, when the parts of the final batch are joined."""
@@ -111,9 +113,9 @@ def _why_not(*, disk_bytes: float) -> str:
 
 
 def _in_a_process(case: dict[str, str | int]) -> dict[str, float]:
-    command = [sys.executable, "-m", "pemviz.bench.scale_case", json.dumps(case)]
+    command = [sys.executable, "-m", "benchmarks.scale_case", json.dumps(case)]
     done = subprocess.run(  # noqa: S603  our own program, no shell
-        command, capture_output=True, text=True, check=False
+        command, cwd=ROOT, capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]

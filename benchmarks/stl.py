@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from benchmarks.figures import Figure
 from pemviz.arrays import FloatArray
-from pemviz.bench.figures import Figure
 from pemviz.errors import RunError
 from pemviz.stl import Agm, Classical, Formula, Metric, SmoothCumulative, parse, robustness
 

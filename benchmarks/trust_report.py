@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from pemviz.bench.accuracy_report import accuracy_lines
-from pemviz.bench.trust_cases import TrustCase
-from pemviz.bench.trust_study import TrustReport
+from benchmarks.accuracy_report import accuracy_lines
+from benchmarks.trust_cases import TrustCase
+from benchmarks.trust_study import TrustReport
 
 
 def case_lines(cases: Sequence[TrustCase]) -> Sequence[str]:

@@ -1,4 +1,4 @@
-"""Makes the shipped models with their cards: ``python -m pemviz.pem.files.ship --help``.
+"""Makes the shipped models with their cards: ``python -m studies.shipped_models.kitti --help``.
 
 Every model is one fit with seed 0, taken as it came: none was chosen for the failure probability
 that it leads to.

@@ -1,4 +1,4 @@
-"""``pemviz bench trust``: is an answer that nothing warns of right? Methods, cases, seeds.
+"""``python -m benchmarks trust``: is an answer that nothing warns of right? Methods, cases, seeds.
 
 Every run's outcome is a line of ``runs.jsonl`` as soon as it is there; a study that was
 interrupted goes on where it stopped when it is asked for again.
@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pemviz.bench.accuracy import Accuracy, Outcome, run_once, summarise
-from pemviz.bench.trust_cases import TrustCase, trust_cases
+from benchmarks.accuracy import Accuracy, Outcome, run_once, summarise
+from benchmarks.trust_cases import TrustCase, trust_cases
 from pemviz.config import ExperimentConfig, MethodName
 from pemviz.config.ranges import Range, check_value
 from pemviz.errors import ConfigError, InputError

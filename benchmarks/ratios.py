@@ -138,7 +138,7 @@ def changes(earlier: Comparison, now: Comparison, *, threshold: float) -> Iterat
 
 
 def read_comparison(path: Path) -> Comparison:
-    """What ``pemviz bench --compare --out`` wrote.
+    """What ``python -m benchmarks compare --out`` wrote.
 
     Raises:
         InputError: The file is not there, or is no such file; one line says where.
@@ -152,7 +152,7 @@ def read_comparison(path: Path) -> Comparison:
     except ValueError as error:  # text that is not UTF-8 too
         raise InputError(f"{path}: not JSON ({error})") from None
     if not isinstance(document, dict) or cast(dict[str, Any], document).get("schema") != SCHEMA:
-        raise InputError(f"{path}: not from pemviz bench --compare --out (schema must be {SCHEMA})")
+        raise InputError(f"{path}: not from benchmarks compare --out (schema must be {SCHEMA})")
     return _comparison(cast(dict[str, Any], document), path)
 
 

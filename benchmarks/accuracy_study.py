@@ -1,11 +1,11 @@
-"""``pemviz bench accuracy``: methods times seeds on scenarios with known answers."""
+"""``python -m benchmarks accuracy``: methods times seeds on scenarios with known answers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
-from pemviz.bench.accuracy import (
+from benchmarks.accuracy import (
     Accuracy,
     Case,
     accuracy_table,
@@ -13,7 +13,7 @@ from pemviz.bench.accuracy import (
     measure,
     with_budget,
 )
-from pemviz.bench.accuracy_report import write_accuracy
+from benchmarks.accuracy_report import write_accuracy
 from pemviz.config import ExperimentConfig, MethodName, ScenarioConfig
 from pemviz.config.ranges import Range, check_fields
 from pemviz.config.toml_files import load_preset
@@ -101,6 +101,6 @@ if __name__ == "__main__":
 
     import tyro
 
-    from pemviz.bench.accuracy_report import accuracy_lines
+    from benchmarks.accuracy_report import accuracy_lines
 
     sys.stdout.write("\n".join(accuracy_lines(run_study(tyro.cli(AccuracyStudy)))) + "\n")

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from pemviz.bench.accuracy import Accuracy
+from benchmarks.accuracy import Accuracy
 
 HEADER = (
     "scenario",

@@ -1,4 +1,4 @@
-"""One case of ``pemviz bench scale``, in a process of its own so that its memory is its own."""
+"""One case of ``python -m benchmarks scale``, in a process so that its memory is its own."""
 
 import json
 import sys

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from pemviz.bench.figures import Figure
+from benchmarks.figures import Figure
 from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import load_preset
 from pemviz.recording import Recorder

@@ -6,8 +6,8 @@ from importlib import metadata
 
 import numpy as np
 
-from pemviz.bench.figures import Figure, median_ratio
-from pemviz.bench.simulators import elapsed_s
+from benchmarks.figures import Figure, median_ratio
+from benchmarks.simulators import elapsed_s
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal

@@ -3,7 +3,7 @@
 import statistics
 from collections.abc import Sequence
 
-from pemviz.bench.figures import Figure
+from benchmarks.figures import Figure
 from pemviz.config.toml_files import load_preset
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment

@@ -1,4 +1,4 @@
-"""``pemviz bench --compare``: speed as ratios within one run, against what one would write else.
+"""``python -m benchmarks compare``: speed as ratios within one run, against what else there is.
 
 Every ratio is one of processor seconds, measured in turns one right after the other, so that other
 machines and what else a machine does matter little. More is better in all of them.
@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from pemviz.bench.compiled_limit import limit_work
-from pemviz.bench.ratios import Comparison, LeftOut, Ratio, made_with, ratio_of_turns
-from pemviz.bench.simulators import replaying
-from pemviz.bench.stl import (
+from benchmarks.compiled_limit import limit_work
+from benchmarks.ratios import Comparison, LeftOut, Ratio, made_with, ratio_of_turns
+from benchmarks.simulators import replaying
+from benchmarks.stl import (
     ALWAYS,
     BY_HAND,
     METRICS,
@@ -215,7 +215,7 @@ def paper_ratios(config: ExperimentConfig, *, turns: int = 2) -> Found:
     """One repetition of the paper's algorithm against the same in plain torch, on one thread."""
     pem = load_pem(config.pem)
     assert isinstance(pem, NetworkPem)  # noqa: S101  the preset's
-    from pemviz.bench.plain_torch import paper_loop  # noqa: PLC0415  torch is slow to import
+    from benchmarks.plain_torch import paper_loop  # noqa: PLC0415  torch is slow to import
     from pemviz.pem.fitting.network import single_thread  # noqa: PLC0415  as above
 
     experiment = build_experiment(config)

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pemviz.bench.figures import Figure, median_ratio
-from pemviz.bench.simulators import elapsed_s
+from benchmarks.figures import Figure, median_ratio
+from benchmarks.simulators import elapsed_s
 from pemviz.config import FAMILIES, EncounterConfig
 from pemviz.config.encounters import FamilyName
 from pemviz.sampling.rollouts.draw import replay

@@ -1,6 +1,7 @@
-"""``pemviz bench``: measure speed on this machine, or the methods' accuracy."""
+"""``python -m benchmarks``: measure speed on this machine, or the methods' accuracy."""
 
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Literal
@@ -8,11 +9,13 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
-from pemviz.bench.figures import Figure
-from pemviz.bench.scale import HEADER, ScaleRow, ScaleStudy, cells, reasons, run_scale
+from benchmarks.figures import Figure
+from benchmarks.scale import HEADER, ScaleRow, ScaleStudy, cells, reasons, run_scale
+from pemviz.cli.main import carry_out
 from pemviz.cli.parsing import parse_arguments
 from pemviz.errors import EXIT_DONE
 
+PROGRAM = "python -m benchmarks"
 Part = Literal["paper", "plain", "simulators", "families", "stl", "recording", "scale"]
 
 
@@ -20,9 +23,9 @@ Part = Literal["paper", "plain", "simulators", "families", "stl", "recording", "
 class BenchArguments:
     """Measure speed on this machine.
 
-    ``pemviz bench accuracy`` measures how wrong the methods are on scenarios with known
-    answers, ``pemviz bench trust`` whether answers that nothing warns of are right, ``pemviz
-    bench scale`` how time and memory grow; they have options of their own.
+    ``accuracy`` measures how wrong the methods are on scenarios with known answers, ``trust``
+    whether answers that nothing warns of are right, ``scale`` how time and memory grow, ``compare``
+    how many times faster pemviz is than what one would write else; they have options of their own.
     """
 
     part: tuple[Part, ...] = ("paper", "plain", "simulators", "families", "stl", "recording")
@@ -33,23 +36,31 @@ class BenchArguments:
     """Print the figures as one JSON object and nothing else."""
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out the command line and return its exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    return carry_out("benchmarks", run, words)
+
+
 def run(words: Sequence[str]) -> int:
     """Measure and print.
 
     Raises:
         InputError: The arguments are wrong.
     """
-    if "--compare" in words:
-        from pemviz.cli.bench_compare import run as run_comparison  # noqa: PLC0415
+    if words and words[0] == "compare":
+        from benchmarks.compare_command import run as run_comparison  # noqa: PLC0415
 
-        return run_comparison([word for word in words if word != "--compare"])
+        return run_comparison(words[1:])
     if words and words[0] == "accuracy":
         return _accuracy(words[1:])
     if words and words[0] == "trust":
         return _trust(words[1:])
     if words and words[0] == "scale":
-        return _scale(parse_arguments(ScaleStudy, words[1:], command="bench scale"))
-    arguments = parse_arguments(BenchArguments, words, command="bench", default=BenchArguments())
+        return _scale(parse_arguments(ScaleStudy, words[1:], command="scale", program=PROGRAM))
+    arguments = parse_arguments(
+        BenchArguments, words, command="", program=PROGRAM, default=BenchArguments()
+    )
     measured = {part: list(_measure(part)()) for part in arguments.part if part != "scale"}
     grown = list(run_scale(ScaleStudy())) if "scale" in arguments.part else None
     if arguments.json:
@@ -65,7 +76,7 @@ def run(words: Sequence[str]) -> int:
 
 
 def _print_figures(measured: Mapping[str, Sequence[Figure]]) -> None:
-    table = Table(title="pemviz bench: medians of one run on this machine", title_justify="left")
+    table = Table(title="medians of one run on this machine", title_justify="left")
     table.add_column("figure")
     table.add_column("value", justify="right")
     table.add_column("unit")
@@ -87,7 +98,7 @@ def _scale(study: ScaleStudy) -> int:
 
 
 def _print_scale(rows: Sequence[ScaleRow]) -> None:
-    table = Table(title="pemviz bench scale: Monte Carlo runs, kept", title_justify="left")
+    table = Table(title="scale: Monte Carlo runs, kept", title_justify="left")
     for name in HEADER:
         table.add_column(name, justify="right")
     for row in rows:
@@ -98,20 +109,20 @@ def _print_scale(rows: Sequence[ScaleRow]) -> None:
 
 
 def _accuracy(words: Sequence[str]) -> int:
-    from pemviz.bench.accuracy_report import accuracy_lines  # noqa: PLC0415
-    from pemviz.bench.accuracy_study import AccuracyStudy, run_study  # noqa: PLC0415
+    from benchmarks.accuracy_report import accuracy_lines  # noqa: PLC0415
+    from benchmarks.accuracy_study import AccuracyStudy, run_study  # noqa: PLC0415
 
-    study = parse_arguments(AccuracyStudy, words, command="bench accuracy")
+    study = parse_arguments(AccuracyStudy, words, command="accuracy", program=PROGRAM)
     print("\n".join(accuracy_lines(run_study(study))))
     return EXIT_DONE
 
 
 def _trust(words: Sequence[str]) -> int:
-    from pemviz.bench.trust_cases import trust_cases  # noqa: PLC0415
-    from pemviz.bench.trust_report import case_lines, report_lines  # noqa: PLC0415
-    from pemviz.bench.trust_study import TrustStudy, chosen, run_trust  # noqa: PLC0415
+    from benchmarks.trust_cases import trust_cases  # noqa: PLC0415
+    from benchmarks.trust_report import case_lines, report_lines  # noqa: PLC0415
+    from benchmarks.trust_study import TrustStudy, chosen, run_trust  # noqa: PLC0415
 
-    study = parse_arguments(TrustStudy, words, command="bench trust")
+    study = parse_arguments(TrustStudy, words, command="trust", program=PROGRAM)
     if study.list:
         print("\n".join(case_lines(chosen(study.cases, trust_cases()))))
         return EXIT_DONE
@@ -121,25 +132,29 @@ def _trust(words: Sequence[str]) -> int:
 
 def _measure(part: Part) -> Callable[[], Sequence[Figure]]:
     if part == "paper":
-        from pemviz.bench.paper import paper_figures  # noqa: PLC0415
+        from benchmarks.paper import paper_figures  # noqa: PLC0415
 
         return paper_figures
     if part == "simulators":
-        from pemviz.bench.simulators import simulator_figures  # noqa: PLC0415
+        from benchmarks.simulators import simulator_figures  # noqa: PLC0415
 
         return simulator_figures
     if part == "plain":
-        from pemviz.bench.plain_rollouts import plain_rollout_figures  # noqa: PLC0415
+        from benchmarks.plain_rollouts import plain_rollout_figures  # noqa: PLC0415
 
         return plain_rollout_figures
     if part == "families":
-        from pemviz.bench.families import family_figures  # noqa: PLC0415
+        from benchmarks.families import family_figures  # noqa: PLC0415
 
         return family_figures
     if part == "recording":
-        from pemviz.bench.recording import recording_figures  # noqa: PLC0415  rerun is slow
+        from benchmarks.recording import recording_figures  # noqa: PLC0415  rerun is slow
 
         return recording_figures
-    from pemviz.bench.stl import stl_figures  # noqa: PLC0415
+    from benchmarks.stl import stl_figures  # noqa: PLC0415
 
     return stl_figures
+
+
+if __name__ == "__main__":
+    sys.exit(main())

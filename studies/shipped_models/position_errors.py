@@ -1,4 +1,4 @@
-"""Makes the shipped models of position errors: ``python -m pemviz.pem.files.ship_position_errors``.
+"""Makes shipped models of position errors: ``python -m studies.shipped_models.position_errors``.
 
 Both are lidar detectors. PointPillars on nuScenes' validation drives, which it was not trained on;
 PointRCNN on KITTI's tracking sequences, which it was. Seed 0, taken as they came.
@@ -20,10 +20,10 @@ from pemviz.pem.data.nuscenes_errors import load_nuscenes_errors
 from pemviz.pem.data.position_errors import PositionErrorTable, load_error_csv
 from pemviz.pem.files.load import SUFFIX
 from pemviz.pem.files.position_error_files import POSITION_ASSET_FOLDER, save_position_errors
-from pemviz.pem.files.ship_tracked import LABELS_FOLDER, RATE_HZ, SHIPPED_TRACKED, TYPES
 from pemviz.pem.judging.position_error_report import FitSettings, fit_position_errors
 from pemviz.pem.models.card import KITTI_LICENCE
 from pemviz.pem.models.position_error_card import NUSCENES_LICENCE, position_card_markdown
+from studies.shipped_models.tracked import LABELS_FOLDER, RATE_HZ, SHIPPED_TRACKED, TYPES
 
 PositionName = Literal["pointpillars", "pointrcnn"]
 NUSCENES_FOLDER, KITTI_FOLDER = "nuscenes_pointpillars", "kitti_tracking"

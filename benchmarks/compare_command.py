@@ -1,4 +1,4 @@
-"""``pemviz bench --compare``: ratios of speed in one run, and held against an earlier run's."""
+"""``python -m benchmarks compare``: ratios of speed in a run, held against an earlier run's."""
 
 import json
 import sys
@@ -16,9 +16,9 @@ from pemviz.config.ranges import Range, check_fields
 from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError
 
 if TYPE_CHECKING:
-    from pemviz.bench.ratios import Change, Comparison
+    from benchmarks.ratios import Change, Comparison
 
-COMMAND = "bench --compare"
+COMMAND, PROGRAM = "compare", "python -m benchmarks"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,16 +46,16 @@ def run(words: Sequence[str]) -> int:
     """Measure, print, keep and compare.
 
     Args:
-        words: What follows the command, without ``--compare``.
+        words: What follows the command.
 
     Raises:
         InputError: The arguments are wrong, or the earlier file is.
         RunError: rtamt cannot be run where it was said to be.
     """
-    arguments = parse_arguments(CompareArguments, words, command=COMMAND)
+    arguments = parse_arguments(CompareArguments, words, command=COMMAND, program=PROGRAM)
     check_fields(arguments)
-    from pemviz.bench.comparison import compare  # noqa: PLC0415  slow to import
-    from pemviz.bench.ratios import changes, read_comparison  # noqa: PLC0415  as above
+    from benchmarks.comparison import compare  # noqa: PLC0415  slow to import
+    from benchmarks.ratios import changes, read_comparison  # noqa: PLC0415  as above
 
     # before minutes are spent
     earlier = None if arguments.earlier is None else read_comparison(arguments.earlier)
@@ -96,7 +96,7 @@ def _show(now: "Comparison", held: Sequence["Change"], *, as_json: bool) -> None
         print(json.dumps(document, allow_nan=False))
         return
     before = {(change.name, change.against): change for change in held}
-    table = Table(title="pemviz bench --compare: times faster", title_justify="left")
+    table = Table(title="times faster", title_justify="left")
     for name in ("measured", "against"):
         table.add_column(name)
     for name in ("ratio", "least", "largest", *(("earlier",) if held else ())):

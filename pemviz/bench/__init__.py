@@ -1,1 +1,0 @@
-"""Measurements of speed, each a ratio or a median of one run on this machine."""
