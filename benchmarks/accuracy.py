@@ -17,7 +17,7 @@ from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.method import Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import by_name
-from pemviz.sampling.value_twisted.reference import (
+from pemviz.sampling.zero_variance.reference import (
     Reference,
     exact_log_probability,
     reference,
@@ -150,7 +150,7 @@ def known_probability(config: ExperimentConfig, *, rollouts: int = 200_000) -> f
     Raises:
         InputError: The specification is out of the reference's reach.
     """
-    problem = build_experiment(replace(config, method="value-twisted")).problem
+    problem = build_experiment(replace(config, method="zero-variance")).problem
     twin = VectorizedSimulator(config.scenario)
     exact = exact_log_probability(problem, twin=twin)
     return math.exp(exact) if exact is not None else known_by_sampling(config, rollouts=rollouts)
@@ -158,7 +158,7 @@ def known_probability(config: ExperimentConfig, *, rollouts: int = 200_000) -> f
 
 def known_by_sampling(config: ExperimentConfig, *, rollouts: int) -> float:
     """The failure probability by importance sampling with the twin's value function."""
-    problem = build_experiment(replace(config, method="value-twisted")).problem
+    problem = build_experiment(replace(config, method="zero-variance")).problem
     twin = VectorizedSimulator(config.scenario)
     return reference(problem, twin=twin, rollouts=rollouts).probability
 

@@ -34,7 +34,7 @@ SCENARIOS: Mapping[str, ScenarioConfig] = {
 class AccuracyStudy:
     """What is measured."""
 
-    methods: tuple[MethodName, ...] = ("value-twisted", "mixture", "adaptive")
+    methods: tuple[MethodName, ...] = ("zero-variance", "mixture", "adaptive")
     """Methods to compare, shipped or registered."""
     rollouts: tuple[int, ...] = (1200,)
     """Budgets: rollouts of one run, all stages; at least 24 for methods that learn. Splitting is

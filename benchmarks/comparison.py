@@ -76,7 +76,7 @@ def _runs() -> Sequence[ExperimentConfig]:
     paper = load_preset("paper")
     return [
         replace(paper, plan=False),
-        replace(paper, method="value-twisted", final_rollouts=1200),
+        replace(paper, method="zero-variance", final_rollouts=1200),
     ]
 
 

@@ -8,7 +8,7 @@ from pemviz.pem import load_pem
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
 
-def twisted_sum(rows):
+def zero_variance_sum(rows):
     return np.einsum("nd,d->n", rows, 1.0 / (1.0 + np.arange(rows.shape[1])))
 
 
@@ -40,9 +40,9 @@ def test_equal_rows_change_nothing(count, columns, varying, values, seed):
     rows = np.full((count, columns), 0.7)
     for column in range(min(varying, columns)):
         rows[:, column] = generator.normal(size=values)[generator.integers(0, values, count)]
-    one_by_one = [float(twisted_sum(row[None, :])[0]) for row in rows]
-    assert map_rows(twisted_sum, rows).tolist() == one_by_one
-    assert map_distinct(twisted_sum, rows).tolist() == one_by_one
+    one_by_one = [float(zero_variance_sum(row[None, :])[0]) for row in rows]
+    assert map_rows(zero_variance_sum, rows).tolist() == one_by_one
+    assert map_distinct(zero_variance_sum, rows).tolist() == one_by_one
 
 
 @pytest.mark.parametrize("spoiled", [np.nan, np.inf, -np.inf, -0.0])

@@ -146,7 +146,7 @@ def test_descriptions_are_asked_for_through_the_registry():
         "'naive' != method",
         "method in ('adaptive', 'mixture')",
         "method not in {'x', *['monte-carlo']}",
-        "{'value-twisted': 1}",
+        "{'zero-variance': 1}",
         "{'naive' if x else y: 1 for x in z}",
         "TABLE['naive']",
         "TABLE.get('naive', 0)",
@@ -176,7 +176,7 @@ def test_a_constant_that_holds_a_name_is_followed_where_it_is_imported(tmp_path)
     "code",
     [
         "replace(config, method='adaptive')",
-        "methods: tuple[str, ...] = ('value-twisted', 'mixture')",
+        "methods: tuple[str, ...] = ('zero-variance', 'mixture')",
         "monte_carlo_estimate(drawn, method='monte-carlo')",
         "kind == 'restarts'",
         "Choice = Literal['naive', 'mixture']",

@@ -31,7 +31,7 @@ from pemviz.reproduce.failure_tables import table_2
 from pemviz.runs.result_file import result_document, write_result
 from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.registry import by_name
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.fields import parse_variation
 from pemviz.sweep.overview import _estimate, _runs_page

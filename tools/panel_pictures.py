@@ -4,7 +4,7 @@
 
 Needs Chromium (``apt-get install chromium``), playwright and Pillow. The pictures show the newest
 run of ``mixture`` in the recordings folder, beside the newest ones of the paper's method and of
-``value-twisted``, whose curve over memory times another one shows, and those of the families in
+``zero-variance``, whose curve over memory times another one shows, and those of the families in
 folders of their own; a run that is not there is made first.
 """
 
@@ -55,7 +55,7 @@ def main() -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     shown = newest(arguments.recordings, "mixture", "--reference")
     other = newest(arguments.recordings, "adaptive")
-    curve = newest(arguments.recordings, "value-twisted", "--memory-curve")
+    curve = newest(arguments.recordings, "zero-variance", "--memory-curve")
     with sync_playwright() as playwright, server(arguments.recordings) as address:
         browser = playwright.chromium.launch(executable_path=arguments.browser, args=ARGUMENTS)
         context = browser.new_context(viewport=VIEWPORT, device_scale_factor=PIXELS_A_POINT)

@@ -16,7 +16,7 @@ from pemviz.errors import ConfigError
 METHODS = NamedPart(
     kind="method",
     group="pemviz.methods",
-    shipped=("adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"),
+    shipped=("adaptive", "mixture", "zero-variance", "splitting", "monte-carlo", "naive"),
 )
 """What each of them is: ``pemviz.sampling.registry``."""
 MethodName = Annotated[str, METHODS]
@@ -107,7 +107,7 @@ class ExperimentConfig:
     """One experiment: scenario, specification, perception error model, method, seed."""
 
     method: MethodName = "mixture"
-    """How the failure probability is estimated: adaptive, mixture, value-twisted, splitting,
+    """How the failure probability is estimated: adaptive, mixture, zero-variance, splitting,
     monte-carlo, naive, or a name that an installed package registers as an entry point of the
     group pemviz.methods."""
     metric: MetricName = "classical"
@@ -133,7 +133,7 @@ class ExperimentConfig:
     """Errors of the lead car's measured distance, in families of the place of every car, which the
     ego then brakes by: a shipped name (pointpillars, pointrcnn) or a file of 'pemviz pem fit
     --position-errors'. Left out, it is measured without error. Shipped back ends only; without
-    method value-twisted and reference."""
+    method zero-variance and reference."""
     memory_curve: bool = False
     """Also tell the failure probability over memory times from 0 to 1 s and over frailties from 0
     to 1.2, from 2400 rollouts each of their own (on the fast twin where there is one)."""
@@ -176,7 +176,7 @@ class ExperimentConfig:
     """A batch of rollouts (4096, in large runs 20,000; 50 with a slow simulator) that takes longer
     fails the run [s]; above 0, at most 1e6."""
     reference: bool = False
-    """Also compute the answer by the value-twisted reference, to compare with."""
+    """Also compute the answer by the zero-variance reference, to compare with."""
     target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None
     """Failure probability to bring the system below: tells by which factor misses would have to
     become rarer, for each distance band, and with memory_s to what the memory time would have to

@@ -13,7 +13,7 @@ from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import PemInfo, RunResult
 from pemviz.sampling.estimates.meanings import RELIABLE_PARETO_K
 from pemviz.sampling.estimates.trust import rests_on_weights
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate
 
 RELIABLE_TAIL = f"(reliable up to {RELIABLE_PARETO_K:g})"

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from pemviz.reproduce.published import ADAPTIVE, NAIVE, TABLE_3
 from pemviz.reproduce.summary import RowSummary
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 
 LIMITS = (
     "the paper gives neither the lead car's braking nor the ego's limits, so those of the "
@@ -117,7 +117,7 @@ def _accuracy(name: str, row: RowSummary, reference: Reference | None) -> str:
     verdict = "under-reports" if ratio < 1.0 else "over-reports"
     return (
         f"{name}: the exact value, which the paper could not know, is "
-        f"{reference.probability:.3g} +- {reference.std_error:.1g} (by `value-twisted`); half of "
+        f"{reference.probability:.3g} +- {reference.std_error:.1g} (by `zero-variance`); half of "
         f"the repetitions give less than {ratio:.2g} of it, so at this budget the algorithm "
         f"typically {verdict}: the mean rests on rare, heavily weighted rollouts that most "
         "repetitions never draw."

@@ -11,7 +11,7 @@ from pemviz.arrays import FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.reproduce.settings import METRICS, Settings
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.sampling.value_twisted.reference import Reference, reference
+from pemviz.sampling.zero_variance.reference import Reference, reference
 from pemviz.types import Estimate, Proposal, Simulator
 
 

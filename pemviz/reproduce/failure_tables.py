@@ -8,7 +8,7 @@ from pemviz.reproduce.published import NOT_GIVEN, NOTHING, TABLE_2, TABLE_3, Pub
 from pemviz.reproduce.summary import RowSummary, summarise
 from pemviz.reproduce.tables import Cell, Column, Table
 from pemviz.sampling.estimates.trust import interval_caveats
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate
 
 Outcomes = Mapping[str, Sequence[RepetitionOutcome]]

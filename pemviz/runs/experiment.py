@@ -30,7 +30,7 @@ from pemviz.sampling.method import AnswersRules, Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
 from pemviz.sampling.slots import with_slots
-from pemviz.sampling.value_twisted.method import require_unsafe
+from pemviz.sampling.zero_variance.method import require_unsafe
 from pemviz.simulators.check_latents import latent_warnings
 from pemviz.simulators.episodic import EpisodicSimulator
 from pemviz.simulators.latents import LatentSimulator
@@ -129,7 +129,7 @@ def build_experiment(
         pem: A detector model of your own, anything with ``logit(salient)``, instead of the
             one that ``config`` names; for a simulator with slots also one for each by name.
         twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
-            thousands of states costs it little) for method value-twisted and the reference.
+            thousands of states costs it little) for method zero-variance and the reference.
         features: What proposals look at instead of what the simulator offers: for one of your own
             that is all signals and the step, in a slot's turn what is about that slot.
         batch_rollouts: How many rollouts are simulated at a time; the result does not depend on

@@ -53,7 +53,7 @@ from pemviz.sampling.frailty import frail_part
 from pemviz.sampling.memory import memory_of_pem, single_outcome_model, without_memory
 from pemviz.sampling.method import PoolsStages
 from pemviz.sampling.rollouts.batches import run_here
-from pemviz.sampling.value_twisted.reference import reference, reference_of_few_states
+from pemviz.sampling.zero_variance.reference import reference, reference_of_few_states
 from pemviz.types import StageResult
 
 Told = TypeVar("Told", bound=SomeViolations)

@@ -23,7 +23,7 @@ from pemviz.sampling.estimates.diagnostics import weight_diagnostics
 from pemviz.sampling.estimates.importance_weights import log_sum, weight_figures
 from pemviz.sampling.estimates.trust import caveats
 from pemviz.sampling.problem import sample
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling, with_latch
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling, with_latch
 from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, outcome_log_likelihood
 
 
@@ -60,7 +60,7 @@ def compare_models(
 ) -> Sequence[ModelFigures]:
     """Estimate the failure probability under each model from the same rollouts.
 
-    ``rollouts`` are drawn from each model's value-twisted proposal; all together count as draws
+    ``rollouts`` are drawn from each model's zero-variance proposal; all together count as draws
     from the mixture of the proposals (balance heuristic: Veach & Guibas 1995), so that no model
     has to live on rollouts that were drawn for another.
 
@@ -79,7 +79,7 @@ def compare_models(
     if config.frailty > 0.0:
         message = f"frailty = {config.frailty:g}: models are compared with frailty 0 alone"
         raise ConfigError(message)
-    base = replace(config, method="value-twisted", final_rollouts=rollouts, reference=False)
+    base = replace(config, method="zero-variance", final_rollouts=rollouts, reference=False)
     experiments = [
         build_experiment(replace(base, pem=name), allow_python=allow_python) for name in names
     ]
@@ -156,7 +156,7 @@ def _unreliable_because(
         rollouts=count,
         log10_probability=log10_probability,
     )
-    return caveats(found, method="value-twisted")
+    return caveats(found, method="zero-variance")
 
 
 def _of_ratio(own: Sequence[str], first: Sequence[str]) -> tuple[str, ...]:
@@ -166,7 +166,7 @@ def _of_ratio(own: Sequence[str], first: Sequence[str]) -> tuple[str, ...]:
 
 def _proposal(experiment: Experiment) -> Proposal:
     method = experiment.method
-    assert isinstance(method, ValueTwistedSampling)  # noqa: S101  asked for above
+    assert isinstance(method, ZeroVarianceSampling)  # noqa: S101  asked for above
     return method.init(experiment.problem, repetition=0).proposal
 
 

@@ -26,7 +26,7 @@ from pemviz.pem import PositionErrorModel
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.rollouts.likelihoods import log_p_of
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate, StageKind, StageResult
 
 LEAST_ROBUST = 20
@@ -149,7 +149,7 @@ class RunResult(ShownInNotebooks):
         latents: How many standard normals the simulator took; ``None`` if none.
         position_errors: By which the scenario measured; ``None``: it measured exactly.
         driven: How far a rollout is, where it is a stretch of driving in free traffic.
-        reference: The answer by the value-twisted reference, if it was asked for.
+        reference: The answer by the zero-variance reference, if it was asked for.
         pem_interval: The answer's range over other models that fit the same data.
         starts: Which starts are dangerous, where the simulator names random ones: of violations
             in all, then of each rule's.

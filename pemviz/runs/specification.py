@@ -17,7 +17,7 @@ from pemviz.sampling.problem import Problem, ScoredRule
 from pemviz.sampling.rollouts.compiled import CompiledRunner
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.slots import turns_of
-from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
+from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.simulators.latched import Monitor
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.tracking.tracker import tracker_of

@@ -2,7 +2,7 @@
 
 Nothing is saved. Several environments, each in a rollout of its own, make a simulator of so many
 rollouts at once; a rollout costs one environment step for each of its steps. What goes on from
-kept states (splitting, value-twisted, the reference) cannot have them.
+kept states (splitting, zero-variance, the reference) cannot have them.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -183,7 +183,7 @@ def quantised_start(
 ) -> QuantisedStart:
     """A scenario whose random start takes finitely many values, all of which can be gone through.
 
-    As the twin of the scenario itself it lets method ``value-twisted`` choose starts, whose answer
+    As the twin of the scenario itself it lets method ``zero-variance`` choose starts, whose answer
     then is the scenario's own: unbiased, the better the finer the cells. With it as simulator and
     twin the answer is exact for it.
 

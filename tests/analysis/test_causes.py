@@ -17,7 +17,7 @@ from pemviz.analysis.causes import (
 from pemviz.analysis.sensitivity import band_sensitivities
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
@@ -56,7 +56,7 @@ def failures():
         violated=toy_violated,
         unsafe=toy_unsafe,
     )
-    method = ValueTwistedSampling(twin=SIMULATOR, rollouts=20_000, seed=8)
+    method = ZeroVarianceSampling(twin=SIMULATOR, rollouts=20_000, seed=8)
     _, stage = method.step(problem, method.init(problem, repetition=0))
     found = failures_of(stage.scored)
     assert found is not None

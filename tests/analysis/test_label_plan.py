@@ -18,8 +18,8 @@ from pemviz.pem.data.support import SHAPE
 from pemviz.pem.judging.support_check import kinds_and_bands
 from pemviz.pem.models.protocol import as_rows
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.value_twisted.reachable_states import explore
-from pemviz.sampling.value_twisted.values import solve
+from pemviz.sampling.zero_variance.reachable_states import explore
+from pemviz.sampling.zero_variance.values import solve
 
 SHORT = ExperimentConfig(
     method="mixture",

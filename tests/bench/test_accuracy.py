@@ -29,7 +29,7 @@ def test_budgets_are_kept_to_the_rollout(method, rollouts):
 
 @pytest.mark.parametrize("rollouts", [60, 1200, 11_000])
 @pytest.mark.parametrize(
-    "method", ["adaptive", "mixture", "value-twisted", "splitting", "monte-carlo", "naive"]
+    "method", ["adaptive", "mixture", "zero-variance", "splitting", "monte-carlo", "naive"]
 )
 def test_every_method_spends_what_it_is_given(method, rollouts):
     """Counted as a run counts them: by splitting, its particles."""
@@ -68,7 +68,7 @@ def test_a_small_study(tmp_path):
     config = ExperimentConfig(scenario=scenario, spec="always[0,44] (gap >= 8.0)")
     cases = [
         Case("short", with_budget(config, method=method, rollouts=48), 1e-3)
-        for method in ("value-twisted", "mixture")
+        for method in ("zero-variance", "mixture")
     ]
     alone, together = (measure(cases, seeds=2, workers=workers) for workers in (1, 2))
     for case in cases:
@@ -77,7 +77,7 @@ def test_a_small_study(tmp_path):
     rows = accuracy_table(alone)
     assert len(accuracy_lines(rows)) == 2 + len(rows) == 4
     table, data, picture = write_accuracy(rows, tmp_path)
-    assert "value-twisted" in table.read_text(encoding="utf-8")
+    assert "zero-variance" in table.read_text(encoding="utf-8")
     assert len(json.loads(data.read_text(encoding="utf-8"))["rows"]) == 2
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -169,7 +169,7 @@ def test_a_small_study_that_is_interrupted_goes_on(tmp_path):
     """Its runs are kept one by one; what is there is not run again, what is torn is."""
     study = TrustStudy(
         cases=("walk: 0.9", "walk: until"),
-        methods=("value-twisted", "mixture"),
+        methods=("zero-variance", "mixture"),
         seeds=2,
         rollouts=240,
         processes=1,
@@ -177,10 +177,10 @@ def test_a_small_study_that_is_interrupted_goes_on(tmp_path):
     )
     whole = run_trust(study)
     assert [(row.scenario, row.method) for row in whole.rows] == [
-        ("walk: 0.9", "value-twisted"), ("walk: 0.9", "mixture"), ("walk: until", "mixture"),
-        ("all", "value-twisted"), ("all", "mixture"),
+        ("walk: 0.9", "zero-variance"), ("walk: 0.9", "mixture"), ("walk: until", "mixture"),
+        ("all", "zero-variance"), ("all", "mixture"),
     ]  # fmt: skip
-    assert list(whole.refused) == [("walk: until", "value-twisted")]
+    assert list(whole.refused) == [("walk: until", "zero-variance")]
     assert whole.rows[0].relative_rmse < 0.1
     lines = (tmp_path / RUNS).read_text(encoding="utf-8").splitlines()
     assert len(lines) == 6
@@ -189,10 +189,10 @@ def test_a_small_study_that_is_interrupted_goes_on(tmp_path):
     again = run_trust(study)
     assert again.rows[0].relative_rmse > 50.0
     assert len((tmp_path / RUNS).read_text(encoding="utf-8").splitlines()) == 7
-    assert {one.method for one in again.verdicts} == {"value-twisted", "mixture"}
+    assert {one.method for one in again.verdicts} == {"zero-variance", "mixture"}
     assert not again.verdicts[0].met
     assert "1 of them say" in again.verdicts[0].figure
-    assert any(line.startswith("MISSED: value-twisted") for line in report_lines(again))
+    assert any(line.startswith("MISSED: zero-variance") for line in report_lines(again))
     assert json.loads((tmp_path / "trust.json").read_text(encoding="utf-8"))["schema"] == 1
 
 

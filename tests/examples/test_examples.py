@@ -12,7 +12,7 @@ import pytest
 
 import pemviz
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from tests.examples.highway_twin import saving_twin
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,7 +44,7 @@ def known(drone, *, logit_at_wall):
     problem = pemviz.build_experiment(
         config, simulator=simulator, pem=drone["WallCamera"](logit_at_wall)
     ).problem
-    method = ValueTwistedSampling(twin=simulator, rollouts=20_000, seed=7, largest_layer=2_000)
+    method = ZeroVarianceSampling(twin=simulator, rollouts=20_000, seed=7, largest_layer=2_000)
     state, _ = method.step(problem, method.init(problem, repetition=0))
     return method.estimate(state)
 

@@ -35,7 +35,7 @@ def test_a_tracker_that_means_the_same_keeps_its_words():
     ("changes", "words"),
     [
         ({"position_errors": ""}, "no model of position errors ''; give one of pointpillars"),
-        ({"position_errors": "pointrcnn", "method": "value-twisted"}, "runs through all states"),
+        ({"position_errors": "pointrcnn", "method": "zero-variance"}, "runs through all states"),
         ({"position_errors": "pointrcnn", "reference": True}, "reference = true"),
     ],
 )

@@ -181,7 +181,7 @@ def test_the_experiment_tab_says_of_a_family_what_it_draws_and_what_it_refuses()
     assert "uniform(9, 10)" in page
     assert {s.name for s in asked_simulator(config).signals} >= {"clearance", "gap_lead"}
     check_encounter(config)
-    with pytest.raises(InputError, match=r"value-twisted.*has latents"):
-        check_encounter(replace(config, method="value-twisted"))
+    with pytest.raises(InputError, match=r"zero-variance.*has latents"):
+        check_encounter(replace(config, method="zero-variance"))
     with pytest.raises(InputError, match="start"):
         check_encounter(replace(config, start=(StartChoice("gap", "normal(1"),)))

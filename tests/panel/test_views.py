@@ -28,7 +28,7 @@ from pemviz.reports.pictures.html import number
 from pemviz.reports.pictures.svg import Axis, Plot, nice_ticks
 from pemviz.runs.result import PemInfo
 from pemviz.runs.trust import run_diagnostics
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.simulators.braking.contact import contact_text
 from pemviz.types import Diagnostic
 from tests.reports.runs import PLAN
@@ -251,12 +251,12 @@ def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
         return text + " ".join(line.name for line in learning.proposal_curves(run).lines)
 
     assert "older stages fade" in page("adaptive")
-    for method in ("splitting", "monte-carlo", "naive", "value-twisted"):
+    for method in ("splitting", "monte-carlo", "naive", "zero-variance"):
         assert "proposal after stage" not in page(method)
         assert "a stage alone" not in page(method)
     assert "cut and continued" in page("splitting")
     assert "Threshold" not in page("splitting")
-    assert "optimal proposal" in page("value-twisted")
+    assert "optimal proposal" in page("zero-variance")
 
 
 def test_without_a_violation_the_upper_bound_is_drawn(naive_run):

@@ -24,7 +24,7 @@ from pemviz.runs.engine import run
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.trust import run_diagnostics
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from tests.recording.conftest import LEARNING, chunks, record, texts, with_blind_pem
 
 PACKAGE = Path(text.__file__).parent

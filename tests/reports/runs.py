@@ -10,7 +10,7 @@ from pemviz.analysis.refit_plan import RefitBand
 from pemviz.analysis.sequence_plan import SequencePlan
 from pemviz.config import ExperimentConfig
 from pemviz.runs.result import PemInfo, RankedRollout, RunResult
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Diagnostic, Estimate
 
 NASTY = (

@@ -30,7 +30,7 @@ from pemviz.sampling.splitting.diagnostics import (
     WIDE_FACTOR,
     largest_spread,
 )
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Diagnostic, DiagnosticKind
 from tests.reports.runs import estimate, result
 

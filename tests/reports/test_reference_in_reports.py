@@ -10,7 +10,7 @@ from pemviz.reports.gate import decide_run
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.summary_text import summary_text
 from pemviz.runs.trust import run_diagnostics
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from tests.reports.runs import estimate, result
 
 AGREEING = Reference(probability=2.1e-15, std_error=1e-18, log10_probability=-14.678)

@@ -11,7 +11,7 @@ from pemviz.reproduce.failure_tables import table_2, table_3
 from pemviz.reproduce.published import ADAPTIVE, TABLE_2, TABLE_3
 from pemviz.reproduce.summary import summarise
 from pemviz.reproduce.table_one import score_model, table_1
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 from tests.conftest import shared
 from tests.reports.runs import estimate
 

@@ -136,7 +136,7 @@ def test_it_stops_while_the_value_function_is_computed():
         return len(asked) == 40
 
     listener = Listener()
-    config = replace(SMALL, method="value-twisted")
+    config = replace(SMALL, method="zero-variance")
     result = run_experiment(config, observers=[listener], should_stop=should_stop)
     assert len(asked) == 40
     assert result.status == "stopped"

@@ -21,7 +21,7 @@ from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.result import with_stage
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.method import final_stage
-from pemviz.sampling.value_twisted.reference import Reference
+from pemviz.sampling.zero_variance.reference import Reference
 
 CONFIG = ExperimentConfig(method="naive", final_rollouts=60)
 

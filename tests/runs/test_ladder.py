@@ -102,8 +102,8 @@ def test_no_method_that_runs_through_states_is_recommended_where_latents_leave_n
     doubted = result(one, latents=LatentCounts(noise=1))
     assert rungs(doubted)["sampling"].narrowed_by == "more rollouts; --method splitting beside it"
     print_summary(doubted, Path("run"))
-    assert "value-twisted" not in capsys.readouterr().out
-    assert "value-twisted" in rungs(replace(doubted, latents=None))["sampling"].narrowed_by
+    assert "zero-variance" not in capsys.readouterr().out
+    assert "zero-variance" in rungs(replace(doubted, latents=None))["sampling"].narrowed_by
 
 
 @pytest.mark.parametrize("tell", [summary_markdown, lambda one: answer_text(one, running=False)])

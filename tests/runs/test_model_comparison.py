@@ -10,7 +10,7 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import InputError
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.model_comparison import compare_models
-from pemviz.sampling.value_twisted.reference import exact_log_probability
+from pemviz.sampling.zero_variance.reference import exact_log_probability
 
 CONFIG = ExperimentConfig(scenario=ScenarioConfig(states=50), spec="always[0,49] (gap >= 6.5)")
 MODEL = """

@@ -44,7 +44,7 @@ KINDS = {
     "agm": replace(SMALL, metric="agm"),
     "slots": CUT_IN,
 }
-WITHOUT = {"latents": ("adaptive", "value-twisted"), "slots": ("adaptive", "value-twisted")}
+WITHOUT = {"latents": ("adaptive", "zero-variance"), "slots": ("adaptive", "zero-variance")}
 CASES = [
     (kind, method.name)
     for kind in KINDS

@@ -22,7 +22,7 @@ from benchmarks.accuracy import Accuracy, Outcome, run_once, summarise, with_bud
 from pemviz.config import MethodName
 from pemviz.config.toml_files import load_preset
 from pemviz.runs.experiment import Experiment, build_method
-from pemviz.sampling.value_twisted.reference import exact_log_probability
+from pemviz.sampling.zero_variance.reference import exact_log_probability
 from tests.latent_toys import Drift, Flat, LargestError, RandomWalkStart, TwoDrifts, miss_of_either
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.sampling.test_slots import CASES as SLOTS
@@ -71,7 +71,7 @@ def paper_with(tracker: str, *, method: MethodName = "mixture") -> Experiment:
 
 def by_recursion(tracker: str) -> float:
     """The failure probability of preset ``paper`` with a tracker, over all reachable states."""
-    experiment = paper_with(tracker, method="value-twisted")
+    experiment = paper_with(tracker, method="zero-variance")
     assert experiment.twin is not None
     found = exact_log_probability(experiment.problem, twin=experiment.twin)
     assert found is not None

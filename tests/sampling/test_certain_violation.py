@@ -15,11 +15,11 @@ from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.memory import with_memory
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.value_twisted.certain import certain_violation
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling
-from pemviz.sampling.value_twisted.reachable_states import explore
-from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
-from pemviz.sampling.value_twisted.values import solve
+from pemviz.sampling.zero_variance.certain import certain_violation
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.reachable_states import explore
+from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
+from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import StateBatch, outcome_log_likelihood
 
@@ -103,7 +103,7 @@ def test_they_are_left_to_the_error_model(memory):
         violated=lambda signals: np.min(signals["gap"], axis=1) < 4.1,
         unsafe=rule,
     )
-    method = ValueTwistedSampling(twin=back_end.twin, rollouts=400, seed=3)
+    method = ZeroVarianceSampling(twin=back_end.twin, rollouts=400, seed=3)
     _, stage = method.step(problem, method.init(problem, repetition=0))
     rollouts, certain = stage.scored.rollouts, certain_violation(TWIN, rule)
     doomed = np.stack([certain(state_of(rollouts.signals, step)) for step in range(STEPS)], axis=1)

@@ -19,7 +19,7 @@ from pemviz.sampling.rollouts.final_batch import (
     part_sizes,
     weighed,
 )
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from pemviz.types import RolloutBatch, ScoredRollouts
 from tests.toy import exact_failure_probability
 
@@ -56,7 +56,7 @@ def methods(simulator, *, largest):
         "monte-carlo": DirectSampling(
             name="monte-carlo", proposal=PemProposal(), rollouts=3000, **shared
         ),
-        "value-twisted": ValueTwistedSampling(twin=simulator, rollouts=3000, **shared),
+        "zero-variance": ZeroVarianceSampling(twin=simulator, rollouts=3000, **shared),
         "mixture": MixtureSampling(**learning, **shared),
         "adaptive": AdaptiveSampling(
             **learning, **shared, sigma=0.95, alpha=0.1, epochs=50, learning_rate=1e-2
@@ -64,7 +64,7 @@ def methods(simulator, *, largest):
     }
 
 
-@pytest.mark.parametrize("name", ["naive", "monte-carlo", "value-twisted", "mixture", "adaptive"])
+@pytest.mark.parametrize("name", ["naive", "monte-carlo", "zero-variance", "mixture", "adaptive"])
 def test_parts_estimate_what_the_whole_does(toy_problem, name):
     """Two-sided at 5 standard errors around the exact answer: false alarm 6e-7 each."""
     problem = replace(toy_problem, unsafe=below_zero)

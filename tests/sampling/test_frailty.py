@@ -32,10 +32,10 @@ from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.splitting.method import SplittingSampling
-from pemviz.sampling.value_twisted.frail_tables import build_frail_twisted_proposal
-from pemviz.sampling.value_twisted.method import with_latch
-from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
-from pemviz.sampling.value_twisted.tables import with_defence
+from pemviz.sampling.zero_variance.frail_tables import build_frail_proposal
+from pemviz.sampling.zero_variance.method import with_latch
+from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
+from pemviz.sampling.zero_variance.tables import with_defence
 from pemviz.types import RolloutBatch, outcome_log_likelihood
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
@@ -154,7 +154,7 @@ def test_the_value_function_steers_with_next_to_no_variance(memory):
     truth = probabilities[violates].sum()
     problem, back_end = frail_problem(memory)
     exact, merged = (
-        build_frail_twisted_proposal(
+        build_frail_proposal(
             twin=back_end.twin, model=problem.pem, unsafe=toy_unsafe, largest_layer=size
         )
         for size in (100, 3)

@@ -189,7 +189,7 @@ def test_summaries_without_latents_say_nothing_of_them():
 
 def test_what_runs_through_states_refuses_latents():
     with pytest.raises(ConfigError, match=r"runs through all states, .* has latents; use mixture"):
-        experiment_of(FAR, FAR.spec(2.0), method="value-twisted")
+        experiment_of(FAR, FAR.spec(2.0), method="zero-variance")
     config = pemviz.ExperimentConfig(method="mixture", spec=FAR.spec(2.0))
     with pytest.raises(ConfigError, match=r"twin of simulator 'drift': it has latents"):
         pemviz.build_experiment(config, simulator=FAR, pem=ERRS, twin=FAR)

@@ -22,7 +22,7 @@ from pemviz.sampling.memory import RememberingPem, with_memory, without_memory
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.splitting.method import SplittingSampling
-from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
+from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
 from pemviz.simulators.remembering import LAST_OUTCOME, RememberingSimulator
 from pemviz.types import Signal
 from tests.faults.test_resume import StopAfter, contents, folder_of
@@ -184,7 +184,7 @@ def test_a_simulator_with_a_signal_of_that_name_is_refused_in_one_line():
 
 def test_ones_own_simulator_and_detector_remember_too():
     config = ExperimentConfig(
-        method="value-twisted",
+        method="zero-variance",
         spec="always[0,12] (gap >= 0.5)",
         final_rollouts=200,
         memory_s=2.0,

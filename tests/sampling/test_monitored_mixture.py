@@ -12,7 +12,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
+from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.simulators.latched import (
     VIOLATED,
     LatchedSimulator,

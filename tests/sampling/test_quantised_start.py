@@ -13,10 +13,10 @@ from pemviz.latents import LatentCounts
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts, log_weights
 from pemviz.sampling.problem import sample
-from pemviz.sampling.value_twisted.left_out import left_out_share
-from pemviz.sampling.value_twisted.reachable_states import SAFE_NODE, explore
-from pemviz.sampling.value_twisted.reference import exact_log_probability
-from pemviz.sampling.value_twisted.values import solve
+from pemviz.sampling.zero_variance.left_out import left_out_share
+from pemviz.sampling.zero_variance.reachable_states import SAFE_NODE, explore
+from pemviz.sampling.zero_variance.reference import exact_log_probability
+from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.quantised import StartCells, quantised_start, start_cells
 from pemviz.types import Signal, StateBatch
 from tests.faults.test_resume import StopAfter, contents, folder_of
@@ -34,7 +34,7 @@ FLAT = {"car": Flat(0.05), "ghost": Flat(0.95)}
 
 
 def experiment_of(simulator, spec=AT_END, *, pem=ERRS, cells=16, twin=None, **settings):
-    settings = {"method": "value-twisted", "final_rollouts": 1_000, **settings}
+    settings = {"method": "zero-variance", "final_rollouts": 1_000, **settings}
     config = pemviz.ExperimentConfig(spec=spec, plan=False, **settings)
     if twin is None:
         twin = simulator if start_cells(simulator) else quantised_start(simulator, cells=cells)

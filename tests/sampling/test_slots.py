@@ -13,8 +13,8 @@ from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.sampling.problem import sample
 from pemviz.sampling.slots import slot_pem
-from pemviz.sampling.value_twisted.method import with_latch
-from pemviz.sampling.value_twisted.reference import exact_log_probability
+from pemviz.sampling.zero_variance.method import with_latch
+from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.simulators.slots import Slot
 from pemviz.types import StateBatch
 from tests.faults.test_resume import StopAfter, contents, folder_of
@@ -64,7 +64,7 @@ def truth(case, **options):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_recursion_over_turns_is_exact(case):
-    experiment = experiment_of(case, method="value-twisted")
+    experiment = experiment_of(case, method="zero-variance")
     found = exact_log_probability(experiment.problem, twin=experiment.twin)
     assert found is not None
     assert 1e-10 < truth(case) < 1e-8
@@ -77,7 +77,7 @@ def test_each_slot_remembers_its_own_outcomes(tau_s, brakes):
     """Also where a car goes out of view: what comes into view again begins anew."""
     cars = TwoCars(starts=(2, 4), largest=5, in_view=3, states=8, brakes_for_any=brakes)
     config = pemviz.ExperimentConfig(
-        method="value-twisted", spec=GAPS.format(last=7), memory_s=tau_s, plan=False
+        method="zero-variance", spec=GAPS.format(last=7), memory_s=tau_s, plan=False
     )
     experiment = pemviz.build_experiment(config, simulator=cars, pem=CAMERA, twin=cars)
     found = exact_log_probability(experiment.problem, twin=experiment.twin)
@@ -88,7 +88,7 @@ def test_each_slot_remembers_its_own_outcomes(tau_s, brakes):
 
 BUDGETS = {
     "mixture": {"rollouts": 200, "final_rollouts": 200, "stages": 6},
-    "value-twisted": {"final_rollouts": 500},
+    "zero-variance": {"final_rollouts": 500},
 }
 
 
@@ -209,7 +209,7 @@ def test_causes_are_told_by_slot_and_step():
     """Against the probability of each error given a violation, from all joint outcomes."""
     cars = TwoCars(starts=(3, 3), largest=4, in_view=3, states=6)
     config = pemviz.ExperimentConfig(
-        method="value-twisted", spec=GAPS.format(last=5), final_rollouts=4_000, plan=False
+        method="zero-variance", spec=GAPS.format(last=5), final_rollouts=4_000, plan=False
     )
     result = pemviz.run(pemviz.build_experiment(config, simulator=cars, pem=CAMERA, twin=cars))
     why = result.explanation

@@ -1,6 +1,6 @@
 """Every method over 1,000 states: no figure overflows, vanishes silently, or is undefined.
 
-Value-twisted sampling has its own test at exp(-10000) in ``test_value_twisted.py``.
+Zero-variance sampling has its own test at exp(-10000) in ``test_zero_variance.py``.
 """
 
 import math

@@ -14,7 +14,7 @@ import pytest
 import pemviz
 from pemviz.config.settings import Rule, conjunction
 from pemviz.sampling.problem import ranked
-from pemviz.sampling.value_twisted.reference import exact_log_probability
+from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.types import Signal
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.stl import naive
@@ -80,7 +80,7 @@ def test_the_boundary_is_worth_a_factor():
 @pytest.mark.parametrize("metric", ["classical", "agm", "smooth-cumulative"])
 def test_the_value_function_is_exact(spec, metric):
     """The estimate at 4.5 standard errors: a false alarm in 8e-5 of all choices of its seeds."""
-    one = experiment(spec, method="value-twisted", metric=metric, final_rollouts=200)
+    one = experiment(spec, method="zero-variance", metric=metric, final_rollouts=200)
     assert math.exp(exact_log_probability(one.problem, twin=WALK)) == pytest.approx(truth(spec))
     found = pemviz.run(one).estimate
     assert abs(found.probability - truth(spec)) < 4.5 * found.std_error

@@ -8,7 +8,7 @@ from scipy.special import expit
 
 import pemviz
 from pemviz import Tracker
-from pemviz.sampling.value_twisted.reference import exact_log_probability
+from pemviz.sampling.zero_variance.reference import exact_log_probability
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.slot_toys import CAMERA, TwoCars
 
@@ -34,7 +34,7 @@ def experiment_of(simulator, *, pem=PEM, spec=SPEC, **settings):
 
 
 def exact(simulator, **settings):
-    experiment = experiment_of(simulator, method="value-twisted", **settings)
+    experiment = experiment_of(simulator, method="zero-variance", **settings)
     return math.exp(exact_log_probability(experiment.problem, twin=experiment.twin))
 
 

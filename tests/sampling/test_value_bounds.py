@@ -12,15 +12,15 @@ from pemviz.config import ScenarioConfig
 from pemviz.pem import load_pem
 from pemviz.pem.models.memory import Memory
 from pemviz.sampling.memory import RememberingPem
-from pemviz.sampling.value_twisted import reachable_states
-from pemviz.sampling.value_twisted.merging import Merger, TooManyStates
-from pemviz.sampling.value_twisted.reachable_states import (
+from pemviz.sampling.zero_variance import reachable_states
+from pemviz.sampling.zero_variance.merging import Merger, TooManyStates
+from pemviz.sampling.zero_variance.reachable_states import (
     SAFE_NODE,
     UNSAFE_NODE,
     explore,
 )
-from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
-from pemviz.sampling.value_twisted.values import solve
+from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
+from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.bounds import signal_bounds, signals_reached, tells_bounds, tells_reached
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.latents import begun

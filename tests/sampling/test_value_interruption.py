@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pemviz.proposals.twisted import TwistedProposal
+from pemviz.proposals.zero_variance import ZeroVarianceProposal
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling
-from pemviz.sampling.value_twisted.reference import exact_log_probability, reference
-from pemviz.sampling.value_twisted.tables import build_twisted_proposal
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
+from pemviz.sampling.zero_variance.tables import build_zero_variance_proposal
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
@@ -48,17 +48,17 @@ def problem_of(pem, pause):
 SIMULATOR = ToySimulator(initial_gap=5, states=20)
 
 
-def build(pem, pause) -> TwistedProposal:
-    method = ValueTwistedSampling(twin=SIMULATOR, rollouts=20, seed=1)
+def build(pem, pause) -> ZeroVarianceProposal:
+    method = ZeroVarianceSampling(twin=SIMULATOR, rollouts=20, seed=1)
     return method.init(problem_of(pem, pause), repetition=0).proposal
 
 
-def content(proposal: TwistedProposal) -> list[np.ndarray]:
+def content(proposal: ZeroVarianceProposal) -> list[np.ndarray]:
     tables = [cells for layer in proposal.tables for cells in (layer.states, *layer.coarse)]
     return [part for cells in tables for part in (cells.keys, cells.logit)]
 
 
-def assert_same(found: TwistedProposal, expected: TwistedProposal):
+def assert_same(found: ZeroVarianceProposal, expected: ZeroVarianceProposal):
     assert found.log_probability == expected.log_probability
     assert found.defensive == expected.defensive
     for one, other in zip(content(found), content(expected), strict=True):
@@ -68,7 +68,7 @@ def assert_same(found: TwistedProposal, expected: TwistedProposal):
 def test_a_pause_that_raises_stops_the_build_wherever_it_is():
     """At every single call, from the first to the last; the next build is whole."""
     pem = ToyPem()
-    whole = build_twisted_proposal(twin=SIMULATOR, pem=pem, unsafe=toy_unsafe)
+    whole = build_zero_variance_proposal(twin=SIMULATOR, pem=pem, unsafe=toy_unsafe)
     counting = Pause()
     assert_same(build(ToyPem(), counting), whole)
     # each of 19 steps has two moves, a merge, and two directions of the recursion

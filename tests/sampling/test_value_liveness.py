@@ -13,18 +13,18 @@ from scipy.special import logsumexp
 from pemviz import stl
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.value_twisted.left_out import left_out_share
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling
-from pemviz.sampling.value_twisted.reachable_states import (
+from pemviz.sampling.zero_variance.left_out import left_out_share
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.reachable_states import (
     SAFE_NODE,
     UNSAFE_NODE,
     StateGraph,
     explore,
 )
-from pemviz.sampling.value_twisted.reference import exact_log_probability
-from pemviz.sampling.value_twisted.tables import build_twisted_proposal, with_defence
-from pemviz.sampling.value_twisted.unsafe_states import unsafe_states
-from pemviz.sampling.value_twisted.values import solve
+from pemviz.sampling.zero_variance.reference import exact_log_probability
+from pemviz.sampling.zero_variance.tables import build_zero_variance_proposal, with_defence
+from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
+from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.latched import LatchedSimulator
 from pemviz.types import Signal, StateBatch, outcome_log_likelihood
 from tests.toy import FunctionPem
@@ -146,7 +146,7 @@ def likelihoods(problem, detected, *, proposal):
 def test_the_value_sums_over_all_sequences_of_outcomes(problem):
     """And no violating sequence is beyond the proposal: without defence all weigh the same."""
     detected, violated = all_sequences(problem)
-    proposal = build_twisted_proposal(
+    proposal = build_zero_variance_proposal(
         twin=problem.simulator, pem=problem.pem, unsafe=problem.unsafe
     )
     undefended = with_defence(proposal, defensive_steps=1e-12, steps=detected.shape[1])
@@ -186,7 +186,7 @@ def test_a_start_that_violates_already():
     graph = explore(twin=problem.simulator, pem=problem.pem, unsafe=problem.unsafe)
     assert (graph.start, graph.layers) == (UNSAFE_NODE, ())
     assert exact_log_probability(problem, twin=problem.simulator) == 0.0
-    method = ValueTwistedSampling(twin=problem.simulator, rollouts=50, seed=1)
+    method = ZeroVarianceSampling(twin=problem.simulator, rollouts=50, seed=1)
     state, _ = method.step(problem, method.init(problem, repetition=0))
     found = method.estimate(state)
     assert (found.probability, found.failures) == (1.0, 50)

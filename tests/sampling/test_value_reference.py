@@ -13,16 +13,16 @@ from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import run_here
-from pemviz.sampling.value_twisted import reference as reference_module
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling
-from pemviz.sampling.value_twisted.reference import (
+from pemviz.sampling.zero_variance import reference as reference_module
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.reference import (
     Reference,
     exact_log_probability,
     reference,
     reference_of_few_states,
 )
-from pemviz.sampling.value_twisted.tables import averaged
-from pemviz.sampling.value_twisted.values import both_log_likelihoods
+from pemviz.sampling.zero_variance.tables import averaged
+from pemviz.sampling.zero_variance.values import both_log_likelihoods
 from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import (
     ToyPem,
@@ -121,7 +121,7 @@ def disagreement(estimate, known):
 def test_all_methods_agree_with_the_reference():
     known = reference(PROBLEM, twin=SIMULATOR)
     methods = (
-        ValueTwistedSampling(twin=SIMULATOR, rollouts=500, seed=1),
+        ZeroVarianceSampling(twin=SIMULATOR, rollouts=500, seed=1),
         MixtureSampling(learning_stages=5, rollouts=200, final_rollouts=500, seed=1),
         DirectSampling(name="naive", proposal=ConstantProposal(0.4), rollouts=50_000, seed=1),
     )
@@ -130,17 +130,17 @@ def test_all_methods_agree_with_the_reference():
 
 
 def test_disagreement_is_said_in_words():
-    found = estimate_of(ValueTwistedSampling(twin=SIMULATOR, rollouts=500, seed=2))
+    found = estimate_of(ZeroVarianceSampling(twin=SIMULATOR, rollouts=500, seed=2))
     wrong = Reference(probability=3 * TRUTH, std_error=0.0, log10_probability=None)
     (warning,) = disagreement(found, wrong)
     assert "0.33 times the reference" in warning.text
 
 
-@pytest.mark.parametrize("name", ["value-twisted", "mixture"])
+@pytest.mark.parametrize("name", ["zero-variance", "mixture"])
 def test_results_do_not_depend_on_the_batch_size(name):
     method = (
-        ValueTwistedSampling(twin=SIMULATOR, rollouts=70, seed=3)
-        if name == "value-twisted"
+        ZeroVarianceSampling(twin=SIMULATOR, rollouts=70, seed=3)
+        if name == "zero-variance"
         else MixtureSampling(learning_stages=3, rollouts=70, final_rollouts=70, seed=3)
     )
     assert estimate_of(method) == estimate_of(method, replace(PROBLEM, batch_rollouts=11))

@@ -229,7 +229,7 @@ def test_a_model_for_cars_is_refused_by_another_scenario():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"method": "value-twisted"}, "needs a fast twin, and simulator 'toy' has none"),
+        ({"method": "zero-variance"}, "needs a fast twin, and simulator 'toy' has none"),
         ({"reference": True}, "needs a fast twin, and simulator 'toy' has none"),
         ({"spec": "always[0,5] (lead_speed >= 0.5)"}, "lead_speed"),
         ({"spec": "always[0,99] (gap >= 0.5)"}, "looks 99 steps ahead"),

@@ -178,7 +178,7 @@ def test_states_cannot_be_gone_on_from():
 
 
 @pytest.mark.parametrize(
-    "settings", [{"method": "splitting"}, {"method": "value-twisted"}, {"reference": True}]
+    "settings", [{"method": "splitting"}, {"method": "zero-variance"}, {"reference": True}]
 )
 def test_what_goes_on_from_kept_states_is_refused_in_one_line(settings):
     with pytest.raises(ConfigError, match="goes on from kept states, and simulator 'walk-ep"):
@@ -186,7 +186,7 @@ def test_what_goes_on_from_kept_states_is_refused_in_one_line(settings):
 
 
 def test_a_twin_is_refused():
-    config = pemviz.ExperimentConfig(spec=SPEC, method="value-twisted")
+    config = pemviz.ExperimentConfig(spec=SPEC, method="zero-variance")
     with pytest.raises(ConfigError, match="twin of simulator 'walk-episodes': it is episodic"):
         pemviz.build_experiment(config, simulator=WalkEpisodes(), pem=PEM, twin=WALK)
 

@@ -221,7 +221,7 @@ def test_detections_matter_where_the_measured_gap_may_be_small():
         ({"position_errors": "yolo"}, "no model of position errors 'yolo'; give one of"),
         ({"position_errors": " "}, "no model of position errors ' '"),
         ({"position_errors": "nowhere.safetensors"}, "nowhere.safetensors: no such file"),
-        ({"method": "value-twisted"}, "runs through all states"),
+        ({"method": "zero-variance"}, "runs through all states"),
         ({"method": "mixture", "reference": True}, "reference = true"),
     ],
 )

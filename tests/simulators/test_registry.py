@@ -138,7 +138,7 @@ def test_record_carries_out_a_registered_simulator(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("third_party")
-@pytest.mark.parametrize("more", [["--method", "value-twisted"], ["--reference"]])
+@pytest.mark.parametrize("more", [["--method", "zero-variance"], ["--reference"]])
 def test_what_needs_a_twin_is_refused(more, capsys):
     assert main(["record", "--simulator", "faster", *more]) == 2
     assert "needs a fast twin, and simulator 'faster' has none" in capsys.readouterr().err

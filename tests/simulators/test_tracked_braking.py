@@ -15,7 +15,7 @@ from pemviz.errors import ConfigError
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.value_twisted.reference import exact_log_probability
+from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.simulators.braking.highway_env_scenario import BrakingEnv
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import outcome_log_likelihood
@@ -27,7 +27,7 @@ KALMAN = "2/3,coast=0.5,filter=kalman"
 
 def experiment_of(tracker, **settings):
     scenario = replace(COARSE, tracker=tracker)
-    settings = {"method": "value-twisted", "spec": SPEC, "plan": False} | settings
+    settings = {"method": "zero-variance", "spec": SPEC, "plan": False} | settings
     return build_experiment(ExperimentConfig(scenario=scenario, **settings))
 
 

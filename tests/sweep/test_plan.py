@@ -67,7 +67,7 @@ def test_seeds_can_be_listed():
         ("target=none,1e-15", (None, 1e-15)),
         ("scenario.initial-gap-m=12", (12.0,)),
         ('pem="ml-nn"', ("ml-nn",)),
-        ("method=naive,value-twisted", ("naive", "value-twisted")),
+        ("method=naive,zero-variance", ("naive", "zero-variance")),
     ],
 )
 def test_values_have_their_fields_type(text, values):

@@ -20,7 +20,7 @@ Seed = Annotated[int, Range(low=0, high=2**63 - 1)]
 class CompareArguments:
     """Failure probability under several error models, and its ratio to the first one's.
 
-    All from the same rollouts, drawn by the value-twisted method: a few seconds a model.
+    All from the same rollouts, drawn by the zero-variance method: a few seconds a model.
     """
 
     models: tyro.conf.Positional[tuple[str, ...]]

@@ -59,7 +59,7 @@ from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.fit import FitSettings, fitted, smoothing_exponent, weights_of
 from pemviz.sampling.mixture.levels import failing_elites
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.value_twisted.method import with_latch
+from pemviz.sampling.zero_variance.method import with_latch
 from pemviz.simulators.remembering import remembering
 from pemviz.types import Diagnostic
 

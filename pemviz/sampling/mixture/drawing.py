@@ -14,7 +14,7 @@ from pemviz.sampling.mixture.draws import PILOTS, divided
 from pemviz.sampling.mixture.latents import divided_latents
 from pemviz.sampling.mixture.state import MixtureState
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.value_twisted.method import with_latch
+from pemviz.sampling.zero_variance.method import with_latch
 from pemviz.simulators.latched import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import ScoredRollouts

@@ -1,4 +1,4 @@
-"""From the reachable states' values to the tables that the twisted proposal looks up."""
+"""From the reachable states' values to the tables that the proposal looks up."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,10 +10,10 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.defensive_share import share_for
-from pemviz.proposals.twisted import TwistedProposal, TwistedTables
-from pemviz.proposals.twisted_cells import CellTable, cell_keys
-from pemviz.sampling.value_twisted.left_out import left_out_share
-from pemviz.sampling.value_twisted.merging import (
+from pemviz.proposals.zero_variance import ZeroVarianceProposal, ZeroVarianceTables
+from pemviz.proposals.zero_variance_cells import CellTable, cell_keys
+from pemviz.sampling.zero_variance.left_out import left_out_share
+from pemviz.sampling.zero_variance.merging import (
     LARGEST_LAYER,
     MERGE_DISTANCE,
     Pause,
@@ -21,9 +21,9 @@ from pemviz.sampling.value_twisted.merging import (
     state_columns,
     state_names,
 )
-from pemviz.sampling.value_twisted.reachable_states import Layer, StateGraph, Unsafe, explore
-from pemviz.sampling.value_twisted.starts import with_starts
-from pemviz.sampling.value_twisted.values import (
+from pemviz.sampling.zero_variance.reachable_states import Layer, StateGraph, Unsafe, explore
+from pemviz.sampling.zero_variance.starts import with_starts
+from pemviz.sampling.zero_variance.values import (
     Values,
     both_log_likelihoods,
     log_sum_by,
@@ -40,14 +40,14 @@ DEFENSIVE_STEPS = 2.0
 APPROXIMATE_DEFENCE = 2.5
 
 
-def build_twisted_proposal(
+def build_zero_variance_proposal(
     *,
     twin: Simulator,
     pem: Pem,
     unsafe: Unsafe,
     largest_layer: int = LARGEST_LAYER,
     pause: Pause = no_pause,
-) -> TwistedProposal:
+) -> ZeroVarianceProposal:
     """Explore the twin, solve for the probability of violation, tabulate the proposal.
 
     Args:
@@ -69,7 +69,7 @@ def build_twisted_proposal(
 
 def tabulated(
     graph: StateGraph, values: Values, *, twin: Simulator, left_out: float, pause: Pause = no_pause
-) -> TwistedProposal:
+) -> ZeroVarianceProposal:
     """The proposal that follows from the values of a graph's states.
 
     Args:
@@ -83,7 +83,7 @@ def tabulated(
         tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
         for share in COARSE_SHARES
     )
-    return TwistedProposal(
+    return ZeroVarianceProposal(
         tables=tuple(
             _tables(layer, values, index, cells=cells, pause=pause)
             for index, layer in enumerate(graph.layers)
@@ -102,8 +102,8 @@ def tabulated(
 
 
 def with_defence(
-    proposal: TwistedProposal, *, defensive_steps: float, steps: int
-) -> TwistedProposal:
+    proposal: ZeroVarianceProposal, *, defensive_steps: float, steps: int
+) -> ZeroVarianceProposal:
     """The proposal with so many of a rollout's ``steps`` drawn from the error model, on average.
 
     That is the price of bounded weights where the twin is wrong; it is raised where states
@@ -130,7 +130,7 @@ def _tables(
     *,
     cells: tuple[tuple[float, ...], ...],
     pause: Pause,
-) -> TwistedTables:
+) -> ZeroVarianceTables:
     logit = values.proposal_logit[index]
     log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
     counts = counting(values, index)
@@ -141,7 +141,7 @@ def _tables(
     miss += log_share[counts]
     hit += log_share[counts]
     pause()
-    return TwistedTables(
+    return ZeroVarianceTables(
         states=_sorted(keys, logit[counts]), coarse=_WhenAsked(cells, signals, miss, hit)
     )
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.sampling.value_twisted.merging import Pause, no_pause
-from pemviz.sampling.value_twisted.reachable_states import Layer, StateGraph
+from pemviz.sampling.zero_variance.merging import Pause, no_pause
+from pemviz.sampling.zero_variance.reachable_states import Layer, StateGraph
 
 
 @dataclass(frozen=True)

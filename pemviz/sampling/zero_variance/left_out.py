@@ -16,9 +16,9 @@ from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
 from pemviz.faults import of_no_rollouts
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.sampling.rollouts.draw import logit_of
-from pemviz.sampling.value_twisted.merging import Pause, no_pause
-from pemviz.sampling.value_twisted.reachable_states import SAFE_NODE, StateGraph, Unsafe
-from pemviz.sampling.value_twisted.values import Values
+from pemviz.sampling.zero_variance.merging import Pause, no_pause
+from pemviz.sampling.zero_variance.reachable_states import SAFE_NODE, StateGraph, Unsafe
+from pemviz.sampling.zero_variance.values import Values
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.quantised import start_cells
 from pemviz.types import Simulator, StateBatch, outcome_log_likelihood

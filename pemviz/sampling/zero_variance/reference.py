@@ -9,11 +9,11 @@ from pemviz.sampling.finished import nothing_finished
 from pemviz.sampling.frailty import FrailModel, without_frailty
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import largest_part
-from pemviz.sampling.value_twisted.frail import OwnOutcomes, frail_log_probability
-from pemviz.sampling.value_twisted.merging import TooManyStates
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling, require_unsafe
-from pemviz.sampling.value_twisted.reachable_states import explore
-from pemviz.sampling.value_twisted.values import solve
+from pemviz.sampling.zero_variance.frail import OwnOutcomes, frail_log_probability
+from pemviz.sampling.zero_variance.merging import TooManyStates
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling, require_unsafe
+from pemviz.sampling.zero_variance.reachable_states import explore
+from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.quantised import start_cells
 from pemviz.types import Simulator
 
@@ -55,7 +55,7 @@ def reference(
     Raises:
         InputError: Single states do not decide the specification.
     """
-    method = ValueTwistedSampling(
+    method = ZeroVarianceSampling(
         twin=twin,
         rollouts=rollouts,
         seed=REFERENCE_SEED,

@@ -1,7 +1,7 @@
 """The value function where obstacles differ: one for each visibility u, weighted by its posterior.
 
 Given u, outcomes depend on the state alone, so that V(s | u) is the value function of
-:mod:`pemviz.sampling.value_twisted.values` for an error model like any other, on one and the same
+:mod:`pemviz.sampling.zero_variance.values` for an error model like any other, on one and the same
 graph of states. Outcomes so far tell of u alone: the value of a state with a history is
 
     V(s, history) = sum_j P(u_j | history) V(s | u_j)
@@ -18,9 +18,9 @@ from scipy.special import logsumexp
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.chunks import distinct_rows
 from pemviz.sampling.frailty import FrailModel
-from pemviz.sampling.value_twisted.merging import Pause, no_pause
-from pemviz.sampling.value_twisted.reachable_states import Layer, StateGraph
-from pemviz.sampling.value_twisted.values import log_value_at_start
+from pemviz.sampling.zero_variance.merging import Pause, no_pause
+from pemviz.sampling.zero_variance.reachable_states import Layer, StateGraph
+from pemviz.sampling.zero_variance.values import log_value_at_start
 from pemviz.simulators.remembering import LAST_OUTCOME
 
 

@@ -1,4 +1,4 @@
-"""From the values of the reachable states, one for each visibility u, to the twisted proposal."""
+"""From the values of the reachable states, one for each visibility u, to the proposal."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
@@ -8,33 +8,33 @@ import numpy as np
 from scipy.special import logsumexp
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.proposals.twisted import TwistedProposal
-from pemviz.proposals.twisted_cells import cell_keys
+from pemviz.proposals.zero_variance import ZeroVarianceProposal
+from pemviz.proposals.zero_variance_cells import cell_keys
 from pemviz.sampling.frailty import FrailModel, without_frailty
-from pemviz.sampling.value_twisted.frail import OwnOutcomes, by_visibility
-from pemviz.sampling.value_twisted.frail_proposal import (
-    FrailTwistedProposal,
+from pemviz.sampling.zero_variance.frail import OwnOutcomes, by_visibility
+from pemviz.sampling.zero_variance.frail_proposal import (
+    FrailZeroVarianceProposal,
     KnownValues,
     between_nodes,
     value_nodes,
 )
-from pemviz.sampling.value_twisted.left_out import left_out_share
-from pemviz.sampling.value_twisted.merging import (
+from pemviz.sampling.zero_variance.left_out import left_out_share
+from pemviz.sampling.zero_variance.merging import (
     LARGEST_LAYER,
     MERGE_DISTANCE,
     Pause,
     no_pause,
     state_columns,
 )
-from pemviz.sampling.value_twisted.reachable_states import (
+from pemviz.sampling.zero_variance.reachable_states import (
     SAFE_NODE,
     UNSAFE_NODE,
     StateGraph,
     Unsafe,
     explore,
 )
-from pemviz.sampling.value_twisted.tables import counting, tabulated
-from pemviz.sampling.value_twisted.values import Values, log_values, solve
+from pemviz.sampling.zero_variance.tables import counting, tabulated
+from pemviz.sampling.zero_variance.values import Values, log_values, solve
 from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
 
 ByVisibility = Callable[[float], StateGraph]
@@ -46,14 +46,14 @@ QUANTILES = (0.1, 0.5, 0.9)
 """Of u given a violation, at which it is tried what an approximate value function leaves out."""
 
 
-def build_frail_twisted_proposal(
+def build_frail_proposal(
     *,
     twin: Simulator,
     model: FrailModel,
     unsafe: Unsafe,
     largest_layer: int = LARGEST_LAYER,
     pause: Pause = no_pause,
-) -> TwistedProposal:
+) -> ZeroVarianceProposal:
     """Explore the twin, solve for the probability of violation given u, tabulate the proposal.
 
     Args:
@@ -81,7 +81,7 @@ def build_frail_twisted_proposal(
             for u, given in _typical(solved, model, given_visibility)
         )
     plain = tabulated(graph, solved.pooled, twin=scenario, left_out=left_out, pause=pause)
-    return FrailTwistedProposal(
+    return FrailZeroVarianceProposal(
         **{part.name: getattr(plain, part.name) for part in fields(plain)},
         known=_known(graph, solved),
         between=solved.between,

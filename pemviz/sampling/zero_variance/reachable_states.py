@@ -15,15 +15,15 @@ from pemviz.faults import blame, of_no_rollouts
 from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.pem.models.pieces import logit_along
 from pemviz.sampling.slots import turns_of
-from pemviz.sampling.value_twisted.certain import CertainViolation, certain_violation
-from pemviz.sampling.value_twisted.merging import (
+from pemviz.sampling.zero_variance.certain import CertainViolation, certain_violation
+from pemviz.sampling.zero_variance.merging import (
     LARGEST_LAYER,
     Merger,
     MustMergeNeighbours,
     Pause,
     no_pause,
 )
-from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
+from pemviz.sampling.zero_variance.unsafe_states import UnsafeStates
 from pemviz.simulators.bounds import signal_bounds, tells_bounds
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.quantised import StartCells, start_cells

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray
-from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates
+from pemviz.sampling.zero_variance.unsafe_states import UnsafeStates
 from pemviz.simulators.bounds import SignalBounds, signals_reached, tells_reached
 from pemviz.types import Simulator, StateBatch
 

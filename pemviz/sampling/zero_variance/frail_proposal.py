@@ -1,6 +1,6 @@
 """The proposal that conditions on violation, where obstacles differ.
 
-With the values of :mod:`pemviz.sampling.value_twisted.frail`, and s' the state after an outcome::
+With the values of :mod:`pemviz.sampling.zero_variance.frail`, and s' the state after an outcome::
 
     q(o | s, history) = P(o | s, history) V(s', history and o) / V(s, history)
 
@@ -16,10 +16,10 @@ from scipy.special import log_expit
 from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.pem.models.frailty import VisibilityNodes, log_sums
 from pemviz.proposals.defensive_share import defended
-from pemviz.proposals.twisted import TwistedProposal
-from pemviz.proposals.twisted_cells import cell_keys
+from pemviz.proposals.zero_variance import ZeroVarianceProposal
+from pemviz.proposals.zero_variance_cells import cell_keys
 from pemviz.sampling.frailty import NEXT
-from pemviz.sampling.value_twisted.reachable_states import UNSAFE_NODE
+from pemviz.sampling.zero_variance.reachable_states import UNSAFE_NODE
 from pemviz.types import StateBatch
 
 LOWEST, HIGHEST = -2.5, 8.5
@@ -46,7 +46,7 @@ class KnownValues:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FrailTwistedProposal(TwistedProposal):
+class FrailZeroVarianceProposal(ZeroVarianceProposal):
     """Where it does not know a state's values, or outcomes so far, it is what it is derived from.
 
     Attributes:
@@ -77,10 +77,10 @@ class FrailTwistedProposal(TwistedProposal):
         hit = self._log_value(step + 1, known.after_hit[place[rows]], after["detected"])
         possible = np.isfinite(miss) | np.isfinite(hit)
         with np.errstate(invalid="ignore"):  # neither outcome leads to a violation
-            twisted = hit + log_expit(under_pem) - miss - log_expit(-under_pem)
-        twisted = np.where(possible, twisted, 0.0)
+            optimal = hit + log_expit(under_pem) - miss - log_expit(-under_pem)
+        optimal = np.where(possible, optimal, 0.0)
         result[rows] = np.where(
-            possible, defended(twisted, under_pem, share=self.defensive), under_pem
+            possible, defended(optimal, under_pem, share=self.defensive), under_pem
         )
         return result
 

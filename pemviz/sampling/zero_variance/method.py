@@ -16,19 +16,19 @@ from dataclasses import dataclass, field, replace
 
 from pemviz.errors import InputError
 from pemviz.pem.models.protocol import Pem
-from pemviz.proposals.twisted import TwistedProposal
+from pemviz.proposals.zero_variance import ZeroVarianceProposal
 from pemviz.sampling.estimates.diagnostics import called_safe
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.frailty import FrailModel
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
-from pemviz.sampling.value_twisted.frail_tables import build_frail_twisted_proposal
-from pemviz.sampling.value_twisted.merging import LARGEST_LAYER, Pause
-from pemviz.sampling.value_twisted.reachable_states import Unsafe
-from pemviz.sampling.value_twisted.tables import (
+from pemviz.sampling.zero_variance.frail_tables import build_frail_proposal
+from pemviz.sampling.zero_variance.merging import LARGEST_LAYER, Pause
+from pemviz.sampling.zero_variance.reachable_states import Unsafe
+from pemviz.sampling.zero_variance.tables import (
     DEFENSIVE_STEPS,
-    build_twisted_proposal,
+    build_zero_variance_proposal,
     with_defence,
 )
 from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
@@ -36,16 +36,16 @@ from pemviz.types import Estimate, Simulator, StageResult
 
 
 @dataclass(frozen=True)
-class ValueTwistedState:
+class ZeroVarianceState:
     """The repetition, its proposal, and how far its rollouts are drawn."""
 
     repetition: int
-    proposal: TwistedProposal
+    proposal: ZeroVarianceProposal
     batch: FinalBatch
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValueTwistedSampling:
+class ZeroVarianceSampling:
     """Rollouts that are steered towards violation by the twin's values; stage k draws part k.
 
     Unbiased on any simulator; the closer the twin, the less the weights vary.
@@ -66,14 +66,14 @@ class ValueTwistedSampling:
     largest_layer: int = LARGEST_LAYER
     defensive_steps: float = DEFENSIVE_STEPS
     largest_part: int = LARGEST_PART
-    name: str = "value-twisted"
+    name: str = "zero-variance"
 
     @property
     def stages(self) -> int:
         """How many parts there are."""
         return len(part_sizes(self.rollouts, largest=self.largest_part))
 
-    def init(self, problem: Problem, *, repetition: int) -> ValueTwistedState:
+    def init(self, problem: Problem, *, repetition: int) -> ZeroVarianceState:
         """Compute the value function; repetitions share it.
 
         Raises:
@@ -85,11 +85,11 @@ class ValueTwistedSampling:
             proposal, defensive_steps=self.defensive_steps, steps=self.twin.states - 1
         )
         batch = FinalBatch(part_sizes(self.rollouts, largest=self.largest_part))
-        return ValueTwistedState(repetition=repetition, proposal=proposal, batch=batch)
+        return ZeroVarianceState(repetition=repetition, proposal=proposal, batch=batch)
 
     def step(
-        self, problem: Problem, state: ValueTwistedState
-    ) -> tuple[ValueTwistedState, StageResult]:
+        self, problem: Problem, state: ZeroVarianceState
+    ) -> tuple[ZeroVarianceState, StageResult]:
         """Draw and score the next part."""
         stage = len(state.batch.drawn)
         scored = sample_stage(
@@ -105,15 +105,15 @@ class ValueTwistedSampling:
         )
         return replace(state, batch=state.batch.extended(scored)), result
 
-    def under_rule(self, state: ValueTwistedState, rule: str) -> ValueTwistedState:
+    def under_rule(self, state: ZeroVarianceState, rule: str) -> ZeroVarianceState:
         """The same rollouts with the verdict of one rule."""
         return replace(state, batch=state.batch.under_rule(rule))
 
-    def is_done(self, state: ValueTwistedState) -> bool:
+    def is_done(self, state: ZeroVarianceState) -> bool:
         """Whether all is drawn."""
         return state.batch.is_done
 
-    def estimate(self, state: ValueTwistedState) -> Estimate:
+    def estimate(self, state: ZeroVarianceState) -> Estimate:
         """The estimate from all rollouts.
 
         Raises:
@@ -127,7 +127,7 @@ class ValueTwistedSampling:
         return replace(estimate, diagnostics=(*estimate.diagnostics, *doubts))
 
 
-def require_unsafe(problem: Problem, *, method: str = "value-twisted") -> Unsafe:
+def require_unsafe(problem: Problem, *, method: str = "zero-variance") -> Unsafe:
     """What single states violate the specification; ``method`` is what asks for them.
 
     Raises:
@@ -173,14 +173,14 @@ class _LastBuilt:
     """
 
     def __init__(self) -> None:
-        self._held: tuple[_Wanted, TwistedProposal] | None = None
+        self._held: tuple[_Wanted, ZeroVarianceProposal] | None = None
 
-    def get(self, wanted: _Wanted, *, pause: Pause) -> TwistedProposal:
+    def get(self, wanted: _Wanted, *, pause: Pause) -> ZeroVarianceProposal:
         held = self._held
         if held is not None and held[0].is_same_as(wanted):
             return held[1]
         if isinstance(wanted.pem, FrailModel):
-            built = build_frail_twisted_proposal(
+            built = build_frail_proposal(
                 twin=wanted.twin,
                 model=wanted.pem,
                 unsafe=wanted.unsafe,
@@ -188,7 +188,7 @@ class _LastBuilt:
                 pause=pause,
             )
         else:
-            built = build_twisted_proposal(
+            built = build_zero_variance_proposal(
                 twin=wanted.twin,
                 pem=wanted.pem,
                 unsafe=wanted.unsafe,

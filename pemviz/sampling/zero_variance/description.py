@@ -1,4 +1,4 @@
-"""What method ``value-twisted`` is."""
+"""What method ``zero-variance`` is."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pemviz.sampling.description import MethodDescription
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
-    from pemviz.sampling.value_twisted.method import ValueTwistedSampling
+    from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 
 
-def _build(config: ExperimentConfig, back_end: BackEnd) -> ValueTwistedSampling:
+def _build(config: ExperimentConfig, back_end: BackEnd) -> ZeroVarianceSampling:
     from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  slow to import
-    from pemviz.sampling.value_twisted.method import ValueTwistedSampling  # noqa: PLC0415  as above
+    from pemviz.sampling.zero_variance.method import ZeroVarianceSampling  # noqa: PLC0415  as above
 
     assert back_end.twin is not None  # noqa: S101  it is among the needs
-    return ValueTwistedSampling(
+    return ZeroVarianceSampling(
         twin=back_end.twin,
         rollouts=config.final_rollouts,
         seed=config.seed,
@@ -27,8 +27,8 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> ValueTwistedSampling:
     )
 
 
-VALUE_TWISTED = MethodDescription(
-    name="value-twisted",
+ZERO_VARIANCE = MethodDescription(
+    name="zero-variance",
     summary="proposal from the exact value function of a fast twin",
     build=_build,
     recount=averaged_again,

@@ -7,12 +7,12 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.proposals.defensive_share import defended
-from pemviz.proposals.twisted_cells import CellTable, cell_keys
+from pemviz.proposals.zero_variance_cells import CellTable, cell_keys
 from pemviz.types import StateBatch
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwistedTables:
+class ZeroVarianceTables:
     """What is known about one step, from the finest table to the coarsest.
 
     Attributes:
@@ -25,7 +25,7 @@ class TwistedTables:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TwistedProposal:
+class ZeroVarianceProposal:
     """q(o | s) = p(o | s) V(s after o) / V(s), with V the probability of violation.
 
     With the true V every violating rollout has the same weight, the failure probability
@@ -49,7 +49,7 @@ class TwistedProposal:
             the same; 0 where V is exact.
     """
 
-    tables: tuple[TwistedTables, ...]
+    tables: tuple[ZeroVarianceTables, ...]
     names: tuple[str, ...]
     signal_names: tuple[str, ...]
     distance: float
@@ -89,11 +89,11 @@ class TwistedProposal:
     def _logit_at(
         self, step: int, columns: Mapping[str, FloatArray], pem_logit: FloatArray
     ) -> FloatArray:
-        twisted, found = self._find(self.tables[step], columns, pem_logit.size)
-        return np.where(found, defended(twisted, pem_logit, share=self.defensive), pem_logit)
+        optimal, found = self._find(self.tables[step], columns, pem_logit.size)
+        return np.where(found, defended(optimal, pem_logit, share=self.defensive), pem_logit)
 
     def _find(
-        self, tables: TwistedTables, columns: Mapping[str, FloatArray], count: int
+        self, tables: ZeroVarianceTables, columns: Mapping[str, FloatArray], count: int
     ) -> tuple[FloatArray, BoolArray]:
         logit, found = np.zeros(count), np.zeros(count, dtype=np.bool_)
         if all(name in columns for name in self.names):

@@ -15,11 +15,11 @@ from pemviz.proposals.defensive_share import defended
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.value_twisted.method import ValueTwistedSampling
-from pemviz.sampling.value_twisted.reachable_states import explore
-from pemviz.sampling.value_twisted.tables import build_twisted_proposal
-from pemviz.sampling.value_twisted.unsafe_states import UnsafeStates, unsafe_states
-from pemviz.sampling.value_twisted.values import solve
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.reachable_states import explore
+from pemviz.sampling.zero_variance.tables import build_zero_variance_proposal
+from pemviz.sampling.zero_variance.unsafe_states import UnsafeStates, unsafe_states
+from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import StateBatch, outcome_log_likelihood
 from tests.lattice_walk import (
@@ -74,7 +74,7 @@ def test_value_is_exact_on_the_toy(initial, more, states, at_zero, slope):
 @given(initial=st.integers(1, 5), states=st.integers(6, 20), at_zero=st.floats(0.0, 6.0))
 def test_without_defence_every_violation_weighs_the_same(initial, states, at_zero):
     simulator, pem = ToySimulator(initial_gap=initial, states=states), ToyPem(at_zero=at_zero)
-    method = ValueTwistedSampling(twin=simulator, rollouts=50, seed=1, defensive_steps=1e-11)
+    method = ZeroVarianceSampling(twin=simulator, rollouts=50, seed=1, defensive_steps=1e-11)
     found, stage = run(method, toy_problem(simulator, pem))
     expected = toy_probability_by_recursion(simulator, pem)
     assert stage.scored.violated.all()
@@ -125,7 +125,7 @@ def test_the_recursion_agrees_with_all_chains_of_outcomes():
 def test_unbiased_where_states_are_merged():
     """z-test at 4 standard errors: false alarm 6e-5; the seed is fixed."""
     problem = braking_problem(BRAKING)
-    method = ValueTwistedSampling(
+    method = ZeroVarianceSampling(
         twin=problem.simulator, rollouts=20_000, seed=2, largest_layer=600
     )
     found, _ = run(method, problem)
@@ -138,7 +138,7 @@ def test_unbiased_where_states_are_merged():
 def test_unbiased_with_a_wrong_twin():
     """The twin brakes 5 % harder than the simulator. z-test at 4 standard errors."""
     problem = braking_problem(replace(BRAKING, emergency_deceleration_mps2=7.6))
-    method = ValueTwistedSampling(twin=VectorizedSimulator(BRAKING), rollouts=20_000, seed=4)
+    method = ZeroVarianceSampling(twin=VectorizedSimulator(BRAKING), rollouts=20_000, seed=4)
     found, _ = run(method, problem)
     truth = exact_value(problem)
     assert truth > 1.1 * exact_value(braking_problem(BRAKING))
@@ -152,7 +152,7 @@ def test_coverage_on_the_toy():
     simulator, pem = ToySimulator(initial_gap=6, states=25), ToyPem(at_zero=3.0)
     problem = toy_problem(simulator, pem)
     truth = toy_probability_by_recursion(simulator, pem)
-    method = ValueTwistedSampling(twin=simulator, rollouts=300, seed=5, defensive_steps=2.4)
+    method = ZeroVarianceSampling(twin=simulator, rollouts=300, seed=5, defensive_steps=2.4)
     found = [run(method, problem, repetition=index)[0] for index in range(200)]
     assert sum(e.ci_low < truth < e.ci_high for e in found) >= 180
 
@@ -161,7 +161,7 @@ def test_a_thousand_steps_and_ten_thousand_nats():
     """All of 1,000 steps must miss at 10 nats each: p = exp(-10000), no double holds it."""
     simulator = ToySimulator(initial_gap=999, largest_gap=999, states=1000)
     pem = ToyPem(at_zero=10.0, slope=0.0)
-    method = ValueTwistedSampling(twin=simulator, rollouts=200, seed=6)
+    method = ZeroVarianceSampling(twin=simulator, rollouts=200, seed=6)
     found, stage = run(method, toy_problem(simulator, pem))
     expected = -999 * np.log1p(np.exp(10.0)) / np.log(10.0)
     assert found.probability == 0.0
@@ -173,7 +173,7 @@ def test_a_thousand_steps_and_ten_thousand_nats():
 def test_paper_with_the_authors_model(authors_checkpoint):
     """6.69e-15 (+-0.2 %) is known independently; 1,200 rollouts stay within 1 %."""
     config = ExperimentConfig(
-        method="value-twisted", final_rollouts=1200, pem=str(authors_checkpoint)
+        method="zero-variance", final_rollouts=1200, pem=str(authors_checkpoint)
     )
     experiment = build_experiment(config)
     found, stage = run(experiment.method, experiment.problem)
@@ -184,7 +184,7 @@ def test_paper_with_the_authors_model(authors_checkpoint):
 
 def test_states_that_violated_already_are_left_to_the_error_model():
     simulator, pem = ToySimulator(initial_gap=2, states=12), ToyPem()
-    method = ValueTwistedSampling(twin=simulator, rollouts=200, seed=7)
+    method = ZeroVarianceSampling(twin=simulator, rollouts=200, seed=7)
     _, stage = run(method, toy_problem(simulator, pem))
     rollouts = stage.scored.rollouts
     gone = np.minimum.accumulate(rollouts.signals["gap"][:, :-1], axis=1) <= 0
@@ -194,7 +194,7 @@ def test_states_that_violated_already_are_left_to_the_error_model():
 
 def test_states_unknown_to_the_tables_take_the_error_model():
     simulator, pem = ToySimulator(), ToyPem()
-    proposal = build_twisted_proposal(twin=simulator, pem=pem, unsafe=toy_unsafe)
+    proposal = build_zero_variance_proposal(twin=simulator, pem=pem, unsafe=toy_unsafe)
     logit = np.array([1.5, -2.0])
     far = StateBatch(step=np.array(3), signals={"gap": np.array([1e6, -40.0])})
     np.testing.assert_array_equal(proposal.logit(far, logit), logit)
@@ -242,7 +242,7 @@ def test_unsafe_states_decide_as_the_formula_does(gaps):
 
 
 def test_a_specification_out_of_reach_is_refused():
-    config = ExperimentConfig(method="value-twisted", spec="eventually[0,9] (gap >= 20.0)")
+    config = ExperimentConfig(method="zero-variance", spec="eventually[0,9] (gap >= 20.0)")
     with pytest.raises(InputError, match="single states"):
         build_experiment(config)
 
@@ -268,7 +268,7 @@ def test_dynamics_of_the_twin_are_those_of_the_simulator():
 
 def test_averages_are_made_when_asked_for_and_once():
     simulator, pem = ToySimulator(initial_gap=3, states=12), ToyPem(at_zero=1.0)
-    proposal = build_twisted_proposal(twin=simulator, pem=pem, unsafe=toy_unsafe)
+    proposal = build_zero_variance_proposal(twin=simulator, pem=pem, unsafe=toy_unsafe)
     coarse = proposal.tables[2].coarse
     assert len(coarse) == len(proposal.coarse_cells) > 1
     assert coarse[1] is coarse[1]

@@ -1,4 +1,4 @@
-"""Starts that are chosen by their values: the prologue of a twisted proposal.
+"""Starts that are chosen by their values: the prologue of a zero-variance proposal.
 
 With the starts k of a quantised twin, their probabilities p_k, their values V_k and a defensive
 share d, one is chosen with q_k; within its cell the start has its distribution under the model::
@@ -12,14 +12,14 @@ import numpy as np
 from scipy.special import ndtr
 
 from pemviz.arrays import FloatArray
-from pemviz.proposals.twisted import TwistedProposal
-from pemviz.sampling.value_twisted.values import Values
+from pemviz.proposals.zero_variance import ZeroVarianceProposal
+from pemviz.sampling.zero_variance.values import Values
 from pemviz.simulators.quantised import StartCells
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StartTwistedProposal(TwistedProposal):
-    """A twisted proposal that chooses where rollouts start, too.
+class StartZeroVarianceProposal(ZeroVarianceProposal):
+    """A zero-variance proposal that chooses where rollouts start, too.
 
     Attributes:
         cells: The twin's.
@@ -52,8 +52,8 @@ class StartTwistedProposal(TwistedProposal):
 
 
 def with_starts(
-    proposal: TwistedProposal, *, cells: StartCells, values: Values
-) -> StartTwistedProposal:
+    proposal: ZeroVarianceProposal, *, cells: StartCells, values: Values
+) -> StartZeroVarianceProposal:
     """A proposal for the states of a twin with a quantised start, and for its starts."""
-    plain = {part.name: getattr(proposal, part.name) for part in fields(TwistedProposal)}
-    return StartTwistedProposal(**plain, cells=cells, log_start_value=values.log_start_value)
+    plain = {part.name: getattr(proposal, part.name) for part in fields(ZeroVarianceProposal)}
+    return StartZeroVarianceProposal(**plain, cells=cells, log_start_value=values.log_start_value)

@@ -1,1 +1,0 @@
-"""Method ``value-twisted`` and the reference: exact values of the reachable states."""

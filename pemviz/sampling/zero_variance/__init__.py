@@ -1,0 +1,1 @@
+"""Method ``zero-variance`` and the reference: exact values of the reachable states."""
