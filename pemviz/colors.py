@@ -24,7 +24,7 @@ EGO = BLUE
 LEAD = ORANGE
 CARS = (EGO, LEAD, PURPLE, GREEN, SKY)
 """Of a scene with several cars, the ego first."""
-RUNGS = {
+SOURCES = {
     "sampling": BLUE,
     "reference": GREEN,
     "refits": ORANGE,
@@ -32,7 +32,7 @@ RUNGS = {
     "memory": GREY,
     "data": PURPLE,
 }
-"""Of the ladder of uncertainty, by kind of doubt."""
+"""Of the sources of uncertainty."""
 METRICS = {"classical": BLUE, "agm": ORANGE, "smooth-cumulative": GREEN}
 
 # on white, as in the panel, and on black, as in rerun's viewer

@@ -22,16 +22,16 @@ from pemviz.colors import (
     MISSED,
     PEM,
     PROPOSAL,
-    RUNGS,
+    SOURCES,
     VIOLATED,
 )
 from pemviz.errors import InputError
-from pemviz.reports.ladder_text import LADDER_TITLE, ends_text, rung_name
 from pemviz.reports.memory_curve import BY_FRAILTY, BY_MEMORY_TIME, CurveAxis, measured_names
+from pemviz.reports.uncertainty_text import UNCERTAINTY_TITLE, ends_text, source_name
 from pemviz.runs.kept_stages import KeptStages
-from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.result import RunResult
 from pemviz.runs.slot_outcomes import slots_of
+from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.types import StageResult
 
 WIDTH_IN = 7.0
@@ -51,32 +51,34 @@ class RunFigure(Figure):
         return picture.getvalue()
 
 
-def ladder(*, result: RunResult) -> RunFigure:
+def uncertainty(*, result: RunResult) -> RunFigure:
     """How far the answer is open: a bar for each source of doubt, on one logarithmic axis.
 
     Raises:
         InputError: The run has no estimate.
     """
-    rungs = uncertainty_ladder(result)
-    if not rungs:
-        message = "ladder: the run has no estimate"
+    sources = uncertainty_budget(result)
+    if not sources:
+        message = "uncertainty: the run has no estimate"
         raise InputError(message)
-    figure, axes = _figure(0.45 * len(rungs) + 1.0)
-    known = [end for rung in rungs for end in (rung.low, rung.high) if end]
+    figure, axes = _figure(0.45 * len(sources) + 1.0)
+    known = [end for source in sources for end in (source.low, source.high) if end]
     left = max(min(known, default=1e-20) / 100.0, FARTHEST)
-    for row, rung in enumerate(rungs):
-        if rung.high is None:
+    for row, source in enumerate(sources):
+        if source.high is None:
             axes.text(left * 3.0, row, "not bounded", color=GREY, va="center")
             continue
-        low = max(rung.low or 0.0, left)
-        axes.plot([low, max(rung.high, low)], [row, row], color=RUNGS[rung.kind], linewidth=6.0)
-        axes.text(rung.high * 2.0, row, " to ".join(ends_text(rung)), color=BLACK, va="center")
+        low = max(source.low or 0.0, left)
+        axes.plot(
+            [low, max(source.high, low)], [row, row], color=SOURCES[source.kind], linewidth=6.0
+        )
+        axes.text(source.high * 2.0, row, " to ".join(ends_text(source)), color=BLACK, va="center")
     if result.estimate is not None and result.estimate.probability > 0.0:
         axes.axvline(result.estimate.probability, color=GREEN, linewidth=1.2)
-    axes.set_yticks(range(len(rungs)), [rung_name(rung) for rung in rungs])
+    axes.set_yticks(range(len(sources)), [source_name(source) for source in sources])
     axes.set(xscale="log", xlim=(left, 10.0), xlabel="failure probability")
-    axes.set_title(LADDER_TITLE, loc="left")
-    axes.set_ylim(len(rungs) - 0.5, -0.5)
+    axes.set_title(UNCERTAINTY_TITLE, loc="left")
+    axes.set_ylim(len(sources) - 0.5, -0.5)
     return figure
 
 

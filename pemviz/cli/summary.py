@@ -45,7 +45,6 @@ from pemviz.reports.estimate_text import (
     short_probability,
     violations_text,
 )
-from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import (
     BY_MEMORY_TIME,
     CURVE_AXES,
@@ -63,6 +62,7 @@ from pemviz.reports.starts_text import (
     starts_lines,
     starts_title,
 )
+from pemviz.reports.uncertainty_text import UNCERTAINTY_COLUMNS, UNCERTAINTY_TITLE, uncertainty_rows
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -93,8 +93,8 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
         if len(rates := rate_rows(result)) > 1 or (rates and verbose):
             console.print(_rows(rates_title(result), rate_columns(result), rates))
         _print_memory(console, result.memory, verbose=verbose)
-        console.print(LADDER_TITLE, style="italic", markup=False)
-        console.print(_ladder(result))
+        console.print(UNCERTAINTY_TITLE, style="italic", markup=False)
+        console.print(_uncertainty(result))
         if result.plan is not None:
             _print_plan(console, result, result.plan, verbose=verbose)
         if result.explanation is not None and (verbose or result.config.target is not None):
@@ -150,12 +150,14 @@ def _rows(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]]) -
     return table
 
 
-def _ladder(result: RunResult) -> Table:
+def _uncertainty(result: RunResult) -> Table:
     """What leaves the answer open, a row each."""
     table = Table(box=None, pad_edge=False)
-    for column, justify in zip(LADDER_COLUMNS, ("left", "right", "right", "left"), strict=True):
+    for column, justify in zip(
+        UNCERTAINTY_COLUMNS, ("left", "right", "right", "left"), strict=True
+    ):
         table.add_column(column, justify=justify, no_wrap=justify == "right")
-    for row in ladder_rows(result):
+    for row in uncertainty_rows(result):
         table.add_row(*row)
     return table
 

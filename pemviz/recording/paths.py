@@ -12,7 +12,7 @@ TIMELINES = (STAGE, STEP, SIM_TIME)
 
 ANSWER = "/answer/summary"
 WARNINGS = "/answer/warnings"
-LADDER = "/answer/ladder"
+UNCERTAINTY = "/answer/uncertainty"
 REPETITIONS = "/answer/repetitions"
 
 CONFIG = "/config/config_toml"

@@ -14,13 +14,13 @@ from pemviz.recording.blueprint import blueprint, views_with_data
 from pemviz.recording.compact import compact
 from pemviz.recording.estimates import Answer, drawn_answer, drawn_repetitions, log_estimates
 from pemviz.recording.film import import_filming, log_film
-from pemviz.recording.ladder import log_ladder
 from pemviz.recording.latents import noise_title
 from pemviz.recording.road_plan import log_road_plan
 from pemviz.recording.road_scene import log_road_scene
 from pemviz.recording.rollouts import log_rollouts
 from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota, unvaried
 from pemviz.recording.stream import RecordingFile
+from pemviz.recording.uncertainty import log_uncertainty
 from pemviz.recording.views import ContainerSpec, Subject, all_views, without_signals
 from pemviz.runs.events import (
     Event,
@@ -247,7 +247,7 @@ class Recorder:
     def _write_texts(self, file: RecordingFile, result: RunResult, *, running: bool) -> None:
         file.markdown(paths.ANSWER, text.answer_text(result, running=running))
         if not running:
-            log_ladder(file, result)
+            log_uncertainty(file, result)
         file.markdown(paths.WARNINGS, text.warnings_text(result))
         file.markdown(paths.PROVENANCE, text.provenance_text(result))
         if self._tracks:

@@ -26,11 +26,11 @@ from pemviz.reports.estimate_text import (
     share_text,
     short_probability,
 )
-from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
 from pemviz.reports.rates_text import rates_markdown
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.starts_text import starts_markdown
+from pemviz.reports.uncertainty_text import UNCERTAINTY_COLUMNS, UNCERTAINTY_TITLE, uncertainty_rows
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
@@ -56,7 +56,8 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     if estimate is not None:
         parts += [*_rules(result), *rates_markdown(result, level="##")]
         parts += _next(result)
-        parts.append(f"## {LADDER_TITLE}\n\n{markdown_table(LADDER_COLUMNS, ladder_rows(result))}")
+        sources = markdown_table(UNCERTAINTY_COLUMNS, uncertainty_rows(result))
+        parts.append(f"## {UNCERTAINTY_TITLE}\n\n{sources}")
         parts += [*_memory(result), _model_range(result.pem_interval)]
         parts += [
             *_causes(result),

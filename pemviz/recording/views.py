@@ -177,7 +177,7 @@ def _robustness_view(subject: Subject) -> ViewSpec:
 
 
 def _answer(subject: Subject) -> ContainerSpec:
-    plots = [_plot("How far the answer is open (line: the answer)", paths.LADDER, shape=ROWS)]
+    plots = [_plot("How far the answer is open (line: the answer)", paths.UNCERTAINTY, shape=ROWS)]
     if subject.repetitions > 1:
         plots.append(_plot("Estimate against repetition", paths.REPETITIONS))
     plots.append(_estimate_view() if subject.stages > 1 else _robustness_view(subject))

@@ -30,11 +30,11 @@ from pemviz.reports.estimate_text import (
 )
 from pemviz.reports.gate import GateDecision
 from pemviz.reports.interval_plot import IntervalRow, interval_plot
-from pemviz.reports.ladder_text import LADDER_COLUMNS, LADDER_TITLE, ladder_rows
 from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
 from pemviz.reports.rates_text import rates_markdown
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
 from pemviz.reports.starts_text import starts_markdown
+from pemviz.reports.uncertainty_text import UNCERTAINTY_COLUMNS, UNCERTAINTY_TITLE, uncertainty_rows
 from pemviz.runs.result import LEAST_ROBUST, RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.description import MethodDescription
@@ -62,7 +62,7 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
         parts += [*_memory(result), _answer(result, result.estimate), *_rules(result)]
         parts += rates_markdown(result, level="###")
         parts += _plot(result, gate)
-        parts += [*_ladder(result), *_plan(result), *_causes(result)]
+        parts += [*_uncertainty(result), *_plan(result), *_causes(result)]
         parts += starts_markdown(result, level="###")
     parts += [*_warnings(result), *_worst(result), *_provenance(result), _assumptions(result)]
     parts.append(_details("Complete configuration", _config(result.config)))
@@ -187,9 +187,9 @@ def _row(label: str, estimate: Estimate, *, caveats: Sequence[str]) -> IntervalR
     return IntervalRow(label, estimate.probability, *ends, holds=not caveats)
 
 
-def _ladder(result: RunResult) -> list[str]:
-    rows = [tuple(map(markdown_text, row)) for row in ladder_rows(result)]
-    return [f"### {LADDER_TITLE}", markdown_table(LADDER_COLUMNS, rows)]
+def _uncertainty(result: RunResult) -> list[str]:
+    rows = [tuple(map(markdown_text, row)) for row in uncertainty_rows(result)]
+    return [f"### {UNCERTAINTY_TITLE}", markdown_table(UNCERTAINTY_COLUMNS, rows)]
 
 
 def _plan(result: RunResult) -> list[str]:

@@ -16,10 +16,10 @@ from pemviz.reports.estimate_text import (
     violations_text,
 )
 from pemviz.reports.pictures.html import STYLE, quiet, warning
-from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curve
 from pemviz.reports.pictures.starts import start_plane
 from pemviz.reports.pictures.svg import Axis, Plot
+from pemviz.reports.pictures.uncertainty import uncertainty_plot
 from pemviz.reports.rates_text import rate_line
 from pemviz.reports.starts_text import map_words, starts_line
 from pemviz.runs.least_robust import Rollout
@@ -46,7 +46,7 @@ def result_html(result: RunResult) -> str:
         *([quiet(rate)] if rate else []),
         quiet(f"Misses are taken to be {memory_text(result.memory)}."),
         *(warning(diagnostic.text) for diagnostic in run_diagnostics(result)),
-        ladder_plot(result),
+        uncertainty_plot(result),
         memory_curve(result.memory),
         *_next(result),
         *_causes(result),

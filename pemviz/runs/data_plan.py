@@ -1,4 +1,4 @@
-"""What to measure next after a run: from its answer, its ladder and its error model."""
+"""What to measure next after a run: from its answer, its uncertainty and its error model."""
 
 import math
 from collections.abc import Sequence

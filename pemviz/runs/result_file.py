@@ -19,8 +19,9 @@ What a result.json may hold (schema 2):
 - ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
 - ``per_hour``, only where encounters an hour are told, or ``per_km``, only where ``driven`` is told
   (:mod:`pemviz.runs.rates`), follows from the estimates too.
-- ``ladder``, what leaves the answer open (:class:`pemviz.runs.ladder.Rung`): it follows from the
-  other fields, which are what is read.
+- ``uncertainty``, what leaves the answer open
+  (:class:`pemviz.runs.uncertainty.UncertaintySource`): it follows from the other fields, which are
+  what is read. Older results have it as ``ladder``.
 - Null for the robustness of a rollout where it is infinite.
 - ``files``, SHA-256 of files of the run folder by name: of ``config.toml``, and once the run is
   done of all that it left there.
@@ -56,11 +57,11 @@ from pemviz.runs.estimate_tables import (
     field_names,
     fields_of,
 )
-from pemviz.runs.ladder import Rung, uncertainty_ladder
 from pemviz.runs.rates import DistanceRate, ViolationRate, distance_rates, violation_rates
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.rules import RuleAnswer
 from pemviz.runs.trust import run_interval_caveats
+from pemviz.runs.uncertainty import UncertaintySource, uncertainty_budget
 from pemviz.sampling.estimates.trust import interval_caveats
 
 SCHEMA, OPEN_SCHEMA = 2, 1
@@ -171,7 +172,7 @@ def result_document(result: RunResult) -> Table:
         "reference": result.reference,
         "pem_interval": result.pem_interval,
         "families": result.families,
-        "ladder": uncertainty_ladder(result),
+        "uncertainty": uncertainty_budget(result),
         "data_bound": result.data_bound,
         "plan": result.plan,
         **_explanation_tables(result.explanation),
@@ -205,7 +206,7 @@ def result_from_document(document: object) -> RunResult:
     if table.get("seed", config.seed) != config.seed:
         message = f"seed = {shown(table['seed'])}: must be that of config, {config.seed}"
         raise InputError(message)
-    read_value(tuple[Rung, ...], table.get("ladder", []), name="ladder")
+    read_value(tuple[UncertaintySource, ...], table.get("uncertainty", []), name="uncertainty")
     read_value(tuple[ViolationRate, ...], table.get("per_hour", []), name="per_hour")
     read_value(tuple[DistanceRate, ...], table.get("per_km", []), name="per_km")
     fields = {

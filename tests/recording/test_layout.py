@@ -119,7 +119,9 @@ def test_blueprint_in_the_file_has_the_views(learned):
 def test_titles_name_axes_with_units(learned):
     plots = [v for v in views_of(all_views(subject_of(learned))) if v.kind in ("plot", "series")]
     assert plots
-    assert all("against" in v.title for v in plots if v.paths != (paths.LADDER + paths.SUBTREE,))
+    assert all(
+        "against" in v.title for v in plots if v.paths != (paths.UNCERTAINTY + paths.SUBTREE,)
+    )
     assert any("[m/s]" in view.title for view in plots)
 
 

@@ -70,7 +70,7 @@ def test_a_nasty_run_leaves_no_markup_of_its_own():
         "<details><summary>Complete configuration</summary>",
         "</details>",
     ]
-    # the title, the ladder, warnings, extrapolation, worst rollout, provenance, assumptions
+    # the title, the uncertainty, warnings, extrapolation, worst rollout, provenance, assumptions
     assert len([t for t in tokens if t.type == "heading_open"]) == 7
 
 

@@ -28,7 +28,7 @@ HARMLESS = {"div", "b", "svg", "g", "path", "rect", "line", "text", "tspan", "ti
             "details", "summary", "ul", "li", "clipPath"}  # fmt: skip
 
 
-def test_a_result_shows_answer_interval_ladder_and_what_next():
+def test_a_result_shows_answer_interval_uncertainty_and_what_next():
     page = result(plan=PLAN)._repr_html_()
     for words in (
         "Failure probability 2.0e-15",
@@ -82,8 +82,8 @@ def bars(axes):
     return {round(float(line.get_ydata()[0])): line.get_xdata().tolist() for line in lines}
 
 
-def test_the_ladder_has_a_bar_from_end_to_end_for_each_doubt():
-    figure = figures.ladder(result=result())
+def test_the_uncertainty_budget_has_a_bar_from_end_to_end_for_each_doubt():
+    figure = figures.uncertainty(result=result())
     (axes,) = figure.axes
     drawn = bars(axes)
     names = [label.get_text() for label in axes.get_yticklabels()]
@@ -92,7 +92,7 @@ def test_the_ladder_has_a_bar_from_end_to_end_for_each_doubt():
     assert drawn[data][1] == 0.0042
     assert figure._repr_png_().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="no estimate"):
-        figures.ladder(result=replace(result(), estimate=None))
+        figures.uncertainty(result=replace(result(), estimate=None))
 
 
 def test_causes_are_drawn_by_band_with_two_standard_errors():

@@ -19,7 +19,7 @@ from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import PLAN, estimate, nasty_result, result, warned
-from tests.runs.test_ladder import FAMILIES
+from tests.runs.test_uncertainty import FAMILIES
 
 SECTIONS = (
     "Claim",
@@ -57,7 +57,7 @@ def verdicts(one, *, below):
     return {claim.kind: claim.verdict for claim in claims(one, below=below)}
 
 
-def test_a_claim_is_judged_by_every_rung():
+def test_a_claim_is_judged_by_every_source():
     curve = tuple(
         CurvePoint(tau_s=tau_s, probability=p, low=0.9 * p, high=1.1 * p, ess=99.0)
         for tau_s, p in ((0.0, 2e-15), (1.0, 1e-3))

@@ -17,9 +17,9 @@ from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.interpretation import Interpreted, beside_reference, interpret
-from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.result import with_stage
 from pemviz.runs.trust import run_diagnostics
+from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.method import final_stage
 from pemviz.sampling.zero_variance.reference import Reference
 
@@ -202,7 +202,7 @@ def test_few_states_are_all_gone_through_unasked():
     assert result.reference == Reference(
         pytest.approx(case.truth, rel=1e-12), 0.0, pytest.approx(math.log10(case.truth), rel=1e-12)
     )
-    (rung,) = [one for one in uncertainty_ladder(result) if one.kind == "reference"]
-    assert rung.low == rung.high == result.reference.probability
-    assert "few states" in rung.name
+    (source,) = [one for one in uncertainty_budget(result) if one.kind == "reference"]
+    assert source.low == source.high == result.reference.probability
+    assert "few states" in source.name
     assert reference_text(result.reference, result.estimate).startswith("3.211e-06 by recursion")

@@ -41,7 +41,7 @@ MAY_BE_NULL = re.compile(
     r"|(estimate|repetitions\[\d+\])\.(log10_probability|std_error|ci_low|ci_high|nll_mean"
     r"|nll_log_mean|ess|pareto_k|max_weight_share|unbiased\.(probability|std_error)"
     r"|diagnostics\[\d+\]\.(value|limit))|estimate"
-    r"|ladder\[\d+\]\.(low|high)"
+    r"|uncertainty\[\d+\]\.(low|high)"
     r"|plan|plan\.(labels|reason|sequences|labels\.warning)"
     r"|plan\.labels\.bands\[\d+\]\.(low_m|high_m|labels|most_missed)"
     r"|plan\.refits\[\d+\]\.(low_m|high_m)"
@@ -49,7 +49,7 @@ MAY_BE_NULL = re.compile(
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|pem_interval\.log10_answers|families|ladder|plan|plan\.labels\.warning|memory"
+    r"|pem_interval\.log10_answers|families|uncertainty|plan|plan\.labels\.warning|memory"
     r"|memory\.(fitted|curve|frailty|frailty_curve)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|slots|chains\[\d+\]\.(likeliest|slots))"
@@ -144,7 +144,7 @@ def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
     assert {**document, "schema": 2, "files": {}, "digest": kept["digest"]} == kept
     assert list(kept) == [
         "schema", "run_id", "status", "message", "seed", "versions", "config", "pem", "estimate",
-        "memory", "reference", "pem_interval", "families", "ladder", "data_bound", "plan",
+        "memory", "reference", "pem_interval", "families", "uncertainty", "data_bound", "plan",
         "sensitivity", "causes", "repetitions", "stages", "least_robust", "assumptions", "warnings",
         "timings_s", "files", "digest",
     ]  # fmt: skip
@@ -280,7 +280,7 @@ def test_another_schema_is_refused(sample, schema):
 
 def test_what_is_unknown_is_ignored_but_for_settings(sample):
     document = changed(sample, ("per_decade",), [1])
-    document = changed(document, ("estimate", "ladder"), "x")
+    document = changed(document, ("estimate", "uncertainty"), "x")
     document = changed(document, ("stages", 0, "rules"), {})
     assert result_from_document(document) == result_from_document(sample)
     with pytest.raises(InputError, match=r"^config\.laziness: no such field"):

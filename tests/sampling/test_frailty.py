@@ -20,9 +20,9 @@ from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.reports.summary_text import summary_text
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.ladder import uncertainty_ladder
 from pemviz.runs.model_comparison import compare_models
 from pemviz.runs.resume import carry_out
+from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling import frailty
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
@@ -283,9 +283,9 @@ def test_a_run_says_what_it_assumes_and_asks_refits_and_families():
     assert result.explanation is not None
     assert result.explanation.memory is not None
     assert "frailty 0.5" in summary_text(result)
-    (rung,) = (rung for rung in uncertainty_ladder(result) if rung.kind == "memory")
-    assert "0.2 s and frailty 0.5 assumed" in rung.name
-    assert rung.narrowed_by == "--memory-curve bounds it"
+    (source,) = (source for source in uncertainty_budget(result) if source.kind == "memory")
+    assert "0.2 s and frailty 0.5 assumed" in source.name
+    assert source.narrowed_by == "--memory-curve bounds it"
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from pemviz.reports.estimate_text import (
 from pemviz.reports.gate import decide_run
 from pemviz.reports.memory_curve import assumption_worth
 from pemviz.reports.pictures.html import block, good, grid, number, quiet, warning
-from pemviz.reports.pictures.ladder import ladder_plot
+from pemviz.reports.pictures.uncertainty import uncertainty_plot
 from pemviz.reports.rates_text import rate_line
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows
 from pemviz.runs.result import RunResult
@@ -78,7 +78,7 @@ def _answer(run: RunData) -> str:
     for first in diagnostics[:1]:
         others = len(diagnostics) - 1
         lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
-    return lines + ladder_plot(run.result) + _next(run.result)
+    return lines + uncertainty_plot(run.result) + _next(run.result)
 
 
 def _rules(result: RunResult) -> str:

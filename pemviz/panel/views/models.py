@@ -73,7 +73,7 @@ def _spread(count: int, place: int) -> list[float]:
 
 
 def _draw_range(plot: Plot, result: RunResult, *, place: int) -> None:
-    """The range that the ladder shows, beneath the refits' marks."""
+    """The range that the uncertainty budget shows, beneath the refits' marks."""
     interval = result.pem_interval
     ends = [] if interval is None else logs(interval.low, interval.high)
     if interval is not None and interval.log10_answers and len(ends) == 2:

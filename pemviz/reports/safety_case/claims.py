@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from pemviz.runs.ladder import Rung, RungKind, uncertainty_ladder
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats
+from pemviz.runs.uncertainty import SourceKind, UncertaintySource, uncertainty_budget
 
 Verdict = Literal["shown", "not shown", "not known"]
-GRANTED: Mapping[RungKind, str] = {
+GRANTED: Mapping[SourceKind, str] = {
     "sampling": "the error model {pem} and the simulation are right",
     "refits": "any refit of {pem} to its data may be right",
     "families": "any of the other shipped kinds of error model may be right",
@@ -17,7 +17,7 @@ GRANTED: Mapping[RungKind, str] = {
     "data": "of the model no more is granted than that P(missed) is constant in bands of distance, "
     "and misses are as assumed",
 }
-"""What each rung takes for granted, beside the assumptions below."""
+"""What each source takes for granted, beside the assumptions below."""
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,15 @@ class Claim:
     """One statement.
 
     Attributes:
-        kind: The rung that it rests on.
+        kind: The source that it rests on.
         granted: What it takes for granted.
         bound: The failure probability is below; ``None`` where it is not known.
-        name: The rung's name, with its level.
+        name: The source's name, with its level.
         verdict: Whether the wanted claim follows; ``None`` where none was named.
         note: What speaks against the bound, or what would be needed to have one.
     """
 
-    kind: RungKind
+    kind: SourceKind
     granted: str
     bound: float | None
     name: str
@@ -42,30 +42,30 @@ class Claim:
 
 
 def claims(result: RunResult, *, below: float | None) -> list[Claim]:
-    """A statement for each rung of the ladder but the reference, sampling first.
+    """A statement for each source of uncertainty but the reference, sampling first.
 
     Args:
         result: The run.
         below: The failure probability that is to be claimed, if one is named.
     """
     doubts = "; ".join(run_interval_caveats(result))
-    against: Mapping[RungKind, str] = dict.fromkeys(("sampling", "refits", "families"), doubts)
+    against: Mapping[SourceKind, str] = dict.fromkeys(("sampling", "refits", "families"), doubts)
     return [
-        _claim(rung, pem=result.pem.name, below=below, doubted=against.get(rung.kind, ""))
-        for rung in uncertainty_ladder(result)
-        if rung.kind != "reference"
+        _claim(source, pem=result.pem.name, below=below, doubted=against.get(source.kind, ""))
+        for source in uncertainty_budget(result)
+        if source.kind != "reference"
     ]
 
 
-def _claim(rung: Rung, *, pem: str, below: float | None, doubted: str) -> Claim:
+def _claim(source: UncertaintySource, *, pem: str, below: float | None, doubted: str) -> Claim:
     verdict: Verdict | None = None
-    if below is not None and (rung.high is None or doubted):
+    if below is not None and (source.high is None or doubted):
         verdict = "not known"
-    elif below is not None and rung.high is not None:
-        verdict = "shown" if rung.high <= below else "not shown"
-    note = doubted or (rung.narrowed_by if rung.high is None else "")
-    granted = GRANTED[rung.kind].format(pem=pem)
-    return Claim(rung.kind, granted, rung.high, rung.name, verdict, note)
+    elif below is not None and source.high is not None:
+        verdict = "shown" if source.high <= below else "not shown"
+    note = doubted or (source.narrowed_by if source.high is None else "")
+    granted = GRANTED[source.kind].format(pem=pem)
+    return Claim(source.kind, granted, source.high, source.name, verdict, note)
 
 
 def claim_sentence(result: RunResult, *, below: float | None) -> str:

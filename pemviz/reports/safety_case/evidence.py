@@ -11,12 +11,11 @@ from pemviz.reports.estimate_text import (
     share_text,
     violations_text,
 )
-from pemviz.reports.ladder_text import LADDER_TITLE, rung_name
 from pemviz.reports.pictures.answers import AnswerRow, answers_plot
 from pemviz.reports.pictures.causes import band_table, chain_table
-from pemviz.reports.pictures.ladder import ladder_plot
 from pemviz.reports.pictures.memory import memory_curves
 from pemviz.reports.pictures.starts import start_plane
+from pemviz.reports.pictures.uncertainty import uncertainty_plot
 from pemviz.reports.pictures.violations import gap_plot, misses_over_time
 from pemviz.reports.rates_text import rate_columns, rate_line, rate_rows
 from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
@@ -39,9 +38,10 @@ from pemviz.reports.starts_text import (
     starts_line,
     starts_title,
 )
-from pemviz.runs.ladder import uncertainty_ladder
+from pemviz.reports.uncertainty_text import UNCERTAINTY_TITLE, source_name
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
+from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.estimates.meanings import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.types import Estimate
 
@@ -53,7 +53,7 @@ def evidence(run: CaseRun, *, below: float | None) -> str:
     result = run.result
     sections = (
         ("The estimate and its diagnostics", _estimate(result, below=below)),
-        (LADDER_TITLE, _ladder(result)),
+        (UNCERTAINTY_TITLE, _uncertainty(result)),
         ("Misses that follow each other", _memory(result)),
         ("What causes violations", _causes(run)),
         ("The error model and its data", _data(result)),
@@ -162,15 +162,17 @@ def answer_rows(result: RunResult) -> list[AnswerRow]:
     return rows
 
 
-def _ladder(result: RunResult) -> str:
+def _uncertainty(result: RunResult) -> str:
     caption = (
         "Each bar is one source of doubt; they are not added up, as each takes for granted what "
         "the others doubt."
     )
-    rows = [(rung_name(rung), rung.narrowed_by) for rung in uncertainty_ladder(result)]
+    rows = [(source_name(source), source.narrowed_by) for source in uncertainty_budget(result)]
     if not rows:
         return paragraph("Without an estimate nothing bounds it.")
-    return pair(figure(ladder_plot(result), caption), table(("left open by", "narrowed by"), rows))
+    return pair(
+        figure(uncertainty_plot(result), caption), table(("left open by", "narrowed by"), rows)
+    )
 
 
 def _data(result: RunResult) -> str:

@@ -6,7 +6,6 @@ from pemviz._version import __version__
 from pemviz.colors import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from pemviz.config import ExperimentConfig
 from pemviz.reports.estimate_text import interval_text, probability_text
-from pemviz.reports.ladder_text import ends_text
 from pemviz.reports.pictures.answers import AnswerRow, answers_plot
 from pemviz.reports.safety_case.case import CaseRun
 from pemviz.reports.safety_case.claims import GRANTED, Claim, claims
@@ -30,9 +29,10 @@ from pemviz.reports.safety_case.sections import (
     scenario_text,
     verdict_mark,
 )
-from pemviz.runs.ladder import uncertainty_ladder
+from pemviz.reports.uncertainty_text import ends_text
 from pemviz.runs.same_run import setting_differences
 from pemviz.runs.trust import run_interval_caveats
+from pemviz.runs.uncertainty import uncertainty_budget
 
 MOST_IN_FULL = 8
 """Of more runs the rest stands side by side only."""
@@ -108,7 +108,7 @@ def _sections(run: CaseRun, *, below: float | None, prefix: str) -> str:
 
 
 def _side_by_side(runs: Sequence[CaseRun], *, below: float | None) -> str:
-    """Every run's answer and ladder, one below the other, and how their settings differ."""
+    """Every run's answer and uncertainty, one below the other, and how their settings differ."""
     picture = answers_plot(
         [_answer_row(run, index) for index, run in enumerate(runs[:MOST_DRAWN], start=1)],
         title="Answers side by side",
@@ -172,8 +172,8 @@ def _row(run: CaseRun) -> tuple[str, ...]:
     if estimate is None:
         return (run.name, f"none: the run {result.status}", "", "", "", "", "")
     ends = {
-        rung.kind: " to ".join(ends_text(rung)) if rung.high is not None else "-"
-        for rung in uncertainty_ladder(result)
+        source.kind: " to ".join(ends_text(source)) if source.high is not None else "-"
+        for source in uncertainty_budget(result)
     }
     against = run_interval_caveats(result)
     return (

@@ -21,10 +21,9 @@ from pemviz.reports.estimate_text import (
     occasion_text,
     short_probability,
 )
-from pemviz.reports.ladder_text import ends_text
 from pemviz.reports.memory_curve import assumption_line
 from pemviz.reports.pictures.data_plan import requirement_plot
-from pemviz.reports.pictures.ladder import ladder_plot
+from pemviz.reports.pictures.uncertainty import uncertainty_plot
 from pemviz.reports.safety_case.case import CaseRun
 from pemviz.reports.safety_case.claims import Claim, Verdict, claim_sentence, claims
 from pemviz.reports.safety_case.html import (
@@ -38,9 +37,10 @@ from pemviz.reports.safety_case.html import (
     warnings,
     words,
 )
-from pemviz.runs.ladder import RungKind, uncertainty_ladder
+from pemviz.reports.uncertainty_text import ends_text
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats
+from pemviz.runs.uncertainty import SourceKind, uncertainty_budget
 
 VERDICT_MARKS: Mapping[Verdict, tuple[str, str]] = {
     "shown": ("yes", "\N{CHECK MARK} shown"),
@@ -70,7 +70,7 @@ def headline(run: CaseRun, *, below: float | None) -> str:
         + paragraph(claim_sentence(result, below=below))
     )
     under = warnings(() if bursts is None else (bursts,)) + _next(result)
-    return f"<div class='head'>{pair(left, ladder_plot(result))}{under}</div>"
+    return f"<div class='head'>{pair(left, uncertainty_plot(result))}{under}</div>"
 
 
 def _next(result: RunResult) -> str:
@@ -118,8 +118,8 @@ def argument(result: RunResult) -> str:
         "they are common and weights each by how much likelier it is under the error model. "
         "Whether the weights can be trusted: E1.",
         "So the failure probability follows, if the error model is right (E1); how far it is open "
-        "if it is not, rung by rung: E2. What causes violations, so that experts can judge whether "
-        "the chains are plausible: E4.",
+        "if it is not, source by source: E2. What causes violations, so that experts can judge "
+        "whether the chains are plausible: E4.",
     ]
     return f"<ol>{''.join(f'<li>{words(step)}</li>' for step in steps)}</ol>"
 
@@ -136,19 +136,23 @@ def assumptions(result: RunResult) -> str:
 
 
 def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
-    kinds: Sequence[RungKind] = ()
+    kinds: Sequence[SourceKind] = ()
     if text.startswith(("misses are independent", "given the state, misses hang")):
         kinds = ("memory",)
     elif "model holds where" in text:
         kinds = ("refits", "families", "data")
-    rungs = [rung for rung in uncertainty_ladder(result) if rung.kind in kinds]
-    if not rungs:
+    sources = [source for source in uncertainty_budget(result) if source.kind in kinds]
+    if not sources:
         return text, NOT_QUANTIFIED, UNTOLD
     worth = [
-        f"{rung.name}: {' to '.join(ends_text(rung)) if rung.high is not None else 'not looked at'}"
-        for rung in rungs
+        f"{one.name}: {' to '.join(ends_text(one)) if one.high is not None else 'not looked at'}"
+        for one in sources
     ]
-    return text, "; ".join(worth), "; ".join(dict.fromkeys(rung.narrowed_by for rung in rungs))
+    return (
+        text,
+        "; ".join(worth),
+        "; ".join(dict.fromkeys(source.narrowed_by for source in sources)),
+    )
 
 
 def next_section(result: RunResult) -> str:

@@ -1,4 +1,4 @@
-"""The rungs of a made-up result: what bounds them, what they say, and where they stand."""
+"""The sources of a made-up result: what bounds them, what they say, and where they stand."""
 
 import json
 from dataclasses import replace
@@ -11,12 +11,12 @@ from pemviz.cli.summary import MOST_WARNINGS, print_summary
 from pemviz.config import METHODS
 from pemviz.latents import LatentCounts
 from pemviz.recording.text import answer_text
-from pemviz.reports.ladder_text import ladder_rows
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.pictures.ladder import ladder_plot
-from pemviz.runs.ladder import uncertainty_ladder
+from pemviz.reports.pictures.uncertainty import uncertainty_plot
+from pemviz.reports.uncertainty_text import uncertainty_rows
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document
+from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import estimate, result, warned
 
@@ -34,13 +34,13 @@ def family(name, log10, *, effective=50.0):
 FAMILIES = (family("lr", -8.0), family("gb-raw", -17.0), family("b-nn", -10.0))
 
 
-def rungs(one):
-    return {rung.kind: rung for rung in uncertainty_ladder(one)}
+def sources(one):
+    return {source.kind: source for source in uncertainty_budget(one)}
 
 
-def test_each_rung_has_the_ends_of_what_it_stands_for():
+def test_each_source_has_the_ends_of_what_it_stands_for():
     one = result(families=FAMILIES)
-    found = rungs(one)
+    found = sources(one)
     assert list(found) == ["sampling", "reference", "refits", "families", "memory", "data"]
     assert (found["sampling"].low, found["sampling"].high) == (8e-16, 5e-15)
     assert found["reference"].low < one.reference.probability < found["reference"].high
@@ -55,23 +55,23 @@ def test_each_rung_has_the_ends_of_what_it_stands_for():
 
 def test_what_is_not_known_is_said():
     bare = result(reference=None, pem_interval=None, data_bound=None)
-    found = rungs(bare)
+    found = sources(bare)
     assert list(found) == ["sampling", "refits", "memory", "data"]
     for kind in ("refits", "data"):
         assert found[kind].low is found[kind].high is None
         assert found[kind].note
-    assert uncertainty_ladder(replace(bare, estimate=None)) == ()
+    assert uncertainty_budget(replace(bare, estimate=None)) == ()
 
 
 def test_families_that_few_rollouts_carry_are_named():
     vague = (family("lr", -8.0, effective=3.0), family("b-nn", -10.0))
-    assert rungs(result(families=vague))["families"].note == "lr only roughly"
+    assert sources(result(families=vague))["families"].note == "lr only roughly"
 
 
 def test_memory_tells_what_is_assumed_and_what_was_measured():
-    assert "taken as none" in rungs(result())["memory"].name
+    assert "taken as none" in sources(result())["memory"].name
     measured = MeasuredTau(tau_s=0.24, low_s=0.18, high_s=0.32, confidence=0.95)
-    own = rungs(result(memory=RunMemory(tau_s=0.1, fitted=measured)))["memory"]
+    own = sources(result(memory=RunMemory(tau_s=0.1, fitted=measured)))["memory"]
     assert "0.1 s assumed" in own.name
     assert own.note == "measured 0.24 s"
 
@@ -81,16 +81,16 @@ def test_memory_is_bounded_by_the_curve_over_memory_times():
         CurvePoint(tau_s=tau_s, probability=p, low=0.9 * p, high=1.1 * p, ess=99.0)
         for tau_s, p in ((0.0, 2e-15), (0.2, 4.6e-3), (1.0, 1e-2))
     )
-    rung = rungs(result(memory=RunMemory(tau_s=0.0, curve=curve)))["memory"]
-    assert (rung.low, rung.high) == (0.9 * 2e-15, 1.1 * 1e-2)
-    assert rung.name.endswith(", 0 to 1 s")
+    source = sources(result(memory=RunMemory(tau_s=0.0, curve=curve)))["memory"]
+    assert (source.low, source.high) == (0.9 * 2e-15, 1.1 * 1e-2)
+    assert source.name.endswith(", 0 to 1 s")
 
 
 @pytest.mark.parametrize("method", METHODS.names())
 def test_an_interval_that_does_not_hold_comes_with_what_to_try(method, capsys):
     wrong = warned("one rollout carries 98% of the weight", kind="died-out")
     one = result(estimate(method=method, diagnostics=(wrong,)))
-    sampling = rungs(one)["sampling"]
+    sampling = sources(one)["sampling"]
     assert "not a 95 % interval" in sampling.name
     print_summary(one, Path("run"))
     assert f"try next: {sampling.narrowed_by}" in capsys.readouterr().out
@@ -100,34 +100,36 @@ def test_no_method_that_runs_through_states_is_recommended_where_latents_leave_n
     wrong = warned("the weights' tail is too heavy", kind="died-out")
     one = estimate(method="mixture", diagnostics=(wrong,))
     doubted = result(one, latents=LatentCounts(noise=1))
-    assert rungs(doubted)["sampling"].narrowed_by == "more rollouts; --method splitting beside it"
+    assert sources(doubted)["sampling"].narrowed_by == "more rollouts; --method splitting beside it"
     print_summary(doubted, Path("run"))
     assert "zero-variance" not in capsys.readouterr().out
-    assert "zero-variance" in rungs(replace(doubted, latents=None))["sampling"].narrowed_by
+    assert "zero-variance" in sources(replace(doubted, latents=None))["sampling"].narrowed_by
 
 
 @pytest.mark.parametrize("tell", [summary_markdown, lambda one: answer_text(one, running=False)])
-def test_every_report_has_every_rung(tell):
+def test_every_report_has_every_source(tell):
     one = result(families=FAMILIES)
     text = tell(one).replace("\\", "")
-    for row in ladder_rows(one):
+    for row in uncertainty_rows(one):
         assert row[0] in text
 
 
-def test_the_ladder_stands_in_result_json():
+def test_the_uncertainty_budget_stands_in_result_json():
     one = result(families=FAMILIES)
-    entries = json.loads(json.dumps(result_document(one)))["ladder"]
-    assert [entry["kind"] for entry in entries] == list(rungs(one))
+    entries = json.loads(json.dumps(result_document(one)))["uncertainty"]
+    assert [entry["kind"] for entry in entries] == list(sources(one))
     assert entries[0]["high"] == one.estimate.ci_high
 
 
 @pytest.mark.parametrize("low", [0.0, 5e-324, 1e-30, 0.3])
 def test_the_drawing_stays_within_its_axis(low):
     one = result(estimate(ci_low=low, ci_high=1.2), families=FAMILIES)
-    drawn = ladder_plot(one)
+    drawn = uncertainty_plot(one)
     assert "nan" not in drawn
-    assert drawn.count("<rect") == sum(rung.high is not None for rung in uncertainty_ladder(one))
-    assert ladder_plot(replace(one, estimate=None)) == ""
+    assert drawn.count("<rect") == sum(
+        source.high is not None for source in uncertainty_budget(one)
+    )
+    assert uncertainty_plot(replace(one, estimate=None)) == ""
 
 
 def test_the_terminal_shows_at_most_five_warnings_and_all_if_asked(capsys, monkeypatch):

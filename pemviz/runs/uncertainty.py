@@ -1,7 +1,7 @@
-"""The ladder of uncertainty: how far an answer is open, by what leaves it open.
+"""The uncertainty budget: how far an answer is open, by what leaves it open.
 
-Each rung bounds the failure probability as far as one source of doubt goes, from the sampling
-error to what the training data alone allow. Rungs are not added up: each takes for granted what
+Each source bounds the failure probability as far as one source of doubt goes, from the sampling
+error to what the training data alone allow. Sources are not added up: each takes for granted what
 the others doubt.
 """
 
@@ -13,11 +13,11 @@ from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.trust import remedy
 
-RungKind = Literal["sampling", "reference", "refits", "families", "memory", "data"]
+SourceKind = Literal["sampling", "reference", "refits", "families", "memory", "data"]
 
 
 @dataclass(frozen=True)
-class Rung:
+class UncertaintySource:
     """One source of doubt.
 
     Attributes:
@@ -29,7 +29,7 @@ class Rung:
         narrowed_by: What would narrow it.
     """
 
-    kind: RungKind
+    kind: SourceKind
     name: str
     low: float | None
     high: float | None
@@ -37,12 +37,12 @@ class Rung:
     narrowed_by: str
 
 
-def uncertainty_ladder(result: RunResult) -> tuple[Rung, ...]:
+def uncertainty_budget(result: RunResult) -> tuple[UncertaintySource, ...]:
     """What leaves a result open, sampling first; nothing without an estimate."""
-    return tuple(_rungs(result)) if result.estimate is not None else ()
+    return tuple(_sources(result)) if result.estimate is not None else ()
 
 
-def _rungs(result: RunResult) -> Iterator[Rung]:
+def _sources(result: RunResult) -> Iterator[UncertaintySource]:
     yield _sampling(result)
     if result.reference is not None:
         yield _reference(result)
@@ -53,12 +53,12 @@ def _rungs(result: RunResult) -> Iterator[Rung]:
     yield _data(result)
 
 
-def _sampling(result: RunResult) -> Rung:
+def _sampling(result: RunResult) -> UncertaintySource:
     estimate, caveats = result.estimate, run_interval_caveats(result)
     assert estimate is not None  # noqa: S101  asked before
     level = f"{100.0 * estimate.confidence:g} %"
     better = remedy(estimate.method, latents=result.latents is not None)
-    return Rung(
+    return UncertaintySource(
         kind="sampling",
         name=f"sampling, {'not a ' if caveats else ''}{level} interval",
         low=estimate.ci_low,
@@ -68,11 +68,11 @@ def _sampling(result: RunResult) -> Rung:
     )
 
 
-def _reference(result: RunResult) -> Rung:
+def _reference(result: RunResult) -> UncertaintySource:
     reference = result.reference
     assert reference is not None  # noqa: S101  asked before
     sampled = "exact reference (+- 2 standard errors)"
-    return Rung(
+    return UncertaintySource(
         kind="reference",
         name=sampled if reference.std_error else "exact, over all of the few states",
         low=max(reference.probability - 2.0 * reference.std_error, 0.0),
@@ -82,10 +82,10 @@ def _reference(result: RunResult) -> Rung:
     )
 
 
-def _refits(result: RunResult) -> Rung:
+def _refits(result: RunResult) -> UncertaintySource:
     interval, model = result.pem_interval, result.pem.name
     if interval is None:
-        return Rung(
+        return UncertaintySource(
             kind="refits",
             name=f"refits of {model}",
             low=None,
@@ -93,7 +93,7 @@ def _refits(result: RunResult) -> Rung:
             note="the model has no ensemble, or nothing failed",
             narrowed_by="pemviz pem fit --ensemble",
         )
-    return Rung(
+    return UncertaintySource(
         kind="refits",
         name=f"refits of {model} ({100 * interval.confidence:g} % of {interval.members})",
         low=0.0 if interval.low is None else interval.low,
@@ -103,12 +103,12 @@ def _refits(result: RunResult) -> Rung:
     )
 
 
-def _families(result: RunResult) -> Rung:
+def _families(result: RunResult) -> UncertaintySource:
     ranked = sorted(result.families, key=lambda answer: answer.log10_probability)
     vague = [answer.name for answer in ranked if not answer.is_reliable]
     named = f"{ranked[0].name} to {ranked[-1].name}" if len(ranked) > 1 else ranked[0].name
     note = f"{', '.join(vague)} only roughly" if vague else ""
-    return Rung(
+    return UncertaintySource(
         kind="families",
         name=f"other families ({named})",
         low=ranked[0].probability,
@@ -118,7 +118,7 @@ def _families(result: RunResult) -> Rung:
     )
 
 
-def _memory(result: RunResult) -> Rung:
+def _memory(result: RunResult) -> UncertaintySource:
     tau_s = 0.0 if result.memory is None else result.memory.tau_s
     frailty = 0.0 if result.memory is None else result.memory.frailty
     own = None if result.memory is None else result.memory.fitted
@@ -138,7 +138,7 @@ def _memory(result: RunResult) -> Rung:
     measured = "" if own is None else f"measured {own.tau_s:.2g} s"
     if own is not None and own.frailty:
         measured += f", frailty {own.frailty:.2g}"
-    return Rung(
+    return UncertaintySource(
         kind="memory",
         name=name,
         low=min(lows, default=None),
@@ -148,10 +148,10 @@ def _memory(result: RunResult) -> Rung:
     )
 
 
-def _data(result: RunResult) -> Rung:
+def _data(result: RunResult) -> UncertaintySource:
     bound = result.data_bound
     if bound is None:
-        return Rung(
+        return UncertaintySource(
             kind="data",
             name="the training data alone",
             low=None,
@@ -159,7 +159,7 @@ def _data(result: RunResult) -> Rung:
             note="the model carries no counts of its data, or the scenario has no fast twin",
             narrowed_by="a model fitted by pemviz pem fit",
         )
-    return Rung(
+    return UncertaintySource(
         kind="data",
         name=f"the training data alone ({100 * bound.confidence:g} %)",
         low=0.0,

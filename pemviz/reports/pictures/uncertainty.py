@@ -1,15 +1,15 @@
-"""The ladder of uncertainty, drawn: a bar for each source of doubt on one logarithmic axis."""
+"""The uncertainty budget, drawn: a bar for each source on one logarithmic axis."""
 
 import math
 from collections.abc import Sequence
 from html import escape
 
-from pemviz.colors import RUNGS
-from pemviz.reports.ladder_text import LADDER_TITLE
+from pemviz.colors import SOURCES
 from pemviz.reports.pictures.html import number
 from pemviz.reports.pictures.svg import FAINT, FONT, GRID, INK, nice_ticks
-from pemviz.runs.ladder import Rung, uncertainty_ladder
+from pemviz.reports.uncertainty_text import UNCERTAINTY_TITLE
 from pemviz.runs.result import RunResult
+from pemviz.runs.uncertainty import UncertaintySource, uncertainty_budget
 
 WIDTH, ROW, TOP, BOTTOM = 360, 25, 16, 18
 LEFT, RIGHT = 0, 352
@@ -19,27 +19,28 @@ FARTHEST = -40.0
 """Decades below which nothing is drawn: an end below, or 0, is drawn as an arrow."""
 
 
-def ladder_plot(result: RunResult) -> str:
-    """The rungs as SVG, each with its name and ends; empty without an estimate."""
-    rungs = uncertainty_ladder(result)
-    if not rungs:
+def uncertainty_plot(result: RunResult) -> str:
+    """The sources as SVG, each with its name and ends; empty without an estimate."""
+    sources = uncertainty_budget(result)
+    if not sources:
         return ""
-    low = _lowest(rungs)
-    height = TOP + ROW * len(rungs) + BOTTOM
+    low = _lowest(sources)
+    height = TOP + ROW * len(sources) + BOTTOM
     parts = [
-        f"<svg viewBox='0 0 {WIDTH} {height}' width='100%' role='img' aria-label='{LADDER_TITLE}'>",
+        f"<svg viewBox='0 0 {WIDTH} {height}' width='100%' role='img' "
+        f"aria-label='{UNCERTAINTY_TITLE}'>",
         f"<text x='{LEFT}' y='11' {FONT} font-size='11' font-weight='600' "
-        f"fill='{INK}'>{LADDER_TITLE}</text>",
+        f"fill='{INK}'>{UNCERTAINTY_TITLE}</text>",
         *_axis(low, height),
-        *(_row(rung, TOP + ROW * place, low) for place, rung in enumerate(rungs)),
+        *(_row(source, TOP + ROW * place, low) for place, source in enumerate(sources)),
         "</svg>",
     ]
     return "".join(parts)
 
 
-def _lowest(rungs: Sequence[Rung]) -> float:
+def _lowest(sources: Sequence[UncertaintySource]) -> float:
     """The axis' first decade."""
-    ends = [end for rung in rungs for end in (rung.low, rung.high) if end]
+    ends = [end for source in sources for end in (source.low, source.high) if end]
     return max(min([math.floor(math.log10(end)) - 1.0 for end in ends], default=-20.0), FARTHEST)
 
 
@@ -63,20 +64,20 @@ def _axis(low: float, height: int) -> list[str]:
     return parts
 
 
-def _tip(rung: Rung) -> str:
-    note = f"{rung.note}; " if rung.note else ""
-    return f"{note}narrowed by: {rung.narrowed_by}"
+def _tip(source: UncertaintySource) -> str:
+    note = f"{source.note}; " if source.note else ""
+    return f"{note}narrowed by: {source.narrowed_by}"
 
 
-def _row(rung: Rung, top: float, low: float) -> str:
+def _row(source: UncertaintySource, top: float, low: float) -> str:
     """Name and ends in words, the bar below; dashed where an end is not known."""
-    name = escape(rung.name)
+    name = escape(source.name)
     text = (
         f"<text x='{LEFT}' y='{top + 11:.1f}' {FONT} font-size='10.5' fill='{INK}'>{name}"
-        f"<title>{escape(_tip(rung))}</title></text>"
+        f"<title>{escape(_tip(source))}</title></text>"
     )
-    middle, color = top + 19.0, RUNGS[rung.kind]
-    if rung.low is None or rung.high is None:
+    middle, color = top + 19.0, SOURCES[source.kind]
+    if source.low is None or source.high is None:
         line = (
             f"<line x1='{LEFT}' x2='{RIGHT}' y1='{middle}' y2='{middle}' stroke='{color}' "
             "stroke-width='1.5' stroke-dasharray='2 4'/>"
@@ -86,9 +87,9 @@ def _row(rung: Rung, top: float, low: float) -> str:
         return text + line
     ends = (
         f"<text x='{RIGHT}' y='{top + 11:.1f}' {FONT} font-size='10.5' fill='{FAINT}' "
-        f"text-anchor='end'>{number(rung.low, 2)} to {number(rung.high, 2)}</text>"
+        f"text-anchor='end'>{number(source.low, 2)} to {number(source.high, 2)}</text>"
     )
-    start, end = _x(rung.low, low), _x(rung.high, low)
+    start, end = _x(source.low, low), _x(source.high, low)
     bar = (
         f"<rect x='{start:.1f}' y='{middle - 3:.1f}' width='{max(end - start, 3.0):.1f}' "
         f"height='6' rx='2' fill='{color}'/>"
