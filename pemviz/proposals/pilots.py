@@ -1,7 +1,7 @@
 """A broad family of proposals that nothing is fitted to: they explore, and they stay as defence.
 
 Each raises the probability of a miss towards a ceiling, by a strength of its own and within a
-window of steps of its own. A way of failing that fitted proposals do not know of is still met by
+window of steps of its own. A failure mode that fitted proposals do not know of is still met by
 some member of the family, which is what the family is for (defensive importance sampling:
 Hesterberg 1995).
 """

@@ -17,9 +17,9 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
 from pemviz.sampling.mixture.draws import components
+from pemviz.sampling.mixture.failure_modes import WeightedRollouts, ways_of
 from pemviz.sampling.mixture.levels import guided_elites
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.mixture.ways import WeightedRollouts, ways_of
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.batches import BatchTask
 from pemviz.sampling.rollouts.draw import replay, simulate

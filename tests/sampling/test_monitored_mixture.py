@@ -88,7 +88,7 @@ def test_without_bias_where_single_states_do_not_decide():
         ("eventually[8,13] (gap >= 5)", 1e-6, 2e-6),
         ("eventually[4,9] (always[0,4] (gap >= 4))", 1e-5, 2e-5),
         ("always[2,8] (eventually[0,5] (gap >= 6))", 4e-4, 5e-4),
-        # a second way of failing has three quarters of the probability
+        # a second failure mode has three quarters of the probability
         ("always[0,14] (gap >= 1) and always[12,14] (gap < 1.5 or gap > 2.5)", 1.9e-6, 2e-6),
         ("always[0,4] (gap < 7.5)", 0.7, 0.8),
         ("eventually[1,6] (gap < 4.5)", 0.9, 0.95),

@@ -5,7 +5,7 @@ probability p_m is known for every memory m of misses, a memory time tau and a f
 drawn for one serve all. Families of pilots come first (:mod:`pemviz.proposals.pilots`), around
 independent misses, around bursts and around obstacles that are hard to see. Then a proposal is
 fitted for one m after another, first for independent misses, then for what is farther from them,
-since long bursts, obstacles hard to see and scattered misses are different ways of failing and none
+since long bursts, obstacles hard to see and scattered misses are different failure modes and none
 is a start for another; in between or in the end for what is known least. Each fit learns from
 everything drawn before, reweighted to its own m, and adds its rollouts to it. It is around the
 model of obstacles of one visibility u_k, the average of those that it learns from. With n_k of all

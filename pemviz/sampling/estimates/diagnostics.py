@@ -143,7 +143,7 @@ def pilots_alone(share: float) -> Sequence[Diagnostic]:
         return ()
     text = (
         f"{share:.0%} of the probability is from failures that no proposal but the pilots would "
-        "readily draw: a way of failing is not learned"
+        "readily draw: a failure mode is not learned"
     )
     return (Diagnostic("pilots-alone", share, LARGE_SHARE, text),)
 

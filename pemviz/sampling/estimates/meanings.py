@@ -117,7 +117,7 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
     "pilots-alone": Meaning(
         phrase="no proposal but the pilots",
         undermines=ALL_BUT_COUNTS,
-        in_repetitions="a way of failing was met by hardly any proposal but the pilots",
+        in_repetitions="a failure mode was met by hardly any proposal but the pilots",
     ),
     "reference-disagrees": Meaning(phrase="times the reference", undermines=ALL),
     # the estimate may be right all the same

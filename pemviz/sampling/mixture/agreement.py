@@ -1,6 +1,6 @@
 """Do parts of the rollouts that should tell the same tell the same?
 
-An average of weights has no way to know of a way of failing that its proposals do not draw. What
+An average of weights has no way to know of a failure mode that its proposals do not draw. What
 shows it, if anything does, is that parts of the rollouts disagree: those before the final batch
 and the final batch; one half and the other; what fitted proposals draw and what pilots draw.
 """

@@ -20,10 +20,10 @@ from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, smoothed_weights
 from pemviz.sampling.mixture.aims import Rule
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool
+from pemviz.sampling.mixture.failure_modes import Ways, WeightedRollouts, shares_of_draws, ways_of
 from pemviz.sampling.mixture.latents import noise_basis
 from pemviz.sampling.mixture.levels import Elites, failing_elites, guided_elites
 from pemviz.sampling.mixture.resampling import at_most
-from pemviz.sampling.mixture.ways import Ways, WeightedRollouts, shares_of_draws, ways_of
 
 NEGLIGIBLE_SHARE = 1e-4
 MOST_LEARNED = 10_000
@@ -43,7 +43,7 @@ BLIND = 1e6
 """Times these penalties where a proposal is not to look at the state."""
 FEW_FEATURES = 3
 EXPLORING_SHARE = 0.25
-"""Of the rollouts that are not pilots, for a level above 0, and for hidden ways of failing."""
+"""Of the rollouts that are not pilots, for a level above 0, and for hidden failure modes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ class Fit:
 def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
     """The proposals nearest to the violating rollouts' distribution under the error model.
 
-    One for each way of failing that the rollouts tell apart, the largest share first.
+    One for each failure mode that the rollouts tell apart, the largest share first.
     """
     elites, exponent = _failing(pool, settings)
     weight = weights_of(pool, elites, exponent=exponent)

@@ -1,4 +1,4 @@
-"""Ways of failing that the proposals fitted to all violations would hardly draw.
+"""Failure modes that the proposals fitted to all violations would hardly draw.
 
 Such a way looks improbable at first, because the pilots that met it missed more often than was
 needed: it is learned about on its own before the weights pass judgement on it.
@@ -15,6 +15,7 @@ from pemviz.proposals.offset_logistic_fit import fit_offset_logistic
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 from pemviz.sampling.mixture.balance_heuristic import Pool, log_ratios
+from pemviz.sampling.mixture.failure_modes import SAMPLE, Ways, WeightedRollouts, ways_of
 from pemviz.sampling.mixture.fit import (
     Fit,
     FitSettings,
@@ -26,15 +27,14 @@ from pemviz.sampling.mixture.fit import (
     weights_of,
 )
 from pemviz.sampling.mixture.levels import Elites
-from pemviz.sampling.mixture.ways import SAMPLE, Ways, WeightedRollouts, ways_of
 
 HARDLY_DRAWN = 3.0
 """Log of how many times more often pilots draw a rollout than the main proposals do."""
 EVEN_SHARE = 0.9
-"""Of the violating rollouts, which they count as where ways of failing are told apart."""
+"""Of the violating rollouts, which they count as where failure modes are told apart."""
 LEAST_SCATTER, PRICE = 2.0, 0.3
 KNOWN_ESS = 10.0
-"""A way of failing is explored until its weights have this effective sample size."""
+"""A failure mode is explored until its weights have this effective sample size."""
 FEW_ELITES = 3
 
 
@@ -47,7 +47,7 @@ def fit_to_hidden_ways(
     defensive: float,
     least_share: float = 0.0,
 ) -> tuple[Fit, ...]:
-    """A proposal for each way of failing that the ``main`` proposals would hardly draw.
+    """A proposal for each failure mode that the ``main`` proposals would hardly draw.
 
     Ways are told apart by their chains of outcomes, nearly without weights.
 
@@ -86,7 +86,7 @@ def fit_to_hidden_ways(
 def _told_apart(
     few: WeightedRollouts, basis: PolynomialBasis, settings: FitSettings, *, varied: bool
 ) -> Ways:
-    """Ways of failing among few rollouts."""
+    """Failure modes among few rollouts."""
     ridge, of_noise = (
         ridge_by_degree(basis, settings.ridge, varied=varied),
         noise_ridge(basis, settings),

@@ -16,7 +16,7 @@ from pemviz.sampling.mixture.fit import (
 from pemviz.sampling.mixture.hidden import fit_to_hidden_ways
 
 RELEVANT_SHARE = 1e-3
-"""Of the estimate, from a hidden way of failing that is explored in every stage that learns."""
+"""Of the estimate, from a hidden failure mode that is explored in every stage that learns."""
 
 
 def next_proposals(
@@ -31,7 +31,7 @@ def next_proposals(
     """With their shares of the rollouts that are not pilots, the main proposals first.
 
     Rules that nothing has broken yet, beside others that something has, are searched for like
-    hidden ways of failing: a share of the rollouts goes towards them, and none of the final batch.
+    hidden failure modes: a share of the rollouts goes towards them, and none of the final batch.
 
     Args:
         pool: What is learned from.

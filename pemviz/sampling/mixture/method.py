@@ -15,7 +15,7 @@ q_0 as a whole, and every later one a share of its rollouts. The rest come from 
 fitted to the violations; in the first half of the stages, while the weights do not tell the
 probability of a violation well, a quarter of them from one fitted to the lowest level of robustness
 whose probability they do tell (:mod:`pemviz.sampling.mixture.levels`). Another quarter comes from
-proposals for ways of failing that the newest would hardly draw, in the second half only where they
+proposals for failure modes that the newest would hardly draw, in the second half only where they
 carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.hidden`). With several
 rules each that was broken has proposals of its own, drawn from alike; a proposal and a rollout's
 likelihood go as far as the rule at hand is kept (:mod:`pemviz.sampling.mixture.aims`).

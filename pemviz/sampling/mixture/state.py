@@ -18,7 +18,7 @@ class MixtureState:
         basis: Monomials of it; ``None`` before the first stage.
         pool: Everything drawn so far.
         fits: What the next stage draws from beside pilots: the main proposal, those of other
-            ways of failing, one fitted to a level above 0; empty before the first stage.
+            failure modes, one fitted to a level above 0; empty before the first stage.
         frozen: How many rollouts each part of the final batch has, as far as it is drawn.
         latched: Whether rollouts know when they have violated.
         turns: Outcomes of a step of the scenario.

@@ -1,4 +1,4 @@
-"""Several ways of failing: one proposal for each, by expectation and maximisation.
+"""Several failure modes: one proposal for each, by expectation and maximisation.
 
 A proposal sees the state alone, and can make likely one chain of outcomes or another, not either
 of two. Where the rollouts that it is fitted to scatter more than its own draws would, they are
