@@ -9,7 +9,11 @@ from types import FrameType
 
 @contextlib.contextmanager
 def stop_on_signals() -> Generator[Callable[[], bool], None, None]:
-    """Yield a function that tells whether a signal asked to stop; a second one interrupts."""
+    """Yield a function that tells whether a signal asked to stop.
+
+    Raises:
+        KeyboardInterrupt: A second signal came.
+    """
     requested = threading.Event()
 
     def request(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
