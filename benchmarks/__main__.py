@@ -11,6 +11,7 @@ from rich.table import Table
 
 from benchmarks.figures import Figure
 from benchmarks.scale import HEADER, ScaleRow, ScaleStudy, cells, reasons, run_scale
+from benchmarks.whole_runs import WholeRunArguments, print_whole_runs
 from pemviz.cli.main import carry_out
 from pemviz.cli.parsing import parse_arguments
 from pemviz.errors import EXIT_DONE
@@ -25,7 +26,8 @@ class BenchArguments:
 
     ``accuracy`` measures how wrong the methods are on scenarios with known answers, ``trust``
     whether answers that nothing warns of are right, ``scale`` how time and memory grow, ``compare``
-    how many times faster pemviz is than what one would write else; they have options of their own.
+    how many times faster pemviz is than what one would write else, ``runs`` how long ten runs that
+    a user would make take; they have options of their own.
     """
 
     part: tuple[Part, ...] = ("paper", "plain", "simulators", "families", "stl", "recording")
@@ -48,16 +50,15 @@ def run(words: Sequence[str]) -> int:
     Raises:
         InputError: The arguments are wrong.
     """
-    if words and words[0] == "compare":
-        from benchmarks.compare_command import run as run_comparison  # noqa: PLC0415
-
-        return run_comparison(words[1:])
-    if words and words[0] == "accuracy":
-        return _accuracy(words[1:])
-    if words and words[0] == "trust":
-        return _trust(words[1:])
-    if words and words[0] == "scale":
-        return _scale(parse_arguments(ScaleStudy, words[1:], command="scale", program=PROGRAM))
+    studies = {
+        "compare": _compare,
+        "accuracy": _accuracy,
+        "trust": _trust,
+        "runs": _runs,
+        "scale": _scale,
+    }
+    if words and words[0] in studies:
+        return studies[words[0]](words[1:])
     arguments = parse_arguments(
         BenchArguments, words, command="", program=PROGRAM, default=BenchArguments()
     )
@@ -88,7 +89,20 @@ def _print_figures(measured: Mapping[str, Sequence[Figure]]) -> None:
     Console().print(table)
 
 
-def _scale(study: ScaleStudy) -> int:
+def _compare(words: Sequence[str]) -> int:
+    from benchmarks.compare_command import run as run_comparison  # noqa: PLC0415
+
+    return run_comparison(words)
+
+
+def _runs(words: Sequence[str]) -> int:
+    return print_whole_runs(
+        parse_arguments(WholeRunArguments, words, command="runs", program=PROGRAM)
+    )
+
+
+def _scale(words: Sequence[str]) -> int:
+    study = parse_arguments(ScaleStudy, words, command="scale", program=PROGRAM)
     rows = run_scale(study)
     if study.json:
         print(json.dumps({"scale": [asdict(row) for row in rows]}))

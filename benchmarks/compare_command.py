@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.figures import as_cell
 from pemviz.cli.parsing import parse_arguments
 from pemviz.config.ranges import Range, check_fields
 from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError
@@ -103,8 +104,8 @@ def _show(now: "Comparison", held: Sequence["Change"], *, as_json: bool) -> None
         table.add_column(name, justify="right")
     for ratio in now.ratios:
         was = before.get(ratio.key)
-        earlier = [] if not held else ["-" if was is None else _figure(was.before)]
-        cells = (_figure(ratio.value), _figure(ratio.low), _figure(ratio.high), *earlier)
+        earlier = [] if not held else ["-" if was is None else as_cell(was.before)]
+        cells = (as_cell(ratio.value), as_cell(ratio.low), as_cell(ratio.high), *earlier)
         name = f"{ratio.name}\n  {ratio.note}" if ratio.note else ratio.name
         table.add_row(name.replace("[", r"\["), ratio.against, *cells)
     Console().print(table)
@@ -113,10 +114,6 @@ def _show(now: "Comparison", held: Sequence["Change"], *, as_json: bool) -> None
     for change in held:
         if change.now is None:
             print(f"left out: {change.name} against {change.against}, measured in the earlier run")
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}" if value < 1000.0 else f"{value:,.0f}"
 
 
 def _other_machine(earlier: "Comparison", now: "Comparison") -> str:

@@ -20,6 +20,22 @@ def test_figures_of_the_paper_repetition(capsys, monkeypatch):
     assert sum(part["value"] for part in parts) < wall["value"]
 
 
+def test_whole_runs_are_timed_beside_those_without_numba(capsys, monkeypatch):
+    short = "--no-recording --method monte-carlo --final-rollouts 10"
+    monkeypatch.setattr("benchmarks.whole_runs.WHOLE_RUNS", (short,))
+    assert main(["runs", "--times", "1", "--without-numba", "--json"]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    assert run["options"] == short
+    assert run["wall_s"] > 0.0
+    assert run["ratio"] == pytest.approx(run["user_s"] / run["other_user_s"])
+
+
+def test_a_whole_run_that_ends_badly_says_so(capsys, monkeypatch):
+    monkeypatch.setattr("benchmarks.whole_runs.WHOLE_RUNS", ("--method moon",))
+    assert main(["runs"]) == 3
+    assert "--method moon: exit code 2" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "fragment"),
     [
@@ -27,6 +43,8 @@ def test_figures_of_the_paper_repetition(capsys, monkeypatch):
         (["accuracy", "--scenarios", "moon"], "scenarios = 'moon'"),
         (["accuracy", "--rollouts", "3"], "at least 24"),
         (["accuracy", "--seeds", "0"], "seeds = 0"),
+        (["runs", "--times", "0"], "times = 0"),
+        (["runs", "--checkout", "moon"], "checkout = moon"),
     ],
 )
 def test_bad_input_is_one_line(capsys, words, fragment):
