@@ -149,7 +149,7 @@ def test_the_value_sums_over_all_sequences_of_outcomes(problem):
     proposal = build_zero_variance_proposal(
         twin=problem.simulator, pem=problem.pem, unsafe=problem.unsafe
     )
-    undefended = with_defence(proposal, defensive_steps=1e-12, steps=detected.shape[1])
+    undefended = with_defence(proposal, defensive_steps=1e-30, steps=detected.shape[1])
     log_p, log_q = likelihoods(problem, detected, proposal=undefended)
     exact = exact_log_probability(problem, twin=problem.simulator)
     assert proposal.exact
