@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.sampling.mixture.resampling import at_most
+from pemviz.sampling.mixture.failure_modes import at_most
 from tests.lattice_walk import ToyPem
 from tests.sampling.test_mixture_exploring import EARLY, probabilities, problem_of, run
 

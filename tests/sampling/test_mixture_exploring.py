@@ -14,11 +14,11 @@ from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.proposals.offset_logistic_fit import WeightedOutcomes
 from pemviz.proposals.pilots import PilotFamily, raised
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
-from pemviz.sampling.mixture.draws import components
+from pemviz.sampling.mixture.drawing import components
+from pemviz.sampling.mixture.estimate import disagreements
 from pemviz.sampling.mixture.failure_modes import WeightedRollouts, ways_of
-from pemviz.sampling.mixture.levels import guided_elites
+from pemviz.sampling.mixture.fit import guided_elites
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.batches import BatchTask

@@ -8,12 +8,12 @@ import pytest
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.latent_decisions import LatentDecisions
 from pemviz.proposals.latent_means import LatentMeans
+from pemviz.proposals.monomials import Monomials
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.start_moves import StartMoves
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.mixture.latents import latent_ratios
+from pemviz.sampling.mixture.balance_heuristic import latent_ratios
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.mixture.monomials import Monomials
 from tests.lattice_walk import ToyPem, ToySimulator
 
 WALK = ToySimulator(initial_gap=4, largest_gap=6, states=13)
@@ -26,8 +26,8 @@ def ends():
     found = {"few": end(many=False)}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pemviz.sampling.mixture.pooling.FAILING_AT_ONCE", 7)
-        patch.setattr("pemviz.sampling.mixture.final.ROWS_AT_ONCE", 5)
-        patch.setattr("pemviz.sampling.mixture.monomials.ROLLOUTS_AT_ONCE", 23)
+        patch.setattr("pemviz.sampling.mixture.balance_heuristic.ROWS_AT_ONCE", 5)
+        patch.setattr("pemviz.proposals.monomials.ROLLOUTS_AT_ONCE", 23)
         found["pieces"] = end(many=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MixtureSampling, "_planned", lambda *_, **__: None)
@@ -112,7 +112,7 @@ def test_latents_of_many_are_judged_in_pieces_alike(once, monkeypatch):
         once=once,
     )
     moves = [(means, None), (means, "deep")]
-    monkeypatch.setattr("pemviz.sampling.mixture.monomials.ROLLOUTS_AT_ONCE", 16)
+    monkeypatch.setattr("pemviz.proposals.monomials.ROLLOUTS_AT_ONCE", 16)
     for under in (None, "touch"):
         found, expected = (
             latent_ratios(one, moves, rules=("touch", "deep"), under=under) for one in (kept, made)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.sampling.mixture.agreement import disagreements
 from pemviz.sampling.mixture.balance_heuristic import balance_weights
-from pemviz.sampling.mixture.large_stages import InParts, Joining
+from pemviz.sampling.mixture.drawing import InParts, Joining
+from pemviz.sampling.mixture.estimate import disagreements
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.pooling import Terms, extended
 from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_recursion

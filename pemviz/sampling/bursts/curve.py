@@ -55,9 +55,14 @@ from pemviz.sampling.estimates.importance_weights import (
     weight_figures,
 )
 from pemviz.sampling.estimates.trust import caveats
-from pemviz.sampling.mixture.agreement import disagreements
-from pemviz.sampling.mixture.fit import FitSettings, fitted, smoothing_exponent, weights_of
-from pemviz.sampling.mixture.levels import failing_elites
+from pemviz.sampling.mixture.estimate import disagreements
+from pemviz.sampling.mixture.fit import (
+    FitSettings,
+    failing_elites,
+    fitted,
+    smoothing_exponent,
+    weights_of,
+)
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.zero_variance.method import with_latch
 from pemviz.simulators.remembering import remembering

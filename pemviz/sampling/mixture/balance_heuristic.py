@@ -1,27 +1,187 @@
-"""All rollouts of all stages, weighted as draws from the mixture of all proposals."""
+"""All rollouts of all stages, weighted as draws from the mixture of all proposals.
+
+Whether a rule, of several, is broken is known as soon as it is, and what a rollout is drawn from
+later tells nothing more of it. So a proposal that is fitted to the ways of breaking a rule leaves
+the error model until that rule is broken, and a rollout's likelihood under a rule is that of its
+outcomes up to there: what comes later would only spread the weights. Of the rules together, that at
+least one is broken, it is that of the outcomes up to the first.
+
+Of a large final batch only its violations' weights are kept, as all its proposals are known before.
+"""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.defensive_share import AgainstModel
 from pemviz.proposals.latent_decisions import LatentDecisions
 from pemviz.proposals.latent_means import LatentMeans
+from pemviz.proposals.monomials import Monomials, some_at_once
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
-from pemviz.sampling.mixture.aims import Rule, still_open, where_open
-from pemviz.sampling.mixture.final import (
-    FailingWeights,
-    log_shares,
-    mostly_by_pilots,
-    weights,
-)
-from pemviz.sampling.mixture.latents import latent_ratios
-from pemviz.sampling.mixture.monomials import Monomials, some_at_once
+from pemviz.simulators.latched import violated_rule
 from pemviz.types import RolloutBatch
+
+PILOTS = 0
+"""The component that stands for the pilots' family; the fitted proposals count from 1."""
+ROWS_AT_ONCE = 1 << 14
+"""Of ratios, whose exponentials take several times their own memory."""
+MORE_THAN_HALF = 0.5
+Rule = str | None
+"""A rule's name; ``None``: all rules together, or the specification where there is none."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """Logs of the shares of rollouts that are drawn from each component, once all are.
+
+    Attributes:
+        of_all: ``[1 + K]``.
+        of_final: Of the final batch alone, ``[1 + K]``.
+    """
+
+    of_all: FloatArray
+    of_final: FloatArray
+
+    @staticmethod
+    def of(
+        sizes: Sequence[int],
+        components: Callable[[int], IntArray],
+        *,
+        before: IntArray,
+        proposals: int,
+    ) -> "Planned":
+        """Before any of the parts is drawn, or between two.
+
+        Args:
+            sizes: Of the final batch's parts.
+            components: What each rollout of a part is drawn from, by its size.
+            before: Likewise of each rollout before the final batch.
+            proposals: K.
+        """
+        columns = 1 + proposals
+        final = np.zeros(columns, dtype=np.int64)
+        for size, times in Counter(sizes).items():
+            final += times * np.bincount(components(size), minlength=columns)
+        return Planned(
+            of_all=log_shares(final + np.bincount(before, minlength=columns)),
+            of_final=log_shares(final),
+        )
+
+
+@dataclass(frozen=True)
+class FailingWeights:
+    """Weights of violating final rollouts until each rule is broken, and until any is (``None``).
+
+    Attributes:
+        rollout: Index of each in the pool, ascending, ``[F]``.
+        log_weight: As draws from the mixture of all stages, ``[F]``.
+        among_final: As draws from the final batch's own, ``[F]``.
+        by_pilots: Whether pilots are most of what could draw it, ``[F]``.
+    """
+
+    rollout: IntArray
+    log_weight: Mapping[Rule, FloatArray]
+    among_final: Mapping[Rule, FloatArray]
+    by_pilots: Mapping[Rule, BoolArray]
+
+    @staticmethod
+    def of(
+        rollout: IntArray, log_ratio: Mapping[Rule, FloatArray], planned: Planned
+    ) -> "FailingWeights":
+        """From the log ratios ``[F, 1 + K]`` under each rule."""
+        ratios = log_ratio.items()
+        return FailingWeights(
+            rollout=rollout,
+            log_weight={rule: weights(ratio, planned.of_all) for rule, ratio in ratios},
+            among_final={rule: weights(ratio, planned.of_final) for rule, ratio in ratios},
+            by_pilots={rule: mostly_by_pilots(ratio, planned.of_all) for rule, ratio in ratios},
+        )
+
+
+def log_shares(counts: IntArray) -> FloatArray:
+    """Log of the share n_k / N of rollouts drawn from each of K components, ``[K]``."""
+    with np.errstate(divide="ignore"):  # a proposal that nothing was drawn from does not count
+        return np.log(counts / counts.sum())
+
+
+def weights(log_ratio: FloatArray, shares: FloatArray) -> FloatArray:
+    """-log sum_k exp(share_k + log_ratio_k) for ratios ``[H, K]`` and log shares ``[K]``."""
+    found = np.empty(len(log_ratio))
+    for first in range(0, len(log_ratio), ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        found[rows] = -np.asarray(log_sum_exp(log_ratio[rows] + shares, axis=1))
+    return found
+
+
+def mostly_by_pilots(log_ratio: FloatArray, shares: FloatArray) -> BoolArray:
+    """Whether pilots are most of what could draw each of ``[H]`` rollouts."""
+    log_joint = log_ratio + shares
+    by_pilots = np.exp(log_joint[:, PILOTS] - np.asarray(log_sum_exp(log_joint, axis=1)))
+    return by_pilots > MORE_THAN_HALF
+
+
+@dataclass(frozen=True, eq=False)
+class TargetRules:
+    """The rule that each of N rollouts is drawn to break.
+
+    Attributes:
+        rules: Names of all; empty where there is but the specification.
+        chosen: Which of them, ``[N]``; -1: none by itself.
+    """
+
+    rules: tuple[str, ...]
+    chosen: IntArray
+
+    @staticmethod
+    def of(rules: tuple[str, ...], targets: Sequence[Rule]) -> "TargetRules":
+        """Of rollouts by name."""
+        places = {None: -1, **{rule: place for place, rule in enumerate(rules)}}
+        return TargetRules(
+            rules, np.array([places.get(rule, -1) for rule in targets], dtype=np.int64)
+        )
+
+    def reached(self, memory: Mapping[str, AnyArray]) -> BoolArray:
+        """Which rollouts have broken theirs, ``[N]``, by what states remember."""
+        found = self.chosen != self.chosen
+        for place, rule in enumerate(self.rules):
+            found = found | (memory[violated_rule(rule)] & (self.chosen == place))
+        return found
+
+    def rows(self, rows: slice) -> "TargetRules":
+        """Of some of the rollouts."""
+        return TargetRules(self.rules, self.chosen[rows])
+
+
+def broken_at(memory: Mapping[str, AnyArray], rules: Sequence[str]) -> BoolArray | None:
+    """Which rules are broken at states ``[...]``, ``[..., R]``; ``None`` without rules."""
+    if not rules:
+        return None
+    return np.stack([memory[violated_rule(rule)] for rule in rules], axis=-1)
+
+
+def still_open(broken: BoolArray | None, rules: Sequence[str], rule: Rule) -> BoolArray | None:
+    """Where a rule is not broken yet, ``[...]`` of ``[..., R]``; ``None`` stands for everywhere."""
+    if broken is None:
+        return None
+    closed = broken.any(axis=-1) if rule is None else broken[..., rules.index(rule)]
+    return np.logical_not(np.asarray(closed))
+
+
+def both(first: BoolArray | None, second: BoolArray | None) -> BoolArray | None:
+    """Where both are; ``None`` stands for everywhere."""
+    if first is None or second is None:
+        return second if first is None else first
+    return first & second
+
+
+def where_open(values: AnyArray, open_there: BoolArray | None) -> AnyArray:
+    """The values, 0 elsewhere."""
+    return values if open_there is None else np.where(open_there, values, 0.0)
 
 
 @dataclass(frozen=True)
@@ -368,3 +528,33 @@ def _made(decisions: Decisions, rows: slice, *, first: int) -> Decisions:
     """Some decisions with their monomials, of rollouts that count from ``first``."""
     some = decisions.take(rows)
     return replace(some, rollout=some.rollout - first, basis=some.basis[:])
+
+
+def latent_ratios(
+    latents: LatentDecisions,
+    moves: Sequence[tuple[LatentMeans, Rule]],
+    *,
+    rules: Sequence[str] = (),
+    under: Rule = None,
+) -> FloatArray:
+    """Log q_k / p ``[N, K]`` of the latents of N rollouts under fitted proposals.
+
+    Args:
+        latents: The rollouts'.
+        moves: Means of each proposal, and the rule that it is to break.
+        rules: Names of those that are told apart.
+        under: Until when rollouts are judged.
+    """
+    if not latents.is_made:
+        edges = itertools.pairwise(some_at_once(latents.count))
+        pieces = (latents.between(*pair) for pair in edges)
+        return np.vstack([latent_ratios(few, moves, rules=rules, under=under) for few in pieces])
+    found = np.zeros((latents.count, len(moves)))
+    until = still_open(latents.broken, rules, under)
+    for rule in dict.fromkeys(rule for _, rule in moves):
+        own = still_open(latents.broken, rules, rule) if rule else None
+        counted = latents.where(both(until, own))
+        for column, (means, of) in enumerate(moves):
+            if of == rule:
+                found[:, column] = means.log_ratio(counted)
+    return found

@@ -34,7 +34,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
 
 
 def _recounted(kept: KeptRepetition) -> Recounted:
-    from pemviz.sampling.mixture.recount import recounted  # noqa: PLC0415  slow to import
+    from pemviz.sampling.mixture.estimate import recounted  # noqa: PLC0415  slow to import
 
     return recounted(kept)
 

@@ -4,6 +4,12 @@ A proposal sees the state alone, and can make likely one chain of outcomes or an
 of two. Where the rollouts that it is fitted to scatter more than its own draws would, they are
 split in two, and the mixture of proposals is fitted (Dempster, Laird, Rubin 1977), as long as
 this raises their likelihood by more than its parameters cost.
+
+They are looked for among a bounded number of weighted rollouts in place of very many. Of N with
+weights w_i that sum to W, those are taken on which the places (j + 1/2) W / M, j = 0 .. M - 1, fall
+when the weights are laid end to end (systematic resampling: Kitagawa 1996). Each that is taken
+counts W / M for every place on it: a weighted sum over the rollouts changes by its spread over
+sqrt(M) at most, and by less where neighbours are alike.
 """
 
 from collections.abc import Sequence
@@ -22,7 +28,6 @@ from pemviz.proposals.latent_means import (
     scores,
 )
 from pemviz.proposals.offset_logistic_fit import LogisticFit, WeightedOutcomes, group_sums
-from pemviz.sampling.mixture.resampling import times_drawn
 
 MOST_WAYS = 4
 LEAST_SCATTER = 4.0
@@ -30,7 +35,6 @@ LEAST_SCATTER = 4.0
 ROUNDS = 8
 SAMPLE = 100
 """Rollouts by which ways are told apart: enough for a handful, and cheap."""
-
 Ridges = tuple[FloatArray, FloatArray]
 """Penalties of the coefficients, ``[B]``, and of those of the means of noise, ``[B']``."""
 
@@ -279,3 +283,20 @@ def shares_of_draws(share: FloatArray) -> Sequence[float]:
     least = 0.5 / share.size
     raised = np.maximum(share, least)
     return [float(one) for one in raised / raised.sum()]
+
+
+def times_drawn(weight: FloatArray, count: int) -> IntArray:
+    """How often each of weighted rollouts ``[N]`` is among ``count`` drawn in even steps."""
+    edges = np.cumsum(weight)
+    places = (np.arange(count) + 0.5) / count * edges[-1]
+    return np.bincount(np.searchsorted(edges, places), minlength=weight.size).astype(np.int64)
+
+
+def at_most(weight: FloatArray, most: int) -> FloatArray:
+    """The same weights ``[N]`` if ``most`` are not 0, else those of as many drawn, 0 elsewhere.
+
+    Either sum to the same.
+    """
+    if np.count_nonzero(weight) <= most:
+        return weight
+    return times_drawn(weight, most) * (weight.sum() / most)

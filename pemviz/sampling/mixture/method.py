@@ -14,11 +14,12 @@ The first stage draws from a broad family of pilots alone (:mod:`pemviz.proposal
 q_0 as a whole, and every later one a share of its rollouts. The rest come from the newest proposal
 fitted to the violations; in the first half of the stages, while the weights do not tell the
 probability of a violation well, a quarter of them from one fitted to the lowest level of robustness
-whose probability they do tell (:mod:`pemviz.sampling.mixture.levels`). Another quarter comes from
+whose probability they do tell (:mod:`pemviz.sampling.mixture.fit`). Another quarter comes from
 proposals for failure modes that the newest would hardly draw, in the second half only where they
-carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.hidden`). With several
-rules each that was broken has proposals of its own, drawn from alike; a proposal and a rollout's
-likelihood go as far as the rule at hand is kept (:mod:`pemviz.sampling.mixture.aims`).
+carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.next_proposals`). With
+several rules each that was broken has proposals of its own, drawn from alike; a proposal and a
+rollout's likelihood go as far as the rule at hand is kept
+(:mod:`pemviz.sampling.mixture.balance_heuristic`).
 
 Latents, where the scenario takes any, are moved beside outcomes: pilots move one at a time up or
 down (:mod:`pemviz.proposals.latent_pilots`), each fitted proposal has means of its own, fitted with
@@ -28,8 +29,8 @@ moved at all steps, at some, or at one step of each rollout that nobody knows
 a proposal that is fitted blind to the state, so that no step is left out where few are known.
 
 A stage of very many rollouts is over once enough of them violate
-(:mod:`pemviz.sampling.mixture.large_stages`), and proposals are fitted to a bounded number of them
-(:mod:`pemviz.sampling.mixture.resampling`).
+(:mod:`pemviz.sampling.mixture.drawing`), and proposals are fitted to a bounded number of them
+(:mod:`pemviz.sampling.mixture.failure_modes`).
 
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
@@ -54,23 +55,23 @@ from pemviz.proposals.offset_logistic import (
 from pemviz.sampling.estimates.diagnostics import unlatched
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
-from pemviz.sampling.mixture.agreement import disagreements
-from pemviz.sampling.mixture.balance_heuristic import Pool
+from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.drawing import (
+    InParts,
+    Joining,
+    MixtureState,
+    StageDrawn,
+    components,
     defence,
     drawn,
     main_proposal,
     several_rules,
     until_settled,
 )
-from pemviz.sampling.mixture.draws import components
-from pemviz.sampling.mixture.final import Planned
+from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
 from pemviz.sampling.mixture.fit import FitSettings
-from pemviz.sampling.mixture.large_stages import InParts, Joining, StageDrawn
-from pemviz.sampling.mixture.learning import next_proposals
+from pemviz.sampling.mixture.next_proposals import next_proposals
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
-from pemviz.sampling.mixture.recount import adaptation, columns_of
-from pemviz.sampling.mixture.state import MixtureState
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.simulators.latents import latent_counts

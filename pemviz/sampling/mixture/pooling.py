@@ -8,21 +8,26 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.proposals.latent_decisions import LatentDecisions
+from pemviz.proposals.latent_pilots import LatentFamily
+from pemviz.proposals.monomials import Monomials, noise_basis, noise_features
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, acting
 from pemviz.proposals.pilots import PilotFamily
-from pemviz.sampling.mixture.aims import Rule, broken_at, still_open
+from pemviz.proposals.single_moves import even_logit
 from pemviz.sampling.mixture.balance_heuristic import (
     Decisions,
+    FailingWeights,
     FittedMoves,
+    Planned,
     Pool,
+    Rule,
+    broken_at,
     decisions_of,
     log_ratios,
+    still_open,
 )
-from pemviz.sampling.mixture.final import FailingWeights, Planned
-from pemviz.sampling.mixture.large_stages import Joining
-from pemviz.sampling.mixture.latents import fresh_latents
+from pemviz.sampling.mixture.drawing import Joining
 from pemviz.simulators.latched import VIOLATED
-from pemviz.types import RolloutBatch, ScoredRollouts
+from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
 
 DEGREE = 3
 """Of monomials."""
@@ -312,3 +317,78 @@ def _stand_for(*pools: Pool) -> FloatArray | None:
 
 def _appended(before: Mapping[str, AnyArray], after: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     return {name: np.concatenate([values, after[name]]) for name, values in before.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class FreshLatents:
+    """Latents of rollouts that come to the pool.
+
+    Attributes:
+        decisions: As proposals see them.
+        by_pilots: Log of the pilots' density over the model's, ``[n]``, under all rules together
+            and each of several.
+    """
+
+    decisions: LatentDecisions
+    by_pilots: Sequence[FloatArray]
+
+
+def fresh_latents(
+    rollouts: RolloutBatch,
+    *,
+    features: StateFeatures,
+    basis: PolynomialBasis,
+    turns: int,
+    starts: int,
+    rules: Sequence[str] = (),
+    many: bool = False,
+) -> FreshLatents | None:
+    """Of rollouts with latents that can be moved, ``starts`` at the start; ``None`` for others.
+
+    Of ``many`` monomials are not made before they are asked for.
+    """
+    latents = rollouts.latents
+    if latents is None or not (starts or latents.noise.shape[2]):
+        return None
+    states, acts = _last_turns(rollouts, turns)
+    start, noise = latents.start[:, :starts], latents.noise.shape[2]
+    family = LatentFamily.over(acts.shape[1], start=starts, noise=noise)
+    acts = acts if noise else np.zeros_like(acts)
+    broken = broken_at(states.memory, rules)
+    detected = rollouts.detected[:, turns - 1 :: turns]
+    values, own = noise_features(features, states, detected)[acts], noise_basis(basis)
+    return FreshLatents(
+        decisions=LatentDecisions(
+            start=start,
+            rollout=np.nonzero(acts)[0].astype(np.int64),
+            monomials=Monomials(values, own) if many else own.evaluate(values),
+            noise=latents.noise[acts],
+            even=even_logit(np.nonzero(acts)[1], steps=acts.shape[1]),
+            broken=None if broken is None else broken[acts],
+        ),
+        by_pilots=[
+            family.log_ratio(start, latents.noise, within)
+            for within in _until_each(acts, broken, rules)
+        ],
+    )
+
+
+def _until_each(
+    acts: BoolArray, broken: BoolArray | None, rules: Sequence[str]
+) -> Sequence[BoolArray]:
+    """Where noise counts under all rules together and under each, ``[N, T-1]``."""
+    until = [still_open(broken, rules, rule) for rule in (None, *rules)]
+    return [acts if each is None else acts & each for each in until]
+
+
+def _last_turns(rollouts: RolloutBatch, turns: int) -> tuple[StateBatch, BoolArray]:
+    """States before each step's last outcome ``[N, T-1]``, and whether nothing is violated yet."""
+    count, steps = rollouts.detected.shape
+    columns = slice(turns - 1, steps, turns)
+    states = StateBatch(
+        step=np.arange(steps, dtype=np.int64)[None, columns],
+        signals={name: values[:, columns] for name, values in rollouts.signals.items()},
+        memory={name: values[:, columns] for name, values in rollouts.memory.items()},
+    )
+    over = states.memory.get(VIOLATED, np.zeros((count, steps // turns), dtype=np.bool_))
+    return states, ~over

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from pemviz.arrays import Batch, FloatArray, Rows
-from pemviz.proposals.offset_logistic import PolynomialBasis
+from pemviz.arrays import Batch, BoolArray, FloatArray, Rows
+from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures
+from pemviz.types import StateBatch
 
+NOISE_DEGREE = 2
+"""Of the polynomial that gives means of noise."""
 MADE_AT_ONCE = 4_096
 """Decisions: as many as a processor's cache holds with their monomials."""
-
 ROLLOUTS_AT_ONCE = 250
 """Of many, whose decisions' monomials are made."""
 
@@ -49,3 +51,23 @@ class Monomials(Batch):
 def some_at_once(count: int) -> list[int]:
     """Edges of ``count`` rollouts in pieces that their monomials are made of."""
     return [*range(0, max(count, 1), ROLLOUTS_AT_ONCE), count]
+
+
+def noise_basis(basis: PolynomialBasis) -> PolynomialBasis:
+    """Monomials for the means of noise, of what outcomes look at and of the outcome itself.
+
+    A step's noise is drawn after its outcomes: an error of a position may matter with a detection
+    alone.
+    """
+    return PolynomialBasis(
+        mean=np.append(basis.mean, 0.5),
+        spread=np.append(basis.spread, 0.5),
+        degree=min(basis.degree, NOISE_DEGREE),
+    )
+
+
+def noise_features(features: StateFeatures, states: StateBatch, detected: BoolArray) -> FloatArray:
+    """Features of states ``[...]`` and outcomes there, ``[..., D + 1]``."""
+    values = features.values(states)
+    values = np.broadcast_to(values, (*detected.shape, values.shape[-1]))
+    return np.concatenate([values, detected[..., None]], axis=-1, dtype=np.float64)
