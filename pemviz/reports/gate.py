@@ -8,7 +8,7 @@ from pemviz.config.gate_limits import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_UNDECIDED
 from pemviz.reports.estimate_text import bound_text
 from pemviz.runs.result import RunResult
-from pemviz.runs.trust import run_diagnostics
+from pemviz.runs.trust import reference_diagnostics, run_diagnostics
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Diagnostic, Estimate
 
@@ -67,9 +67,11 @@ def decide_limits(result: RunResult, *, limits: GateLimits) -> GateDecision | No
 
 
 def _of_rule(result: RunResult, name: str, limit: float) -> GateDecision:
+    """What the reference says against the run it says against each of its rules."""
     for rule in result.rules:
         if rule.name == name:
-            decision = decide_gate(rule.estimate, limit=limit)
+            known = (*rule.estimate.diagnostics, *reference_diagnostics(result))
+            decision = decide_gate(rule.estimate, limit=limit, diagnostics=known)
             return replace(decision, reason=f"rule {name}: {decision.reason}")
     return GateDecision("undecided", limit, f"rule {name}: no estimate", EXIT_GATE_UNDECIDED)
 
@@ -82,18 +84,21 @@ def decide_run(result: RunResult, *, limit: float) -> GateDecision:
         return GateDecision("undecided", limit, words, EXIT_FAILED)
     if result.estimate is None:
         return GateDecision("undecided", limit, "there is no estimate", EXIT_GATE_UNDECIDED)
-    return _decide(result.estimate, run_diagnostics(result), limit=limit)
+    return decide_gate(result.estimate, limit=limit, diagnostics=run_diagnostics(result))
 
 
-def decide_gate(estimate: Estimate, *, limit: float) -> GateDecision:
-    """Compare an estimate's upper bound with ``limit``."""
-    return _decide(estimate, estimate.diagnostics, limit=limit)
-
-
-def _decide(
-    estimate: Estimate, diagnostics: tuple[Diagnostic, ...], *, limit: float
+def decide_gate(
+    estimate: Estimate, *, limit: float, diagnostics: tuple[Diagnostic, ...] | None = None
 ) -> GateDecision:
-    """Above the limit it trips, whatever else is wrong; an interval that is none never passes."""
+    """Compare an estimate's upper bound with ``limit``.
+
+    Above the limit it trips, whatever else is wrong; an interval that is none never passes.
+
+    Args:
+        estimate: The estimate.
+        limit: The probability that a violation must not exceed.
+        diagnostics: All that is known to be wrong; ``None``: the estimate's own.
+    """
     against = interval_caveats(estimate, diagnostics)
     outcome: GateOutcome
     if estimate.ci_high is None:

@@ -10,7 +10,9 @@ from typing import get_args
 import pytest
 
 from pemviz.config import METHODS
-from pemviz.reports.gate import EXIT_CODES, decide_gate, decide_run
+from pemviz.config.gate_limits import GateLimits
+from pemviz.reports.gate import EXIT_CODES, decide_gate, decide_limits, decide_run
+from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.estimates.diagnostics import (
     AGREEMENT_ERRORS,
@@ -188,3 +190,14 @@ def test_an_estimate_that_the_reference_contradicts_decides_nothing():
     assert decide_run(result(one, reference=near), limit=LIMIT).exit_code == 0
     assert decide_run(result(one, reference=None), limit=LIMIT).exit_code == 0
     assert decide_run(result(one, reference=far), limit=4e-15).exit_code == 1
+
+
+def test_a_rule_of_a_run_that_the_reference_contradicts_never_passes():
+    far = Reference(probability=8e-15, std_error=0.0, log10_probability=-14.1)
+    one, limits = estimate(method="mixture"), GateLimits(None, {"gap": LIMIT})
+    rules = (RuleAnswer(name="gap", formula="always (gap >= 2)", estimate=one),)
+    for reference, code in ((None, 0), (far, 4)):
+        run = replace(result(one, reference=reference), rules=rules)
+        assert decide_limits(run, limits=limits).exit_code == code
+    tripped = GateLimits(None, {"gap": 4e-15})
+    assert decide_limits(run, limits=tripped).exit_code == 1
