@@ -239,13 +239,17 @@ def rule_scores(rules: Mapping[str, ScoredRule], rollouts: RolloutBatch) -> Rule
 
 
 def ranked(problem: Problem, signals: Signals) -> FloatArray:
-    """Robustness ``[N]`` that is below 0 too where it is 0 and the specification violated."""
+    """Robustness ``[N]`` that is below 0 where the specification is violated and nowhere else.
+
+    At 0 no metric tells, and the smooth one's sign contradicts the verdict elsewhere, too: beyond a
+    level that not all violations lie below, those above would not count.
+    """
     robustness = problem.robustness(signals)
-    tied = np.flatnonzero(robustness == 0.0)
-    if problem.violated is not None and tied.size:
-        violated = problem.violated({name: values[tied] for name, values in signals.items()})
-        robustness[tied[violated]] = -np.finfo(np.float64).tiny
-    return robustness
+    if problem.violated is None:
+        return robustness
+    violated = problem.violated(signals)
+    just_below = -np.finfo(np.float64).tiny
+    return np.where(violated, np.minimum(robustness, just_below), np.maximum(robustness, 0.0))
 
 
 def _scores(by: Problem | ScoredRule, rollouts: RolloutBatch) -> tuple[FloatArray, BoolArray]:

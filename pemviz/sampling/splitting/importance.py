@@ -1,8 +1,8 @@
 """How far a state is from a violation: the importance function that splitting's levels cut.
 
-Splitting is unbiased with any importance function; the nearer it is to a decreasing function
-of the probability of a violation from there on, the smaller is the variance (Garvels, Van
-Ommeren, Kroese 2002; Cerou, Guyader, Rousset 2019).
+Splitting is unbiased with any importance function that is below 0 at the end of every rollout that
+violates; the nearer it is to a decreasing function of the probability of a violation from there on,
+the smaller is the variance (Garvels, Van Ommeren, Kroese 2002; Cerou, Guyader, Rousset 2019).
 """
 
 from collections.abc import Callable
