@@ -15,11 +15,12 @@ from concurrent.futures import (
     wait,
 )
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import ParamSpec, Self, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
 from pemviz.errors import RunError
-from pemviz.faults import STOPS
+from pemviz.faults import STOPS, told
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
@@ -126,9 +127,14 @@ class ProcessPool:
     ) -> Future[Returned]:
         """Have a process call a module's function; it and its arguments can be pickled."""
         before = set(multiprocessing.active_children())
+        # here and not in the pool's own thread, which would end at what is no Exception
+        try:
+            call = ForkingPickler.dumps((function, arguments, named))
+        except BaseException as error:
+            return _failed(error, function)
         # a process that stops at the terminal's signals would look like one that died
         with one_thread_each(), signals_held_back():
-            future = self._executor.submit(function, *arguments, **named)
+            future = self._executor.submit(_called, bytes(call))
         self._processes += set(multiprocessing.active_children()) - before
         return future
 
@@ -137,6 +143,23 @@ class ProcessPool:
         for process in self._processes:
             process.kill()
         self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _called(call: bytes) -> Any:
+    """What this process' parent asked for."""
+    function, arguments, named = ForkingPickler.loads(call)
+    return function(*arguments, **named)
+
+
+def _failed(error: BaseException, function: Callable[..., Any]) -> Future[Any]:
+    """The future of a call that cannot be handed to a process."""
+    failed: Future[Any] = Future()
+    if isinstance(error, Exception):
+        failed.set_exception(error)
+    else:
+        what = f"what {function.__name__} is called with raises {told(error)}"
+        failed.set_exception(RunError(f"{what} on its way to a worker process"))
+    return failed
 
 
 def map_in_processes(

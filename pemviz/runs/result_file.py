@@ -236,6 +236,10 @@ def _kept(document: object) -> KeptResult:
     result = result_from_document(document)
     table = cast(Table, document)
     if table["schema"] == OPEN_SCHEMA:
+        digests = [name for name in ("files", DIGEST) if name in table]
+        if digests:
+            message = f"schema = {OPEN_SCHEMA}: must be {SCHEMA}, as there is {digests[0]!r}"
+            raise InputError(message)
         return KeptResult(result, {}, None)
     files: Mapping[str, str] = read_value(Mapping[str, str], table.get("files"), name="files")
     strange = [name for name in files if not name or name in (".", "..") or set(name) & set("/\\")]

@@ -152,7 +152,7 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | Non
     Raises:
         InputError: It is damaged.
     """
-    arrays = read_digested(path)
+    arrays = read_digested(path, of=_belongs_to(path))
     held = arrays["violated"].size if "violated" in arrays else 0
     try:
         drawn = drawn_of(arrays)
@@ -217,6 +217,12 @@ def part_path(folder: Path, *, repetition: int, stage: int) -> Path:
     return folder / PART_FOLDER / f"repetition-{repetition:05d}-stage-{stage:05d}.npz"
 
 
+def _belongs_to(path: Path) -> bytes:
+    """What a stage's file is of: repetition and stage by its name, a run by its settings."""
+    settings = path.parent.parent / "config.toml"
+    return path.name.encode() + b"\n" + (settings.read_bytes() if settings.is_file() else b"")
+
+
 def stage_files(folder: Path) -> list[Path]:
     """The files of a run folder's finished stages, in order; none once the run is done."""
     return sorted((folder / PART_FOLDER).glob("repetition-*.npz"))
@@ -233,7 +239,7 @@ def write_part(path: Path, arrays: Mapping[str, AnyArray]) -> None:
 
     def write(stream: BinaryIO) -> None:
         np.savez(stream, **cast(Any, contents))
-        append_digest(stream)
+        append_digest(stream, of=_belongs_to(path))
 
     write_atomically(path, write)
 
@@ -342,7 +348,11 @@ def load_rollouts(folder: Path) -> dict[str, AnyArray]:
     if not parts:
         message = f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)"
         raise InputError(message)
-    tables = [read_arrays(whole)] if parts == [whole] else [read_digested(part) for part in parts]
+    tables = (
+        [read_arrays(whole)]
+        if parts == [whole]
+        else [read_digested(part, of=_belongs_to(part)) for part in parts]
+    )
     for part, table in zip(parts[1:], tables[1:], strict=True):
         if _layout(table) != _layout(tables[0]):
             message = f"rollouts {part}: must hold the same arrays as {parts[0].name}"

@@ -256,13 +256,30 @@ def test_an_edited_stage_of_an_unfinished_run_is_computed_again(tmp_path, caplog
     assert contents(folders[1]) == contents(folders[0])
 
 
-def test_a_stages_file_of_an_older_version_has_no_digest(tmp_path):
-    folder = tmp_path / "run"
-    folder.mkdir()
-    stop = StopAfter(2)
+@pytest.mark.parametrize("what", ["digest", "place", "seed", "settings"])
+def test_a_stage_that_is_not_this_runs_is_computed_again(tmp_path, what):
+    """Edited and without a digest, of another stage or seed, or of settings that were others."""
+    whole, edited, other = (tmp_path / name / "run" for name in ("whole", "edited", "other"))
     experiment = build_experiment(replace(CONFIG, repetitions=1))
-    carry_out(experiment, folder, observers=[stop], should_stop=stop)
-    path = part_path(folder, repetition=0, stage=1)
-    with np.load(path) as arrays:
-        np.savez(path, **{name: arrays[name] for name in arrays.files if name != "digest"})
-    assert load_run(folder).kept == 80
+    another = build_experiment(replace(CONFIG, repetitions=1, seed=CONFIG.seed + 1))
+    for folder, one in ((whole, experiment), (edited, experiment), (other, another)):
+        folder.mkdir(parents=True)
+        stop = StopAfter(3)
+        carry_out(one, folder, observers=[stop], should_stop=stop)
+    before, last = (part_path(edited, repetition=0, stage=stage) for stage in (1, 2))
+    if what == "digest":
+        with np.load(last) as arrays:
+            table = {name: arrays[name] for name in arrays.files if name != "digest"}
+        np.savez(last, **{**table, "violated": ~table["violated"]})
+    elif what == "place":
+        last.write_bytes(before.read_bytes())
+    elif what == "seed":
+        last.write_bytes(part_path(other, repetition=0, stage=2).read_bytes())
+    else:
+        edited = other
+        (edited / "result.json").unlink()
+        (edited / "config.toml").write_bytes((whole / "config.toml").read_bytes())
+    for folder in (whole, edited):
+        carry_out(experiment, folder)
+    read_result(edited)
+    assert contents(edited) == contents(whole)
