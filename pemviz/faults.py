@@ -107,6 +107,7 @@ def blame(
         BaseException: As it came, what a signal raised, a request to stop, or a complaint about
             what was given.
     """
+    error = presentable(error)
     if is_from_outside(error) or isinstance(error, StopRequested | InputError):
         raise error
     if isinstance(error, SimulationError):
@@ -197,6 +198,22 @@ def told(error: BaseException) -> str:
     return f"{kind}: {text}" if text else kind
 
 
+def presentable(error: BaseException) -> BaseException:
+    """What was raised, or one that stands for it if to look at it would raise more."""
+    try:
+        seen: set[int] = set()
+        each: BaseException | None = error
+        while each is not None and id(each) not in seen:
+            seen.add(id(each))
+            shown = each.__class__, each.__traceback__, getattr(each, MARK, False)
+            shown = *shown, getattr(each, "__notes__", ())
+            each = each.__cause__ or each.__context__
+    except BaseException:  # theirs, as all of it
+        kind = type.__getattribute__(type(error), "__name__")
+        return RuntimeError(f"a {kind} that cannot be looked at")
+    return error
+
+
 def message_of(error: BaseException) -> str:
     """An error's message in one line."""
     try:
@@ -210,8 +227,12 @@ def traceback_of(error: BaseException) -> str:
 
     All of it where none is; lines do nothing to a terminal.
     """
-    found = traceback.TracebackException(type(error), error, _from_theirs(error.__traceback__))
-    lines = "".join(found.format()).splitlines()
+    try:
+        theirs = _from_theirs(error.__traceback__)
+        found = traceback.TracebackException(type(error), error, theirs)
+        lines = "".join(found.format()).splitlines()
+    except BaseException:  # theirs, as all of it
+        return "its traceback cannot be told"
     if len(lines) > LONGEST_TRACEBACK:
         half = LONGEST_TRACEBACK // 2
         lines = [*lines[:half], f"  ... {len(lines) - 2 * half} lines ...", *lines[-half:]]

@@ -17,7 +17,7 @@ from concurrent.futures import (
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import Any, ParamSpec, Self, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar, cast
 
 from pemviz.errors import RunError
 from pemviz.faults import STOPS, told
@@ -131,7 +131,7 @@ class ProcessPool:
         try:
             call = ForkingPickler.dumps((function, arguments, named))
         except BaseException as error:
-            return _failed(error, function)
+            return _failed(error)
         # a process that stops at the terminal's signals would look like one that died
         with one_thread_each(), signals_held_back():
             future = self._executor.submit(_called, bytes(call))
@@ -147,18 +147,16 @@ class ProcessPool:
 
 def _called(call: bytes) -> Any:
     """What this process' parent asked for."""
-    function, arguments, named = ForkingPickler.loads(call)
+    function, arguments, named = cast(Any, ForkingPickler).loads(call)
     return function(*arguments, **named)
 
 
-def _failed(error: BaseException, function: Callable[..., Any]) -> Future[Any]:
+def _failed(error: BaseException) -> Future[Any]:
     """The future of a call that cannot be handed to a process."""
     failed: Future[Any] = Future()
-    if isinstance(error, Exception):
-        failed.set_exception(error)
-    else:
-        what = f"what {function.__name__} is called with raises {told(error)}"
-        failed.set_exception(RunError(f"{what} on its way to a worker process"))
+    if not isinstance(error, Exception):
+        error = RunError(f"pickling what a worker process is to work on raises {told(error)}")
+    failed.set_exception(error)
     return failed
 
 

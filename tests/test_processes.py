@@ -32,6 +32,16 @@ def sleep_after_telling(seconds):
     time.sleep(seconds)
 
 
+class LeavesWhenPickled:
+    def __reduce__(self):
+        raise SystemExit(0)
+
+
+class LeavesWhenUnpickled:
+    def __reduce__(self):
+        return sys.exit, (0,)
+
+
 @pytest.mark.parametrize("workers", [1, 2, 5])
 def test_results_are_in_the_items_order_and_each_is_told_once(workers):
     told = []
@@ -52,6 +62,14 @@ def test_a_process_that_dies_is_one_line():
         map_in_processes(leave, (3, 4), workers=2)
     assert "\n" not in str(caught.value)
     assert multiprocessing.active_children() == []
+
+
+def test_what_leaves_when_it_is_pickled_is_not_waited_for():
+    """The pool's own thread would end at it, and nobody would say so."""
+    with pytest.raises(RunError, match="a worker process is to work on raises SystemExit: 0"):
+        map_in_processes(slowest_first, (LeavesWhenPickled(), 1), workers=2)
+    with pytest.raises(SystemExit):
+        map_in_processes(slowest_first, (LeavesWhenUnpickled(), 1), workers=2)
 
 
 def test_a_request_to_stop_ends_processes_at_once():

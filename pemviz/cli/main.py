@@ -15,7 +15,7 @@ from pemviz.errors import (
     InputError,
     PemvizError,
 )
-from pemviz.faults import told, traceback_of
+from pemviz.faults import presentable, told, traceback_of
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,8 @@ def carry_out(name: str, run: Callable[[Sequence[str]], int], words: Sequence[st
         return _complain("interrupted", code=EXIT_FAILED)
     except HelpShown:
         raise
-    except BaseException as error:  # exit codes 0 and 1 are for runs that were judged
+    except BaseException as raised:  # exit codes 0 and 1 are for runs that were judged
+        error = presentable(raised)
         _show(traceback_of(error))
         return _complain(f"{name} failed: {told(error)}", code=EXIT_FAILED)
 

@@ -18,6 +18,7 @@ from pemviz.faults import (
     StopRequested,
     from_outside,
     mark_from_outside,
+    presentable,
     signals_told_apart,
     told,
     traceback_of,
@@ -120,7 +121,8 @@ def run(
                 runner.carry_out()
         except StopRequested:
             pass
-        except BaseException as error:
+        except BaseException as raised:
+            error = presentable(raised)
             outside = from_outside(error)
             if outside is not None:
                 runner.finish("stopped")

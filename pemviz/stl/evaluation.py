@@ -149,7 +149,9 @@ def _by_blocks(
 
 
 def _all_finite(robustness: FloatArray, formula: Formula) -> FloatArray:
-    if not np.isfinite(robustness).all() and not any(isinstance(p, Truth) for p in formula.walk()):
+    may_be_infinite = any(isinstance(part, Truth) for part in formula.walk())
+    wrong = np.isnan(robustness) if may_be_infinite else ~np.isfinite(robustness)
+    if wrong.any():
         raise InputError("robustness is beyond the largest number; rescale the signals")
     return robustness
 

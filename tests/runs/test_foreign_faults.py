@@ -69,6 +69,21 @@ def faulty(fault, *, after=0):
     return Faulty(SMALL.scenario)
 
 
+def unpresentable(name):
+    def leave(*_):
+        raise SystemExit(0)
+
+    looked_at = leave if name == "__getattribute__" else property(leave)
+    return type("Unpresentable", (Exception,), {name: looked_at})()
+
+
+@pytest.mark.parametrize("name", ["__notes__", "__cause__", "__getattribute__", "__traceback__"])
+def test_an_error_that_leaves_when_it_is_looked_at_fails_the_run(name):
+    fault = unpresentable(name)
+    with pytest.raises(RunError, match="Unpresentable that cannot be looked at"):
+        run(build_experiment(SMALL, simulator=faulty(fault, after=5)))
+
+
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
 @pytest.mark.parametrize("limit_s", [None, 600.0])
 def test_whatever_a_simulator_raises_fails_the_run(fault, limit_s):
