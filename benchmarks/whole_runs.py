@@ -25,8 +25,7 @@ WHOLE_RUNS = (
     "--no-recording --method zero-variance --final-rollouts 1200 --reference",
     "--no-recording --preset cut-in",
     "--no-recording --memory-curve",
-    "--no-recording --preset cut-in --method monte-carlo --final-rollouts 100000 --keep violations"
-    " --no-plan",
+    "--no-recording --preset cut-in --method monte-carlo --final-rollouts 100000 --keep violations",
     "--no-recording --final-rollouts 100000 --keep violations",
     "--no-recording --method adaptive --final-rollouts 300000 --keep violations",
     "--no-recording --method monte-carlo --final-rollouts 1000000 --keep violations --no-plan",
