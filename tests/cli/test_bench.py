@@ -5,6 +5,8 @@ import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.paper import paper_figures
+from benchmarks.whole_runs import WHOLE_RUNS
+from pemviz.cli.record_arguments import parse
 
 
 @pytest.mark.slow
@@ -18,6 +20,11 @@ def test_figures_of_the_paper_repetition(capsys, monkeypatch):
     parts = [by_name[f"paper repetition, {part}"] for part in ("simulation", "fits")]
     assert all(figure["value"] > 0.0 and figure["unit"] for figure in figures)
     assert sum(part["value"] for part in parts) < wall["value"]
+
+
+@pytest.mark.parametrize("options", WHOLE_RUNS)
+def test_the_whole_runs_are_what_the_command_takes(options):
+    parse(options.split()).experiment.validate()
 
 
 def test_whole_runs_are_timed_beside_those_without_numba(capsys, monkeypatch):
