@@ -7,6 +7,7 @@ Ctrl-C above all, is no fault of theirs and passes.
 
 import contextlib
 import signal
+import sys
 import threading
 import traceback
 from collections.abc import Callable, Generator, Sequence
@@ -241,7 +242,7 @@ def traceback_of(error: BaseException) -> str:
 
 def _from_theirs(frames: TracebackType | None) -> TracebackType | None:
     each = frames
-    while each is not None and _home(each) == "pemviz":
+    while each is not None and (_home(each) == "pemviz" or _home(each) in sys.stdlib_module_names):
         each = each.tb_next
     return frames if each is None or _home(each) in LIBRARIES else each
 
