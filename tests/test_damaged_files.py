@@ -13,7 +13,7 @@ from pemviz.errors import LONGEST_MESSAGE, ConfigError, InputError
 from pemviz.files.array_files import load_tensors, read_arrays
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.json_text import parse_json
-from pemviz.runs.rollout_files import finished_stage
+from pemviz.runs.rollout_files import finished_stage, write_part
 from pemviz.types import Signal
 
 
@@ -197,9 +197,9 @@ def test_a_stage_that_holds_no_rollouts_is_refused(tmp_path, name, values):
         "violated": np.zeros(2, dtype=np.bool_),
     }
     signals = (Signal(name="gap", key="gap_m", unit="m", low=0.0, high=1.0),)
-    np.savez(tmp_path / "whole.npz", **arrays)
+    write_part(tmp_path / "whole.npz", arrays)
     assert finished_stage(tmp_path / "whole.npz", signals).scored.rollouts.count == 2
-    np.savez(tmp_path / "damaged.npz", **{**arrays, name: values})
+    write_part(tmp_path / "damaged.npz", {**arrays, name: values})
     with pytest.raises(InputError, match="holds what is no number"):
         finished_stage(tmp_path / "damaged.npz", signals)
 

@@ -19,7 +19,7 @@ from pemviz.panel.views.recordings import recordings_table
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.resume import run_lock
-from pemviz.runs.rollout_files import load_rollouts
+from pemviz.runs.rollout_files import load_rollouts, part_path, write_part
 from tests.told import without_digests
 
 CRAFTED = (
@@ -184,10 +184,11 @@ def test_rollouts_with_impossible_numbers_are_refused(folder, name, change, word
 
 def test_stages_that_hold_different_arrays_are_refused(folder):
     run = folder.root / "run"
-    (run / "stages").mkdir()
-    names = [f"repetition-00000-stage-{stage:05d}.npz" for stage in range(2)]
-    shutil.move(run / "rollouts.npz", run / "stages" / names[0])
-    np.savez(run / "stages" / names[1], gap_m=np.zeros(3))
+    paths = [part_path(run, repetition=0, stage=stage) for stage in range(2)]
+    names = [path.name for path in paths]
+    with np.load(run / "rollouts.npz") as arrays:
+        write_part(paths[0], dict(arrays))
+    write_part(paths[1], {"gap_m": np.zeros(3)})
     with pytest.raises(InputError, match=rf"{names[1]}: must hold the same arrays as {names[0]}"):
         load_run(run)
 

@@ -250,6 +250,7 @@ def test_importance_where_the_first_misses_cost_nothing():
         counted(0.3),
         simulator=Slipping(states=60),
         robustness=lambda signals: np.minimum(signals["gap"].min(axis=1), 5.0) - 3.0,
+        violated=None,
     )
     rollouts = drawn(problem, count=5, generator=np.random.default_rng(1)).rollouts
     (found,) = importance(problem, rollouts, row=np.array([0]), step=np.array([0]))
