@@ -3,6 +3,7 @@
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.braking.highway import HighwaySimulator
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import Simulator
+
+if TYPE_CHECKING:
+    from highway_env.road.road import Road
 
 
 def simulator_figures(
@@ -70,9 +74,23 @@ def replaying(simulator: Simulator, rollouts: int) -> Callable[[], object]:
     return lambda: replay(simulator=simulator, detected=detected)
 
 
+def plain_road(config: ScenarioConfig) -> "Road":
+    """Two of highway-env's own vehicles at the scenario's start: the yardstick for our costs."""
+    from highway_env.vehicle.kinematics import Vehicle  # noqa: PLC0415  starts pygame
+
+    from pemviz.simulators.braking.highway_env_scenario import straight_road  # noqa: PLC0415
+
+    road = straight_road(config)
+    distance_m = config.initial_gap_m + Vehicle.LENGTH
+    road.vehicles = [
+        Vehicle(road, position=[x_m, 0.0], speed=config.initial_speed_mps)
+        for x_m in (0.0, distance_m)
+    ]
+    return road
+
+
 def _bare_vehicles(config: ScenarioConfig, rollouts: int) -> Callable[[], object]:
     """Work that only steps highway-env's own vehicles, as often as rollouts would."""
-    from pemviz.simulators.braking.highway_env_scenario import plain_road  # noqa: PLC0415  pygame
 
     def work() -> None:
         for _ in range(rollouts):

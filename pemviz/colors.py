@@ -38,9 +38,6 @@ METRICS = {"classical": BLUE, "agm": ORANGE, "smooth-cumulative": GREEN}
 # on white, as in the panel, and on black, as in rerun's viewer
 PEM, PEM_ON_BLACK = BLACK, GREY
 PROPOSAL, PROPOSAL_ON_BLACK = VERMILLION, ORANGE
-# rerun adds up the colours of bars that overlap: where both are, the sum is orange
-PEM_BARS_ON_BLACK = "#3c3c46"
-PROPOSAL_BARS_ON_BLACK = "#be7300"
 
 
 def car_color(car: int) -> str:

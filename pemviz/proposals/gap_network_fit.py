@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.proposals.gap_network import HIDDEN_UNITS, GapNetwork
 from pemviz.proposals.gap_network_gradient import GapLoss, Parameters
 from pemviz.proposals.outcome_sums import OutcomeSums
 
 EPOCHS_BETWEEN_PAUSES = 50
-POOLED_AT_ONCE = 4_096
-"""Rollouts."""
 FORGETTING = (0.9, 0.999)
 """Adam's rates of its two moments."""
 LEAST_SIZE = 1e-8
@@ -36,19 +34,6 @@ class OutcomeTable:
     gap_m: FloatArray
     detected_weight: FloatArray
     missed_weight: FloatArray
-
-
-def pool_outcomes(
-    *, gap_m: FloatArray, detected: BoolArray, rollout_weight: FloatArray
-) -> OutcomeTable:
-    """Pool outcomes ``[N, T-1]`` of rollouts with weights ``[N]`` that sum to 1."""
-    sums = OutcomeSums.of_none()
-    for first in range(0, len(detected), POOLED_AT_ONCE):
-        rows = slice(first, first + POOLED_AT_ONCE)
-        sums = sums.with_rollouts(
-            gap_m=gap_m[rows], detected=detected[rows], rollout_weight=rollout_weight[rows]
-        )
-    return table_of(sums)
 
 
 def table_of(sums: OutcomeSums) -> OutcomeTable:

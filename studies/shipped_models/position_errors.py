@@ -22,9 +22,10 @@ from pemviz.pem.files.load import SUFFIX
 from pemviz.pem.files.position_error_files import POSITION_ASSET_FOLDER, save_position_errors
 from pemviz.pem.judging.position_error_report import FitSettings, fit_position_errors
 from pemviz.pem.models.card import KITTI_LICENCE
-from pemviz.pem.models.position_error_card import NUSCENES_LICENCE, position_card_markdown
+from pemviz.pem.models.position_error_card import position_card_markdown
 from studies.shipped_models.tracked import LABELS_FOLDER, RATE_HZ, SHIPPED_TRACKED, TYPES
 
+NUSCENES_LICENCE = "CC BY-NC-SA 4.0 (nuScenes, from which the model is made; non-commercial)"
 PositionName = Literal["pointpillars", "pointrcnn"]
 NUSCENES_FOLDER, KITTI_FOLDER = "nuscenes_pointpillars", "kitti_tracking"
 NAMES: tuple[PositionName, ...] = ("pointpillars", "pointrcnn")

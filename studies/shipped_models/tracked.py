@@ -24,7 +24,12 @@ from pemviz.pem.fitting.fit import ModelKind, Provenance
 from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report, fit_tracked_pem
 from pemviz.pem.judging.memory_report import memory_line
 from pemviz.pem.models.card import KITTI_LICENCE, card_markdown
-from pemviz.pem.models.memory_card import FLATTERY
+
+FLATTERY = (
+    "The detector was trained on images of the same drives: its misses close by are fewer than on "
+    "new roads, and these figures flatter it. How misses follow each other close by rests on the "
+    "few misses counted under 'plain view'."
+)
 
 TrackedName = Literal["rrc", "pointrcnn"]
 LABELS_FOLDER = "label_02"

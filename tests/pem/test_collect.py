@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pemviz.pem import PemError, load_table
 from pemviz.pem.data.collect import CollectOptions, collect
 from pemviz.pem.data.kitti_labels import TYPES
-from pemviz.pem.data.matching import iou, match_boxes
+from pemviz.pem.data.matching import assign_boxes, iou
 from pemviz.pem.data.position_errors import load_error_csv
 from tests.pem.helpers import seeds
 
@@ -234,7 +234,7 @@ def random_boxes(rng, count):
 def test_matching_finds_the_largest_total_overlap(seed, true, found):
     rng = np.random.default_rng(seed)
     first, second = random_boxes(rng, true), random_boxes(rng, found)
-    ours = match_boxes([tuple(row) for row in first], [tuple(row) for row in second])
+    ours = assign_boxes([tuple(row) for row in first], [tuple(row) for row in second])[0]
     overlap = iou(first, second)
     if true <= found:
         orders = permutations(range(found), true)

@@ -11,8 +11,8 @@ from pemviz.pem import Memory, PemError, load_pem, memory_of, save_pem
 from pemviz.pem.files.load import ASSET_FOLDER
 from pemviz.pem.files.model_files import METADATA_KEY, read_tensors
 from pemviz.pem.judging.memory_report import plain_view
-from pemviz.pem.models.memory_card import FLATTERY, fitted_memory
-from studies.shipped_models.tracked import SHIPPED_TRACKED, collect_detector
+from pemviz.pem.models.memory_card import fitted_memory
+from studies.shipped_models.tracked import FLATTERY, SHIPPED_TRACKED, collect_detector
 from tests.conftest import shared
 
 EVERY = pytest.mark.parametrize("name", SHIPPED_TRACKED)

@@ -10,9 +10,9 @@ from pemviz.proposals.gap_network_fit import (
     OutcomeTable,
     fit_gap_network,
     initial_gap_network,
-    pool_outcomes,
 )
 from pemviz.proposals.gap_network_gradient import GapLoss, Parameters
+from tests.pooled import pool_outcomes
 
 
 def as_torch(network: GapNetwork) -> torch.nn.Module:

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pemviz.drawn import numbers_of, place_of
-from pemviz.proposals.gap_network_fit import pool_outcomes
 from pemviz.runs.result import LEAST_ROBUST
 from pemviz.sampling.adaptive.candidates import FromAll, FromElites
 from pemviz.sampling.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.rollouts.thinning import LISTED, Thinned, largest_held
 from pemviz.types import RolloutBatch, ScoredRollouts
+from tests.pooled import pool_outcomes
 
 COUNT, STEPS = 400, 6
 

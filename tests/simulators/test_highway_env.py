@@ -9,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from highway_env.envs.common.abstract import AbstractEnv
 
+from benchmarks.simulators import plain_road
 from pemviz.config import ScenarioConfig
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.braking import highway_env_scenario
@@ -18,7 +19,6 @@ from pemviz.simulators.braking.highway_env_scenario import (
     ENVIRONMENT_ID,
     LEAD_RGB,
     BrakingEnv,
-    plain_road,
 )
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED
 

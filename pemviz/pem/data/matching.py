@@ -12,14 +12,14 @@ PAPER_IOU = 0.01
 """Overlap above which the paper's authors counted a pair as a detection."""
 
 
-def match_boxes(
+def assign_boxes(
     obstacles: Sequence[Box],
     detections: Sequence[Box],
     *,
     obstacle_types: Sequence[str] | None = None,
     detection_types: Sequence[str] | None = None,
-) -> FloatArray:
-    """IoU of each obstacle with the detection assigned to it, 0 without one; shape [obstacles].
+) -> tuple[FloatArray, IntArray]:
+    """IoU of each obstacle with the detection assigned to it or 0, and which one it is or -1.
 
     Each box has at most one partner; the assignment maximises the sum of overlaps (Kuhn's
     Hungarian method, by scipy).
@@ -30,22 +30,9 @@ def match_boxes(
         obstacle_types: classes of the obstacles; with detection_types, only boxes of the same
             class may be partners.
         detection_types: classes of the detections.
-    """
-    return assign_boxes(
-        obstacles, detections, obstacle_types=obstacle_types, detection_types=detection_types
-    )[0]
 
-
-def assign_boxes(
-    obstacles: Sequence[Box],
-    detections: Sequence[Box],
-    *,
-    obstacle_types: Sequence[str] | None = None,
-    detection_types: Sequence[str] | None = None,
-) -> tuple[FloatArray, IntArray]:
-    """Overlaps as of :func:`match_boxes`, and which detection it is; -1 without one.
-
-    Both have the shape [obstacles]; the arguments are the same.
+    Returns:
+        Both of the shape [obstacles].
     """
     result = np.zeros(len(obstacles))
     partner = np.full(len(obstacles), -1, dtype=np.int64)

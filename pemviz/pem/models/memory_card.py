@@ -13,11 +13,6 @@ FLATTERY_IF = (
     "fewer than on new roads. How misses follow each other close by rests on the misses counted "
     "under 'plain view'."
 )
-FLATTERY = (
-    "The detector was trained on images of the same drives: its misses close by are fewer than on "
-    "new roads, and these figures flatter it. How misses follow each other close by rests on the "
-    "few misses counted under 'plain view'."
-)
 CAUTION = (
     "What P(missed | state) leaves out and what lasts from frame to frame passes for memory: "
     "another model of it gives another memory time, a shorter or a longer one."

@@ -7,7 +7,6 @@ from typing import Any
 
 from pemviz.errors import PemError
 
-NUSCENES_LICENCE = "CC BY-NC-SA 4.0 (nuScenes, from which the model is made; non-commercial)"
 UNKNOWN_LICENCE = "not stated (if made from nuScenes or KITTI: CC BY-NC-SA, non-commercial)"
 AXIS_WORDS = {
     "range": "along the line of sight",

@@ -25,11 +25,6 @@ BURST_NOTE = (
 )
 
 
-def causes_part(result: RunResult, *, target: str = "") -> str:
-    """Both tables, if the run explains itself; see :func:`cause_sections`."""
-    return "".join(cause_sections(result, target=target))
-
-
 def cause_sections(result: RunResult, *, target: str = "") -> list[str]:
     """Misses by distance, bursts and chains, each with its heading, as far as a run tells them.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.again import averaged_again
 from pemviz.sampling.budgets import learning_budget, with_learning_budget
 from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.recount import averaged
 
 if TYPE_CHECKING:
     from pemviz.sampling.adaptive.method import AdaptiveSampling
@@ -37,7 +37,7 @@ ADAPTIVE = MethodDescription(
     name="adaptive",
     summary="the paper's Algorithm 1 to the letter: a network on the gap, learned from elites",
     build=_build,
-    recount=averaged_again,
+    recount=averaged,
     settings=frozenset(
         {"alpha", "sigma", "stages", "rollouts", "final_rollouts", "epochs", "learning_rate"}
     ),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.again import averaged_again, counted_again
 from pemviz.sampling.budgets import final_budget, with_final_budget
 from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.recount import averaged, counted
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
@@ -46,7 +46,7 @@ MONTE_CARLO = MethodDescription(
     name="monte-carlo",
     summary="rollouts from the error model itself: what plain simulation sees",
     build=_build_monte_carlo,
-    recount=counted_again,
+    recount=counted,
     remedy="pemviz record --method mixture",
     settings=frozenset({"final_rollouts"}),
     budget=final_budget,
@@ -65,7 +65,7 @@ NAIVE = MethodDescription(
     name="naive",
     summary="rollouts from one constant detection probability, weighted",
     build=_build_naive,
-    recount=averaged_again,
+    recount=averaged,
     remedy="pemviz record --method mixture",
     settings=frozenset({"final_rollouts", "naive_detection_probability"}),
     budget=final_budget,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.again import averaged_again
 from pemviz.sampling.budgets import final_budget, with_final_budget
 from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.recount import averaged
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
@@ -31,7 +31,7 @@ ZERO_VARIANCE = MethodDescription(
     name="zero-variance",
     summary="proposal from the exact value function of a fast twin",
     build=_build,
-    recount=averaged_again,
+    recount=averaged,
     settings=frozenset({"final_rollouts"}),
     budget=final_budget,
     with_budget=with_final_budget,

@@ -318,17 +318,6 @@ def straight_road(scenario: ScenarioConfig) -> Road:
     return Road(network=network)
 
 
-def plain_road(scenario: ScenarioConfig) -> Road:
-    """Two of highway-env's own vehicles at the scenario's start: the yardstick for our costs."""
-    road = straight_road(scenario)
-    distance_m = scenario.initial_gap_m + Vehicle.LENGTH
-    road.vehicles = [
-        Vehicle(road, position=[x_m, 0.0], speed=scenario.initial_speed_mps)
-        for x_m in (0.0, distance_m)
-    ]
-    return road
-
-
 def _view(scenario: ScenarioConfig) -> dict[str, Any]:
     """Show gaps up to the declared bound; the ego stays near the left edge."""
     ego_share = 0.1
