@@ -141,6 +141,12 @@ def another_seed(run):
     path.write_text(path.read_text().replace("seed = 3", "seed = 5", 1))
 
 
+def downgraded(document):
+    """To the schema that has no digests, with its figures edited."""
+    all_consistently(document)
+    document["schema"] = 1
+
+
 def without_digest(document):
     del document["digest"]
 
@@ -161,6 +167,7 @@ EDITS = {
     "refits": (in_document(bounds_of_refits, sealed=True), "pem_interval.high", "pem_interval."),
     "reference": (in_document(reference), "digest = ", "it was changed after it was written"),
     "older": (in_document(of_an_older_version), "repetitions[0].probability = ", "npz give "),
+    "schema": (in_document(downgraded), "schema = 1", "must be 2"),
     "digest": (in_document(without_digest), "digest", "must be a text"),
     "verdict": (lambda run, _: edit_rollouts(run, violated=flip), "violated = False", "robustness"),
     "rule's verdict": (
