@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pemviz.latents import LatentCounts, Latents
     from pemviz.pem import DetectorModel
     from pemviz.proposals.offset_logistic import StateFeatures
-    from pemviz.reports.summary_text import summary_text
+    from pemviz.reports.terminal import summary_text
     from pemviz.runs.engine import run, run_experiment
     from pemviz.runs.experiment import Experiment, build_experiment
     from pemviz.runs.kept_stages import KeptStages
@@ -101,7 +101,7 @@ _HOMES = {
     "run": "runs.engine",
     "run_experiment": "runs.engine",
     "side_by_side": "simulators.episodic",
-    "summary_text": "reports.summary_text",
+    "summary_text": "reports.terminal",
     "tracked": "simulators.tracking.tracked",
 }
 

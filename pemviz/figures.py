@@ -4,51 +4,34 @@ Each function returns a figure that a notebook shows by itself and ``savefig`` k
 display or pyplot.
 """
 
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid
 from pemviz.arrays import FloatArray
+from pemviz.charts.drawing import RunFigure, drawing, empty_figure
 from pemviz.colors import (
     BLACK,
     BLUE,
-    GREEN,
     GREY,
     HOLDS,
     MISSED,
     PEM,
     PROPOSAL,
-    SOURCES,
     VIOLATED,
 )
 from pemviz.errors import InputError
-from pemviz.reports.memory_curve import BY_FRAILTY, BY_MEMORY_TIME, CurveAxis, measured_names
-from pemviz.reports.uncertainty_text import UNCERTAINTY_TITLE, ends_text, source_name
+from pemviz.reports.charts import memory_chart, starts_chart, uncertainty_chart
+from pemviz.reports.memory_words import BY_FRAILTY, BY_MEMORY_TIME, CurveAxis
 from pemviz.runs.kept_stages import KeptStages
 from pemviz.runs.result import RunResult
 from pemviz.runs.slot_outcomes import slots_of
-from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.types import StageResult
 
-WIDTH_IN = 7.0
-DOTS_PER_INCH = 90
-FARTHEST = 1e-40
-"""An end of a range below, or at 0, is drawn at the axis' end."""
 CURVE_STEP_M = 0.25
 BINS = 40
-
-
-class RunFigure(Figure):
-    """A matplotlib figure that shows itself in a notebook without pyplot."""
-
-    def _repr_png_(self) -> bytes:
-        picture = io.BytesIO()
-        self.savefig(picture, format="png", dpi=DOTS_PER_INCH)
-        return picture.getvalue()
 
 
 def uncertainty(*, result: RunResult) -> RunFigure:
@@ -57,32 +40,11 @@ def uncertainty(*, result: RunResult) -> RunFigure:
     Raises:
         InputError: The run has no estimate.
     """
-    sources = uncertainty_budget(result)
-    if not sources:
+    chart = uncertainty_chart(result)
+    if chart is None:
         message = "uncertainty: the run has no estimate"
         raise InputError(message)
-    figure, axes = _figure(0.45 * len(sources) + 1.0)
-    known = [end for source in sources for end in (source.low, source.high) if end]
-    left = max(min(known, default=1e-20) / 100.0, FARTHEST)
-    for row, source in enumerate(sources):
-        if source.high is None:
-            axes.text(left * 3.0, row, "not bounded", color=GREY, va="center")
-            continue
-        low = max(source.low or 0.0, left)
-        axes.plot(
-            [low, max(source.high, low)], [row, row], color=SOURCES[source.kind], linewidth=6.0
-        )
-        axes.text(source.high * 2.0, row, " to ".join(ends_text(source)), color=BLACK, va="center")
-    if result.estimate is not None and result.estimate.probability > 0.0:
-        axes.axvline(result.estimate.probability, color=GREEN, linewidth=1.2)
-    axes.set_yticks(range(len(sources)), [source_name(source) for source in sources])
-    axes.set(xscale="log", xlim=(left, 10.0), xlabel="failure probability")
-    axes.set_title(UNCERTAINTY_TITLE, loc="left")
-    axes.set_ylim(len(sources) - 0.5, -0.5)
-    return figure
-
-
-NOT_KNOWN = "#e9ecef"
+    return drawing(chart)
 
 
 def robustness_distribution(*, stages: Sequence[StageResult], unit: str = "m") -> RunFigure:
@@ -102,7 +64,7 @@ def robustness_distribution(*, stages: Sequence[StageResult], unit: str = "m") -
     if not finite.any():
         message = "robustness_distribution: there is no rollout with a finite robustness"
         raise InputError(message)
-    figure, axes = _figure(3.4)
+    figure, axes = empty_figure(3.4)
     edges = _edges_about_zero(robustness[finite])
     groups = (("specification holds", ~violated, HOLDS), ("violated", violated, VIOLATED))
     drawn = [(name, robustness[rows & finite], color) for name, rows, color in groups]
@@ -140,7 +102,7 @@ def proposal_curves(*, kept: KeptStages, repetition: int = 0) -> RunFigure:
         message = "proposal_curves: only of scenarios with one obstacle and a signal named gap"
         raise InputError(message)
     gap_m = gap_grid(started.simulator, step_m=CURVE_STEP_M)
-    figure, axes = _figure(3.8)
+    figure, axes = empty_figure(3.8)
     for place, stage in enumerate(stages):
         curves = detection_curves(
             simulator=started.simulator,
@@ -176,7 +138,7 @@ def causes(*, result: RunResult) -> RunFigure:
     if explanation is None:
         message = "causes: the run does not tell what causes violations"
         raise InputError(message)
-    figure, axes = _figure(4.6, rows=2)
+    figure, axes = empty_figure(4.6, rows=2)
     bands = explanation.misses_by_distance
     middles = np.array([(band.low + band.high) / 2.0 for band in bands])
     widths = np.array([0.9 * (band.high - band.low) for band in bands])
@@ -208,37 +170,11 @@ def starts(*, result: RunResult, rule: str | None = None) -> RunFigure:
         InputError: The run has no such picture.
     """
     found = next((one for one in result.starts if one.rule == rule), None)
-    plane = None if found is None else found.plane
-    if found is None or plane is None:
+    chart = None if found is None else starts_chart(found)
+    if chart is None:
         message = "starts: the run does not tell which starts are dangerous"
         raise InputError(message)
-    figure, axes = _figure(4.2)
-    rows = [[np.nan if v is None else v for v in row] for row in plane.log10_probability]
-    ends = (
-        (plane.across_low, plane.across_high, len(rows[0])),
-        (plane.up_low, plane.up_high, len(rows)),
-    )
-    axes.set_facecolor(NOT_KNOWN)
-    drawn = axes.pcolormesh(
-        *(np.linspace(*end) for end in ends), np.array(rows), cmap="YlOrBr", shading="nearest"
-    )
-    axes.plot(
-        [point.across for point in found.points],
-        [point.up for point in found.points],
-        ".",
-        color=BLACK,
-        markersize=3.0,
-    )
-    units = {one.name: f" [{one.unit}]" if one.unit else "" for one in found.values}
-    axes.set(
-        xlabel=f"{plane.across}{units[plane.across]}",
-        ylabel=f"{plane.up}{units[plane.up]}",
-        xlim=ends[0][:2],
-        ylim=ends[1][:2],
-    )
-    axes.set_title("Which starts are dangerous (grey: not known)", loc="left")
-    figure.colorbar(drawn, ax=axes, label="log10 P(violation)")
-    return figure
+    return drawing(chart)
 
 
 def memory_curve(*, result: RunResult) -> RunFigure:
@@ -247,9 +183,7 @@ def memory_curve(*, result: RunResult) -> RunFigure:
     Raises:
         InputError: The run has no such curve.
     """
-    figure, axes = _curve(result, BY_MEMORY_TIME, name="memory_curve", label="memory time [s]")
-    axes.set_title("If misses come in bursts", loc="left")
-    return figure
+    return _curve(result, BY_MEMORY_TIME, name="memory_curve")
 
 
 def frailty_curve(*, result: RunResult) -> RunFigure:
@@ -258,49 +192,15 @@ def frailty_curve(*, result: RunResult) -> RunFigure:
     Raises:
         InputError: The run has no such curve.
     """
-    figure, axes = _curve(result, BY_FRAILTY, name="frailty_curve", label="frailty")
-    axes.set_title("If some obstacles are harder to see all along", loc="left")
-    return figure
+    return _curve(result, BY_FRAILTY, name="frailty_curve")
 
 
-def _curve(result: RunResult, axis: CurveAxis, *, name: str, label: str) -> tuple[RunFigure, Any]:
-    """A curve through its points with their intervals, and what was measured on video."""
-    memory = result.memory
-    curve = () if memory is None else axis.points(memory)
-    points = [point for point in curve if point.probability > 0.0]
-    if memory is None or not points:
+def _curve(result: RunResult, axis: CurveAxis, *, name: str) -> RunFigure:
+    chart = None if result.memory is None else memory_chart(result.memory, axis)
+    if chart is None:
         message = f"{name}: the run has none; ask for it with memory_curve=True"
         raise InputError(message)
-    figure, axes = _figure(3.4)
-    places = [axis.place(point) for point in points]
-    axes.plot(places, [point.probability for point in points], color=PROPOSAL, linewidth=2.0)
-    for place, point in zip(places, points, strict=True):
-        if point.low and point.high:
-            style = ":" if point.caveats else "-"
-            ends = [point.low, point.high]
-            axes.plot([place] * 2, ends, color=PROPOSAL, linestyle=style, marker="_")
-    _mark_measured(axes, measured_names(memory, axis))
-    held = not any(point.caveats for point in points)
-    note = "95 % intervals" if held else "dotted: not a 95 % interval"
-    axes.set(yscale="log", xlabel=f"{label} ({note})", ylabel="failure probability")
-    return figure, axes
-
-
-def _mark_measured(axes: Any, names: Mapping[float, str]) -> None:
-    """Places that were measured on video, and of whom."""
-    for place, name in names.items():
-        whole = axes.get_xaxis_transform()
-        axes.vlines(place, 0.0, 1.0, color=PEM, linewidth=1.0, transform=whole)
-        words = f" {name.split(',')[0]}, on video"
-        axes.text(place, 0.03, words, transform=whole, rotation=90, fontsize=8, ha="right")
-
-
-def _figure(height_in: float, *, rows: int = 1) -> tuple[RunFigure, Any]:
-    figure = RunFigure(figsize=(WIDTH_IN, height_in), layout="constrained")
-    axes = figure.subplots(rows, 1, sharex=True)
-    for each in np.atleast_1d(axes):
-        each.spines[["top", "right"]].set_visible(False)
-    return figure, axes
+    return drawing(chart)
 
 
 def _edges_about_zero(values: FloatArray) -> FloatArray:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.cli.summary import print_summary
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.config.toml_files import config_text
 from pemviz.panel.controller import Controller
@@ -24,8 +23,8 @@ from pemviz.recording.text import answer_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.rules_text import rule_rows, rule_warnings
-from pemviz.reports.summary_text import summary_text
+from pemviz.reports.rules_words import rule_rows, rule_warnings
+from pemviz.reports.terminal import print_summary, summary_text
 from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.failure_tables import table_2
 from pemviz.runs.result_file import result_document, write_result

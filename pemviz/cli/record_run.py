@@ -10,12 +10,12 @@ from pathlib import Path
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.progress import progress_observer
 from pemviz.cli.record_arguments import RecordArguments
-from pemviz.cli.summary import print_summary
 from pemviz.cli.workers import check_workers, with_workers
 from pemviz.config.encounters import NO_FAMILY
 from pemviz.config.gate_limits import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
 from pemviz.reports.gate import decide_limits
+from pemviz.reports.terminal import print_summary
 from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Event, Observer, RunDone, RunFailed
 from pemviz.runs.experiment import Experiment, build_experiment

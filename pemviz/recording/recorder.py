@@ -11,6 +11,7 @@ from pemviz.arrays import FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.recording import learning, paths, scene, text, worst
 from pemviz.recording.blueprint import blueprint, views_with_data
+from pemviz.recording.chart import log_intervals
 from pemviz.recording.compact import compact
 from pemviz.recording.estimates import Answer, drawn_answer, drawn_repetitions, log_estimates
 from pemviz.recording.film import import_filming, log_film
@@ -20,8 +21,8 @@ from pemviz.recording.road_scene import log_road_scene
 from pemviz.recording.rollouts import log_rollouts
 from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota, unvaried
 from pemviz.recording.stream import RecordingFile
-from pemviz.recording.uncertainty import log_uncertainty
 from pemviz.recording.views import ContainerSpec, Subject, all_views, without_signals
+from pemviz.reports.charts import uncertainty_chart
 from pemviz.runs.events import (
     Event,
     RepetitionDone,
@@ -246,8 +247,9 @@ class Recorder:
 
     def _write_texts(self, file: RecordingFile, result: RunResult, *, running: bool) -> None:
         file.markdown(paths.ANSWER, text.answer_text(result, running=running))
-        if not running:
-            log_uncertainty(file, result)
+        chart = None if running else uncertainty_chart(result)
+        if chart is not None:
+            log_intervals(file.static, paths.UNCERTAINTY, chart)
         file.markdown(paths.WARNINGS, text.warnings_text(result))
         file.markdown(paths.PROVENANCE, text.provenance_text(result))
         if self._tracks:

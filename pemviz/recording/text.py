@@ -4,38 +4,17 @@ import json
 from collections.abc import Mapping, Sequence
 
 from pemviz.analysis.contribution import CARRIED
-from pemviz.analysis.model_uncertainty import ModelInterval
-from pemviz.config import ExperimentConfig
-from pemviz.config.encounters import NO_FAMILY
 from pemviz.config.toml_files import config_text
 from pemviz.recording.latents import starts_table
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track, rules_table
-from pemviz.reports.causes_text import BURST_COLUMNS, BURST_TITLE, burst_rows, causes_line
-from pemviz.reports.data_plan_text import PLAN_TITLE, plan_heading, plan_sentences, short_rows
-from pemviz.reports.digits import digits_of, end_text
-from pemviz.reports.escape import markdown_table
-from pemviz.reports.estimate_text import (
-    REFITS,
-    RELIABLE_TAIL,
-    data_text,
-    interval_name,
-    memory_text,
-    no_interval_text,
-    share_text,
-    short_probability,
-)
-from pemviz.reports.memory_curve import CURVE_AXES, assumption_lines, curve_columns, curve_rows
-from pemviz.reports.rates_text import rates_markdown
-from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
-from pemviz.reports.starts_text import starts_markdown
-from pemviz.reports.uncertainty_text import UNCERTAINTY_COLUMNS, UNCERTAINTY_TITLE, uncertainty_rows
+from pemviz.reports.markdown import sections_markdown
+from pemviz.reports.numbers import end_text, share_text
+from pemviz.reports.run_document import ANSWER, TRUST, WHY, run_document
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.result_file import result_document
-from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.simulators.slots import Slot
-from pemviz.types import Estimate
 
 NOTHING = "none"
 KINDS = {"pretrain": " (first)", "learn": "", "final": " (final)"}
@@ -46,196 +25,33 @@ def number(value: float | None, digits: int = 3) -> str:
     return NOTHING if value is None else f"{value:.{digits}g}"
 
 
+READ_ON = (
+    "## How to read on\n"
+    "- **Learning**: how the proposal came about, stage by stage.\n"
+    "- **Rollouts**: what was simulated; orange curves violate the specification, blue "
+    "ones do not, thick ones are the least robust.\n"
+    "- **Worst case**: the least robust rollouts; press play to watch them.\n"
+    "- **Config**: everything needed to run this again.\n\n"
+    "The time panel below moves along a rollout (timelines `step` and `sim_time`). "
+    "Choose `stage` there to replay the tab Learning."
+)
+
+
 def answer_text(result: RunResult, *, running: bool) -> str:
-    """The answer, its interval and diagnostics, and how to go on reading."""
-    estimate, caveats = result.estimate, run_interval_caveats(result)
-    parts = [
-        _headline(result, caveats=caveats, running=running),
-        *_status(result, running=running),
-    ]
-    if estimate is not None:
-        parts += [*_rules(result), *rates_markdown(result, level="##")]
-        parts += _next(result)
-        sources = markdown_table(UNCERTAINTY_COLUMNS, uncertainty_rows(result))
-        parts.append(f"## {UNCERTAINTY_TITLE}\n\n{sources}")
-        parts += [*_memory(result), _model_range(result.pem_interval)]
-        parts += [
-            *_causes(result),
-            *starts_markdown(result, level="##"),
-            _diagnostics(estimate),
-            *_plan(result),
-        ]
-    parts.append(_question(result))
-    parts.append(
-        "## How to read on\n"
-        "- **Learning**: how the proposal came about, stage by stage.\n"
-        "- **Rollouts**: what was simulated; orange curves violate the specification, blue "
-        "ones do not, thick ones are the least robust.\n"
-        "- **Worst case**: the least robust rollouts; press play to watch them.\n"
-        "- **Config**: everything needed to run this again.\n\n"
-        "The time panel below moves along a rollout (timelines `step` and `sim_time`). "
-        "Choose `stage` there to replay the tab Learning."
-    )
-    return "\n\n".join(parts)
-
-
-def _headline(result: RunResult, *, caveats: Sequence[str], running: bool) -> str:
-    estimate, pem = result.estimate, result.pem
-    if estimate is None:
-        return "# The run goes on" if running else "# No estimate"
-    interval = f"{_interval(estimate, caveats=caveats)}{_caution(estimate, caveats=caveats)}"
-    if estimate.failures == 0:
-        return f"# No violation was seen\n\n{interval}"
-    probability = short_probability(estimate)
-    if estimate.probability == 0.0 and estimate.log10_probability is not None:
-        probability = f"10^{estimate.log10_probability:.1f}"
-    family = result.config.encounter.family
-    per = "run of the scenario" if family == NO_FAMILY else f"encounter of the family {family}"
-    granted = (
-        f"In one {per}, if error model **{pem.name}** is right, which learnt from "
-        f"{data_text(pem)}, and misses are {memory_text(result.memory)}."
-    )
-    return f"# Probability of a violation: {probability}\n\n{granted}\n\n{interval}"
-
-
-def _rules(result: RunResult) -> list[str]:
-    """Each rule's answer, where there are several."""
-    if not result.rules:
-        return []
-    lines = [f"- {text}" for text in rule_warnings(result)]
-    rows = markdown_table(RULE_COLUMNS, rule_rows(result))
-    title = f"## {RULES_TITLE}\n\nThe probability above is of any of them being broken."
-    return [f"{title}\n\n{rows}", *(["\n".join(lines)] if lines else [])]
-
-
-def _interval(estimate: Estimate, *, caveats: Sequence[str]) -> str:
-    low, high = estimate.ci_low, estimate.ci_high
-    if low is None or high is None:
-        return "No interval is known."
-    called = interval_name(estimate, caveats=caveats)
-    digits = digits_of(low, high)
-    ends = f"{end_text(low, digits=digits)} to {end_text(high, digits=digits)}"
-    interval = f"{called[0].upper()}{called[1:]}: **{ends}**"
-    if not caveats:
-        return f"{interval}, sampling alone"
-    return f"{interval}, **{no_interval_text(estimate)}**: {'; '.join(caveats)}"
-
-
-def _model_range(interval: ModelInterval | None) -> str:
-    if interval is None or interval.high is None:
-        return f"Over refits of the error model ({REFITS}): unknown."
-    low = "0" if interval.low is None else end_text(interval.low)
-    return (
-        f"Over {interval.members} {REFITS}: {interval.confidence:.0%} of them between "
-        f"**{low} and {end_text(interval.high)}**"
-    )
-
-
-def _caution(estimate: Estimate, *, caveats: Sequence[str]) -> str:
-    read = estimate.warnings or caveats
-    return "\n\n**Read the warnings below before quoting this.**" if read else ""
-
-
-def _status(result: RunResult, *, running: bool) -> list[str]:
-    stages = len(result.stages)
-    if running:
-        return [f"Stages done so far: {stages}."]
-    if result.status == "done":
-        return []
-    reason = f": {result.message}" if result.message else ""
-    return [f"**The run {result.status}** after {stages} stages{reason}."]
-
-
-def _next(result: RunResult) -> list[str]:
-    """What to measure next, a line each, if it was asked for."""
-    if result.plan is None:
-        return []
-    lines = "\n".join(f"- {collect}: {then}" for collect, then in short_rows(result))
-    kind = plan_heading(result.plan).removeprefix(PLAN_TITLE).strip(" ()")
-    return [f"## {PLAN_TITLE}", *([f"{kind[0].upper()}{kind[1:]}:"] if kind else []), lines]
-
-
-def _plan(result: RunResult) -> list[str]:
-    """The same in sentences, with what was seen so far."""
-    if result.plan is None:
-        return []
-    sentences = "\n".join(f"- {words}" for words in plan_sentences(result))
-    return [f"## {PLAN_TITLE}, in full\n{sentences}"]
-
-
-def _diagnostics(estimate: Estimate) -> str:
-    rows = [
-        ("method", estimate.method),
-        ("log10 of the probability", number(estimate.log10_probability, 4)),
-        ("standard error", number(estimate.std_error)),
-        ("rollouts simulated", f"{estimate.rollouts_simulated}"),
-        ("rollouts in the estimate", f"{estimate.rollouts_in_estimate}"),
-        ("of these, violations", f"{estimate.failures}"),
-        ("effective sample size of their weights", number(estimate.ess)),
-        ("largest weight's share", number(estimate.max_weight_share)),
-        (f"Pareto k-hat {RELIABLE_TAIL}", number(estimate.pareto_k)),
-        ("mean NLL of the violations [nats]", number(estimate.nll_mean, 4)),
-        ("NLL of their mean likelihood [nats]", number(estimate.nll_log_mean, 4)),
-    ]
-    return _table(("figure", "value"), rows)
-
-
-def _question(result: RunResult) -> str:
-    config = result.config
-    return (
-        f"## What was asked\nHow likely is it that `{config.spec}` is violated, if perception "
-        f"misses as the error model **{result.pem.name}** says? Scenario: {_scenario(config)}. "
-        f"Rollouts are ranked by the {config.metric} robustness; whether one violates is decided "
-        "by the formula itself."
-    )
-
-
-def _memory(result: RunResult) -> list[str]:
-    """What the assumptions on misses are worth, and the answer over memory times and frailties."""
-    memory = result.memory
-    if memory is None:
-        return []
-    parts = [f"**{line}**" for line in assumption_lines(memory)]
-    for axis in CURVE_AXES:
-        rows = [
-            (row.place, row.probability, row.interval, row.measured)
-            for row in curve_rows(memory, axis)
-        ]
-        if rows:
-            parts += [_table(curve_columns(memory, axis), rows), axis.note]
-    return parts
-
-
-def _causes(result: RunResult) -> list[str]:
-    """Where misses lie before a violation, and how they hang together."""
-    explanation = result.explanation
-    if explanation is None:
-        return []
-    rows = burst_rows(explanation, target=result.config.target)
-    table = [f"{BURST_TITLE}.", _table(BURST_COLUMNS, rows)] if rows else []
-    return [f"## Misses that cause it\n\n{causes_line(explanation)}", *table]
-
-
-def _scenario(config: ExperimentConfig) -> str:
-    if not config.is_braking_scenario:
-        return config.other_scenario
-    return (
-        f"{config.scenario.initial_speed_kmh:g} km/h, {config.scenario.initial_gap_m:g} m behind "
-        f"a lead car that brakes at {config.scenario.lead_deceleration_mps2:g} m/s²"
-    )
+    """The answer, how far it is open and what causes violations, and how to go on reading."""
+    document = run_document(result, running=running)
+    first, *others = document.choose(("answer", *ANSWER[2:], *WHY, *TRUST[:2], "question"))
+    parts = sections_markdown([first], level=1) + sections_markdown(others, level=2)
+    return "\n\n".join([*parts, READ_ON])
 
 
 def warnings_text(result: RunResult) -> str:
-    """What is wrong with the answer (bold) and with the error model, or that nothing is."""
-    if result.message:
-        return f"# Warnings\n\n- {result.message}"
-    if result.estimate is None:
-        return "# Warnings\n\nNone so far; there is no estimate yet."
-    about_answer = (f"**{diagnostic.text}**" for diagnostic in run_diagnostics(result))
-    warnings = (*about_answer, *data_warnings(result))
-    if not warnings:
-        return "# Warnings\n\nNone."
-    return "# Warnings\n\n" + "\n".join(f"- {warning}" for warning in warnings)
+    """What is wrong with the answer and with the error model, or that nothing is."""
+    return _page(result, "warnings", "extrapolation")
+
+
+def _page(result: RunResult, *keys: str) -> str:
+    return "\n\n".join(sections_markdown(run_document(result).choose(keys), level=1))
 
 
 def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
@@ -341,17 +157,7 @@ def result_text(result: RunResult) -> str:
 
 def provenance_text(result: RunResult) -> str:
     """Where the numbers come from and what they assume."""
-    versions = _table(("package", "version"), list(result.versions.items()))
-    timings = _table(
-        ("part", "seconds"), [(part, f"{s:.2f}") for part, s in result.timings_s.items()]
-    )
-    assumptions = "\n".join(f"- {assumption}" for assumption in result.assumptions)
-    return (
-        f"# Provenance\n\nRun **{result.run_id}**, seed {result.config.seed}.\n\n"
-        f"Perception error model **{result.pem.name}**, trained on: {result.pem.data} "
-        f"(SHA-256 `{result.pem.digest}`).\n\n## Assumed\n{assumptions}\n\n"
-        f"## Versions\n{versions}\n\n## Wall time\n{timings}"
-    )
+    return _page(result, "provenance", "assumptions")
 
 
 def contents_text(

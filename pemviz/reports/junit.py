@@ -2,17 +2,12 @@
 
 from xml.etree import ElementTree as Xml
 
+from pemviz.reports.document import Caution, Headline, Table
 from pemviz.reports.escape import printable_line, printable_lines
-from pemviz.reports.estimate_text import (
-    interval_name,
-    interval_text,
-    model_range_text,
-    probability_text,
-    violations_text,
-)
 from pemviz.reports.gate import GateDecision
+from pemviz.reports.run_document import run_document
+from pemviz.reports.terminal import plain_lines
 from pemviz.runs.result import RunResult
-from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 
 DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>'
 
@@ -91,17 +86,8 @@ def _add_complaint(
 
 
 def _facts(result: RunResult) -> list[str]:
-    estimate = result.estimate
-    lines = [f"run {result.run_id}, status {result.status}"]
-    if estimate is not None:
-        caveats = run_interval_caveats(result)
-        about_answer = (diagnostic.text for diagnostic in run_diagnostics(result))
-        lines += [
-            f"probability {probability_text(estimate)}",
-            f"{interval_name(estimate, caveats=caveats)} "
-            f"{interval_text(estimate, caveats=caveats)}",
-            f"violations {violations_text(estimate)}",
-            f"range over refits {model_range_text(result.pem_interval)}",
-            *(f"warning: {warning}" for warning in (*about_answer, *data_warnings(result))),
-        ]
+    """What was found, a line each, and every warning."""
+    said = run_document(result).blocks("answer", "robustness", "warnings", "extrapolation")
+    told = plain_lines(one for one in said if isinstance(one, Headline | Table | Caution))
+    lines = [f"run {result.run_id}, status {result.status}", *told]
     return [printable_lines(line) for line in lines]

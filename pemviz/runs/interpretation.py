@@ -27,6 +27,7 @@ from pemviz.analysis.model_uncertainty import (
     member_estimates,
     model_interval,
 )
+from pemviz.analysis.robustness_tail import robustness_tail
 from pemviz.analysis.starts import Violations
 from pemviz.arrays import FloatArray
 from pemviz.drawn import numbers_of
@@ -131,7 +132,7 @@ def interpret(
         if pools:
             yield interpreted
         return
-    for step in (_explained, _asked_of_members, _compared_with_data):
+    for step in (_explained, _ordinary, _asked_of_members, _compared_with_data):
         interpreted = step(interpreted, experiment, stage)
         yield interpreted
 
@@ -166,6 +167,18 @@ def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageRes
     if explanation is None:
         return interpreted
     return replace(interpreted, result=replace(interpreted.result, explanation=explanation))
+
+
+def _ordinary(interpreted: Interpreted, _: Experiment, stage: StageResult) -> Interpreted:
+    """What robustness is without a violation; the largest final batch tells most of it."""
+    before = interpreted.result.robustness_tail
+    if before is not None and before.rollouts >= stage.count:
+        return interpreted
+    robustness = stage.scored.robustness if stage.drawn is None else stage.drawn.robustness
+    log_weight = stage.scored.rollouts.log_weight if stage.drawn is None else stage.drawn.log_weight
+    found = robustness_tail(robustness, log_weight)
+    result = replace(interpreted.result, robustness_tail=before if found is None else found)
+    return replace(interpreted, result=result)
 
 
 def _asked_of_members(

@@ -16,6 +16,7 @@ from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
+from pemviz.analysis.robustness_tail import RobustnessTail
 from pemviz.analysis.starts import DangerousStarts
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Range, Share
@@ -157,6 +158,8 @@ class RunResult(ShownInNotebooks):
         data_bound: What the model's training data alone allow.
         plan: What to measure next, if it was asked for.
         explanation: Where and when the detector misses before violations, and what would help.
+        robustness_tail: Robustness expected and in the worst hundredth, under the error model;
+            ``None`` where the rollouts do not tell.
         warnings: About the model and its data; those about sampling are the estimates' own.
         timings_s: Wall time by part of the work [s].
         message: Why the run failed, if it did.
@@ -187,6 +190,7 @@ class RunResult(ShownInNotebooks):
     data_bound: DataBound | None = None
     plan: DataPlan | None = None
     explanation: Explanation | None = None
+    robustness_tail: RobustnessTail | None = None
     warnings: tuple[str, ...] = ()
     timings_s: Mapping[str, AtLeastZero] = field(default_factory=dict[str, float])
     message: str | None = None

@@ -14,7 +14,7 @@ from pemviz.recording.sweep_overview import (
     write_sweep_overview,
 )
 from pemviz.reports.escape import markdown_block, markdown_table, markdown_text
-from pemviz.reports.estimate_text import interval_text, level_text
+from pemviz.reports.estimate_words import interval_text, level_text
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.plan import Plan, setting_label, value_text

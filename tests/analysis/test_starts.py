@@ -11,9 +11,11 @@ import pemviz
 from pemviz import LatentCounts, Signal, StateBatch, figures, quantiles
 from pemviz.analysis.start_sample import WeightedStarts, all_starts, violating_starts
 from pemviz.analysis.starts import SHARES
+from pemviz.charts.svg import svg
 from pemviz.errors import InputError
-from pemviz.reports.pictures.starts import start_plane
-from pemviz.reports.starts_text import start_rows, starts_line
+from pemviz.reports.charts import starts_chart
+from pemviz.reports.html import clicks_to
+from pemviz.reports.starts_words import start_rows, starts_line
 from pemviz.runs.result_file import result_document, result_from_document
 
 EDGE, MISSED = 1.0, 0.3
@@ -154,9 +156,9 @@ def test_each_rule_has_its_own_and_a_file_keeps_them():
     assert wide.shifted()[0].name == "width"
     document = json.loads(json.dumps(result_document(result)))
     assert result_from_document(document).starts == result.starts
-    assert start_plane(wide).startswith("<svg")
+    assert svg(starts_chart(wide)).startswith("<svg")
     first = result.starts[0]
-    picture = start_plane(first, target="number")
+    picture = svg(starts_chart(first), target="number", clickable=clicks_to)
     assert picture.count("data-number=") > 0.9 * len(first.points)
     assert "data-target='number'" in picture
     point = first.points[0]
@@ -167,7 +169,7 @@ def test_too_few_violations_tell_nothing():
     (found,) = run("monte-carlo", final_rollouts=100).starts
     assert found.effective < 10.0
     assert found.plane is None
-    assert start_plane(found) == ""
+    assert starts_chart(found) is None
     assert "cannot be told from" in starts_line(found)
     assert start_rows(found)[0][3:] == ("-", "-", "-")
     with pytest.raises(InputError, match="starts: the run does not tell"):

@@ -10,12 +10,12 @@ from rich.console import Console
 from rich.progress import Progress
 
 from pemviz.cli.progress import ProgressBar, ProgressLines, counted_in_words
-from pemviz.cli.summary import print_summary
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.panel.run_observer import Watcher
+from pemviz.reports.terminal import print_summary
 from pemviz.runs.engine import run_experiment
 from tests.reports.runs import PLAN, estimate, result
-from tests.reports.test_causes_text import EXPLANATION
+from tests.reports.test_causes_words import EXPLANATION
 
 EASY = ScenarioConfig(states=45, emergency_gap_m=12.0)
 

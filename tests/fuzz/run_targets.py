@@ -13,7 +13,6 @@ import numpy as np
 from safetensors.numpy import load
 
 from pemviz.cli.record_run import gate_exit_code
-from pemviz.cli.summary import print_summary
 from pemviz.config import ExperimentConfig
 from pemviz.config.gate_limits import GateLimits
 from pemviz.config.toml_files import load_config
@@ -31,6 +30,7 @@ from pemviz.panel.views.why import why
 from pemviz.recording.open import find_recording
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.terminal import print_summary
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import has_result, result_document
 from pemviz.runs.rollout_files import PART_FOLDER, finished_stage, load_rollouts

@@ -11,8 +11,9 @@ from pemviz.analysis.model_families import FamilyAnswer
 from pemviz.errors import InputError
 from pemviz.panel.contribution import shares
 from pemviz.panel.tabs.experiment import read_number
-from pemviz.panel.views import compare, headline, learning, models, page, weights
+from pemviz.panel.views import compare, headline, learning, page, weights, why
 from pemviz.panel.views.curves import over_common
+from pemviz.reports.charts import models_chart
 from tests.panel.test_views import well_formed, with_result
 
 
@@ -75,15 +76,12 @@ def test_the_gaps_drawn_are_those_of_the_heaviest(loaded_run):
 def test_every_refit_and_family_has_a_mark(naive_run):
     interval = replace(naive_run.result.pem_interval, log10_answers=(-9.0, -8.5, None, -3.0))
     family = FamilyAnswer("lr", 1e-6, -6.0, 0.1, effective_failures=2.0)
-    run = with_result(naive_run, pem_interval=interval, families=(family,))
-    text = models.models_part(run.result)
-    well_formed(text)
-    assert text.count("a refit: ") == 3
-    assert "its 3 refits" in text
-    assert "lr (rough)" in text
-    old = replace(run.result, pem_interval=replace(interval, log10_answers=()))
-    assert "were not kept" in models.models_part(old)
-    assert models.models_part(replace(old, families=(), reference=None)) == ""
+    result = replace(naive_run.result, pem_interval=interval, families=(family,))
+    _, refits, other, *_ = models_chart(result).rows
+    assert [math.log10(value) for value in refits.values] == pytest.approx([-9.0, -8.5, -3.0])
+    assert (other.name, other.values) == ("lr (rough)", (1e-6,))
+    assert "lr (rough)" in why.why(with_result(naive_run, families=(family,)))
+    assert models_chart(replace(result, families=(), pem_interval=None)) is None
 
 
 def test_a_run_keeps_the_answers_of_its_refits(naive_run):

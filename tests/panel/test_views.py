@@ -11,6 +11,7 @@ import pytest
 from pemviz.analysis.causes import BandMisses, Chain
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
+from pemviz.charts.plot import Axis, Plot, nice_ticks
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.panel.controller import PanelState
@@ -22,10 +23,10 @@ from pemviz.panel.scene import braking, gap_color
 from pemviz.panel.tabs import experiment
 from pemviz.panel.tabs.player import interesting_step
 from pemviz.panel.views import compare, headline, learning, recordings, weights, why
+from pemviz.panel.views.elements import number
 from pemviz.panel.views.ranking_table import first_place, ranking_table
 from pemviz.panel.views.rollout import track, track_plots, with_cursor
-from pemviz.reports.pictures.html import number
-from pemviz.reports.pictures.svg import Axis, Plot, nice_ticks
+from pemviz.reports.estimate_words import short_probability
 from pemviz.runs.result import PemInfo
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
@@ -101,8 +102,8 @@ def test_loaded_run_shows_what_the_live_one_showed(live_run, loaded_run):
 def test_headline_gives_the_estimate(naive_run):
     text = headline.headline(naive_run)
     estimate = naive_run.result.estimate
-    assert f"P(violation) = {number(estimate.probability, 2)}<" in text
-    assert "in one run, if error model ml-nn is right<" in text
+    assert f"Failure probability {short_probability(estimate)}<" in text
+    assert "in one run, if error model ml-nn is right.<" in text
     assert f"{estimate.failures} of 60" in text
     scenario = replace(naive_run.config.scenario, tracker="2/3,coast=0.5")
     config = replace(naive_run.config, memory_s=0.2, frailty=0.7, scenario=scenario)
@@ -110,7 +111,7 @@ def test_headline_gives_the_estimate(naive_run):
     asked = headline.headline(with_result(naive_run, config=config, position_errors=errors))
     assert (
         "right; with memory time 0.2 s, frailty 0.7, tracker 2/3,coast=0.5, "
-        "position errors pointrcnn<"
+        "position errors pointrcnn.<"
     ) in asked
 
 
@@ -231,15 +232,15 @@ def test_causes_are_told_in_words_with_units(naive_run):
     run = with_result(run, warnings=("thin data", disagreement.text))
     page = why.why(run)
     words = ["".join(cell.itertext()) for cell in well_formed(page).iter("td")]
-    assert words[:5] == ["4 to 6", "1.70", "16 %", "–", "not enough alone"]
-    assert words[5:10] == ["6 to 8", "8.83", "84 %", "−0.12", "not enough alone"]
-    assert words[10:15] == ["all", "10.53", "100 %", "9.93", "25 %"]
+    assert words[:5] == ["4 to 6", "1.70", "16%", "-", "not enough alone"]
+    assert words[5:10] == ["6 to 8", "8.83", "84%", "-0.12 (error not known)", "not enough alone"]
+    assert words[10:15] == ["all", "10.53", "100%", "9.93 (error not known)", "25 %"]
     assert "8 to 10" not in words
-    assert words[15:17] == ["27 %", "3"]
-    assert "missed at 1.95, 2.05, 2.10 s" in page
+    assert words[15:17] == ["27%", "3"]
+    assert "1.95, 2.05 to 2.10" in page
     for raw in ("misses_by_distance", "elasticity", "repetition", "nll", "target_factor"):
         assert raw not in page
-    trust, data = page.index("How far to trust"), page.index("The error model and its data")
+    trust, data = page.index(">Warnings<"), page.index(">Extrapolated")
     assert trust < page.index("trust the reference") < data < page.index("thin data")
 
 

@@ -13,6 +13,7 @@ from pemviz.reports.escape import (
 )
 from pemviz.reports.gate import decide_gate, decide_run
 from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.run_document import run_document
 from pemviz.runs.trust import run_diagnostics
 from tests.reports.runs import NASTY, estimate, nasty_result, result, warned
 
@@ -70,8 +71,10 @@ def test_a_nasty_run_leaves_no_markup_of_its_own():
         "<details><summary>Complete configuration</summary>",
         "</details>",
     ]
-    # the title, the uncertainty, warnings, extrapolation, worst rollout, provenance, assumptions
-    assert len([t for t in tokens if t.type == "heading_open"]) == 7
+    # the answer, and each section of the run's document that has something to say in full
+    sections = run_document(nasty_result()).sections
+    told = sum(bool(section.full) for section in sections)
+    assert len([t for t in tokens if t.type == "heading_open"]) == told
 
 
 def test_a_reference_that_disagrees_is_no_extrapolation():
@@ -159,7 +162,7 @@ def test_undefined_figures_are_dashes_not_nan(changes, words):
 
 def test_a_run_without_an_estimate_says_so():
     page = summary_markdown(result(estimate=None, status="stopped", repetitions=1))
-    assert "no estimate, the run stopped" in page
+    assert "no estimate: the run stopped" in page
 
 
 def test_what_differs_from_the_scenarios_defaults_is_named():

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.cli.summary import print_summary
-from pemviz.reports.estimate_text import reference_text
+from pemviz.reports.estimate_words import reference_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.summary_text import summary_text
+from pemviz.reports.terminal import print_summary, summary_text
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
 from tests.reports.runs import estimate, result
@@ -42,7 +41,7 @@ def test_the_reference_and_the_ratio_to_it():
 @pytest.mark.parametrize("known", [AGREEING, FAR])
 def test_every_report_shows_the_reference(known, capsys):
     one, words = beside(known), reference_text(known, estimate())
-    assert f"reference: {words}" in summary_text(one)
+    assert f"reference {words}" in summary_text(one)
     assert words in summary_markdown(one).replace("\\", "")
     shown = terminal(one, capsys)
     assert f"{known.probability:.4g} +- {known.std_error:.1g}" in shown

@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pemviz.cli.summary import print_summary
 from pemviz.config import ExperimentConfig
 from pemviz.latents import LatentCounts
 from pemviz.recording.text import answer_text
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.notebook import result_html
-from pemviz.reports.rates_text import rate_line, rate_rows
+from pemviz.reports.rates_words import rate_line, rate_rows
 from pemviz.reports.safety_case.case import CaseRun
-from pemviz.reports.safety_case.evidence import evidence
-from pemviz.reports.summary_text import summary_text
+from pemviz.reports.safety_case.page import safety_case_page
+from pemviz.reports.terminal import print_summary, summary_text
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.rates import distance_rates, violation_rates
@@ -67,7 +66,7 @@ def test_every_place_tells_it(capsys):
     case = CaseRun("run", result, card=None, digests={}, violations=None)
     pages = (
         capsys.readouterr().out, summary_markdown(result), answer_text(result, running=False),
-        result_html(result), evidence(case, below=None), summary_text(result),
+        result_html(result), safety_case_page([case]), summary_text(result),
     )  # fmt: skip
     for page in pages:
         assert "0.050 to 0.20" in page

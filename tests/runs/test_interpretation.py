@@ -11,7 +11,7 @@ from benchmarks.trust_study import chosen
 from pemviz.analysis.explanation import explain
 from pemviz.analysis.model_uncertainty import member_estimates, model_interval
 from pemviz.config import ExperimentConfig
-from pemviz.reports.estimate_text import reference_text
+from pemviz.reports.estimate_words import reference_text
 from pemviz.reports.gate import decide_run
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.events import StageDone

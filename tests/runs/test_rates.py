@@ -6,17 +6,16 @@ from pathlib import Path
 import pytest
 
 from pemviz.cli.record_arguments import parse
-from pemviz.cli.summary import print_summary
 from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
 from pemviz.recording.text import answer_text
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.notebook import result_html
-from pemviz.reports.rates_text import rate_line, rate_rows
+from pemviz.reports.rates_words import rate_line, rate_rows
 from pemviz.reports.safety_case.case import CaseRun
-from pemviz.reports.safety_case.evidence import evidence
-from pemviz.reports.summary_text import summary_text
+from pemviz.reports.safety_case.page import safety_case_page
+from pemviz.reports.terminal import print_summary, summary_text
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.rates import violation_rates
 from pemviz.runs.result_file import result_document, result_from_document
@@ -68,7 +67,7 @@ def test_every_place_tells_it_and_what_it_assumes(capsys):
     run = CaseRun("run", result, card=None, digests={}, violations=None)
     pages = (
         capsys.readouterr().out, summary_markdown(result), answer_text(result, running=False),
-        result_html(result), evidence(run, below=None), summary_text(result),
+        result_html(result), safety_case_page([run]), summary_text(result),
     )  # fmt: skip
     for page in pages:
         assert "0.050 to 0.20" in page

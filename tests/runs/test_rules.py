@@ -16,7 +16,7 @@ from pemviz.recording.text import answer_text
 from pemviz.reports.gate import decide_limits
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.safety_case.case import CaseRun
-from pemviz.reports.safety_case.evidence import evidence
+from pemviz.reports.safety_case.page import safety_case_page
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
@@ -150,7 +150,7 @@ def test_rules_stand_on_every_page():
     pages = (
         summary_markdown(result),
         answer_text(result, running=False),
-        evidence(CaseRun("run", result, None, {}, None), below=None),
+        safety_case_page([CaseRun("run", result, None, {}, None)]),
     )
     for page in pages:
         for name in RULES:

@@ -7,13 +7,15 @@ from pathlib import Path
 import pytest
 
 from pemviz.analysis.model_families import FamilyAnswer
-from pemviz.cli.summary import MOST_WARNINGS, print_summary
+from pemviz.charts.svg import svg
 from pemviz.config import METHODS
 from pemviz.latents import LatentCounts
 from pemviz.recording.text import answer_text
+from pemviz.reports.charts import uncertainty_chart
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.pictures.uncertainty import uncertainty_plot
-from pemviz.reports.uncertainty_text import uncertainty_rows
+from pemviz.reports.run_document import MOST_WARNINGS
+from pemviz.reports.terminal import print_summary
+from pemviz.reports.uncertainty_words import uncertainty_rows
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document
 from pemviz.runs.uncertainty import uncertainty_budget
@@ -124,12 +126,12 @@ def test_the_uncertainty_budget_stands_in_result_json():
 @pytest.mark.parametrize("low", [0.0, 5e-324, 1e-30, 0.3])
 def test_the_drawing_stays_within_its_axis(low):
     one = result(estimate(ci_low=low, ci_high=1.2), families=FAMILIES)
-    drawn = uncertainty_plot(one)
+    drawn = svg(uncertainty_chart(one))
     assert "nan" not in drawn
     assert drawn.count("<rect") == sum(
         source.high is not None for source in uncertainty_budget(one)
     )
-    assert uncertainty_plot(replace(one, estimate=None)) == ""
+    assert uncertainty_chart(replace(one, estimate=None)) is None
 
 
 def test_the_terminal_shows_at_most_five_warnings_and_all_if_asked(capsys, monkeypatch):

@@ -17,7 +17,7 @@ from pemviz.pem.models.frailty import VisibilityNodes, log_sums
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.offset_logistic import SignalFeatures
-from pemviz.reports.summary_text import summary_text
+from pemviz.reports.terminal import summary_text
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.model_comparison import compare_models

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy.special import expit, ndtr, ndtri
 
+from pemviz.charts.svg import svg
 from pemviz.pem.files.load import load_pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import SignalFeatures
-from pemviz.reports.memory_curve import BY_FRAILTY, curve_rows, frailty_line
-from pemviz.reports.pictures.memory import memory_curve as drawn_curves
+from pemviz.reports.charts import memory_chart
+from pemviz.reports.memory_words import BY_FRAILTY, curve_rows, frailty_line
 from pemviz.runs.memory import RunMemory, own_memory
 from pemviz.sampling.bursts.curve import (
     MEASURED_FRAILTY,
@@ -165,4 +166,4 @@ def test_words_and_picture_say_whose_frailty_it_is_and_what_it_is_worth():
     assert line.endswith("worth 12 orders of magnitude.")
     assert frailty_line(replace(memory, frailty=0.68)).startswith("So is a frailty of 0.68: 1e-15")
     assert [row.place for row in curve_rows(memory, BY_FRAILTY)] == ["all alike", "0.68"]
-    assert "0.68: RRC, on video" in drawn_curves(memory)
+    assert "0.68: RRC, on video" in svg(memory_chart(memory, BY_FRAILTY))

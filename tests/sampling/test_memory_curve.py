@@ -7,11 +7,12 @@ from functools import partial
 
 import pytest
 
+from pemviz.charts.svg import svg
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.recording.text import answer_text
-from pemviz.reports.memory_curve import assumption_line, curve_columns, curve_rows
-from pemviz.reports.pictures.memory import memory_curve as memory_curve_view
+from pemviz.reports.charts import memory_chart
+from pemviz.reports.memory_words import BY_MEMORY_TIME, assumption_line, curve_columns, curve_rows
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document, result_from_document
@@ -160,10 +161,10 @@ def test_orders_of_magnitude_and_thin_intervals_are_said():
 
 
 def test_panel_and_recording_show_the_curve_beside_the_answer(result):
-    drawn = memory_curve_view(result.memory)
-    ET.fromstring(f"<all>{drawn}</all>")  # noqa: S314  our own
-    assert "0.3 s: RRC, a camera detector, on video" in drawn
-    assert memory_curve_view(replace(result.memory, curve=(), frailty_curve=())) == ""
+    drawn = svg(memory_chart(result.memory, BY_MEMORY_TIME))
+    ET.fromstring(drawn)  # noqa: S314  our own
+    assert "0.3 s: RRC, on video" in drawn
+    assert memory_chart(replace(result.memory, curve=()), BY_MEMORY_TIME) is None
     text = answer_text(result, running=False)
     assert "| 0.3 s |" in text
     assert assumption_line(result.memory) in text

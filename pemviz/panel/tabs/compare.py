@@ -13,8 +13,8 @@ from pemviz.panel.views.compare import (
     run_curves,
     runs_page,
 )
+from pemviz.panel.views.elements import quiet
 from pemviz.panel.views.page import page, progress_words, wide
-from pemviz.reports.pictures.html import quiet
 
 NONE = "none"
 ADD_HINT = (

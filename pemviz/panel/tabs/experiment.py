@@ -20,9 +20,10 @@ from pemviz.panel.tabs.encounters import (
     check_encounter,
 )
 from pemviz.panel.tabs.perception import PerceptionControls, check_measured
+from pemviz.panel.views.elements import block, good, quiet
 from pemviz.panel.views.scenario import scenario_text
 from pemviz.pem import shipped_pems
-from pemviz.reports.pictures.html import block, good, quiet, warning
+from pemviz.reports.html import warning
 from pemviz.runs.specification import build_formula
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.registry import simulator_names

@@ -11,7 +11,7 @@ from pemviz.panel.views.headline import headline, status
 from pemviz.panel.views.learning import learning, learning_words, proposal_curves
 from pemviz.panel.views.weights import heaviest_curves, looking_at_gaps, weights_page
 from pemviz.panel.views.why import why
-from pemviz.reports.pictures.causes import SHOWN_CHAINS, shown_chains
+from pemviz.reports.causes_words import SHOWN_CHAINS, shown_chains
 
 CHAIN_HINT = (
     "Show the rollout that contributes most to the chain of misses at this place of the table "

@@ -14,8 +14,8 @@ from pemviz.panel.recordings import read_listed
 from pemviz.panel.run_data import RunData
 from pemviz.panel.scene_page import scene_html
 from pemviz.panel.tabs.player import Player
+from pemviz.panel.views.elements import block, quiet
 from pemviz.panel.views.recordings import delete_question, recordings_table, viewer_link
-from pemviz.reports.pictures.html import block, quiet
 
 NONE = "no runs yet"
 SETTINGS_HINT = "Fill the Experiment tab with the settings of the run chosen; nothing is run yet."

@@ -13,9 +13,9 @@ from pemviz.panel.ranking import Among, RankedRow, Ranking, rank, row, scoring
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tabs.player import FROM_ABOVE, FROM_BEHIND, Player
 from pemviz.panel.views.details import details
+from pemviz.panel.views.elements import block, quiet
 from pemviz.panel.views.page import progress_words
 from pemviz.panel.views.ranking_table import ranking_table
-from pemviz.reports.pictures.html import block, quiet
 
 METRIC_HINT = (
     "Metric that ranks the rollouts shown; re-ranks what is stored at once, without a new run. "

@@ -7,6 +7,7 @@ from typing import cast, get_args
 import numpy as np
 
 from pemviz.arrays import BoolArray
+from pemviz.charts.plot import Axis, Plot
 from pemviz.colors import BLACK, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
 from pemviz.config.toml_files import every_setting
@@ -22,11 +23,11 @@ from pemviz.panel.views.curves import (
     over_common,
     signal_label,
 )
+from pemviz.panel.views.elements import grid, number, quiet
 from pemviz.panel.views.learning import DOUBTED, decades, logs_of_answer
 from pemviz.panel.views.page import cell, page, wide
-from pemviz.reports.estimate_text import no_interval_text
-from pemviz.reports.pictures.html import grid, heading, number, quiet, warning
-from pemviz.reports.pictures.svg import Axis, Plot
+from pemviz.reports.estimate_words import no_interval_text
+from pemviz.reports.html import heading, warning
 from pemviz.runs.same_run import flat_settings
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M

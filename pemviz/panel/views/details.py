@@ -8,13 +8,14 @@ import numpy as np
 
 from pemviz import stl
 from pemviz.arrays import FloatArray
+from pemviz.charts.plot import Axis, Plot
 from pemviz.colors import MISSED
 from pemviz.latents import Latents
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.curves import RUN_COLORS
-from pemviz.reports.pictures.html import block, grid, heading, number, quiet
-from pemviz.reports.pictures.svg import Axis, Plot
+from pemviz.panel.views.elements import block, grid, number, quiet
+from pemviz.reports.html import heading
 from pemviz.runs.specification import build_formula
 from pemviz.simulators.starts import named_starts
 from pemviz.types import Simulator

@@ -1,30 +1,17 @@
 """The answer and how far to trust it, in a few lines above all tabs; and the progress."""
 
-from collections.abc import Sequence
 from html import escape
 
 from pemviz.panel.controller import PanelState
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
-from pemviz.reports.data_plan_text import short_rows
-from pemviz.reports.digits import digits_of
-from pemviz.reports.estimate_text import (
-    aimed_text,
-    beyond_default_text,
-    interval_name,
-    level_text,
-    no_interval_text,
-    occasion_text,
-)
+from pemviz.panel.views.elements import block, good, number, quiet
+from pemviz.reports.document import Caution, Figure, Paragraph
 from pemviz.reports.gate import decide_run
-from pemviz.reports.memory_curve import assumption_worth
-from pemviz.reports.pictures.html import block, good, grid, number, quiet, warning
-from pemviz.reports.pictures.uncertainty import uncertainty_plot
-from pemviz.reports.rates_text import rate_line
-from pemviz.reports.rules_text import RULE_COLUMNS, RULES_TITLE, rule_rows
-from pemviz.runs.result import RunResult
-from pemviz.runs.trust import run_diagnostics, run_interval_caveats
-from pemviz.types import Estimate
+from pemviz.reports.html import blocks_html, warning
+from pemviz.reports.memory_words import assumption_worth
+from pemviz.reports.plan_words import short_rows
+from pemviz.reports.run_document import run_document
 
 
 def headline(run: RunData | None, *, limit: float | None = None) -> str:
@@ -46,47 +33,21 @@ def headline(run: RunData | None, *, limit: float | None = None) -> str:
 
 
 def _answer(run: RunData) -> str:
-    estimate = run.result.estimate
-    if estimate is None:
-        words = "no estimate yet" if run.running else "no estimate: the run did not come to its end"
-        return quiet(words)
-    if not estimate.failures:
-        bound = _upper_bound(estimate, run_interval_caveats(run.result))
-        answer = f"P(violation): no violation was seen{bound}"
-    else:
-        digits = digits_of(estimate.ci_low, estimate.ci_high)
-        answer = f"P(violation) = {number(estimate.probability, digits)}"
-    interval = _interval(estimate, run_interval_caveats(run.result))
-    rules = run.config.rules
-    what = f"any of {len(rules)} rules" if rules else run.config.spec
-    counts = (
-        f"{estimate.failures} of {estimate.rollouts_in_estimate} rollouts"
-        f"{aimed_text(estimate)} violate {what}, {estimate.rollouts_simulated} simulated"
-    )
-    lines = f"<div style='font-size:16px;font-weight:600;margin:2px 0'>{answer}</div>"
-    asked = beyond_default_text(run.result)
-    given = f"; with {asked}" if asked else ""
-    per = occasion_text(run.config)
-    lines += quiet(f"in one {per}, if error model {run.result.pem.name} is right{given}")
-    lines += quiet(f"{interval}; {counts}" if estimate.failures else counts)
+    """The answer in brief, what speaks against it, and how far it is open."""
+    document = run_document(run.result, running=run.running)
+    doubts = [one for one in document.blocks("warnings") if isinstance(one, Caution)]
+    more = f" (and {len(doubts) - 1} more in Why)" * (len(doubts) > 1)
     worth = assumption_worth(run.result.memory)
-    lines += warning(f"{worth} (more in Why)") if worth else ""
-    rate = rate_line(run.result)
-    lines += quiet(rate) if rate else ""
-    lines += _rules(run.result)
-    diagnostics = run_diagnostics(run.result)
-    for first in diagnostics[:1]:
-        others = len(diagnostics) - 1
-        lines += warning(f"{first.text} (and {others} more in Why)" if others else first.text)
-    return lines + uncertainty_plot(run.result) + _next(run.result)
-
-
-def _rules(result: RunResult) -> str:
-    """Each rule's answer; nothing without rules."""
-    if not result.rules:
-        return ""
-    rows = [tuple(map(escape, row[:-1])) for row in rule_rows(result)]
-    return grid(RULE_COLUMNS[:-1], rows, name=RULES_TITLE)
+    lines = [
+        *document.blocks("answer", brief=True),
+        *([Caution(f"{worth} (more in Why)")] if worth else []),
+        *document.blocks("rules", brief=True),
+        *(Caution(f"{one.text}{more}") for one in doubts[:1]),
+        *(one for one in document.blocks("uncertainty", brief=True) if isinstance(one, Figure)),
+    ]
+    for collect, then in short_rows(run.result)[:1]:
+        lines.append(Paragraph(f"Measure next: {collect}; {then} (more in Why)", tone="quiet"))
+    return blocks_html(lines)
 
 
 def _gate(run: RunData, limit: float | None) -> str:
@@ -96,34 +57,6 @@ def _gate(run: RunData, limit: float | None) -> str:
     decision = decide_run(run.result, limit=limit)
     words = f"Fail above {number(limit, 2)}: {decision.sentence}"
     return good(words) if decision.outcome == "passed" else warning(words)
-
-
-def _next(result: RunResult) -> str:
-    """What to measure next, the first line of it; the tab Why has the rest."""
-    for collect, then in short_rows(result)[:1]:
-        return quiet(f"Measure next: {collect}; {then} (more in Why)")
-    return ""
-
-
-def _interval(estimate: Estimate, caveats: Sequence[str]) -> str:
-    words = interval_name(estimate, caveats=caveats)
-    digits = digits_of(estimate.ci_low, estimate.ci_high)
-    interval = f"{words} {number(estimate.ci_low, digits)} to {number(estimate.ci_high, digits)}"
-    return f"{interval}, {_doubt(estimate, caveats) if caveats else 'sampling alone'}"
-
-
-def _upper_bound(estimate: Estimate, caveats: Sequence[str]) -> str:
-    if estimate.ci_high is None:
-        return " and there is no upper bound"
-    if caveats:
-        return f"; upper bound {number(estimate.ci_high)}, {_doubt(estimate, caveats)}"
-    return f"; {level_text(estimate)} upper bound {number(estimate.ci_high)}"
-
-
-def _doubt(estimate: Estimate, caveats: Sequence[str]) -> str:
-    """What an interval is not, and the first reason; the tab Why has them all."""
-    more = f" (and {len(caveats) - 1} more in Why)" if len(caveats) > 1 else ""
-    return f"{no_interval_text(estimate)}: {caveats[0]}{more}"
 
 
 def status(state: PanelState) -> str:

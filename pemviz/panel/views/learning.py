@@ -5,12 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pemviz.charts.plot import Axis, Plot
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
 from pemviz.panel.run_data import ProposalCurve, RunData
 from pemviz.panel.views.curves import Curves, Line, over_common
+from pemviz.panel.views.elements import number, quiet
 from pemviz.panel.views.page import cell, page, wide
-from pemviz.reports.pictures.html import number, quiet
-from pemviz.reports.pictures.svg import Axis, Plot
 from pemviz.runs.result import StageSummary
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.meanings import SMALL_ESS

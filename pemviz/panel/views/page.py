@@ -4,7 +4,9 @@ What goes into it is told apart by the classes of its HTML; the style sheet here
 """
 
 from pemviz.panel.scans import Progress
-from pemviz.reports.pictures.html import STYLE as TEXT
+from pemviz.panel.views.elements import STYLE as TEXT
+from pemviz.reports.html import ROOT
+from pemviz.reports.html import SHEET as DOCUMENTS
 
 COLUMN_PX = 420
 MARGIN_PX = 8
@@ -26,7 +28,7 @@ WIDE, CELL = "pemviz-wide", "pemviz-cell"
 # windows are asked for as large as that, and the style sheet cuts them to the page.
 _WINDOW = "[data-floating-window]"
 _SCENE = f"calc(100vw - {COLUMN_PX + 2 * MARGIN_PX}px)"
-SHEET = f"""<style>
+SHEET = f"""<style>{DOCUMENTS}
 {_WINDOW}{{max-width:max({NARROWEST_PX}px,{_SCENE})}}
 {_WINDOW}:has(.{ANALYSIS}){{max-height:calc(100vh - {ROLLOUT_PX + 3 * MARGIN_PX}px)}}
 div:has(>div>.{ANALYSIS}){{display:grid;gap:4px 14px;padding:6px 12px;align-items:start;
@@ -51,7 +53,7 @@ top:auto!important;bottom:{MARGIN_PX}px!important}}
 
 def page(*cells: str) -> str:
     """A page's cells, side by side where there is room."""
-    return f"<div class='{ANALYSIS}' style='{TEXT}'>{''.join(cells)}</div>"
+    return f"<div class='{ANALYSIS} {ROOT}' style='{TEXT}'>{''.join(cells)}</div>"
 
 
 def progress_words(progress: Progress) -> str:

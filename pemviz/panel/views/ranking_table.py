@@ -6,7 +6,7 @@ from pemviz.analysis.contribution import CARRIED
 from pemviz.colors import MISSED
 from pemviz.panel.ranking import RankedRow, Ranking, row
 from pemviz.panel.run_data import RunData
-from pemviz.reports.pictures.html import MINUS, block, cells, clickable, number, percent, quiet
+from pemviz.panel.views.elements import MINUS, block, cells, clickable, number, percent, quiet
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from html import escape
 
 from pemviz.panel.recordings import RunEntry
-from pemviz.reports.pictures.html import block, grid, number, quiet, warning
+from pemviz.panel.views.elements import block, grid, number, quiet
+from pemviz.reports.html import warning
 
 MOST_COMPLAINTS = 10
 TABLE_PX = 260

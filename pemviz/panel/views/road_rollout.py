@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import FloatArray
+from pemviz.charts.plot import Axis, Plot, svg, text
 from pemviz.colors import BLUE, DETECTED, GREY, MISSED, car_color
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.page import PLOTS, SPEEDS
 from pemviz.panel.views.rollout import CURSOR, HEIGHT, PLOT_WIDTH, row_title
-from pemviz.reports.pictures.svg import Axis, Plot, svg, text
 from pemviz.runs.drawn_rollout import (
     NOT_ASKED,
     RIGHT,

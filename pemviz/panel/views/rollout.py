@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.charts.plot import Axis, Plot, svg, text
 from pemviz.colors import BLUE, DETECTED, EGO, GREY, LEAD, MISSED, PEM, PROPOSAL, VERMILLION
 from pemviz.config import ScenarioConfig
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
+from pemviz.panel.views.elements import number
 from pemviz.panel.views.page import PLOTS, SPEEDS
-from pemviz.reports.pictures.html import number
-from pemviz.reports.pictures.svg import Axis, Plot, svg, text
 from pemviz.simulators.braking.contact import (
     CAMERA_TO_BUMPER_M,
     Contact,

@@ -6,7 +6,7 @@ from pathlib import Path
 from pemviz.config import ExperimentConfig
 from pemviz.config.encounters import NO_FAMILY, start_values
 from pemviz.config.tracker_text import NO_TRACKER
-from pemviz.reports.pictures.html import block, grid, quiet
+from pemviz.panel.views.elements import block, grid, quiet
 
 WORDS = {
     "braking": "a lead car brakes",

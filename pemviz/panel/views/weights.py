@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.charts.plot import Axis, Plot, text
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
 from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData
@@ -19,9 +20,9 @@ from pemviz.panel.views.curves import (
     signal_label,
     signal_name,
 )
+from pemviz.panel.views.elements import number, percent, quiet
 from pemviz.panel.views.page import cell, page, progress_words, wide
-from pemviz.reports.pictures.html import clickable_points, number, percent, quiet
-from pemviz.reports.pictures.svg import Axis, Plot, text
+from pemviz.reports.html import clicks_to
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
@@ -111,7 +112,7 @@ def _weights(run: RunData, *, target: str) -> tuple[str, str]:
     plot = _weight_axes(run, points)
     plot.vline(0.0, color=VERMILLION, label="0")
     shapes = "".join(_point(run, plot, points, place) for place in range(points.index.size))
-    group = f"<g {clickable_points(target=target)} style='cursor:pointer'>{shapes}</g>"
+    group = f"<g {clicks_to(target)} style='cursor:pointer'>{shapes}</g>"
     legend = _legend(plot)
     before, after = plot.text(extra=f"{group}{legend}@@").split("@@")
     words = (

@@ -1,46 +1,26 @@
 """The Why tab: which misses cause violations, and how far to trust the number."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
 
 from pemviz.analysis.contribution import contributions
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.charts.plot import Axis, Plot
 from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.contribution import log_contributions
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tables import final_violations
-from pemviz.panel.views.models import models_part
+from pemviz.panel.views.elements import quiet
 from pemviz.panel.views.page import PLOT_PX, cell, page, wide
-from pemviz.reports.pictures.causes import cause_sections
-from pemviz.reports.pictures.data_plan import plan_part
-from pemviz.reports.pictures.html import good, grid, heading, number, percent, quiet, warning
-from pemviz.reports.pictures.memory import memory_curves
-from pemviz.reports.pictures.starts import start_plane
-from pemviz.reports.pictures.svg import Axis, Plot
-from pemviz.reports.starts_text import (
-    START_COLUMNS,
-    STARTS_TITLE,
-    map_words,
-    start_rows,
-    starts_line,
-    starts_title,
-)
-from pemviz.runs.result import RunResult
+from pemviz.reports.document import Block, Figure, Section, Table
+from pemviz.reports.html import blocks_html, heading, sections_html
+from pemviz.reports.run_document import TRUST, WHY, run_document
 from pemviz.runs.slot_outcomes import faultless, slots_of
-from pemviz.runs.trust import data_warnings, run_diagnostics
-from pemviz.sampling.estimates.meanings import RELIABLE_PARETO_K, SMALL_ESS
-from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import Slot
-from pemviz.types import Estimate
 
 BAND_M = 1.0
-UNWEIGHTED = (
-    "{}'s rollouts carry no weights, so there is nothing to diagnose and no sensitivity: "
-    "its standard error comes from how far its independent runs differ."
-)
 MOST_BANDS = 250
 MOST_EXPLAINED = 20_000
 
@@ -62,35 +42,30 @@ def why(run: RunData | None, *, target: str = "", start_target: str = "") -> str
 
 
 def _why(run: RunData, *, target: str, start_target: str) -> str:
-    result = run.result
+    document = run_document(run.result)
+    targets = {"chain": target, "start": start_target}
+    told = document.choose((*WHY, "plan", "warnings", *TRUST[:2], "memory"))
+    assumed = document.choose(("assumptions",))
+    beyond = document.choose(("extrapolation",))
     return page(
         *map(cell, _misses(run)),
-        *map(cell, cause_sections(result, target=target)),
-        *map(cell, _starts(result, target=start_target)),
-        cell(plan_part(result)),
-        cell(_trust(run)),
-        cell(models_part(result)),
-        *map(cell, memory_curves(result.memory)),
-        cell(_assumptions(run)),
-        wide(_data(run)),
+        *(cell(part) for section in told for part in section_cells(section, targets=targets)),
+        *(cell(sections_html([section])) for section in assumed),
+        wide(f"<div style='columns:{PLOT_PX}px'>{sections_html(beyond)}</div>"),
     )
 
 
-def _starts(result: RunResult, *, target: str) -> list[str]:
-    """Which starts are dangerous, of violations in all and of each rule's; a cell each."""
-    cells: list[str] = []
-    for found in result.starts:
-        rows = [tuple(map(escape, row)) for row in start_rows(found)]
-        picture = start_plane(found, target=target if found.points else "")
-        words = f"{map_words(found)} Click a dot: that rollout shows." if found.points else ""
-        cells.append(
-            heading(f"{STARTS_TITLE}: {starts_title(found)}")
-            + quiet(f"{starts_line(found)}.")
-            + picture
-            + quiet(words if picture else map_words(found))
-            + grid(START_COLUMNS, rows, name=STARTS_TITLE)
-        )
-    return cells
+def section_cells(section: Section, *, targets: Mapping[str, str]) -> list[str]:
+    """A section in full as pieces that may stand beside each other: a table or chart in each."""
+    pieces: list[list[Block]] = [[]]
+    for block in section.full:
+        if isinstance(block, Table | Figure) and any(
+            isinstance(one, Table | Figure) for one in pieces[-1]
+        ):
+            pieces.append([])
+        pieces[-1].append(block)
+    first, *others = (blocks_html(piece, targets=targets) for piece in pieces)
+    return [heading(section.title) + first, *others]
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,60 +273,3 @@ def time_plot(failures: Failures, *, dt_s: float) -> str:
     plot.bars(edges, missed, color=VERMILLION)
     plot.line(edges[:-1] + dt_s / 2, expected, color=BLACK, width=1.8)
     return plot.text()
-
-
-def _trust(run: RunData) -> str:
-    estimate = run.result.estimate
-    words = [diagnostic.text for diagnostic in run_diagnostics(run.result)]
-    parts = [heading("How far to trust the number"), *(warning(w) for w in words)]
-    method = by_name(run.config.method)
-    if not method.has_likelihood_ratios:
-        parts.append(quiet(UNWEIGHTED.format(method.name.capitalize())))
-    elif estimate is not None and not words:
-        parts.append(good("The diagnostics give no warning."))
-    if method.interval_caveat is not None:
-        parts.append(quiet(f"The interval: {method.interval_caveat}."))
-    if method.rests_on_weights and estimate is not None and estimate.ess is not None:
-        parts.append(diagnostics_table(estimate))
-    parts.append(_reference(run))
-    return "".join(parts)
-
-
-def diagnostics_table(estimate: Estimate) -> str:
-    """The weights' diagnostics beside what they should be."""
-    size, tail = number(estimate.ess), number(estimate.pareto_k, 2)
-    lines = [
-        ["effective sample size of the violations", size, f"{SMALL_ESS:g} or more"],
-        ["Pareto k-hat, the weights' tail", tail, f"{RELIABLE_PARETO_K:g} or less"],
-        ["largest weight's share", percent(estimate.max_weight_share), "a few per cent"],
-    ]
-    return grid(["diagnostic", "found", "wanted"], lines, name="Diagnostics")
-
-
-def _data(run: RunData) -> str:
-    """What the model's training data do not show."""
-    words = data_warnings(run.result)
-    if not words:
-        return ""
-    lines = "".join(f"<div style='break-inside:avoid'>{warning(w)}</div>" for w in words)
-    columns = f"<div style='columns:{PLOT_PX}px'>{lines}</div>"
-    return heading("The error model and its data") + columns
-
-
-def _reference(run: RunData) -> str:
-    reference, estimate = run.result.reference, run.result.estimate
-    if reference is None:
-        return ""
-    true = reference.probability
-    ratio = ""
-    if estimate is not None and true:
-        ratio = f"; the answer is {number(estimate.probability / true, 2)} times that"
-    error = " by recursion over all states"
-    if reference.std_error:
-        error = f" \N{PLUS-MINUS SIGN} {number(reference.std_error, 2)}"
-    return quiet(f"Reference: {number(true)}{error}{ratio}.")
-
-
-def _assumptions(run: RunData) -> str:
-    items = "".join(f"<li>{escape(assumption)}</li>" for assumption in run.result.assumptions)
-    return heading("Assumed") + f"<ul style='margin:0;padding-left:18px;color:#52606d'>{items}</ul>"

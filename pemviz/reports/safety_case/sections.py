@@ -1,113 +1,94 @@
-"""The sections of a safety case, of one run each."""
+"""The sections of a safety case, of one run each: claim, argument, evidence, and what they rest on.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+Evidence is what :mod:`pemviz.reports.run_document` tells of the run; what is here argues from it.
+"""
 
-from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.config.toml_files import config_text
+from collections.abc import Iterator, Mapping, Sequence
+
+from pemviz.config import ExperimentConfig
 from pemviz.pem import PemCard
-from pemviz.reports.data_plan_text import (
-    BAND_COLUMNS,
-    BAND_NOTE,
-    band_rows,
-    plan_heading,
-    plan_sentences,
-    short_rows,
-)
-from pemviz.reports.estimate_text import (
-    interval_name,
-    interval_text,
-    memory_text,
-    occasion_text,
-    short_probability,
-)
-from pemviz.reports.memory_curve import assumption_line
-from pemviz.reports.pictures.data_plan import requirement_plot
-from pemviz.reports.pictures.uncertainty import uncertainty_plot
-from pemviz.reports.safety_case.case import CaseRun
-from pemviz.reports.safety_case.claims import Claim, Verdict, claim_sentence, claims
-from pemviz.reports.safety_case.html import (
-    bullets,
-    code_block,
+from pemviz.reports.charts import gap_chart, miss_chart
+from pemviz.reports.document import (
+    Block,
+    Caution,
+    Code,
+    Document,
+    Mark,
+    Paragraph,
+    Section,
+    Table,
+    Verbatim,
+    Verdict,
     facts,
-    html_table,
-    pair,
-    paragraph,
-    table,
-    warnings,
-    words,
+    figure,
 )
-from pemviz.reports.uncertainty_text import ends_text
+from pemviz.reports.numbers import range_text
+from pemviz.reports.run_words import scenario_text
+from pemviz.reports.safety_case.case import CaseRun
+from pemviz.reports.safety_case.claims import Claim, claim_sentence, claims
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.runs.uncertainty import SourceKind, uncertainty_budget
 
-VERDICT_MARKS: Mapping[Verdict, tuple[str, str]] = {
-    "shown": ("yes", "\N{CHECK MARK} shown"),
-    "not shown": ("no", "\N{BALLOT X} not shown"),
-    "not known": ("open", "? not known"),
-}
-NOT_QUANTIFIED = "not told by this run"
-UNTOLD = "Not quantified here; to be argued from elsewhere."
+MARKS: Mapping[str, Mark] = {"shown": "yes", "not shown": "no", "not known": "open"}
+EVIDENCE = (
+    (
+        "The estimate and its diagnostics",
+        ("answer", "rules", "rates", "diagnostics", "warnings", "models", "robustness"),
+    ),
+    ("How far the answer is open", ("uncertainty",)),
+    ("Misses that follow each other", ("memory",)),
+    ("What causes violations", ("causes", "starts")),
+    ("The error model and its data", ("extrapolation",)),
+)
+"""Titles of what is numbered E1 to E5, and the sections of the run's document in each."""
+NO_DATA_WARNING = "Nothing speaks against the error model where the scenario goes."
 
 
-def headline(run: CaseRun, *, below: float | None) -> str:
+def head(run: CaseRun, document: Document, *, below: float | None) -> tuple[Block, ...]:
     """How likely, how sure, resting on what, what next: all that a hurried reader sees."""
-    result, estimate = run.result, run.result.estimate
-    if estimate is None:
-        return f"<div class='head'>{paragraph(claim_sentence(result, below=below))}</div>"
-    caveats = run_interval_caveats(result)
-    interval = interval_text(estimate, caveats=caveats)
-    assumed, bursts = memory_text(result.memory), assumption_line(result.memory)
-    left = (
-        f"<p class='answer'>P(violation) = {words(short_probability(estimate))}</p>"
-        + paragraph(
-            f"in one {occasion_text(result.config)}, if error model {result.pem.name} is right, "
-            f"and misses are {assumed}."
-        )
-        + paragraph(f"Sampling alone: {interval_name(estimate, caveats=caveats)} {interval}.")
-        + warnings([f"Do not quote it: {against}." for against in caveats])
-        + paragraph(claim_sentence(result, below=below))
+    result = run.result
+    claim = Paragraph(claim_sentence(result, below=below))
+    if result.estimate is None:
+        return (claim,)
+    doubts = tuple(Caution(f"Do not quote it: {why}.") for why in run_interval_caveats(result))
+    return (
+        *document.blocks("answer", "given", brief=True),
+        *doubts,
+        claim,
+        *(b for b in document.blocks("uncertainty", "memory", brief=True)),
+        *(Paragraph(s.title, tone="strong") for s in document.choose(("plan",))),
+        *document.blocks("plan", brief=True),
     )
-    under = warnings(() if bursts is None else (bursts,)) + _next(result)
-    return f"<div class='head'>{pair(left, uncertainty_plot(result))}{under}</div>"
 
 
-def _next(result: RunResult) -> str:
-    rows = [f"{collect}: {then}" for collect, then in short_rows(result)]
-    if result.plan is None or not rows:
-        return ""
-    return f"<p><b>{words(plan_heading(result.plan))}</b></p>{bullets(rows)}"
-
-
-def claim_section(result: RunResult, *, below: float | None) -> str:
+def claim(result: RunResult, *, below: float | None) -> tuple[Block, ...]:
     """Claims by what they take for granted, each with its verdict."""
     found = claims(result, below=below)
     if not found:
-        return paragraph(claim_sentence(result, below=below))
-    rows = [_claim_row(claim) for claim in found]
-    header = ("if", "the failure probability is below", "" if below is None else f"below {below:g}")
-    return html_table(header, [row if below is not None else row[:2] for row in rows])
+        return (Paragraph(claim_sentence(result, below=below)),)
+    columns = ("if", "by", "the failure probability is below", "why not, or what would tell")
+    rows = [(one.granted, one.name, claim_bound(one), one.note) for one in found]
+    if below is None:
+        return (Table(columns, tuple(rows)),)
+    judged = tuple((*row, claim_verdict(one)) for row, one in zip(rows, found, strict=True))
+    return (Table((*columns, f"below {below:g}"), judged),)
 
 
-def _claim_row(claim: Claim) -> list[str]:
-    bound = "not known" if claim.bound is None else f"{claim.bound:.2g}"
-    note = f"<br><span class='quiet'>{words(claim.note)}</span>" if claim.note else ""
-    verdict = "" if claim.verdict is None else verdict_mark(claim.verdict)
-    granted = f"{words(claim.granted)}<br><span class='quiet'>{words(claim.name)}</span>"
-    return [granted, f"{bound}{note}", verdict]
+def claim_bound(one: Claim) -> str:
+    """Its upper bound."""
+    return "not known" if one.bound is None else f"{one.bound:.2g}"
 
 
-def verdict_mark(verdict: Verdict) -> str:
-    """A verdict by sign, word and colour."""
-    kind, mark = VERDICT_MARKS[verdict]
-    return f"<span class='tag {kind}'>{mark}</span>"
+def claim_verdict(one: Claim) -> Verdict | str:
+    """Whether it is shown; nothing where no claim was named."""
+    return "" if one.verdict is None else Verdict(MARKS[one.verdict], one.verdict)
 
 
-def argument(result: RunResult) -> str:
+def argument(result: RunResult) -> tuple[str, ...]:
     """Why the evidence carries the claim, step by step."""
     config, data = result.config, result.pem.data
-    steps = [
+    return (
         f"What may go wrong is stated exactly: a run violates {_asked(config)}, decided by the "
         "Boolean semantics of Signal Temporal Logic, strict comparisons as they are written.",
         f"The system is the scenario: {scenario_text(config)}. Everything but perception is "
@@ -120,8 +101,7 @@ def argument(result: RunResult) -> str:
         "So the failure probability follows, if the error model is right (E1); how far it is open "
         "if it is not, source by source: E2. What causes violations, so that experts can judge "
         "whether the chains are plausible: E4.",
-    ]
-    return f"<ol>{''.join(f'<li>{words(step)}</li>' for step in steps)}</ol>"
+    )
 
 
 def _asked(config: ExperimentConfig) -> str:
@@ -129,10 +109,28 @@ def _asked(config: ExperimentConfig) -> str:
     return f"one of the rules {'; '.join(rules)}" if rules else repr(config.spec)
 
 
-def assumptions(result: RunResult) -> str:
+def evidence(run: CaseRun, document: Document) -> Iterator[Section]:
+    """Everything that speaks for or against the answer, numbered E1 to E5."""
+    for number, (title, keys) in enumerate(EVIDENCE, start=1):
+        blocks = [*document.blocks(*keys)]
+        if number == 4:
+            blocks[1:1] = _violations(run)
+        blocks = blocks or [Paragraph(NO_DATA_WARNING)]
+        yield Section(f"E{number}", f"E{number}. {title}", (), tuple(blocks))
+
+
+def _violations(run: CaseRun) -> tuple[Block, ...]:
+    """Gaps of the likeliest violations, and when misses that matter fall."""
+    explanation, found, dt_s = run.result.explanation, run.violations, run.result.config.dt_s
+    over_time = () if explanation is None else explanation.miss_probability_by_step
+    gaps = None if found is None else gap_chart(found.gap_m, found.missed, found.share, dt_s=dt_s)
+    return (*figure(gaps), *figure(miss_chart(over_time, dt_s=dt_s) if any(over_time) else None))
+
+
+def assumptions(result: RunResult) -> Table:
     """Every assumption with what it is worth: how far the answer moves if it is given up."""
-    rows = [_assumption_row(text, result) for text in result.assumptions]
-    return table(("assumed", "what it is worth", "what would narrow it"), rows)
+    rows = tuple(_assumption_row(text, result) for text in result.assumptions)
+    return Table(("assumed", "what it is worth", "what would narrow it"), rows)
 
 
 def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
@@ -143,44 +141,27 @@ def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
         kinds = ("refits", "families", "data")
     sources = [source for source in uncertainty_budget(result) if source.kind in kinds]
     if not sources:
-        return text, NOT_QUANTIFIED, UNTOLD
+        return text, "not told by this run", "Not quantified here; to be argued from elsewhere."
     worth = [
-        f"{one.name}: {' to '.join(ends_text(one)) if one.high is not None else 'not looked at'}"
+        f"{one.name}: {range_text(one.low, one.high) if one.high is not None else 'not looked at'}"
         for one in sources
     ]
-    return (
-        text,
-        "; ".join(worth),
-        "; ".join(dict.fromkeys(source.narrowed_by for source in sources)),
-    )
+    narrowed = dict.fromkeys(source.narrowed_by for source in sources)
+    return text, "; ".join(worth), "; ".join(narrowed)
 
 
-def next_section(result: RunResult) -> str:
-    """What to measure next: sentences, picture, table."""
-    plan = result.plan
-    if plan is None:
-        return paragraph("This run made no plan: pemviz record --plan makes one.")
-    parts = [bullets(plan_sentences(result))]
-    if plan.labels is not None:
-        parts.append(f"<div class='half'>{requirement_plot(plan.labels)}</div>")
-        rows = band_rows(plan.labels)
-        parts.append(table(BAND_COLUMNS, rows, numbers=range(len(BAND_COLUMNS))))
-        parts.append(paragraph(BAND_NOTE, kind="quiet"))
-    return "".join(parts)
-
-
-def data_section(run: CaseRun) -> str:
+def data_and_model(run: CaseRun) -> tuple[Block, ...]:
     """The error model's card, and what it was trained on."""
     info, card = run.result.pem, run.card
     rows = [
         ("error model", info.name),
         ("trained on", info.data),
-        ("digest (SHA-256)", info.digest),
+        ("digest (SHA-256)", Verbatim(info.digest)),
     ]
     if card is None:
         note = "The model's card is not at hand here, or the model has changed since the run."
-        return facts(rows) + paragraph(note, kind="quiet")
-    return facts([*rows, *_card_rows(card)])
+        return facts(rows), Paragraph(note, tone="quiet")
+    return (facts([*rows, *_card_rows(card)]),)
 
 
 def _card_rows(card: PemCard) -> list[tuple[str, str]]:
@@ -189,7 +170,7 @@ def _card_rows(card: PemCard) -> list[tuple[str, str]]:
     missed = sum(int(cell[-1]) for cell in cells)
     rows = [
         ("kind of model", card.model),
-        ("training table (SHA-256)", card.data_digest or "not stated"),
+        ("training table (SHA-256)", Verbatim(card.data_digest or "not stated")),
         ("licence", card.licence),
         ("recipe", card.recipe),
         ("seed of its training", str(card.seed)),
@@ -201,45 +182,18 @@ def _card_rows(card: PemCard) -> list[tuple[str, str]]:
     return rows
 
 
-def provenance(run: CaseRun) -> str:
+def reproduce(run: CaseRun, document: Document) -> tuple[Block, ...]:
     """Where the figures come from, and how to have them again."""
-    result = run.result
-    rows = [
-        ("run", result.run_id),
-        ("status", result.status if result.message is None else f"failed: {result.message}"),
-        ("seed", str(result.config.seed)),
-        ("versions", ", ".join(f"{name} {value}" for name, value in result.versions.items())),
-        ("wall time", f"{result.timings_s.get('total', 0.0):.1f} s"),
-        *((f"{name} (SHA-256)", digest) for name, digest in run.digests.items()),
-    ]
+    digests = tuple((f"{name} (SHA-256)", Verbatim(v)) for name, v in run.digests.items())
+    version = run.result.versions.get("pemviz", "in the same version")
     how = (
         "To have the same figures again: save the configuration below as config.toml, install "
-        f"pemviz {result.versions.get('pemviz', 'in the same version')} with the versions above, "
-        "and run"
+        f"pemviz {version} with the versions above, and run"
     )
     return (
-        facts(rows)
-        + paragraph(how)
-        + code_block("pemviz record --config config.toml")
-        + code_block(config_text(result.config))
+        *document.blocks("provenance"),
+        *((facts(digests),) if digests else ()),
+        Paragraph(how),
+        Code("pemviz record --config config.toml"),
+        *document.blocks("configuration"),
     )
-
-
-def scenario_text(config: ExperimentConfig) -> str:
-    """The scenario in a line, with what differs from the defaults."""
-    if not config.is_braking_scenario:
-        return config.other_scenario
-    scenario, default = config.scenario, ScenarioConfig()
-    shown = (
-        f"an ego car {scenario.initial_gap_m:g} m behind a lead car, both at "
-        f"{scenario.initial_speed_kmh:g} km/h; the lead car brakes at "
-        f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}"
-    )
-    named = {"initial_speed_kmh", "initial_gap_m", "lead_deceleration_mps2"}
-    others = [
-        f"{field.name} {value if isinstance(value, str) else f'{value:g}'}"
-        for field in fields(scenario)
-        if field.name not in named
-        and (value := getattr(scenario, field.name)) != getattr(default, field.name)
-    ]
-    return "; ".join([shown, *others])

@@ -1,4 +1,4 @@
-"""What to measure next, in words and rows, the same on the terminal, in pages and in the panel."""
+"""What to measure next."""
 
 import re
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from pemviz.analysis.sequence_plan import SequencePlan
 from pemviz.runs.result import RunResult
 
 PLAN_TITLE = "What to measure next"
-BAND_COLUMNS = (
+PLAN_COLUMNS = (
     "z [m]",
     "missed so far",
     "model",
@@ -162,8 +162,8 @@ def _sequence_sentence(plan: SequencePlan) -> str:
     )
 
 
-def band_rows(labels: LabelPlan) -> list[tuple[str, ...]]:
-    """The table by band, near to far; see :data:`BAND_COLUMNS`."""
+def plan_rows(labels: LabelPlan) -> list[tuple[str, ...]]:
+    """The table by band, near to far; see :data:`PLAN_COLUMNS`."""
     return [
         (
             z_text(band, unit=""),

@@ -1,4 +1,4 @@
-"""Small plots as SVG text: axes with units, lines, marks, bars, legends."""
+"""Plots as SVG text, piece by piece: axes with units, lines, marks, bars, legends."""
 
 import math
 from collections.abc import Sequence
@@ -43,8 +43,13 @@ class Axis:
         """A tick's label, as SVG text."""
         if not self.log10:
             return f"{value:g}".replace("-", "\N{MINUS SIGN}")
-        power = f"{value:g}".replace("-", "\N{MINUS SIGN}")
-        return f"10<tspan dy='-4' font-size='8'>{power}</tspan>"
+        return power(value)
+
+
+def power(exponent: float) -> str:
+    """A power of ten, as SVG text."""
+    words = f"{exponent:g}".replace("-", "\N{MINUS SIGN}")
+    return f"10<tspan dy='-4' font-size='8'>{words}</tspan>"
 
 
 def nice_ticks(low: float, high: float, *, count: int, whole: bool = False) -> list[float]:
@@ -53,8 +58,8 @@ def nice_ticks(low: float, high: float, *, count: int, whole: bool = False) -> l
     if not span > 0.0 or not math.isfinite(span):
         return [low]
     raw = span / max(count, 1)
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(power * m for m in (1, 2, 5, 10) if power * m >= raw * 0.999)
+    unit = 10.0 ** math.floor(math.log10(raw))
+    step = next(unit * m for m in (1, 2, 5, 10) if unit * m >= raw * 0.999)
     if whole:
         step = max(1.0, round(step))
     first = math.ceil(low / step - 1e-9)

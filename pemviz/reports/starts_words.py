@@ -1,11 +1,9 @@
-"""Which starts are dangerous, in a sentence and in rows, for the terminal and every page."""
+"""Which starts are dangerous."""
 
 from collections.abc import Sequence
 
 from pemviz.analysis.starts import FEWEST, FEWEST_OF_MAP, DangerousStarts, StartValue
-from pemviz.reports.digits import end_text
-from pemviz.reports.escape import markdown_table, markdown_text
-from pemviz.runs.result import RunResult
+from pemviz.reports.numbers import end_text
 
 STARTS_TITLE = "Which starts are dangerous"
 START_COLUMNS = (
@@ -38,33 +36,9 @@ def starts_line(found: DangerousStarts) -> str:
     return f"Violations start with {'; '.join(map(_against, shifted))}"
 
 
-def starts_lines(result: RunResult) -> list[str]:
-    """A sentence on violations in all, then on each rule's, as far as there are any."""
-    return [
-        starts_line(found) if found.rule is None else f"- {found.rule}: {starts_line(found)}"
-        for found in result.starts
-    ]
-
-
 def start_rows(found: DangerousStarts) -> list[tuple[str, ...]]:
     """What :data:`START_COLUMNS` name, of each start value; dashes where nothing is told."""
     return [_row(one) for one in found.values]
-
-
-def starts_markdown(result: RunResult, *, level: str) -> list[str]:
-    """The figures of violations in all and of each rule's, as markdown; none without starts.
-
-    Args:
-        result: The run.
-        level: Of the heading, such as ``##``.
-    """
-    if not result.starts:
-        return []
-    parts = [f"{level} {STARTS_TITLE}", START_NOTE]
-    for found in result.starts:
-        rows = [tuple(map(markdown_text, row)) for row in start_rows(found)]
-        parts += [f"{markdown_text(starts_title(found))}:", markdown_table(START_COLUMNS, rows)]
-    return [*parts, f"{markdown_text(starts_line(result.starts[0]))}."]
 
 
 def starts_title(found: DangerousStarts) -> str:

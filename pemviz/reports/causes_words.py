@@ -1,9 +1,16 @@
-"""What causes violations, in words and rows, the same in every view."""
+"""What causes violations: misses by distance, bursts of them, the likeliest chains."""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 from pemviz.analysis.bursts import Bursts, Spread
+from pemviz.analysis.causes import BandMisses, Chain
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.analysis.slot_errors import SlotErrors
+from pemviz.reports.document import Strip
+from pemviz.reports.numbers import share_text
+from pemviz.runs.result import RunResult
 
 SHOWN_MISSES = 0.005
 SMALLEST_SHOWN = 0.005
@@ -12,6 +19,15 @@ BURST_TITLE = "Bursts before a violation: misses in one frame after the other"
 BURST_COLUMNS = ("bursts", "in a violation")
 BURST = "misses in a row"
 """What a burst is, where it is first spoken of."""
+BURST_NOTE = (
+    "The decisive burst of a violation has the most misses where the outcome matters. Figures are "
+    "medians, in brackets what four of five violations have; probabilities are the error model's, "
+    "geometric means."
+)
+SHOWN_CHAINS = 8
+CHAIN_COLUMNS = ("of all violations", "misses", "missed at [s]")
+STRIP_MARGIN_S = 0.1
+"""Before the first miss of a chain, and after the last."""
 FEW = 1e-3
 """Smaller probabilities are written with an exponent."""
 
@@ -144,3 +160,100 @@ def _fewer(found: BandSensitivity | MemorySensitivity | SlotErrors) -> str:
     error = "" if found.std_error is None else f" +- {found.std_error:.1g}"
     kind = "fewer" if found.elasticity >= 0.0 else "more"
     return f"{abs(found.elasticity):.2g}{error} % {kind} violations"
+
+
+def band_columns(target: float | None) -> tuple[str, ...]:
+    """What :func:`band_rows` give."""
+    wanted = () if target is None else (f"misses must fall to, for {target:.2g}",)
+    return ("gap [m]", "misses in a violation", "of all misses", "sensitivity", *wanted)
+
+
+def band_rows(explanation: Explanation, *, target: float | None) -> list[tuple[str, ...]]:
+    """Each band of the gap in which misses matter, and all together."""
+    everywhere, *bands = explanation.sensitivity
+    every = list(zip(explanation.misses_by_distance, bands, strict=True))
+    total = sum(band.misses for band, _ in every)
+    return [
+        *(
+            _band_row(f"{band.low:g} to {band.high:g}", band.misses, band.share, found, target)
+            for band, found in every
+            if _matters(band, found)
+        ),
+        _band_row("all", total, 1.0, everywhere, target),
+    ]
+
+
+def _matters(band: BandMisses, found: BandSensitivity) -> bool:
+    figures = (band.misses, found.elasticity)
+    return any(value is not None and abs(value) >= SMALLEST_SHOWN for value in figures)
+
+
+def _band_row(
+    name: str, misses: float, share: float, found: BandSensitivity, target: float | None
+) -> tuple[str, ...]:
+    row = (name, f"{misses:.2f}", share_text(share), elasticity_text(found))
+    return row if target is None else (*row, _target_text(found))
+
+
+def _target_text(found: BandSensitivity) -> str:
+    if found.target_factor is None:
+        return "not enough alone"
+    if found.target_factor >= 1.0:
+        return "met already"
+    return f"{100.0 * found.target_factor:.2g} %{' (extrapolated)' if found.warning else ''}"
+
+
+def band_note(result: RunResult) -> str:
+    """What the table by distance counts."""
+    words = (
+        "Sensitivity: one per cent fewer misses in a band bring about so many per cent fewer "
+        "violations, +- one standard error. Counted are misses at steps where the outcome "
+        "matters; bands without any are left out."
+    )
+    if result.config.repetitions > 1 and result.explanation is not None:
+        words += f" From the final rollouts of repetition {result.explanation.repetition + 1}."
+    return words
+
+
+def shown_chains(chains: Sequence[Chain]) -> list[Chain]:
+    """Those of the table."""
+    return [chain for chain in chains[:SHOWN_CHAINS] if chain.missed_steps]
+
+
+def chain_rows(chains: Sequence[Chain], *, dt_s: float) -> list[tuple[str | Strip, ...]]:
+    """Share, number of misses and when they are, of the likeliest; see :data:`CHAIN_COLUMNS`."""
+    shown = shown_chains(chains)
+    every = [step for chain in shown for step in chain.missed_steps]
+    if not every:
+        return []
+    low_s = max(0.0, min(every) * dt_s - STRIP_MARGIN_S)
+    long_s = (max(every) + 1) * dt_s + STRIP_MARGIN_S - low_s
+    rows: list[tuple[str | Strip, ...]] = []
+    for chain in shown:
+        bursts = list(_in_a_row(chain.missed_steps))
+        times = (f"{first * dt_s:.2f}" + f" to {last * dt_s:.2f}" * (last > first)
+                 for first, last in bursts)  # fmt: skip
+        spans = tuple(
+            ((first * dt_s - low_s) / long_s, ((last + 1) * dt_s - low_s) / long_s)
+            for first, last in bursts
+        )
+        count = str(len(chain.missed_steps))
+        rows.append((share_text(chain.share), count, Strip(", ".join(times), spans)))
+    return rows
+
+
+def _in_a_row(steps: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """First and last of each unbroken run of steps."""
+    ascending = enumerate(sorted(set(steps)))
+    for _, run in groupby(ascending, key=lambda place: place[1] - place[0]):
+        members = [step for _, step in run]
+        yield members[0], members[-1]
+
+
+def chain_note(chains: Sequence[Chain]) -> str:
+    """How much of the answer the chains shown are."""
+    listed = [chain.share for chain in chains[:SHOWN_CHAINS]]
+    return (
+        f"These {len(listed)} chains make up {share_text(sum(listed))} of the estimated "
+        "probability. Only misses at steps where the outcome matters are told."
+    )

@@ -2,10 +2,13 @@
 
 from dataclasses import replace
 
-from pemviz.cli.summary import print_summary
-from pemviz.reports.data_plan_text import band_rows, plan_sentences, short_rows
+from pemviz.charts.svg import svg
+from pemviz.reports.charts import requirement_chart
+from pemviz.reports.html import sections_html
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.pictures.data_plan import plan_part, requirement_plot
+from pemviz.reports.plan_words import plan_rows, plan_sentences, short_rows
+from pemviz.reports.run_document import run_document
+from pemviz.reports.terminal import print_summary
 from pemviz.runs.data_plan import planned_target
 from tests.reports.runs import PLAN, estimate, result
 
@@ -38,7 +41,7 @@ def test_a_detector_that_misses_too_often_is_told_to_become_better():
     one = changed(band={"labels": None, "most_missed": None, "required": 0.004})
     assert short_rows(one)[0][0] == "a better detector: one that misses at most 0.004 at 5 to 7 m"
     assert "the detector has to become better first" in " ".join(plan_sentences(one))
-    assert band_rows(one.plan.labels)[0][5] == "out of reach"
+    assert plan_rows(one.plan.labels)[0][5] == "out of reach"
 
 
 def test_what_is_labelled_may_do():
@@ -50,7 +53,8 @@ def test_what_is_labelled_may_do():
 def test_every_figure_stands_in_the_page():
     page = summary_markdown(changed(reason=None))
     for words in (
-        "### What to measure next", "| 5 to 7 | 0 of 0 | 0.012 | 1 | 0.058 | 1,249 | 6 | 78 |",
+        "### What to measure next (labels of Car",
+        "| 5 to 7 | 0 of 0 | 0.012 | 1 | 0.058 | 1,249 | 6 | 78 |",
         "if at most 13 of them are missed", "with a probability of 90%", "Mind: a rough plan",
         "18 tracked sequences give a memory time of 0.25 s (0.17 to 0.38 s)",
     ):  # fmt: skip
@@ -58,20 +62,20 @@ def test_every_figure_stands_in_the_page():
 
 
 def test_the_picture_draws_each_band_with_its_three_figures():
-    picture = requirement_plot(PLAN.labels)
+    picture = svg(requirement_chart(PLAN.labels))
     for tip in (
         "5 to 7 m: labels so far allow 1", "5 to 7 m: required 0.058",
         "5 to 7 m: error model 0.012", "7 to 13 m: labels so far allow 0.034",
         "7 to 13 m: required 0.028",
     ):  # fmt: skip
         assert f"<title>{tip}</title>" in picture
-    assert requirement_plot(replace(PLAN.labels, bands=())) == ""
+    assert requirement_chart(replace(PLAN.labels, bands=())) is None
 
 
 def test_what_strangers_wrote_is_text():
     crafted = "<script>alert(1)</script>"
     one = changed(labels=replace(PLAN.labels, obstacle=crafted, warning=crafted), reason=crafted)
-    assert "<script" not in plan_part(one)
+    assert "<script" not in sections_html(run_document(one).sections)
     assert "<script" not in summary_markdown(one)
 
 

@@ -4,12 +4,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.reports.interval_plot import WIDTH, IntervalRow, interval_plot
+from pemviz.charts.characters import WIDTH, characters
+from pemviz.charts.chart import IntervalChart, Row
+
+
+def drawn(*rows):
+    """Rows of a name, a value and its ends, as they are drawn."""
+    made = tuple(
+        Row(name, *ends or (None, None), () if value is None else (value,), "#000000")
+        for name, value, *ends in rows
+    )
+    return characters(IntervalChart("", made, ""))
 
 
 def test_figures_stand_where_their_logarithm_says():
     # three decades over 64 columns: 1e-16 at 0, 1e-15 at 21, 1e-14 at 42, 1e-13 at 63
-    text = interval_plot([IntervalRow("run", 1e-15, 1e-16, 1e-14), IntervalRow("gate", 1e-13)])
+    text = drawn(("run", 1e-15, 1e-16, 1e-14), ("gate", 1e-13))
     run, gate, ruler, labels = text.split("\n")
     offset = len("gate") + 2
     assert run[offset + 0] == "|"
@@ -22,18 +32,18 @@ def test_figures_stand_where_their_logarithm_says():
 
 
 def test_an_interval_down_to_zero_has_an_arrow():
-    first = interval_plot([IntervalRow("mc", 0.0, 0.0, 3e-4)]).split("\n")[0]
+    first = drawn(("mc", 0.0, 0.0, 3e-4)).split("\n")[0]
     assert first.startswith("mc  <-")
     assert "o" not in first
 
 
 def test_rows_without_a_figure_say_so():
-    text = interval_plot([IntervalRow("a", 1e-3), IntervalRow("b", 0.0)])
-    assert "no failure was seen" in text.split("\n")[1]
+    text = drawn(("a", 1e-3), ("b", 0.0))
+    assert "no violation was seen" in text.split("\n")[1]
 
 
 def test_nothing_to_draw_is_no_plot():
-    assert interval_plot([IntervalRow("a", 0.0), IntervalRow("b", None)]) == ""
+    assert drawn(("a", 0.0), ("b", None)) == ""
 
 
 figures = st.one_of(
@@ -43,12 +53,12 @@ figures = st.one_of(
 
 @given(st.lists(st.tuples(figures, figures, figures), max_size=4))
 def test_any_figures_fit_the_width(rows):
-    text = interval_plot([IntervalRow("r", *row) for row in rows])
+    text = drawn(*(("r", *row) for row in rows))
     for line in text.split("\n"):
         assert len(line) <= 3 + WIDTH + 8
 
 
 @pytest.mark.parametrize("value", [1.0, 1e-15, 0.3])
 def test_a_single_figure_has_an_axis_around_it(value):
-    text = interval_plot([IntervalRow("r", value)])
+    text = drawn(("r", value))
     assert text.split("\n")[1].count("+") >= 2

@@ -1,12 +1,15 @@
-"""The uncertainty budget in words: one row a source, the same on the terminal and in reports."""
+"""The uncertainty budget: one row a source, what leaves the answer open and what narrows it."""
 
-from pemviz.reports.digits import digits_of, end_text
+from pemviz.reports.numbers import UNKNOWN, digits_of, end_text
 from pemviz.runs.result import RunResult
 from pemviz.runs.uncertainty import UncertaintySource, uncertainty_budget
 
 UNCERTAINTY_TITLE = "How far the answer is open"
-UNKNOWN = "unknown"
 UNCERTAINTY_COLUMNS = ("by", "from", "to", "narrowed by")
+NOT_ADDED_UP = (
+    "Each bar is one source of doubt; they are not added up, as each takes for granted what the "
+    "others doubt."
+)
 
 
 def uncertainty_rows(result: RunResult) -> list[tuple[str, str, str, str]]:

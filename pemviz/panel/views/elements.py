@@ -4,7 +4,8 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from pemviz.colors import GREY, VERMILLION
+from pemviz.reports.document import Verdict
+from pemviz.reports.html import ROOT, blocks_html, clicks_to, paragraph
 
 STYLE = "font-family:system-ui,sans-serif;font-size:12.5px;line-height:1.45;color:#1f2933"
 MINUS = "\N{MINUS SIGN}"
@@ -15,19 +16,6 @@ SUPERSCRIPT = str.maketrans(
     "\N{SUPERSCRIPT THREE}\N{SUPERSCRIPT FOUR}\N{SUPERSCRIPT FIVE}\N{SUPERSCRIPT SIX}"
     "\N{SUPERSCRIPT SEVEN}\N{SUPERSCRIPT EIGHT}\N{SUPERSCRIPT NINE}",
 )
-
-
-# A click writes the number of a row, or of a point, into viser's own input, as typing it would;
-# placing the caret there would scroll the tab to it.
-CLICK = (
-    "(function(r,t){var i=document.getElementById(t);if(!i||!r)return;"
-    "var s=r,y;while(s&&!s.scrollTop)s=s.parentElement;y=s?s.scrollTop:0;"
-    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,r.dataset.number);"
-    "i.dispatchEvent(new Event('input',{bubbles:true}));"
-    "function back(){i.blur();if(s)s.scrollTop=y;}setTimeout(back,0);setTimeout(back,60);})"
-)
-CLICK_ROW = f"{CLICK}(this,this.dataset.target)"
-CLICK_POINT = f"{CLICK}(event.target.closest('[data-number]'),this.dataset.target)"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -52,30 +40,17 @@ def percent(value: float | None) -> str:
 
 def block(body: str) -> str:
     """Text in the panel's own style, in line with viser's controls."""
-    return f"<div style='{STYLE};padding:0 0.75em 0.5em'>{body}</div>"
-
-
-def heading(words: str) -> str:
-    """A heading within a tab."""
-    return f"<div style='font-weight:600;margin:6px 0 2px'>{escape(words)}</div>"
+    return f"<div class='{ROOT}' style='{STYLE};padding:0 0.75em 0.5em'>{body}</div>"
 
 
 def quiet(words: str) -> str:
     """An explanation."""
-    return f"<div style='color:#52606d;font-size:11.5px'>{escape(words)}</div>"
-
-
-def warning(words: str) -> str:
-    """Something that the reader must not miss; set apart by a sign, not by colour alone."""
-    return (
-        f"<div style='border-left:3px solid {VERMILLION};background:#fdf3ec;padding:3px 7px;"
-        f"margin:3px 0;font-size:11.5px'>\N{WARNING SIGN} {escape(words)}</div>"
-    )
+    return paragraph(words, "quiet")
 
 
 def good(words: str) -> str:
     """A remark that all is well."""
-    return f"<div style='color:{GREY};font-size:11.5px'>\N{CHECK MARK} {escape(words)}</div>"
+    return blocks_html([Verdict("yes", words)])
 
 
 def cells(values: Sequence[str], *, style: str) -> str:
@@ -90,16 +65,7 @@ def clickable(number: int, *, target: str) -> str:
         number: The row's.
         target: The input's element id.
     """
-    return (
-        f"role='button' data-number='{number}' data-target='{escape(target, quote=True)}'"
-        f" onclick='{escape(CLICK_ROW, quote=True)}'"
-    )
-
-
-def clickable_points(*, target: str) -> str:
-    """Attributes of what holds points with a ``data-number`` each, as :func:`clickable`."""
-    onclick = escape(CLICK_POINT, quote=True)
-    return f"data-target='{escape(target, quote=True)}' onclick='{onclick}'"
+    return f"role='button' data-number='{number}' {clicks_to(target)}"
 
 
 def grid(
@@ -117,18 +83,13 @@ def grid(
         name: For who does not see it.
         attributes: Of the first rows, a text each, for instance :func:`clickable`.
     """
-    head = "".join(f"<th style='{_CELL};color:#52606d;font-weight:500'>{h}</th>" for h in header)
+    heads = "".join(f"<th>{h}</th>" for h in header)
     more = [*attributes, *[""] * (len(body) - len(attributes))]
     lines = "".join(
-        f"<tr {extra} style='border-top:1px solid #e4e7eb{';cursor:pointer' if extra else ''}'>"
-        f"{cells(line, style=_CELL)}</tr>"
+        f"<tr {extra}>{''.join(f'<td>{value}</td>' for value in line)}</tr>"
         for line, extra in zip(body, more, strict=True)
     )
     return (
-        f"<table aria-label='{escape(name, quote=True)}' style='border-collapse:collapse;"
-        f"width:100%;margin-bottom:4px;font-size:11.5px;font-variant-numeric:tabular-nums'>"
-        f"<thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>"
+        f"<table aria-label='{escape(name, quote=True)}'>"
+        f"<thead><tr>{heads}</tr></thead><tbody>{lines}</tbody></table>"
     )
-
-
-_CELL = "padding:2px 5px;text-align:left;vertical-align:top"

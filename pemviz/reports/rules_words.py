@@ -1,13 +1,9 @@
-"""The answers to several rules as rows, for the terminal and every page."""
+"""The answers to several rules, and what is wrong with each."""
 
 from collections.abc import Sequence
 
-from pemviz.reports.estimate_text import (
-    interval_text,
-    no_interval_text,
-    number_text,
-    probability_text,
-)
+from pemviz.reports.estimate_words import interval_text, no_interval_text, probability_text
+from pemviz.reports.numbers import number_text
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_diagnostics, run_interval_caveats
 from pemviz.sampling.estimates.trust import interval_caveats

@@ -1,4 +1,4 @@
-"""Intervals on a logarithmic axis, drawn with characters.
+"""Charts of intervals, drawn with characters.
 
 A job summary page shows neither inline SVG nor pictures that lie beside it; text in a fence
 shows there as in every terminal and editor.
@@ -8,33 +8,20 @@ import math
 from dataclasses import dataclass
 from typing import TypeGuard
 
+from pemviz.charts.chart import Chart, IntervalChart, Row
+
 WIDTH = 64
 
 
-@dataclass(frozen=True)
-class IntervalRow:
-    """One row of the plot.
+def characters(chart: Chart, *, width: int = WIDTH) -> str:
+    """The rows over one axis in powers of ten; empty if no row has a positive figure.
 
-    Attributes:
-        label: At its left.
-        value: Drawn as ``o``; ``None`` or 0 is not drawn.
-        low: Left end of the interval; 0 is drawn as an arrow to the left, ``None`` not at all.
-        high: Right end.
-        mark: What stands for the value.
-        holds: Whether the interval holds at its level; one that does not is dotted.
+    An end at 0 is an arrow to the left, an interval that does not hold at its level is dotted.
+    Charts of another kind are not drawn.
     """
-
-    label: str
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    mark: str = "o"
-    holds: bool = True
-
-
-def interval_plot(rows: list[IntervalRow], *, width: int = WIDTH) -> str:
-    """The rows over one axis in powers of ten; empty if no row has a positive figure."""
-    figures = [value for row in rows for value in (row.value, row.low, row.high)]
+    if not isinstance(chart, IntervalChart):
+        return ""
+    figures = [v for row in chart.rows for v in (*row.values, row.low, row.high)]
     positive = [value for value in figures if _drawable(value)]
     if not positive:
         return ""
@@ -43,8 +30,8 @@ def interval_plot(rows: list[IntervalRow], *, width: int = WIDTH) -> str:
     if high == low:
         low, high = low - 1, high + 1
     axis = _Axis(low=low, high=high, width=width)
-    label_width = max(len(row.label) for row in rows)
-    drawn = [f"{row.label:<{label_width}}  {_draw(row, axis)}".rstrip() for row in rows]
+    label_width = max(len(row.name) for row in chart.rows)
+    drawn = [f"{row.name:<{label_width}}  {_draw(row, axis)}".rstrip() for row in chart.rows]
     indent = " " * (label_width + 2)
     return "\n".join([*drawn, indent + axis.ruler(), indent + axis.labels()])
 
@@ -84,7 +71,7 @@ class _Axis:
         return "".join(line).rstrip()
 
 
-def _draw(row: IntervalRow, axis: _Axis) -> str:
+def _draw(row: Row, axis: _Axis) -> str:
     line = [" "] * axis.width
     if row.low is not None and _drawable(row.high):
         first = axis.column(math.log10(row.low)) if row.low > 0.0 else 0
@@ -93,8 +80,9 @@ def _draw(row: IntervalRow, axis: _Axis) -> str:
         line[first : last + 1] = between * (last + 1 - first)
         line[first] = end if row.low > 0.0 else "<"
         line[last] = end
-    if _drawable(row.value):
-        line[axis.column(math.log10(row.value))] = row.mark
+    for value in row.values:
+        if _drawable(value):
+            line[axis.column(math.log10(value))] = row.mark
     if not "".join(line).strip():
-        return "(nothing to draw: no failure was seen)"
+        return "(nothing to draw: no violation was seen)"
     return "".join(line)

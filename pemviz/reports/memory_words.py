@@ -1,4 +1,4 @@
-"""The failure probability over memory times and frailties, in words and rows, the same everywhere.
+"""How misses hang together: what the answer assumes of it, and what the assumption is worth.
 
 A curve leads along one of two axes: :data:`BY_MEMORY_TIME`, :data:`BY_FRAILTY`.
 """
@@ -7,10 +7,18 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pemviz.reports.digits import end_text
+from pemviz.pem.models.memory import FRAILTY_MEANS
+from pemviz.reports.numbers import end_text
 from pemviz.runs.memory import RunMemory
 from pemviz.sampling.bursts.curve import MEASURED_FRAILTY, MEASURED_S, CurvePoint
 
+MEMORY_TITLE = "Misses that follow each other"
+NOT_LOOKED_AT = (
+    "What the assumption on how misses follow each other is worth was not looked at in this run: "
+    "pemviz record --memory-curve tells. On video misses come in bursts."
+)
+IN_IT = "(in which the correlation of outcomes falls to 37 %)"
+"""What a memory time is, in brackets beside one."""
 CURVE_NOTE = (
     "Memory time: in it the correlation of one outcome with a later one falls to 37 %. The longer, "
     "the longer bursts of misses; how often it misses is about as before."
@@ -222,3 +230,31 @@ def _interval(point: CurvePoint) -> str:
         return "no violation was seen"
     words = f"{end_text(point.low)} to {end_text(point.high)}"
     return f"{words}: not a 95 % interval, {point.caveats[0]}" if point.caveats else words
+
+
+def memory_text(memory: RunMemory | None) -> str:
+    """How misses hang together in the answer, and in the video that the model was fitted to."""
+    if memory is None or memory.is_independent:
+        assumed = "independent of each other given the state: an assumption"
+        if memory is None or not memory.curve:
+            assumed += ", and --memory-curve tells what it is worth"
+    else:
+        assumed = f"in bursts, {' and '.join(_hanging_together(memory))}"
+    own = None if memory is None else memory.fitted
+    if own is None:
+        return assumed
+    measured = f"{own.tau_s:.2g} s ({own.low_s:.2g} to {own.high_s:.2g})"
+    if memory is None or memory.tau_s == 0.0:
+        measured += f" {IN_IT}"
+    if own.frailty is not None:
+        measured += f", its frailty {own.frailty:.2g}"
+        if own.frailty_low is not None and own.frailty_high is not None:
+            measured += f" ({own.frailty_low:.2g} to {own.frailty_high:.2g})"
+    return f"{assumed}; this model's own memory time, measured on video, is {measured}"
+
+
+def _hanging_together(memory: RunMemory) -> list[str]:
+    parts = [f"memory time {memory.tau_s:g} s {IN_IT}"] if memory.tau_s else []
+    if memory.frailty:
+        parts.append(f"frailty {memory.frailty:g} ({FRAILTY_MEANS})")
+    return parts

@@ -8,9 +8,10 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.config import ExperimentConfig
 from pemviz.recording.text import answer_text
-from pemviz.reports.causes_text import burst_lines, burst_rows, elasticity_text
+from pemviz.reports.causes_words import burst_lines, burst_rows, elasticity_text
+from pemviz.reports.html import sections_html
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.pictures.causes import bursts_part
+from pemviz.reports.run_document import run_document
 from tests.reports.runs import result
 
 BURSTS = Bursts(
@@ -60,7 +61,7 @@ def test_every_view_has_the_rows():
     assert dict(rows)["memory time for 0.0001"] == "0.067 s instead of 0.2 s"
     run = result(explanation=EXPLANATION, config=ExperimentConfig(memory_s=0.2, target=1e-4))
     page, recorded = summary_markdown(run), answer_text(run, running=False)
-    panel = bursts_part(EXPLANATION, target=1e-4)
+    panel = sections_html(run_document(run).choose(["causes"]))
     for name, words in rows:
         assert f"| {name} | {words} |" in page
         assert f"| {name} | {words} |" in recorded

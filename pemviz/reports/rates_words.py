@@ -1,11 +1,10 @@
-"""Violations an hour or a kilometre of driving, and what lies between them, in words and rows."""
+"""Violations an hour or a kilometre of driving, and what lies between them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pemviz.reports.digits import digits_of, end_text
-from pemviz.reports.escape import markdown_table, markdown_text
-from pemviz.reports.estimate_text import level_text, no_interval_text
+from pemviz.reports.estimate_words import level_text, no_interval_text
+from pemviz.reports.numbers import UNKNOWN, digits_of, end_text
 from pemviz.runs.rates import Rate, assumed_distance, assumed_encounters, rates
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats
@@ -40,11 +39,6 @@ KILOMETRE = Unit("Per kilometre of driving", "a kilometre", "kilometres", "kilom
 def unit_of(result: RunResult) -> Unit:
     """What a result's rates are per."""
     return HOUR if result.driven is None else KILOMETRE
-
-
-def rates_title(result: RunResult) -> str:
-    """Over a table of rates."""
-    return unit_of(result).title
 
 
 def rate_columns(result: RunResult) -> tuple[str, ...]:
@@ -93,15 +87,6 @@ def rate_rows(result: RunResult) -> list[tuple[str, ...]]:
     return rows
 
 
-def rates_markdown(result: RunResult, *, level: str) -> list[str]:
-    """The rates as markdown under a heading of that level; none where there are none."""
-    rows = [tuple(map(markdown_text, row)) for row in rate_rows(result)]
-    if not rows:
-        return []
-    table = markdown_table(rate_columns(result), rows)
-    return [f"{level} {rates_title(result)}", table, rate_note(result)]
-
-
 def rate_note(result: RunResult) -> str:
     """What the rates take for granted; empty where there are none."""
     encounters = result.config.encounters_per_hour
@@ -126,9 +111,6 @@ def _figures(rate: Rate, estimate: Estimate, caveats: Sequence[str]) -> tuple[st
     told = (f"{one}{wrong}" if one != UNKNOWN else one for one in (ends, units))
     of_rate, of_between = told
     return found, of_rate, between, of_between
-
-
-UNKNOWN = "unknown"
 
 
 def _range(low: float | None, high: float | None, digits: int) -> str:

@@ -1,1 +1,0 @@
-"""Results drawn: SVG and HTML as text, for the panel and for pages of their own."""
