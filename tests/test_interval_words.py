@@ -9,7 +9,6 @@ import time
 from dataclasses import replace
 from functools import cache
 from html import unescape
-from pathlib import Path
 
 import pytest
 
@@ -19,12 +18,11 @@ from pemviz.panel.controller import Controller
 from pemviz.panel.recordings import RecordingsFolder
 from pemviz.panel.views import compare, headline, learning, recordings
 from pemviz.recording.sweep_overview import _label
-from pemviz.recording.text import answer_text
 from pemviz.reports.gate import decide_run
-from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.rules_words import rule_rows, rule_warnings
-from pemviz.reports.terminal import print_summary, summary_text
+from pemviz.reports.run_document import run_document
+from pemviz.reports.terminal import plain_lines
 from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.failure_tables import table_2
 from pemviz.runs.result_file import result_document, write_result
@@ -67,27 +65,19 @@ def plain(text):
     return " ".join(unescape(text).replace("\u2502", " ").split())
 
 
-def terminal(result, capsys, monkeypatch, *, verbose=False):
-    monkeypatch.setenv("COLUMNS", "400")
-    print_summary(result, Path("run"), verbose=verbose)
-    return capsys.readouterr().out
+def told(result, gate=None):
+    """All that the run's document says, briefly and in full."""
+    sections = run_document(result, gate=gate).sections
+    return plain(" ".join(plain_lines(b for one in sections for b in (*one.brief, *one.full))))
 
 
 @METHOD
 @pytest.mark.parametrize("reliable", [True, False])
-def test_every_report(method, reliable, capsys, monkeypatch):
+def test_the_document_of_a_run(method, reliable):
     result, against = judged(method, reliable=reliable)
     gate = decide_run(result, limit=1e-20)
-    for text in (
-        terminal(result, capsys, monkeypatch),
-        terminal(result, capsys, monkeypatch, verbose=True),
-        summary_text(result),
-        summary_markdown(result),
-        junit_xml(result),
-        answer_text(result, running=False),
-        gate.sentence,
-    ):
-        checked(plain(text), against)
+    for text in (told(result), plain(gate.sentence)):
+        checked(text, against)
 
 
 def checked(text, against):
@@ -193,41 +183,23 @@ def test_the_papers_tables(method, reliable):
 
 
 @METHOD
-def test_a_reference_that_disagrees_counts_too(method, capsys, monkeypatch):
+def test_a_reference_that_disagrees_counts_too(method):
     far = Reference(probability=8e-14, std_error=2e-17, log10_probability=-13.097)
     result = replace(judged(method, reliable=True)[0], reference=far)
-    for text in (
-        terminal(result, capsys, monkeypatch),
-        summary_text(result),
-        summary_markdown(result),
-        junit_xml(result),
-        answer_text(result, running=False),
-        json.dumps(result_document(result)["estimate"]["interval_caveats"]),
-    ):
-        assert "0.025 times the reference" in plain(text)
-        assert not CLAIM.search(plain(text))
+    in_file = json.dumps(result_document(result)["estimate"]["interval_caveats"])
+    for text in (told(result), in_file):
+        assert "0.025 times the reference" in text
+        assert not CLAIM.search(text)
 
 
-def test_the_range_over_refits_is_called_that_and_its_caveats_are_told(capsys, monkeypatch):
+def test_the_range_over_refits_is_called_that_and_its_caveats_are_told():
     result, _ = judged("mixture", reliable=True)
     (caveat,) = result.pem_interval.warnings
-    for text in (
-        terminal(result, capsys, monkeypatch),
-        summary_text(result),
-        summary_markdown(result),
-        junit_xml(result),
-    ):
-        assert caveat in plain(text)
-    assert "refits of ml-nn" in terminal(result, capsys, monkeypatch)
-    for text in (
-        terminal(result, capsys, monkeypatch, verbose=True),
-        summary_markdown(result),
-        junit_xml(result),
-        answer_text(result, running=False),
-    ):
-        words = plain(text)
-        assert "refits of one architecture on the same data, not other model families" in words
-        assert "error models" not in words
+    words = told(result)
+    assert caveat in words
+    assert "refits of ml-nn" in words
+    assert "refits of one architecture on the same data, not other model families" in words
+    assert "error models" not in words
 
 
 def test_a_rule_tells_only_what_speaks_against_it_and_not_against_the_whole_answer():

@@ -69,7 +69,7 @@ def _intervals(chart: IntervalChart) -> RunFigure:
             style = "-" if row.holds else (0, (1.0, 0.6))
             axes.plot(
                 ends, [place] * 2, color=row.color, linewidth=6.0, linestyle=style,
-                solid_capstyle="butt", dash_capstyle="butt",
+                solid_capstyle="butt", dash_capstyle="butt", marker="|",
             )  # fmt: skip
         if row.values:
             axes.plot(row.values, [place] * len(row.values), "o", color=row.color, markersize=5.0)
@@ -77,7 +77,10 @@ def _intervals(chart: IntervalChart) -> RunFigure:
         left = min(known, default=first)
         anchor = "left" if left < (first * last) ** 0.5 else "right"
         at = left if anchor == "left" else max(known)
-        axes.text(at, place - 0.2, row.figures, color=BLACK, fontsize=8, ha=anchor, va="bottom")
+        axes.text(
+            at, place - 0.2, row.figures, color=BLACK, fontsize=8, ha=anchor, va="bottom",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
+        )  # fmt: skip
     for rule in chart.rules:
         axes.axvline(rule.at, color=rule.color, linewidth=1.2, zorder=0.5)
     axes.set_yticks(range(len(chart.rows)), [row.name for row in chart.rows])

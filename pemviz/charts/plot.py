@@ -187,8 +187,10 @@ class Plot:
             x, anchor = (self.left + 3, "start") if at_left else (self.right - 3, "end")
             self._over.append(text(label, x, py - 3, anchor=anchor, color=color))
 
-    def vline(self, x: float, *, color: str, label: str = "", dash: str = "4 3") -> None:
-        """A vertical line, labelled at its lower end."""
+    def vline(
+        self, x: float, *, color: str, label: str = "", dash: str = "4 3", above: int = 0
+    ) -> None:
+        """A vertical line, labelled at its lower end, ``above`` so many other labels."""
         if not self.x.low <= x <= self.x.high:
             return
         px = self.px(x)
@@ -198,7 +200,8 @@ class Plot:
         if label:
             room = self.right - px > 6.0 * len(label)
             at, anchor = (px + 4, "start") if room else (px - 4, "end")
-            self._over.append(text(label, at, self.bottom - 5, anchor=anchor, color=color))
+            up = self.bottom - 5 - 12 * above
+            self._over.append(text(label, at, up, anchor=anchor, color=color))
 
     def band(self, low: float, high: float, *, color: str, opacity: float = 0.18) -> None:
         """A horizontal band."""
@@ -334,7 +337,7 @@ def svg(body: str, *, width: int, height: int, title: str) -> str:
     return (
         f"<svg viewBox='0 0 {width} {height}' width='100%' role='img'"
         f" aria-label='{escape(title, quote=True)}' xmlns='http://www.w3.org/2000/svg' {FONT}"
-        f" style='display:block'>{body}</svg>"
+        f" style='display:block;max-width:{1.3 * width:.0f}px'>{body}</svg>"
     )
 
 

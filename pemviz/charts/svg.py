@@ -169,10 +169,14 @@ def _draw(drawn: Plot, chart: PlaneChart, mark: Mark, *, act: str) -> str:
                 drawn.whisker(at[place], low[place], high[place], color=mark.color, dash=dash)
         case Bars():
             drawn.bars(_places(x, mark.edges), mark.heights, color=mark.color, tips=mark.tips)
+        case Rule() if mark.upright:
+            upright = [one for one in chart.marks if isinstance(one, Rule) and one.upright]
+            above = len(upright) - 1 - upright.index(mark)
+            drawn.vline(
+                _place(x, mark.at), color=mark.color, label=mark.label, dash=mark.dash, above=above
+            )
         case Rule():
-            line = drawn.vline if mark.upright else drawn.hline
-            at = _place(x if mark.upright else y, mark.at)
-            line(at, color=mark.color, label=mark.label, dash=mark.dash)
+            drawn.hline(_place(y, mark.at), color=mark.color, label=mark.label, dash=mark.dash)
         case Cells():
             return _shades(drawn, mark)
         case Box():

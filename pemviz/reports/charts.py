@@ -57,6 +57,7 @@ RUN_COLORS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 
 def uncertainty_chart(result: RunResult) -> IntervalChart | None:
     """A bar for each source of uncertainty, the answer across them; ``None`` without any."""
+    doubted = bool(run_interval_caveats(result))
     rows = tuple(
         Row(
             name=source_name(source).partition(";")[0],
@@ -64,6 +65,7 @@ def uncertainty_chart(result: RunResult) -> IntervalChart | None:
             high=source.high,
             values=(),
             color=SOURCES[source.kind],
+            holds=not (doubted and source.kind == "sampling"),
             figures="not bounded" if source.high is None else range_text(source.low, source.high),
             tip=f"{source.note}; " * bool(source.note) + f"narrowed by: {source.narrowed_by}",
         )

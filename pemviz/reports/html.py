@@ -82,7 +82,9 @@ def sections_html(
     parts: list[str] = []
     for section in sections:
         blocks = section.brief if brief else section.full
-        if blocks and not isinstance(blocks[0], Headline | Verdict):
+        first = blocks[0] if blocks else None
+        drawn = isinstance(first, Figure) and first.chart.title == section.title
+        if blocks and not drawn and not isinstance(first, Headline | Verdict):
             parts.append(heading(section.title))
         parts.append(blocks_html(blocks, targets=targets))
     return "".join(parts)

@@ -128,7 +128,8 @@ def test_the_drawing_stays_within_its_axis(low):
     one = result(estimate(ci_low=low, ci_high=1.2), families=FAMILIES)
     drawn = svg(uncertainty_chart(one))
     assert "nan" not in drawn
-    assert drawn.count("<rect") == sum(
+    dotted = drawn.count("stroke-dasharray='3 3'")
+    assert drawn.count("<rect") + dotted == sum(
         source.high is not None for source in uncertainty_budget(one)
     )
     assert uncertainty_chart(replace(one, estimate=None)) is None

@@ -7,7 +7,15 @@ from pemviz.colors import BLUE
 from pemviz.config import ExperimentConfig
 from pemviz.reports.document import Bullets, Document, Paragraph, Section
 from pemviz.reports.escape import printable_lines
-from pemviz.reports.html import ROOT, SHEET, blocks_html, paragraph, sections_html, words
+from pemviz.reports.html import (
+    ROOT,
+    SHEET,
+    blocks_html,
+    heading,
+    paragraph,
+    sections_html,
+    words,
+)
 from pemviz.reports.run_document import run_document
 from pemviz.reports.run_words import scenario_text
 from pemviz.reports.safety_case.case import CaseRun
@@ -102,7 +110,8 @@ def _run(run: CaseRun, *, below: float | None, prefix: str) -> str:
     parts = [
         (section.title, blocks_html(section.full)) for section in _sections(run, document, below)
     ]
-    parts.insert(2, ("Evidence", sections_html(evidence(run, document))))
+    told = (heading(e.title) + blocks_html(e.full) for e in evidence(run, document))
+    parts.insert(2, ("Evidence", "".join(told)))
     links = "".join(
         f"<a href='#{prefix}{index}'>{words(name)}</a>"
         for index, (name, _) in enumerate(parts, start=1)

@@ -38,7 +38,7 @@ EVIDENCE = (
     ),
     ("How far the answer is open", ("uncertainty",)),
     ("Misses that follow each other", ("memory",)),
-    ("What causes violations", ("causes", "starts")),
+    ("What causes violations", ("causes", "starts", "worst")),
     ("The error model and its data", ("extrapolation",)),
 )
 """Titles of what is numbered E1 to E5, and the sections of the run's document in each."""
