@@ -65,7 +65,7 @@ def main() -> int:
         close_notices(page)
         take_pictures(page, arguments.out, shown=shown, others=(other, curve))
         load(page, curve)
-        show(page, "img", "P(violation) if misses come in bursts")
+        show(page, "img", "If misses come in bursts")
         keep(page, arguments.out / "panel-memory.png")
         browser.close()
     for family in FAMILIES:

@@ -83,10 +83,10 @@ def _intervals(chart: IntervalChart) -> str:
 
 def _row(row: Row, top: float, px: Callable[[float], float], right: float) -> str:
     middle = top + 19.0
-    parts = [
-        text(row.name, 0, top + 11, color=INK),
-        text(row.figures, right, top + 11, anchor="end"),
-    ]
+    words = text(row.name, 0, top + 11, color=INK) + text(
+        row.figures, right, top + 11, anchor="end"
+    )
+    parts = [f"<g stroke='#ffffff' stroke-width='3' style='paint-order:stroke'>{words}</g>"]
     if row.low is None or row.high is None:
         known = bool(row.values)
         if not known:

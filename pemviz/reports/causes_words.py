@@ -8,7 +8,7 @@ from pemviz.analysis.causes import BandMisses, Chain
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.analysis.slot_errors import SlotErrors
-from pemviz.reports.document import Strip
+from pemviz.reports.document import Strip, Table
 from pemviz.reports.numbers import share_text
 from pemviz.runs.result import RunResult
 
@@ -25,7 +25,6 @@ BURST_NOTE = (
     "geometric means."
 )
 SHOWN_CHAINS = 8
-CHAIN_COLUMNS = ("of all violations", "misses", "missed at [s]")
 STRIP_MARGIN_S = 0.1
 """Before the first miss of a chain, and after the last."""
 FEW = 1e-3
@@ -220,14 +219,15 @@ def shown_chains(chains: Sequence[Chain]) -> list[Chain]:
     return [chain for chain in chains[:SHOWN_CHAINS] if chain.missed_steps]
 
 
-def chain_rows(chains: Sequence[Chain], *, dt_s: float) -> list[tuple[str | Strip, ...]]:
-    """Share, number of misses and when they are, of the likeliest; see :data:`CHAIN_COLUMNS`."""
+def chain_table(chains: Sequence[Chain], *, dt_s: float) -> Table | None:
+    """Share, number of misses and when they are, of the likeliest; ``None`` without a miss."""
     shown = shown_chains(chains)
     every = [step for chain in shown for step in chain.missed_steps]
     if not every:
-        return []
+        return None
     low_s = max(0.0, min(every) * dt_s - STRIP_MARGIN_S)
-    long_s = (max(every) + 1) * dt_s + STRIP_MARGIN_S - low_s
+    end_s = (max(every) + 1) * dt_s + STRIP_MARGIN_S
+    long_s = end_s - low_s
     rows: list[tuple[str | Strip, ...]] = []
     for chain in shown:
         bursts = list(_in_a_row(chain.missed_steps))
@@ -239,7 +239,17 @@ def chain_rows(chains: Sequence[Chain], *, dt_s: float) -> list[tuple[str | Stri
         )
         count = str(len(chain.missed_steps))
         rows.append((share_text(chain.share), count, Strip(", ".join(times), spans)))
-    return rows
+    listed = share_text(sum(chain.share for chain in chains[:SHOWN_CHAINS]))
+    return Table(
+        ("of all violations", "misses", f"missed at [s], from {low_s:.1f} to {end_s:.1f}"),
+        tuple(rows),
+        name="Likeliest chains of misses",
+        note=f"The chains shown make up {listed} of the estimated probability. Only misses at "
+        "steps where the outcome matters are told.",
+        numbers=(0, 1),
+        places=tuple(range(1, len(rows) + 1)),
+        target="chain",
+    )
 
 
 def _in_a_row(steps: Sequence[int]) -> Iterator[tuple[int, int]]:
@@ -248,12 +258,3 @@ def _in_a_row(steps: Sequence[int]) -> Iterator[tuple[int, int]]:
     for _, run in groupby(ascending, key=lambda place: place[1] - place[0]):
         members = [step for _, step in run]
         yield members[0], members[-1]
-
-
-def chain_note(chains: Sequence[Chain]) -> str:
-    """How much of the answer the chains shown are."""
-    listed = [chain.share for chain in chains[:SHOWN_CHAINS]]
-    return (
-        f"These {len(listed)} chains make up {share_text(sum(listed))} of the estimated "
-        "probability. Only misses at steps where the outcome matters are told."
-    )

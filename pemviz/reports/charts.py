@@ -180,7 +180,7 @@ def memory_chart(memory: RunMemory, axis: CurveAxis) -> PlaneChart | None:
     unit = f" [{axis.unit.strip()}]" if axis.unit else ""
     floor = 10.0 ** math.floor(math.log10(low.min()) - 0.5)
     return PlaneChart(
-        title=axis.title,
+        title=axis.title.partition(", by")[0],
         x=Axis(f"{axis.head}{unit}", 0.0, 1.02 * max(float(places.max()), 1e-9)),
         y=Axis("P(violation)", floor, 1.5, log10=True),
         marks=(

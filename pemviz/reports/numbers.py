@@ -27,7 +27,8 @@ def share_text(value: float | None) -> str:
     """A share in per cent, small ones with a digit that counts, or a dash."""
     if value is None:
         return "-"
-    return f"{value:.0%}" if value >= 0.1 or value == 0.0 else f"{100.0 * value:.1g}%"
+    per_cent = 100.0 * value
+    return f"{per_cent:.0f} %" if per_cent >= 0.95 or value == 0.0 else f"{per_cent:.1g} %"
 
 
 def range_text(low: float | None, high: float | None) -> str:

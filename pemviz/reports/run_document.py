@@ -17,15 +17,13 @@ from pemviz.reports.causes_words import (
     BURST_COLUMNS,
     BURST_NOTE,
     BURST_TITLE,
-    CHAIN_COLUMNS,
     band_columns,
     band_note,
     band_rows,
     burst_lines,
     burst_rows,
     causes_line,
-    chain_note,
-    chain_rows,
+    chain_table,
 )
 from pemviz.reports.charts import (
     interval_chart,
@@ -454,18 +452,8 @@ def _causes(result: RunResult) -> Section:
     if bursts := burst_rows(explanation, target=target):
         tables.append(Table(BURST_COLUMNS, tuple(bursts), name=BURST_TITLE, note=BURST_NOTE))
     full = [*lines[:1], *tables]
-    if chains := chain_rows(explanation.chains, dt_s=result.config.dt_s):
-        full.append(
-            Table(
-                CHAIN_COLUMNS,
-                tuple(chains),
-                name="Likeliest chains of misses",
-                note=chain_note(explanation.chains),
-                numbers=(0, 1),
-                places=tuple(range(1, len(chains) + 1)),
-                target="chain",
-            )
-        )
+    if chains := chain_table(explanation.chains, dt_s=result.config.dt_s):
+        full.append(chains)
     return Section("causes", title, lines if target is None else tuple(tables), tuple(full))
 
 

@@ -176,6 +176,7 @@ def result_document(result: RunResult) -> Table:
         "data_bound": result.data_bound,
         "plan": result.plan,
         **_explanation_tables(result.explanation),
+        **({} if result.robustness_tail is None else {"robustness_tail": result.robustness_tail}),
         "repetitions": [
             estimate_table(estimate, caveats=interval_caveats(estimate))
             for estimate in result.repetitions

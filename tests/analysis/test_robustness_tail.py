@@ -1,10 +1,16 @@
 """Expected robustness and that of the worst hundredth, against closed forms of the normal law."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from pemviz.analysis.robustness_tail import robustness_tail
+from pemviz.config import ExperimentConfig
+from pemviz.runs.engine import run_experiment
+from pemviz.runs.kept_stages import KeptStages
+from pemviz.runs.result_file import result_document, result_from_document
 
 WORST = 0.01
 MEAN, SD = 3.0, 2.0
@@ -64,3 +70,26 @@ def test_too_few_of_the_worst_tell_the_mean_alone():
     found = robustness_tail(values, log_weight)
     assert found.expected == pytest.approx(MEAN, abs=4.5 * found.expected_std_error)
     assert found.worst is None
+
+
+def test_a_run_tells_what_its_rollouts_have_and_keeps_it():
+    """Plain rollouts weigh the same: the means are those of numpy."""
+    kept = KeptStages()
+    config = ExperimentConfig(
+        method="monte-carlo", final_rollouts=3000, memory_s=0.25, frailty=0.68, seed=3
+    )
+    result = run_experiment(config, observers=[kept])
+    (stage,) = kept.stages
+    robustness = np.sort(stage.scored.robustness)
+    found = result.robustness_tail
+    assert found.rollouts == robustness.size
+    assert found.expected == pytest.approx(np.mean(robustness), rel=1e-12)
+    assert found.worst == pytest.approx(np.mean(robustness[:30]), rel=1e-9)
+    read = result_from_document(json.loads(json.dumps(result_document(result))))
+    assert read.robustness_tail == found
+
+
+def test_proposals_that_look_for_violations_alone_tell_nothing():
+    rare = run_experiment(ExperimentConfig(method="zero-variance", final_rollouts=100, plan=False))
+    assert rare.robustness_tail is None
+    assert "robustness_tail" not in result_document(rare)

@@ -232,11 +232,11 @@ def test_causes_are_told_in_words_with_units(naive_run):
     run = with_result(run, warnings=("thin data", disagreement.text))
     page = why.why(run)
     words = ["".join(cell.itertext()) for cell in well_formed(page).iter("td")]
-    assert words[:5] == ["4 to 6", "1.70", "16%", "-", "not enough alone"]
-    assert words[5:10] == ["6 to 8", "8.83", "84%", "-0.12 (error not known)", "not enough alone"]
-    assert words[10:15] == ["all", "10.53", "100%", "9.93 (error not known)", "25 %"]
+    assert words[:5] == ["4 to 6", "1.70", "16 %", "-", "not enough alone"]
+    assert words[5:10] == ["6 to 8", "8.83", "84 %", "-0.12 (error not known)", "not enough alone"]
+    assert words[10:15] == ["all", "10.53", "100 %", "9.93 (error not known)", "25 %"]
     assert "8 to 10" not in words
-    assert words[15:17] == ["27%", "3"]
+    assert words[15:17] == ["27 %", "3"]
     assert "1.95, 2.05 to 2.10" in page
     for raw in ("misses_by_distance", "elasticity", "repetition", "nll", "target_factor"):
         assert raw not in page

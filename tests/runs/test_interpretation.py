@@ -134,9 +134,10 @@ def test_a_step_changes_nothing_that_it_was_given(experiment, heard, part):
     assert before.result.explanation is None
     assert before.members == ()
     assert first[-1].result == second[-1].result
-    assert [found.result.explanation is not None for found in first] == [True] * 3
-    assert [found.result.pem_interval is not None for found in first] == [False, True, True]
-    assert [bool(found.result.warnings) for found in first] == [False, False, True]
+    assert [found.result.explanation is not None for found in first] == [True] * 4
+    assert [found.result.robustness_tail for found in first] == [None] * 4  # of too few
+    assert [found.result.pem_interval is not None for found in first] == [False, False, True, True]
+    assert [bool(found.result.warnings) for found in first] == [False, False, False, True]
 
 
 def test_what_learns_or_carries_no_weights_says_nothing(experiment, heard, part):

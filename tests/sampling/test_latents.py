@@ -113,7 +113,8 @@ def test_a_rollout_replays_from_its_file(simulator, method, tmp_path):
     result = carry_out(experiment, whole)
     assert (result.latents, result.status) == (LatentCounts(start=1, noise=1), "done")
     assert pemviz.read_result(whole) == result
-    assert "latents: 1 at the start and 1 at every step" in pemviz.summary_text(result)
+    words = "latents (standard normals): 1 at the start and 1 at every step"
+    assert words in pemviz.summary_text(result)
     rollouts = load_rollouts(whole)
     latents = latents_of(rollouts)
     signals = replay(
