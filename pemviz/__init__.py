@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pemviz.runs.result import RunResult
     from pemviz.runs.store import RunStore
     from pemviz.sampling.description import MethodDescription
+    from pemviz.sampling.state.hidden import HiddenProperty, Known
     from pemviz.simulators.episodic import EpisodicSimulator, side_by_side
     from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator, GymnasiumSlotSimulator
     from pemviz.simulators.gymnasium_episodes import (
@@ -65,9 +66,11 @@ _HOMES = {
     "GymnasiumSimulator": "simulators.gymnasium_adapter",
     "GymnasiumSlotEpisodes": "simulators.gymnasium_episodes",
     "GymnasiumSlotSimulator": "simulators.gymnasium_adapter",
+    "HiddenProperty": "sampling.state.hidden",
     "InputError": "errors",
     "Kalman": "simulators.tracking.filters",
     "KeptStages": "runs.kept_stages",
+    "Known": "sampling.state.hidden",
     "LatentCounts": "latents",
     "LatentSimulator": "simulators.latents",
     "Latents": "latents",
@@ -121,9 +124,11 @@ __all__ = [
     "GymnasiumSimulator",
     "GymnasiumSlotEpisodes",
     "GymnasiumSlotSimulator",
+    "HiddenProperty",
     "InputError",
     "Kalman",
     "KeptStages",
+    "Known",
     "LatentCounts",
     "LatentSimulator",
     "Latents",

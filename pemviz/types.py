@@ -27,6 +27,8 @@ from pemviz.latents import Latents
 StageKind = Literal["pretrain", "learn", "final"]
 CERTAIN = "outcome_certain"
 """Memory of states at which perception's outcome is certain; proposals leave it to the model."""
+LAST = "last_outcome_"
+"""Memory, with a slot's number: its last outcome."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,10 @@ class Signal:
     unit: str
     low: float
     high: float
+
+
+LAST_OUTCOME = Signal(name="last_outcome", key="last_outcome", unit="", low=-1.0, high=1.0)
+"""Missed (-1), detected (1), or none yet (0)."""
 
 
 @dataclass(frozen=True)

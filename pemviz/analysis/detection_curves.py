@@ -11,7 +11,7 @@ from scipy.special import expit
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.pem import Pem
-from pemviz.sampling.memory import first_logit
+from pemviz.sampling.state.composed import first_logit
 from pemviz.simulators.latents import begun
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch
 

@@ -30,8 +30,8 @@ from pemviz.arrays import BoolArray
 from pemviz.config.ranges import Count, Share
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.folding import Folding
-from pemviz.sampling.frailty import FrailSimulator
-from pemviz.sampling.memory import single_outcome_features
+from pemviz.sampling.state.composed import ComposedSimulator, own_features, property_in
+from pemviz.sampling.state.visibility import Visibility
 from pemviz.types import StageResult
 
 BAND_WIDTH_M = 2.0
@@ -75,7 +75,7 @@ def explain(
     dt_s: float,
     tau_s: float = 0.0,
     folding: Folding | None = None,
-    frail: FrailSimulator | None = None,
+    system: ComposedSimulator | None = None,
 ) -> Explanation | None:
     """Explain a final stage; ``None`` if nothing failed in it.
 
@@ -88,14 +88,14 @@ def explain(
         dt_s: Time between two frames [s].
         tau_s: Memory time of misses [s]; 0: they are independent given the state.
         folding: To the scenario's own steps, where it has slots.
-        frail: The scenario, where obstacles differ in how hard they are to see.
+        system: The scenario with its hidden properties, if it has any.
     """
     failures = failures_of(stage.scored, features=features)
     if failures is None or stage.log10_probability is None:
         return None
     edges = _edges(farthest_m)
     log_mu = stage.log10_probability * math.log(10.0)
-    remembered = _remembered(failures, tau_s=tau_s, dt_s=dt_s, frail=frail)
+    remembered = _remembered(failures, tau_s=tau_s, dt_s=dt_s, system=system)
     explanation = Explanation(
         repetition=stage.repetition,
         stage=stage.stage,
@@ -103,7 +103,12 @@ def explain(
         miss_probability_by_step=tuple(miss_probability_by_step(failures).tolist()),
         chains=likeliest_chains(failures),
         sensitivity=band_sensitivities(
-            failures, log_probability=log_mu, edges=edges, target=target, likelihood=remembered
+            failures,
+            log_probability=log_mu,
+            edges=edges,
+            target=target,
+            likelihood=remembered,
+            untold=_untold(system),
         ),
         memory=_memory(failures, remembered, log_mu, target),
         bursts=bursts_of(
@@ -126,7 +131,7 @@ def _edges(farthest_m: float | None) -> list[float]:
 
 def _mattering(failures: Failures, features: StateFeatures) -> BoolArray:
     """Where the scenario itself reacts, whatever is remembered as well, ``[M, T-1]``."""
-    return single_outcome_features(features).reacts(failures.rollouts.decision_states())
+    return own_features(features).reacts(failures.rollouts.decision_states())
 
 
 def _memory(
@@ -141,13 +146,20 @@ def _memory(
 
 
 def _remembered(
-    failures: Failures, *, tau_s: float, dt_s: float, frail: FrailSimulator | None
+    failures: Failures, *, tau_s: float, dt_s: float, system: ComposedSimulator | None
 ) -> RememberedOutcomes | FrailOutcomes | None:
-    if frail is not None:
-        return FrailOutcomes.of(failures, simulator=frail)
+    visibility = None if system is None else property_in(system.properties, Visibility)
+    if system is not None and visibility is not None:
+        return FrailOutcomes.of(failures, system=system, visibility=visibility)
     if tau_s == 0.0:
         return None
     return RememberedOutcomes.of(failures.rollouts, tau_s=tau_s, dt_s=dt_s)
+
+
+def _untold(system: ComposedSimulator | None) -> str | None:
+    """Why no sensitivity is told; ``None`` where it is."""
+    labels = [one.label for one in (() if system is None else system.properties) if one.label]
+    return f"not told with {' and '.join(labels)}" if labels else None
 
 
 def _by_slot(

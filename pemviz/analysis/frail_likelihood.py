@@ -23,9 +23,10 @@ from pemviz.analysis.causes import Failures
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.pem.models.frailty import log_sums
 from pemviz.pem.models.memory import Memory, miss_quantile
-from pemviz.sampling.frailty import FrailModel, FrailSimulator
+from pemviz.sampling.state.composed import ComposedSimulator
+from pemviz.sampling.state.last_outcome import last_outcome
+from pemviz.sampling.state.visibility import Visibility
 from pemviz.simulators.latched import VIOLATED
-from pemviz.simulators.remembering import LAST_OUTCOME
 
 CHUNK_OUTCOMES = 20_000
 LOG_ROOT_TWO_PI = 0.5 * math.log(2.0 * math.pi)
@@ -39,31 +40,32 @@ class FrailOutcomes:
     """Of M rollouts' outcomes; those after a violation are left out, which sums over them.
 
     Attributes:
-        model: The error model.
+        visibility: How obstacles differ.
         own: Logit of 'detected' of the model of single outcomes, ``[M, T-1]``.
         last: The outcome before: missed (-1), detected (1), none (0), ``[M, T-1]``.
         missed: ``[M, T-1]``.
         counting: Which outcomes count, ``[M, T-1]``.
     """
 
-    model: FrailModel
+    visibility: Visibility
     own: FloatArray
     last: FloatArray
     missed: BoolArray
     counting: BoolArray
 
     @staticmethod
-    def of(failures: Failures, *, simulator: FrailSimulator) -> "FrailOutcomes":
-        """Those of violations on a frail scenario."""
-        rollouts, model = failures.rollouts, simulator.model
-        states = rollouts.decision_states()
-        salient = simulator.salient(states.signals)
-        shape = rollouts.detected.shape
+    def of(
+        failures: Failures, *, system: ComposedSimulator, visibility: Visibility
+    ) -> "FrailOutcomes":
+        """Those of violations on a system one of whose properties is ``visibility``."""
+        rollouts = failures.rollouts
+        states, shape = rollouts.decision_states(), rollouts.detected.shape
+        own = system.own_logit(states)
         latch = states.memory.get(VIOLATED)
         return FrailOutcomes(
-            model=model,
-            own=model.pem.logit(model.own_salient(salient)),
-            last=states.signals.get(LAST_OUTCOME.name, np.zeros(shape)),
+            visibility=visibility,
+            own=own,
+            last=last_outcome(states.signals, otherwise=own),
             missed=~rollouts.detected,
             counting=np.ones(shape, dtype=np.bool_) if latch is None else ~latch,
         )
@@ -71,7 +73,7 @@ class FrailOutcomes:
     @property
     def tau_s(self) -> float:
         """Memory time [s]."""
-        return self.model.memory.tau_s
+        return self.visibility.memory.tau_s
 
     def log_change_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
         """What it adds ``[M]`` if misses ``inside [M, T-1]`` are ``factor`` times as likely.
@@ -86,8 +88,8 @@ class FrailOutcomes:
 
     def log_change_of_tau_within(self, inside: BoolArray, *, factor: float) -> FloatArray:  # noqa: ARG002
         """What it adds ``[M]`` if the memory time is ``factor`` times as long, in (0, 1]."""
-        memory = Memory(tau_s=factor * self.tau_s, frailty=self.model.memory.frailty)
-        other = replace(self, model=replace(self.model, memory=memory))
+        memory = Memory(tau_s=factor * self.tau_s, frailty=self.visibility.memory.frailty)
+        other = replace(self, visibility=replace(self.visibility, memory=memory))
         return self._log_change(other, self.counting)
 
     def slope(self) -> FloatArray:
@@ -109,11 +111,11 @@ class FrailOutcomes:
     @cached_property
     def _joint(self) -> FloatArray:
         """Log probability of u_j and of all outcomes that count, ``[M, J]``."""
-        return self.model.nodes.log_weight + self._by_node(self.counting)
+        return self.visibility.nodes.log_weight + self._by_node(self.counting)
 
     def _by_node(self, chosen: BoolArray) -> FloatArray:
         """Log likelihood ``[M, J]`` of the ``chosen [M, T-1]`` outcomes given u_j."""
-        result = np.zeros((len(chosen), self.model.nodes.u.size))
+        result = np.zeros((len(chosen), self.visibility.nodes.u.size))
         for row, step in _chunks(chosen):
             log_p = self._log_p(row, step)
             first = np.flatnonzero(np.diff(row, prepend=-1))
@@ -129,12 +131,12 @@ class FrailOutcomes:
 
     def _node_slopes(self, row: IntArray, step: IntArray) -> FloatArray:
         """D log P(outcome) / d log p by node, ``[K, J]``."""
-        own, nodes = self.own[row, step], self.model.nodes
+        own, nodes = self.own[row, step], self.visibility.nodes
         quantile, moved = miss_quantile(own), nodes.moved(own)
         # d Phi^-1(p) / d log p is p over the normal density there
         log_rate = -np.logaddexp(0.0, own) + 0.5 * quantile**2 + LOG_ROOT_TWO_PI
         log_density = -0.5 * moved**2 - LOG_ROOT_TWO_PI
-        log_fresh = np.where(self._first(row, step), 0.0, math.log1p(-self.model.rho))
+        log_fresh = np.where(self._first(row, step), 0.0, math.log1p(-self.visibility.rho))
         log_scale = 0.5 * math.log1p(nodes.frailty**2)
         change = (log_scale + log_rate + log_fresh)[:, None] + log_density
         sign = np.where(self.missed[row, step], 1.0, -1.0)[:, None]
@@ -142,16 +144,16 @@ class FrailOutcomes:
 
     def _node_slopes_of_tau(self, row: IntArray, step: IntArray) -> FloatArray:
         """D log P(outcome) / d log tau by node, ``[K, J]``: d rho / d log tau = rho dt / tau."""
-        moved, rho = self.model.nodes.moved(self.own[row, step]), self.model.rho
+        moved, rho = self.visibility.nodes.moved(self.own[row, step]), self.visibility.rho
         missed, last = self.missed[row, step], self.last[row, step]
         again = (missed == (last < 0.0))[:, None]
         other = np.where(missed[:, None], -moved, moved)  # the opposite outcome, without memory
         same, changed = np.exp(log_ndtr(other) - self._log_p(row, step)), -1.0 / (1.0 - rho)
-        slope = np.where(again, same, changed) * rho * self.model.dt_s / self.tau_s
+        slope = np.where(again, same, changed) * rho * self.visibility.dt_s / self.tau_s
         return np.where(self._first(row, step)[:, None], 0.0, slope)
 
     def _log_p(self, row: IntArray, step: IntArray) -> FloatArray:
-        return self.model.log_outcome(
+        return self.visibility.log_outcome(
             self.own[row, step], self.last[row, step], self.missed[row, step]
         )
 

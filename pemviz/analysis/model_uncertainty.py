@@ -24,15 +24,14 @@ from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.estimates.meanings import SMALL_ESS
-from pemviz.sampling.memory import (
-    memory_of_pem,
-    problem_under,
-    single_outcome_model,
-    single_outcome_salient,
-)
 from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.rollouts.final_batch import WeighedRollouts, weighed
+from pemviz.sampling.state.composed import (
+    memory_of_pem,
+    own_pem,
+    own_salient,
+)
 from pemviz.types import ScoredRollouts, Simulator
 
 DATA_BOUND_ROLLOUTS = 10_000
@@ -157,18 +156,18 @@ def data_bound(
         sharpened_by: With these features, where plain Monte Carlo sees few violations, importance
             sampling (method ``mixture``) has its say as well, unless something speaks against it.
     """
-    support = support_of(single_outcome_model(problem.pem))
+    support = support_of(own_pem(problem.pem))
     if support is None:
         return None
     simulator = problem.simulator
     outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
     outcomes[1] = True
     visited = simulator.salient(replay(simulator=simulator, detected=outcomes))
-    visited = single_outcome_salient(problem.pem, visited)
+    visited = own_salient(problem.pem, visited)
     is_frail = memory_of_pem(problem.pem).frailty > 0.0
     bound = data_bound_pem(visited, support=support, confidence=CONFIDENCE)
     batches = sample_batches(
-        problem_under(problem, bound),
+        problem.under(bound),
         proposal=PemProposal(),
         count=FRAIL_DATA_BOUND_ROLLOUTS if is_frail else DATA_BOUND_ROLLOUTS,
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
@@ -176,7 +175,7 @@ def data_bound(
     drawn = WeighedRollouts.concatenate([weighed(batch) for batch in batches])
     allowed = monte_carlo_estimate(drawn, method="monte-carlo")
     if sharpened_by is not None and allowed.failures < FEW_FAILURES:
-        sharp, *_ = rollouts_under(problem_under(problem, bound), features=sharpened_by, seed=seed)
+        sharp, *_ = rollouts_under(problem.under(bound), features=sharpened_by, seed=seed)
         if sharp.failures and sharp.ci_high is not None and not sharp.diagnostics:
             allowed = sharp
     return DataBound(
@@ -194,7 +193,7 @@ def extrapolation_warnings(
 
     Models that carry no counts of their training data are met with one warning that says so.
     """
-    own = single_outcome_model(pem)
+    own = own_pem(pem)
     support = support_of(own)
     if support is None:
         return (
@@ -203,7 +202,7 @@ def extrapolation_warnings(
         )
     checked = scored.rollouts.take(slice(SHOWN_ROLLOUTS))
     salient = simulator.salient(checked.decision_states().signals)
-    salient = single_outcome_salient(pem, salient)
+    salient = own_salient(pem, salient)
     return support_check(salient, support=support, pem=own).warnings
 
 

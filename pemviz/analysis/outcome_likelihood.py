@@ -16,8 +16,7 @@ from scipy.special import expit, log_expit
 
 from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.pem.models.memory import persistence
-from pemviz.simulators.remembering import LAST_OUTCOME
-from pemviz.types import RolloutBatch
+from pemviz.types import LAST_OUTCOME, RolloutBatch
 
 
 class OutcomeLikelihood(Protocol):

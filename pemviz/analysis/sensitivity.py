@@ -93,6 +93,7 @@ def band_sensitivities(
     target: float | None = None,
     signal: str = "gap",
     likelihood: OutcomeLikelihood | None = None,
+    untold: str | None = None,
 ) -> tuple[BandSensitivity, ...]:
     """Sensitivity for all distances together, then for each band.
 
@@ -103,12 +104,19 @@ def band_sensitivities(
         target: Failure probability to get below, above 0; ``None``: no target.
         signal: The distance.
         likelihood: That of the violations' outcomes; ``None``: they are independent.
+        untold: Why nothing can be told of it; ``None``: it can.
     """
+    bands = list(itertools.pairwise(edges))
+    if untold is not None:
+        return tuple(
+            BandSensitivity(low, high, None, None, None, untold)
+            for low, high in [(None, None), *bands]
+        )
     likelihood = likelihood or IndependentOutcomes.of(failures.rollouts)
     signals = failures.rollouts.decision_states().signals
     aim = (log_probability, target)
     rows = [_sensitivity(failures, likelihood, failures.deciding, (None, None), aim)]
-    for low, high in itertools.pairwise(edges):
+    for low, high in bands:
         value = signals[signal]
         inside = failures.deciding & (value >= low) & (value < high)
         rows.append(_sensitivity(failures, likelihood, inside, (low, high), aim))

@@ -15,7 +15,7 @@ import numpy as np
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import InputError
 from pemviz.export.rollout import RankedRollout
-from pemviz.sampling.frailty import SEEN_LOGIT, VISIBILITY
+from pemviz.sampling.state.visibility import SEEN_LOGIT, VISIBILITY
 from pemviz.simulators.braking.contact import (
     CAMERA_TO_BUMPER_M,
     Contact,
@@ -24,7 +24,7 @@ from pemviz.simulators.braking.contact import (
 )
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M, EGO_SPEED, GAP, LEAD_SPEED
 from pemviz.simulators.braking.scenario import scenario_signals as signals_of
-from pemviz.simulators.remembering import LAST_OUTCOME
+from pemviz.types import LAST_OUTCOME
 
 REMEMBERED = {signal.key for signal in (LAST_OUTCOME, VISIBILITY, SEEN_LOGIT)}
 """What runs keep of perception's memory beside the scenario's own signals."""

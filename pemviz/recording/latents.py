@@ -11,7 +11,7 @@ from pemviz.latents import Latents
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.reports.escape import markdown_table, markdown_text
-from pemviz.sampling.frailty import VISIBILITY
+from pemviz.sampling.state.visibility import VISIBILITY
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.starts import named_starts
 from pemviz.simulators.told_errors import tells_errors

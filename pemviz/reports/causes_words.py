@@ -195,6 +195,8 @@ def _band_row(
 
 
 def _target_text(found: BandSensitivity) -> str:
+    if found.elasticity is None and found.warning:
+        return found.warning
     if found.target_factor is None:
         return "not enough alone"
     if found.target_factor >= 1.0:

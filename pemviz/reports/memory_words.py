@@ -239,7 +239,8 @@ def memory_text(memory: RunMemory | None) -> str:
         if memory is None or not memory.curve:
             assumed += ", and --memory-curve tells what it is worth"
     else:
-        assumed = f"in bursts, {' and '.join(_hanging_together(memory))}"
+        how = "hanging together by" if memory.hidden else "in bursts,"
+        assumed = f"{how} {' and '.join(_hanging_together(memory))}"
     own = None if memory is None else memory.fitted
     if own is None:
         return assumed
@@ -257,4 +258,4 @@ def _hanging_together(memory: RunMemory) -> list[str]:
     parts = [f"memory time {memory.tau_s:g} s {IN_IT}"] if memory.tau_s else []
     if memory.frailty:
         parts.append(f"frailty {memory.frailty:g} ({FRAILTY_MEANS})")
-    return parts
+    return [*parts, *memory.hidden]

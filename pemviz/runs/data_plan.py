@@ -13,12 +13,11 @@ from pemviz.analysis.refit_plan import RefitBand, refit_plan
 from pemviz.analysis.sequence_plan import SequencePlan, sequence_plan
 from pemviz.errors import PemError
 from pemviz.pem import Pem, load_pem, support_of
-from pemviz.pem.models.memory import Memory
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.memory import own_memory
 from pemviz.runs.result import RunResult
 from pemviz.sampling.estimates.meanings import SMALL_ESS
-from pemviz.sampling.memory import memory_of_pem, single_outcome_model
+from pemviz.sampling.state.composed import hidden_in, own_pem
 
 EXAMPLE = "rrc"
 """The shipped model whose memory is an example for models of single frames."""
@@ -69,11 +68,11 @@ def planned_target(result: RunResult) -> float | None:
 
 
 def _no_labels_because(result: RunResult, experiment: Experiment) -> str | None:
-    if memory_of_pem(experiment.pem) != Memory():
+    if hidden_in(experiment.pem):
         return "labels are planned for misses that are independent given the state"
     if experiment.twin is None:
         return "the scenario has no fast twin"
-    if support_of(single_outcome_model(experiment.pem)) is None:
+    if support_of(own_pem(experiment.pem)) is None:
         return f"error model {result.pem.name} carries no counts of its training data"
     if result.explanation is None or result.estimate is None or not result.estimate.failures:
         return "no violation with a weight was seen, to tell where misses matter"
@@ -119,7 +118,7 @@ def _refits(experiment: Experiment, outcomes: BandOutcomes) -> tuple[RefitBand, 
 
 def _sequences(experiment: Experiment) -> SequencePlan | None:
     """For the model's own memory, or that of a shipped detector as an example."""
-    own = single_outcome_model(experiment.pem)
+    own = own_pem(experiment.pem)
     try:
         fitted = own_memory(own)
         if fitted is not None:

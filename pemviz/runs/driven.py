@@ -9,6 +9,7 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import DrivenDistance, RunResult
 from pemviz.sampling.problem import sample
+from pemviz.simulators.latents import within
 
 ROLLOUTS = 200
 LEAST_KM = 1e-6
@@ -33,9 +34,7 @@ def with_distance(result: RunResult, *, experiment: Experiment) -> RunResult:
         result: With the estimate of all repetitions.
         experiment: What was run; its problem's ``pause`` may raise to stop.
     """
-    scenario = experiment.problem.simulator
-    while scenario is not None and not isinstance(scenario, DrivesFreely):
-        scenario = getattr(scenario, "scenario", None)
+    scenario = within(experiment.problem.simulator, DrivesFreely)
     if scenario is None:
         return result
     scored = sample(

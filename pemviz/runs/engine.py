@@ -336,10 +336,12 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     if experiment.folding is not None:
         first = slots_assumption(experiment.folding.simulator.slots)
     tau_s, frailty = experiment.config.memory_s, experiment.config.frailty
-    if not tau_s and not frailty:
+    hidden = memory_of(experiment.pem).hidden
+    if not tau_s and not frailty and not hidden:
         return (first, INDEPENDENT, *others)
     how = [f"with a memory time of {tau_s:g} s"] if tau_s else []
     how += [f"by obstacles differing, frailty {frailty:g}, all rollout long"] if frailty else []
+    how += [f"by {label}" for label in hidden]
     bursts = f"given the state, misses hang together {' and '.join(how)}, and no more"
     return (first, bursts, *others)
 

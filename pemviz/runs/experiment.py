@@ -1,6 +1,6 @@
 """From a configuration to the parts of an experiment."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from pemviz.errors import ConfigError
 from pemviz.faults import refusing, signals_told_apart
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
 from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.protocol import Refits
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.runs.back_ends import (
     build_back_end,
@@ -25,11 +26,16 @@ from pemviz.runs.specification import build_formula, build_problem
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.folding import Folding, folding_of
-from pemviz.sampling.memory import remembering_as, with_memory
 from pemviz.sampling.method import AnswersRules, Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
 from pemviz.sampling.slots import with_slots
+from pemviz.sampling.state.composed import (
+    as_member,
+    composed,
+    properties_of_memory,
+)
+from pemviz.sampling.state.hidden import HiddenProperty
 from pemviz.sampling.zero_variance.method import require_unsafe
 from pemviz.simulators.check_latents import latent_warnings
 from pemviz.simulators.episodic import EpisodicSimulator
@@ -117,6 +123,7 @@ def build_experiment(
     pem: DetectorModel | Mapping[str, DetectorModel] | None = None,
     twin: Simulator | SlotSimulator | None = None,
     features: StateFeatures | None = None,
+    hidden: Sequence[HiddenProperty] = (),
     batch_rollouts: int | None = None,
     allow_python: bool = False,
 ) -> Experiment:
@@ -132,6 +139,8 @@ def build_experiment(
             thousands of states costs it little) for method zero-variance and the reference.
         features: What proposals look at instead of what the simulator offers: for one of your own
             that is all signals and the step, in a slot's turn what is about that slot.
+        hidden: Properties of perception of your own that outcomes tell of, each with a label; one
+            whose state follows the error model stands alone, without ``frailty``.
         batch_rollouts: How many rollouts are simulated at a time; the result does not depend on
             it, but speed and memory do.
         allow_python: Whether the error model may be ``module:attribute``, whose code then runs.
@@ -146,7 +155,7 @@ def build_experiment(
     config, named, back_end = _named_parts(config, own, pem, allow_python=allow_python)
     back_end = with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
     check_method_fits(config, back_end)
-    _check_frailty(config, back_end)
+    _check_slots(config, back_end, hidden)
     ensemble = ensemble_of(config.pem) if pem is None else None
     model, ensemble = with_slots(back_end.simulator, named, ensemble)
     warnings = (
@@ -155,7 +164,13 @@ def build_experiment(
     )
     others = () if back_end.is_own else families_beside(model)
     memory = Memory(tau_s=config.memory_s, frailty=config.frailty)
-    back_end, model, ensemble = with_memory(back_end, model, ensemble, memory=memory)
+    properties = properties_of_memory(memory, simulator=back_end.simulator)
+    back_end, model = composed(back_end, model, properties=(*properties, *hidden))
+    if hidden:
+        config = replace(config, pem=model.name)
+    if ensemble is not None and back_end.single_outcomes is not None:
+        members = [as_member(member, like=model) for member in ensemble.members]
+        ensemble = Refits(ensemble.name, members)
     formula = build_formula(config, back_end.simulator)
     problem = build_problem(config, formula, model, back_end)
     return Experiment(
@@ -166,7 +181,7 @@ def build_experiment(
         back_end=back_end,
         method=_method(config, problem, back_end),
         planned_rollouts=config.repetitions * by_name(config.method).budget(config).rollouts,
-        families=tuple(remembering_as(family, model) for family in others),
+        families=tuple(as_member(family, like=model) for family in others),
         warnings=warnings,
     )
 
@@ -188,18 +203,21 @@ def _method(config: ExperimentConfig, problem: Problem, back_end: BackEnd) -> Me
     return method
 
 
-def _check_frailty(config: ExperimentConfig, back_end: BackEnd) -> None:
-    """Refuse slots where obstacles differ.
+def _check_slots(
+    config: ExperimentConfig, back_end: BackEnd, hidden: Sequence[HiddenProperty]
+) -> None:
+    """Refuse slots with what is known of one obstacle alone.
 
     Raises:
         ConfigError: The simulator has them.
     """
-    if config.frailty > 0.0 and isinstance(back_end.simulator, UnrolledSimulator):
-        message = (
-            f"frailty = {config.frailty:g}: simulator {back_end.simulator.name!r}, which has "
-            "slots, works with frailty 0 alone"
-        )
-        raise ConfigError(message)
+    if not isinstance(back_end.simulator, UnrolledSimulator):
+        return
+    which = f"simulator {back_end.simulator.name!r}, which has slots,"
+    if config.frailty > 0.0:
+        raise ConfigError(f"frailty = {config.frailty:g}: {which} works with frailty 0 alone")
+    if hidden:
+        raise ConfigError(f"hidden: {which} takes no property of your own")
 
 
 def _named_parts(

@@ -50,11 +50,11 @@ from pemviz.sampling.bursts.curve import (
     memory_curve,
 )
 from pemviz.sampling.finished import nothing_finished
-from pemviz.sampling.frailty import frail_part
-from pemviz.sampling.memory import memory_of_pem, single_outcome_model, without_memory
 from pemviz.sampling.method import PoolsStages
 from pemviz.sampling.rollouts.batches import run_here
+from pemviz.sampling.state.composed import ComposedSimulator, memory_of_pem, own_pem
 from pemviz.sampling.zero_variance.reference import reference, reference_of_few_states
+from pemviz.simulators.latents import within
 from pemviz.types import StageResult
 
 Told = TypeVar("Told", bound=SomeViolations)
@@ -162,7 +162,7 @@ def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageRes
         dt_s=experiment.back_end.simulator.dt_s,
         tau_s=memory_of_pem(experiment.pem).tau_s,
         folding=experiment.folding,
-        frail=frail_part(experiment.problem.simulator),
+        system=within(experiment.problem.simulator, ComposedSimulator),
     )
     if explanation is None:
         return interpreted
@@ -312,14 +312,16 @@ def _parts_before(result: RunResult, stage: StageResult) -> list[StageSummary]:
 def with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
     """A finished result with the answer over memory times and over frailties, if it is asked for.
 
+    It stays as it is with hidden properties of the user's own, which the curves know nothing of.
+
     Args:
         result: With the estimate of all repetitions.
         experiment: What was run; its problem's ``pause`` may raise to stop.
     """
     memory, config = result.memory, experiment.config
-    if not config.memory_curve or memory is None:
+    if not config.memory_curve or memory is None or memory.hidden:
         return result
-    pem, back_end = single_outcome_model(experiment.pem), without_memory(experiment.back_end)
+    pem, back_end = own_pem(experiment.pem), experiment.back_end.scenario_alone
     problem = experiment.problem.without_rules()
     problem = replace(problem, simulator=back_end.simulator, pem=pem, finished=nothing_finished)
     if back_end.twin is not None:

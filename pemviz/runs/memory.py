@@ -7,7 +7,7 @@ from pemviz.pem import Pem
 from pemviz.pem.models.card import PemCard
 from pemviz.pem.models.memory_card import FittedMemory, fitted_memory
 from pemviz.sampling.bursts.curve import CurvePoint
-from pemviz.sampling.memory import memory_of_pem, single_outcome_model
+from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class RunMemory:
         curve: The failure probability over memory times, ascending; empty if not asked for.
         frailty: Spread of obstacles' own visibility that the answer is for; 0: all are alike.
         frailty_curve: The failure probability over frailties, likewise.
+        hidden: Labels of the user's own hidden properties that the answer is for.
     """
 
     tau_s: AtLeastZero
@@ -45,17 +46,19 @@ class RunMemory:
     curve: tuple[CurvePoint, ...] = ()
     frailty: AtLeastZero = 0.0
     frailty_curve: tuple[CurvePoint, ...] = ()
+    hidden: tuple[str, ...] = ()
 
     @property
     def is_independent(self) -> bool:
         """Whether misses are independent given the state."""
-        return self.tau_s == 0.0 and self.frailty == 0.0
+        return self.tau_s == 0.0 and self.frailty == 0.0 and not self.hidden
 
 
 def memory_of(pem: Pem) -> RunMemory:
     """The memory that a run with this error model assumes."""
-    assumed, own = memory_of_pem(pem), own_memory(single_outcome_model(pem))
-    run = RunMemory(tau_s=assumed.tau_s, frailty=assumed.frailty)
+    assumed, own = memory_of_pem(pem), own_memory(own_pem(pem))
+    hidden = tuple(one.label for one in hidden_in(pem) if one.label)
+    run = RunMemory(tau_s=assumed.tau_s, frailty=assumed.frailty, hidden=hidden)
     if own is None:
         return run
     low_s, high_s = own.tau_interval_s

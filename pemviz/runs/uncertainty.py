@@ -129,6 +129,8 @@ def _memory(result: RunResult) -> UncertaintySource:
     assumed = f"{tau_s:g} s assumed" if tau_s > 0.0 else "taken as none"
     if frailty > 0.0:
         assumed = f"{tau_s:g} s and frailty {frailty:g} assumed"
+    if result.memory is not None and result.memory.hidden:
+        assumed = f"{' and '.join(result.memory.hidden)} assumed"
     name = f"memory of misses, {assumed}"
     if curve:
         between = f"{curve[0].tau_s:g} to {curve[-1].tau_s:g} s"

@@ -23,6 +23,7 @@ class BackEnd:
         batch_rollouts: How many rollouts are simulated at a time.
         is_own: Whether it is the user's own or another package's.
         position_errors: Of what the shipped scenario measures; ``None``: it measures exactly.
+        single_outcomes: The scenario without hidden properties; ``None``: it has none.
     """
 
     simulator: Simulator
@@ -31,6 +32,12 @@ class BackEnd:
     batch_rollouts: int
     is_own: bool = False
     position_errors: PositionErrorModel | None = None
+    single_outcomes: "BackEnd | None" = None
+
+    @property
+    def scenario_alone(self) -> "BackEnd":
+        """The back end without hidden properties."""
+        return self if self.single_outcomes is None else self.single_outcomes
 
     @property
     def farthest_m(self) -> float | None:

@@ -16,9 +16,16 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.slots import unrolled
 from pemviz.simulators.latched import Monitor
-from pemviz.simulators.remembering import LAST, LAST_OUTCOME
 from pemviz.simulators.slots import ERROR, SLOT, UnrolledSimulator
-from pemviz.types import CERTAIN, RolloutBatch, ScoredRollouts, Signal, Simulator
+from pemviz.types import (
+    CERTAIN,
+    LAST,
+    LAST_OUTCOME,
+    RolloutBatch,
+    ScoredRollouts,
+    Signal,
+    Simulator,
+)
 
 Signals = Mapping[str, FloatArray]
 Finished = Callable[[int, int], FinishedStage | None]

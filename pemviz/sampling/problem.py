@@ -12,7 +12,6 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.finished import FinishedStage, nothing_finished
-from pemviz.sampling.frailty import FrailPem, frail_part
 from pemviz.sampling.rollouts.batches import (
     BatchRunner,
     BatchTask,
@@ -22,8 +21,14 @@ from pemviz.sampling.rollouts.batches import (
 from pemviz.sampling.rollouts.draw import of_rows
 from pemviz.sampling.rollouts.latent_draws import NormalSource
 from pemviz.sampling.rollouts.time_limit import call_within
+from pemviz.sampling.state.composed import (
+    ChainModel,
+    ComposedSimulator,
+    as_member,
+    with_hidden,
+)
 from pemviz.simulators.latched import Monitor
-from pemviz.simulators.latents import latent_counts
+from pemviz.simulators.latents import latent_counts, within
 from pemviz.types import (
     Proposal,
     RolloutBatch,
@@ -110,16 +115,24 @@ class Problem:
         return replace(self, rules={})
 
     def __post_init__(self) -> None:
-        """Refuse a scenario whose states know the frailty of another model's obstacle.
+        """Refuse a system whose states know what follows from another error model.
 
         Raises:
-            ValueError: Scenario and error model do not belong together.
+            ValueError: System and error model do not belong together.
         """
-        found = frail_part(self.simulator)
-        own = self.pem if isinstance(self.pem, FrailPem) else None
-        if own is not (None if found is None else found.model):
-            message = "a scenario with frailty and its error model are replaced together"
+        found = within(self.simulator, ComposedSimulator)
+        own = self.pem.pem if isinstance(self.pem, ChainModel) else None
+        if own is not (None if found is None else found.pem):
+            message = "a system that knows its error model and the model are replaced together"
             raise ValueError(message)
+
+    def under(self, pem: Pem) -> "Problem":
+        """The problem with another model of single outcomes, and the same hidden properties."""
+        if not isinstance(self.pem, ChainModel):
+            return replace(self, pem=as_member(pem, like=self.pem))
+        assert isinstance(self.simulator, ComposedSimulator)  # noqa: S101  as it was put together
+        model = with_hidden(pem, self.pem.properties)
+        return replace(self, pem=model, simulator=replace(self.simulator, pem=pem))
 
 
 def sample(

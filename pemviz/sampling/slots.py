@@ -14,7 +14,9 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, PemError, as_pem
+from pemviz.pem.models.protocol import Refits
 from pemviz.proposals.offset_logistic import StateFeatures
+from pemviz.simulators.latents import within
 from pemviz.simulators.slots import ERROR, BringsSlotModels, Slot, UnrolledSimulator
 from pemviz.types import Simulator, StateBatch
 
@@ -92,14 +94,6 @@ class SlotPem:
 
 
 @dataclass(frozen=True)
-class SlotEnsemble:
-    """Models of single slots that the same data could have produced, each for all slots."""
-
-    name: str
-    members: Sequence[Pem]
-
-
-@dataclass(frozen=True)
 class SlotFeatures:
     """What proposals look at in a slot's turn; slots share a proposal's coefficients.
 
@@ -165,11 +159,7 @@ class StepFeatures:
 
 def unrolled(simulator: object) -> UnrolledSimulator | None:
     """The scenario with slots within a simulator, whatever wraps it; ``None``: there is none."""
-    while not isinstance(simulator, UnrolledSimulator):
-        simulator = getattr(simulator, "scenario", None)
-        if simulator is None:
-            return None
-    return simulator
+    return within(simulator, UnrolledSimulator)
 
 
 def turns_of(simulator: Simulator) -> int:
@@ -214,7 +204,7 @@ def with_slots(
         return pem, ensemble
     members = None
     if ensemble is not None:
-        members = SlotEnsemble(
+        members = Refits(
             ensemble.name, [_with_own(member, scenario) for member in ensemble.members]
         )
     return _with_own(pem, scenario), members

@@ -8,7 +8,6 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.faults import told
-from pemviz.simulators.remembering import LAST, LAST_OUTCOME
 from pemviz.simulators.slots import (
     ERROR,
     SLOT,
@@ -18,7 +17,7 @@ from pemviz.simulators.slots import (
     Slot,
     SlotSimulator,
 )
-from pemviz.types import CERTAIN, StateBatch
+from pemviz.types import CERTAIN, LAST, LAST_OUTCOME, StateBatch
 
 TAKEN = (SLOT, LAST_OUTCOME.name)
 TAKEN_MEMORY = (CERTAIN, ERROR, LAST)

@@ -17,6 +17,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError, RunError
 from pemviz.faults import SimulationError, blame
 from pemviz.latents import NO_LATENTS, LatentCounts
+from pemviz.simulators.latents import within
 from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StateBatch
 
@@ -356,8 +357,4 @@ def kept_memory(memory: Mapping[str, AnyArray]) -> Mapping[str, AnyArray]:
 
 def episodic(simulator: object) -> SideBySide | None:
     """The environments within a simulator, whatever wraps it; ``None``: there are none."""
-    while not isinstance(simulator, SideBySide):
-        simulator = getattr(simulator, "scenario", None)
-        if simulator is None:
-            return None
-    return simulator
+    return within(simulator, SideBySide)

@@ -1,7 +1,7 @@
 """Scenarios with latents, those without, and what wraps them: begun, stepped and asked alike."""
 
 from collections.abc import Mapping
-from typing import Any, NoReturn, Protocol, runtime_checkable
+from typing import Any, NoReturn, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -9,6 +9,8 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.types import Signal, Simulator, StateBatch
+
+Part = TypeVar("Part")
 
 
 @runtime_checkable
@@ -58,6 +60,19 @@ class LatentSimulator(Protocol):
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """Signals ``[...]`` to what perception depends on: salient variables ``[..., D]``."""
         ...
+
+
+def within(simulator: object, kind: type[Part]) -> Part | None:
+    """The part of a kind, at or beneath what wraps it as its ``scenario``; ``None``: there is none.
+
+    Args:
+        simulator: Any.
+        kind: A class, or a protocol that can be checked.
+    """
+    part: object = simulator
+    while part is not None and not isinstance(part, kind):
+        part = getattr(part, "scenario", None)
+    return part
 
 
 def latent_counts(simulator: object) -> LatentCounts:

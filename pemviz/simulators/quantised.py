@@ -16,7 +16,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError
 from pemviz.latents import LatentCounts
 from pemviz.simulators.latched import WrappedSimulator
-from pemviz.simulators.latents import LatentSimulator, begun, latent_counts, stepped
+from pemviz.simulators.latents import LatentSimulator, begun, latent_counts, stepped, within
 from pemviz.simulators.slots import Slot, SlotSimulator
 from pemviz.simulators.starts import NamesStarts
 from pemviz.types import Signal, Simulator, StateBatch
@@ -210,9 +210,5 @@ def quantised_start(
 
 def start_cells(simulator: object) -> StartCells | None:
     """The cells of a quantised start at or beneath a simulator; ``None`` if there is none."""
-    found: object = simulator
-    while found is not None:
-        if isinstance(found, QuantisedStart):
-            return found.start_cells
-        found = getattr(found, "scenario", None)
-    return None
+    found = within(simulator, QuantisedStart)
+    return None if found is None else found.start_cells

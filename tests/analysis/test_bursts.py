@@ -12,12 +12,11 @@ from pemviz.analysis.bursts import bursts_of, weighted_spread
 from pemviz.analysis.causes import failures_of
 from pemviz.analysis.outcome_likelihood import IndependentOutcomes, RememberedOutcomes
 from pemviz.analysis.sensitivity import band_sensitivities, memory_sensitivity
-from pemviz.pem.models.memory import Memory
 from pemviz.proposals.fixed import ConstantProposal
-from pemviz.sampling.memory import RememberingPem
 from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.state.composed import ComposedPem, with_last_outcome
+from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.simulators.latched import VIOLATED
-from pemviz.simulators.remembering import remembering
 from pemviz.types import RolloutBatch, ScoredRollouts
 from tests.lattice_walk import ToyPem, ToySimulator, toy_violated
 from tests.sampling.test_memory import by_enumeration
@@ -47,9 +46,12 @@ def all_failures(tau_s):
     """Every chain of outcomes that fails, by its own likelihood: expectations are exact."""
     steps = WALK.states - 1
     draws = np.array(list(itertools.product((0.25, 0.75), repeat=steps)))
-    pem = RememberingPem(PEM, Memory(tau_s=tau_s), dt_s=WALK.dt_s)
+    pem = ComposedPem(PEM, (LastOutcome(tau_s, WALK.dt_s),))
     rollouts = simulate(
-        simulator=remembering(WALK), pem=pem, proposal=ConstantProposal(0.5), uniforms=draws
+        simulator=with_last_outcome(WALK, tau_s=tau_s),
+        pem=pem,
+        proposal=ConstantProposal(0.5),
+        uniforms=draws,
     )
     violated = toy_violated(rollouts.signals)
     failed = np.cumsum(rollouts.signals["gap"] <= 0.0, axis=1) > 0

@@ -14,11 +14,11 @@ from pemviz.errors import PemError
 from pemviz.pem import load_pem
 from pemviz.pem.models.encoding import PAPER_INPUTS
 from pemviz.pem.models.ensemble import mean_probability_logit
-from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.network import Layer
 from pemviz.pem.models.pieces import FEWEST_ROWS, chain_logit_along, kinks, logit_along
 from pemviz.pem.models.protocol import COLUMN
-from pemviz.sampling.memory import RememberingPem
+from pemviz.sampling.state.composed import ComposedPem
+from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.simulators.braking.scenario import lead_car_salient
 
 PEM = load_pem("ml-nn")
@@ -113,7 +113,7 @@ def test_bad_rows_are_refused_as_ever(column, value):
 
 @pytest.mark.parametrize("name", ["ml-nn", "ml-nn-ensemble", "gb-raw"])
 def test_a_model_that_remembers_is_asked_along_the_gap_too(name):
-    pem = RememberingPem(load_pem(name), Memory(0.3), 0.05)
+    pem = ComposedPem(load_pem(name), (LastOutcome(0.3, 0.05),))
     rng = np.random.default_rng(3)
     own = lead_car_salient(ScenarioConfig(), {"gap": rng.uniform(-20.0, 150.0, (40, 50))})
     last = rng.integers(-1, 2, (40, 50)).astype(np.float64)

@@ -12,7 +12,6 @@ from pemviz.pem import load_pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.sampling.back_end import BackEnd
-from pemviz.sampling.memory import with_memory
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.zero_variance.certain import certain_violation
@@ -22,6 +21,7 @@ from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import StateBatch, outcome_log_likelihood
+from tests.sampling.test_memory import with_memory
 
 PEM = load_pem("ml-nn")
 STEPS = 13
@@ -95,7 +95,7 @@ def test_a_start_from_which_all_violates_has_the_value_one():
 def test_they_are_left_to_the_error_model(memory):
     rule = rule_of("always[0,13] (gap >= 4.1)")
     features = SignalFeatures(TWIN.signals)
-    back_end, pem, _ = with_memory(BackEnd(TWIN, features, TWIN, 4096), PEM, None, memory=memory)
+    back_end, pem = with_memory(BackEnd(TWIN, features, TWIN, 4096), PEM, memory=memory)
     problem = Problem(
         simulator=back_end.simulator,
         pem=pem,

@@ -23,15 +23,16 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.model_comparison import compare_models
 from pemviz.runs.resume import carry_out
 from pemviz.runs.uncertainty import uncertainty_budget
-from pemviz.sampling import frailty
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
-from pemviz.sampling.frailty import NEXT, FrailModel, FrailSimulator
-from pemviz.sampling.memory import problem_under, proposal_features, with_memory
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.splitting.method import SplittingSampling
+from pemviz.sampling.state import visibility
+from pemviz.sampling.state.composed import ComposedSimulator, as_member, proposal_features
+from pemviz.sampling.state.visibility import NEXT, Visibility
+from pemviz.sampling.zero_variance.frail import FrailModel
 from pemviz.sampling.zero_variance.frail_tables import build_frail_proposal
 from pemviz.sampling.zero_variance.method import with_latch
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
@@ -39,7 +40,7 @@ from pemviz.sampling.zero_variance.tables import with_defence
 from pemviz.types import RolloutBatch, outcome_log_likelihood
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
-from tests.sampling.test_memory import estimate_of
+from tests.sampling.test_memory import estimate_of, with_memory
 
 SIMULATOR, PEM = ToySimulator(initial_gap=4, largest_gap=6, states=9), ToyPem(at_zero=2.5)
 CHAINS = np.array(list(itertools.product((False, True), repeat=SIMULATOR.states - 1)))
@@ -70,7 +71,7 @@ def by_enumeration(memory, *, factor=1.0, pem=PEM):
 
 def frail_problem(memory, pem=PEM):
     back_end = BackEnd(SIMULATOR, SignalFeatures(SIMULATOR.signals), SIMULATOR, 4096)
-    back_end, model, _ = with_memory(back_end, pem, None, memory=memory)
+    back_end, model = with_memory(back_end, pem, memory=memory)
     return Problem(
         simulator=back_end.simulator,
         pem=model,
@@ -108,14 +109,15 @@ def test_another_models_likelihood_does_not_rest_on_what_the_state_knows():
     memory, other = MEMORIES[1], ToyPem(at_zero=1.0)
     problem, _ = frail_problem(memory)
     _, salient = all_rollouts(problem)
-    asked = FrailModel(other, memory, SIMULATOR.dt_s).log_likelihood(salient, CHAINS)
+    member = as_member(other, like=problem.pem)
+    asked = member.log_likelihood(salient, CHAINS)
     probabilities, _ = by_enumeration(memory, pem=other)
     np.testing.assert_allclose(np.exp(asked), probabilities, rtol=1e-9, atol=1e-15)
-    under, _ = all_rollouts(problem_under(problem, other))
+    under, _ = all_rollouts(problem.under(other))
     found = row_sums(outcome_log_likelihood(under.pem_logit, CHAINS))
     np.testing.assert_allclose(found, asked, rtol=1e-9)
     with pytest.raises(TypeError, match="depends on all outcomes"):
-        FrailModel(other, memory, SIMULATOR.dt_s).logit(salient)
+        member.logit(salient)
     with pytest.raises(ValueError, match="are replaced together"):
         replace(problem, pem=other)
     with pytest.raises(ValueError, match="are replaced together"):
@@ -155,7 +157,10 @@ def test_the_value_function_steers_with_next_to_no_variance(memory):
     problem, back_end = frail_problem(memory)
     exact, merged = (
         build_frail_proposal(
-            twin=back_end.twin, model=problem.pem, unsafe=toy_unsafe, largest_layer=size
+            twin=back_end.twin,
+            model=FrailModel.of(problem.pem),
+            unsafe=toy_unsafe,
+            largest_layer=size,
         )
         for size in (100, 3)
     )
@@ -196,7 +201,9 @@ def test_sensitivities_are_the_derivatives_of_the_answer(memory):
         probabilities[chosen] / truth,
         np.ones((chosen.size, SIMULATOR.states - 1), dtype=np.bool_),
     )
-    likelihood = FrailOutcomes.of(failures, simulator=problem.simulator)
+    likelihood = FrailOutcomes.of(
+        failures, system=problem.simulator, visibility=problem.pem.properties[-1]
+    )
 
     def answer(**changed):
         other = replace(memory, tau_s=changed.get("tau_s", memory.tau_s))
@@ -249,8 +256,8 @@ SHORT = ExperimentConfig(
 def test_states_that_are_alike_are_asked_once_with_the_same_bits(monkeypatch):
     for memory in MEMORIES[:2]:
         problem, drawn = frail_problem(memory)[0], []
-        for fewest in (frailty.FEWEST, 10**9):
-            monkeypatch.setattr(frailty, "FEWEST", fewest)
+        for fewest in (visibility.FEWEST, 10**9):
+            monkeypatch.setattr(visibility, "FEWEST", fewest)
             drawn.append(
                 sample(problem, proposal=PemProposal(), count=1500,
                        seeds=np.random.SeedSequence(2)).rollouts
@@ -307,6 +314,7 @@ def test_a_signal_of_that_name_is_refused_in_one_line():
     problem, back_end = frail_problem(MEMORIES[0])
     twice = replace(back_end, simulator=problem.simulator, twin=None)
     with pytest.raises(ConfigError, match="'visibility' is pemviz's own") as caught:
-        with_memory(twice, PEM, None, memory=MEMORIES[0])
+        with_memory(twice, PEM, memory=MEMORIES[0])
     assert "\n" not in str(caught.value)
-    assert isinstance(problem.simulator, FrailSimulator)
+    assert isinstance(problem.simulator, ComposedSimulator)
+    assert isinstance(problem.simulator.properties[-1], Visibility)

@@ -18,13 +18,18 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
-from pemviz.sampling.memory import RememberingPem, with_memory, without_memory
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.splitting.method import SplittingSampling
+from pemviz.sampling.state.composed import (
+    ComposedPem,
+    ComposedSimulator,
+    composed,
+    properties_of_memory,
+)
+from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
-from pemviz.simulators.remembering import LAST_OUTCOME, RememberingSimulator
-from pemviz.types import Signal
+from pemviz.types import LAST_OUTCOME, Signal
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
 from tests.toy import ConstantPem, MissCounter
@@ -51,9 +56,15 @@ def by_enumeration(simulator, pem, *, tau_s):
     return total
 
 
+def with_memory(back_end, pem, *, memory):
+    """Back end and error model whose misses hang together."""
+    properties = properties_of_memory(memory, simulator=back_end.simulator)
+    return composed(back_end, pem, properties=properties)
+
+
 def remembering_problem(tau_s, simulator=SIMULATOR, pem=PEM):
     back_end = BackEnd(simulator, SignalFeatures(simulator.signals), simulator, 4096)
-    back_end, pem, _ = with_memory(back_end, pem, None, memory=Memory(tau_s=tau_s))
+    back_end, pem = with_memory(back_end, pem, memory=Memory(tau_s=tau_s))
     return Problem(
         simulator=back_end.simulator,
         pem=pem,
@@ -114,13 +125,13 @@ def test_how_often_it_misses_does_not_depend_on_the_memory():
 
 def test_without_memory_nothing_is_wrapped():
     experiment = build_experiment(ExperimentConfig())
-    assert not isinstance(experiment.problem.simulator, RememberingSimulator)
-    assert not isinstance(experiment.pem, RememberingPem)
+    assert not isinstance(experiment.problem.simulator, ComposedSimulator)
+    assert not isinstance(experiment.pem, ComposedPem)
 
 
 @pytest.mark.parametrize("logit", [-700.0, -30.0, 0.0, 30.0, 700.0])
 def test_likelihoods_stay_finite_however_long_the_memory(logit):
-    pem = RememberingPem(ConstantLogit(logit), Memory(tau_s=60.0), dt_s=0.001)
+    pem = ComposedPem(ConstantLogit(logit), (LastOutcome(60.0, 0.001),))
     found = pem.logit(np.array([[0.0, -1.0], [0.0, 0.0], [0.0, 1.0]]))
     assert np.isfinite(found).all()
     assert found[1] == logit
@@ -138,7 +149,7 @@ def test_a_proposal_leaves_what_the_scenario_ignores_to_a_short_memory(tau_s, le
         experiment.problem, proposal=PemProposal(), count=5, seeds=np.random.SeedSequence(3)
     )
     states = drawn.rollouts.decision_states()
-    own = without_memory(experiment.back_end).features.reacts(states)
+    own = experiment.back_end.scenario_alone.features.reacts(states)
     assert own.any()
     assert not own.all()
     acts = experiment.method.features.reacts(states)

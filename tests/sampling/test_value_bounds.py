@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pemviz import stl
 from pemviz.config import ScenarioConfig
 from pemviz.pem import load_pem
-from pemviz.pem.models.memory import Memory
-from pemviz.sampling.memory import RememberingPem
+from pemviz.sampling.state.composed import ComposedPem, with_last_outcome
+from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.zero_variance import reachable_states
 from pemviz.sampling.zero_variance.merging import Merger, TooManyStates
 from pemviz.sampling.zero_variance.reachable_states import (
@@ -24,7 +24,6 @@ from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.bounds import signal_bounds, signals_reached, tells_bounds, tells_reached
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.latents import begun
-from pemviz.simulators.remembering import remembering
 
 PEM = load_pem("ml-nn")
 SHORT = ScenarioConfig(initial_speed_kmh=40.0, initial_gap_m=6.0, states=24)
@@ -66,7 +65,7 @@ configs = st.builds(
 @settings(deadline=None, max_examples=60)
 def test_signals_stay_within_bounds_whatever_is_detected(config, seed, miss):
     rng = np.random.default_rng(seed)
-    simulator = remembering(VectorizedSimulator(config))
+    simulator = with_last_outcome(VectorizedSimulator(config), tau_s=0.2)
     states = [begun(simulator, count=30)]
     for _ in range(simulator.states - 1):
         states.append(simulator.step(states[-1], rng.random(30) >= miss))
@@ -84,7 +83,7 @@ def test_signals_stay_within_bounds_whatever_is_detected(config, seed, miss):
 @settings(deadline=None, max_examples=60)
 def test_signals_reach_what_is_told_whatever_is_detected(config, seed, miss):
     rng = np.random.default_rng(seed)
-    simulator = remembering(VectorizedSimulator(config))
+    simulator = with_last_outcome(VectorizedSimulator(config), tau_s=0.2)
     states = [begun(simulator, count=30)]
     for _ in range(simulator.states - 1):
         # half of the rollouts as chance has it, the others detect all from some step on
@@ -148,8 +147,8 @@ def test_the_same_states_count_with_and_without_bounds(spec, tau_s):
     told, silent = VectorizedSimulator(SHORT), Silent(SHORT)
     pem = PEM
     if tau_s:
-        told, silent = remembering(told), remembering(silent)
-        pem = RememberingPem(PEM, Memory(tau_s), SHORT.dt_s)
+        told, silent = (with_last_outcome(one, tau_s=tau_s) for one in (told, silent))
+        pem = ComposedPem(PEM, (LastOutcome(tau_s, SHORT.dt_s),))
     assert tells_bounds(told)
     assert tells_reached(told)
     assert not tells_bounds(silent)

@@ -22,15 +22,19 @@ from pemviz.pem.models.protocol import Pem, as_rows
 
 @runtime_checkable
 class Remembers(Protocol):
-    """A model whose answer follows from that of a model of single outcomes, and the one before."""
+    """A model whose answer follows from that of a model of single outcomes, and what was before."""
 
     @property
     def pem(self) -> Pem:
         """The model of single outcomes."""
         ...
 
-    def after(self, own: FloatArray, last: FloatArray) -> FloatArray:
-        """Logits ``[...]`` from its ``own [...]``, after the outcomes ``last [...]``."""
+    def own_salient(self, salient: FloatArray) -> FloatArray:
+        """What that sees ``[..., D]``, of salient variables ``[..., D + K]``."""
+        ...
+
+    def after(self, own: FloatArray, salient: FloatArray) -> FloatArray:
+        """Logits ``[...]`` from its ``own [...]``, at salient variables ``[..., D + K]``."""
         ...
 
 
@@ -62,10 +66,10 @@ def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
 
 
 def chain_logit_along(pem: DetectorModel, salient: FloatArray) -> FloatArray:
-    """The same for a model that sees the last outcome too, as one more salient variable."""
+    """The same for a model that sees what came before too, as further salient variables."""
     if not isinstance(pem, Remembers):
         return logit_along(pem, salient)
-    return pem.after(logit_along(pem.pem, salient[..., :-1]), salient[..., -1])
+    return pem.after(logit_along(pem.pem, pem.own_salient(salient)), salient)
 
 
 def _varying_pose(rows: FloatArray) -> int | None:

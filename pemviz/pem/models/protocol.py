@@ -1,6 +1,7 @@
 """What a perception error model is to the rest of the project."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -115,6 +116,14 @@ class PemEnsemble(Protocol):
     def members(self) -> Sequence[Pem]:
         """The members, each a perception error model of its own."""
         ...
+
+
+@dataclass(frozen=True)
+class Refits:
+    """An ensemble whose members are given."""
+
+    name: str
+    members: Sequence[Pem]
 
 
 def as_rows(salient: ArrayLike) -> tuple[FloatArray, tuple[int, ...]]:

@@ -64,8 +64,8 @@ from pemviz.sampling.mixture.fit import (
     weights_of,
 )
 from pemviz.sampling.problem import Problem
+from pemviz.sampling.state.composed import with_last_outcome
 from pemviz.sampling.zero_variance.method import with_latch
-from pemviz.simulators.remembering import remembering
 from pemviz.types import Diagnostic
 
 MEASURED_S = {"RRC, a camera detector": 0.3, "PointRCNN, a lidar detector": 0.17}
@@ -247,8 +247,9 @@ def _told(
     axis: _Axis, problem: Problem, *, pem: Pem, features: StateFeatures, seed: int, rollouts: int
 ) -> tuple[CurvePoint, ...]:
     latched = problem.unsafe is not None or problem.monitor is not None
+    simulator = with_last_outcome(problem.simulator, tau_s=0.0)
     scenario = Scenario(
-        problem=with_latch(replace(problem, simulator=remembering(problem.simulator))),
+        problem=with_latch(replace(problem, simulator=simulator)),
         pem=pem,
         own_features=features,
         asked=axis.told,

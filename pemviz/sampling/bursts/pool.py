@@ -19,8 +19,7 @@ from pemviz.sampling.bursts.scenario import Drawing, Given, Scenario
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool, balance_weights
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.latched import VIOLATED
-from pemviz.simulators.remembering import LAST_OUTCOME
-from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
+from pemviz.types import LAST_OUTCOME, RolloutBatch, ScoredRollouts, StateBatch
 
 DEGREE = 3
 
@@ -88,7 +87,7 @@ def described(
     by_family = [
         under_logits(outcomes, model_logit(scenario, outcomes, given), count=rollouts.count)
         + PilotFamily.over(scenario.steps).log_ratio(
-            replace(rollouts, pem_logit=scenario.model(given).after(own_logit, last)),
+            replace(rollouts, pem_logit=scenario.model(given).after(own_logit, last[..., None])),
             counting & matters if scenario.ignores(given) else counting,
         )
         for given in scenario.piloted
@@ -138,7 +137,7 @@ def joined(before: Drawn, fresh: Drawn) -> Drawn:
 
 def model_logit(scenario: Scenario, outcomes: Outcomes, given: Given) -> FloatArray:
     """Logit of 'detected' under a model given the obstacle's visibility, ``[M]``."""
-    return scenario.model(given).after(outcomes.logit, outcomes.last)
+    return scenario.model(given).after(outcomes.logit, outcomes.last[:, None])
 
 
 def seen_at(scenario: Scenario, drawn: Drawn, place: int, *, u: float = 0.0) -> Pool:

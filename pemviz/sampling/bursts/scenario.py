@@ -7,7 +7,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.pem import Pem
-from pemviz.pem.models.memory import Memory, frail_logit
+from pemviz.pem.models.memory import Memory
 from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,
@@ -15,8 +15,11 @@ from pemviz.proposals.offset_logistic import (
     StateFeatures,
 )
 from pemviz.proposals.pilots import PilotFamily
-from pemviz.sampling.memory import RememberingFeatures, RememberingPem
 from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.state.composed import ComposedFeatures, ComposedPem
+from pemviz.sampling.state.hidden import HiddenProperty
+from pemviz.sampling.state.last_outcome import LastOutcome
+from pemviz.sampling.state.visibility import GivenVisibility
 from pemviz.simulators.latched import VIOLATED
 from pemviz.types import Proposal, ScoredRollouts
 
@@ -29,20 +32,6 @@ class Given:
 
     memory: Memory
     u: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class GivenPem(RememberingPem):
-    """The error model of obstacles of a visibility ``u``."""
-
-    u: float = 0.0
-
-    def after(self, own: FloatArray, last: FloatArray) -> FloatArray:
-        """The model's own logits ``[...]``, for the visibility and the outcome before."""
-        frailty = self.memory.frailty
-        if frailty > 0.0:
-            own = frail_logit(own, visibility=np.asarray(self.u), frailty=frailty)
-        return super().after(own, last)
 
 
 @dataclass(frozen=True)
@@ -88,21 +77,25 @@ class Scenario:
         """Share of the model in every outcome's probability."""
         return share_for(drawn_steps=DEFENSIVE_STEPS, steps=self.steps)
 
-    def model(self, given: Given) -> GivenPem:
-        """The error model given an obstacle's visibility."""
-        return GivenPem(self.pem, given.memory, self.problem.simulator.dt_s, given.u)
+    def model(self, given: Given) -> ComposedPem:
+        """The error model given an obstacle's visibility, and the outcome before."""
+        properties: tuple[HiddenProperty, ...] = (self._last_outcome(given),)
+        if given.memory.frailty > 0.0:
+            properties = (GivenVisibility(given.memory.frailty, given.u), *properties)
+        return ComposedPem(self.pem, properties)
 
     def ignores(self, given: Given) -> bool:
         """Whether proposals around a model leave it only where the scenario itself reacts."""
-        return self.forgetful or self._remembering(given).ignores
+        return self.forgetful or self._last_outcome(given).for_proposals().ignores
 
     def features(self, given: Given) -> StateFeatures:
         """What proposals around a model look at, and where they act."""
-        return self.own_features if self.forgetful else self._remembering(given)
+        if self.forgetful:
+            return self.own_features
+        return ComposedFeatures(self.own_features, (self._last_outcome(given).for_proposals(),))
 
-    def _remembering(self, given: Given) -> RememberingFeatures:
-        rho = self.model(given).rho
-        return RememberingFeatures(self.own_features, rho).for_proposals()
+    def _last_outcome(self, given: Given) -> LastOutcome:
+        return LastOutcome(given.memory.tau_s, self.problem.simulator.dt_s)
 
     def proposal(self, drawing: Drawing) -> OffsetLogisticProposal:
         """What rollouts are drawn from."""

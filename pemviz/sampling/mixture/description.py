@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
-    from pemviz.sampling.memory import proposal_features  # noqa: PLC0415  slow to import
     from pemviz.sampling.mixture.fit import FitSettings  # noqa: PLC0415  as above
     from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  as above
     from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+    from pemviz.sampling.state.composed import proposal_features  # noqa: PLC0415  slow to import
 
     largest = largest_part(states=back_end.simulator.states)
     return MixtureSampling(

@@ -10,9 +10,9 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame, counted_from
 from pemviz.latents import StandardNormals
 from pemviz.pem.models.own_detector import DetectorModel
-from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.sampling.rollouts.latent_draws import LatentTrack
 from pemviz.sampling.slots import turns_of
+from pemviz.sampling.state.composed import kept_with_rollouts
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import begun, salient_of, stepped
 from pemviz.types import Proposal, RolloutBatch, Simulator, StateBatch

@@ -3,9 +3,9 @@
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, IntArray
-from pemviz.sampling.frailty import dynamics_of
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.moving import is_last_of_step, states_at
+from pemviz.sampling.state.composed import dynamics_of
 from pemviz.simulators.latents import stepped
 from pemviz.types import CERTAIN, RolloutBatch, Simulator, StateBatch
 

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.sampling.frailty import carried_at
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import logit_of
 from pemviz.sampling.slots import unrolled
+from pemviz.sampling.state.composed import carried_at
 from pemviz.simulators.latents import salient_of, stepped
 from pemviz.types import RolloutBatch, StateBatch
 

@@ -14,12 +14,12 @@ from pemviz.arrays import AnyArray, Batch, FloatArray, IntArray
 from pemviz.errors import ConfigError
 from pemviz.faults import of_no_rollouts, reordered
 from pemviz.latents import Latents
-from pemviz.sampling.frailty import kept_with_rollouts
 from pemviz.sampling.problem import Problem, ranked
 from pemviz.sampling.rollouts.batches import check_numbers
 from pemviz.sampling.splitting.importance import importance, importance_at_end
 from pemviz.sampling.splitting.looks import LOOKS, looked_at
 from pemviz.sampling.splitting.moving import Way, moved_on
+from pemviz.sampling.state.composed import kept_with_rollouts
 from pemviz.simulators.latents import begun, latent_counts
 from pemviz.simulators.slots import SeenStates
 from pemviz.types import RolloutBatch, Simulator, StateBatch

@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.sampling.frailty import dynamics_of, kept_with_rollouts
 from pemviz.sampling.problem import Problem, ranked
+from pemviz.sampling.state.composed import dynamics_of, kept_with_rollouts
 from pemviz.simulators.latents import stepped
 from pemviz.types import RolloutBatch, Simulator, StateBatch
 

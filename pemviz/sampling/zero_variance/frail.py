@@ -17,23 +17,54 @@ from scipy.special import logsumexp
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.chunks import distinct_rows
-from pemviz.sampling.frailty import FrailModel
+from pemviz.pem import Pem
+from pemviz.pem.models.frailty import VisibilityNodes
+from pemviz.sampling.state.composed import ComposedPem, hidden_in, own_pem, property_in
+from pemviz.sampling.state.last_outcome import last_outcome
+from pemviz.sampling.state.visibility import GivenVisibility, Visibility
 from pemviz.sampling.zero_variance.merging import Pause, no_pause
 from pemviz.sampling.zero_variance.reachable_states import Layer, StateGraph
 from pemviz.sampling.zero_variance.values import log_value_at_start
-from pemviz.simulators.remembering import LAST_OUTCOME
 
 
 @dataclass(frozen=True, eq=False)
-class OwnOutcomes:
-    """The model of single outcomes beneath frailty, on the scenario beneath it."""
+class FrailModel:
+    """An error model of obstacles that differ, taken apart: given u it is one like any other.
 
-    model: FrailModel
+    On the system without the visibility
+    (:func:`~pemviz.sampling.state.composed.without_following`).
+
+    Attributes:
+        single: The model of single outcomes, with the properties beside the visibility.
+        visibility: How obstacles differ.
+    """
+
+    single: ComposedPem
+    visibility: Visibility
+
+    @staticmethod
+    def of(pem: Pem) -> "FrailModel | None":
+        """The parts of an error model; ``None`` where obstacles are all alike."""
+        properties = hidden_in(pem)
+        visibility = property_in(properties, Visibility)
+        if visibility is None:
+            return None
+        others = tuple(one for one in properties if one is not visibility)
+        return FrailModel(ComposedPem(own_pem(pem), others), visibility)
+
+    @property
+    def nodes(self) -> VisibilityNodes:
+        """Of the integral over u."""
+        return self.visibility.nodes
+
+    def given(self, u: float) -> ComposedPem:
+        """The model of obstacles of a visibility."""
+        known = GivenVisibility(self.visibility.memory.frailty, u)
+        return ComposedPem(self.single.pem, (known, *self.single.properties))
 
     def logit(self, salient: FloatArray) -> FloatArray:
-        """Its logit ``[...]``; the last outcome is left out."""
-        own = salient[..., :-1] if self.model.memory.tau_s > 0.0 else salient
-        return self.model.pem.logit(own)
+        """Logit ``[...]`` of the model of single outcomes; what came before is left out."""
+        return self.single.pem.logit(self.single.own_salient(salient))
 
 
 def frail_log_probability(
@@ -42,7 +73,7 @@ def frail_log_probability(
     """Log of the failure probability, u integrated out; -inf where it is 0.
 
     Args:
-        graph: Explored with :class:`OwnOutcomes` of the model.
+        graph: Explored with the model.
         model: The error model.
         pause: Called now and then; may raise to stop.
     """
@@ -86,7 +117,7 @@ class _Alike:
     def of(layer: Layer) -> "_Alike":
         """Of a layer's states."""
         own = layer.pem_logit
-        last = layer.states.signals.get(LAST_OUTCOME.name, np.zeros(layer.count))
+        last = last_outcome(layer.states.signals, otherwise=own)
         found = distinct_rows(np.column_stack([own, last]))
         if found is None:
             return _Alike(own, last, None)
@@ -95,5 +126,5 @@ class _Alike:
 
     def logit(self, model: FrailModel, u: float) -> FloatArray:
         """Of 'detected' given the obstacle's visibility, ``[n]``."""
-        logit = model.logit_given(self.own, self.last, u=u)
+        logit = model.given(u).after(self.own, self.last[:, None])
         return logit if self.which is None else logit[self.which]

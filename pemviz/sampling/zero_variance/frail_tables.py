@@ -10,8 +10,8 @@ from scipy.special import logsumexp
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.proposals.zero_variance import ZeroVarianceProposal
 from pemviz.proposals.zero_variance_cells import cell_keys
-from pemviz.sampling.frailty import FrailModel, without_frailty
-from pemviz.sampling.zero_variance.frail import OwnOutcomes, by_visibility
+from pemviz.sampling.state.composed import without_following
+from pemviz.sampling.zero_variance.frail import FrailModel, by_visibility
 from pemviz.sampling.zero_variance.frail_proposal import (
     FrailZeroVarianceProposal,
     KnownValues,
@@ -63,10 +63,10 @@ def build_frail_proposal(
         largest_layer: Above so many states a step, neighbours are taken for one.
         pause: Called every few tenths of a second; may raise to stop.
     """
-    scenario = without_frailty(twin)
+    scenario = without_following(twin)
     graph = explore(
         twin=scenario,
-        pem=OwnOutcomes(model),
+        pem=model,
         unsafe=unsafe,
         largest_layer=largest_layer,
         pause=pause,
@@ -77,7 +77,7 @@ def build_frail_proposal(
     if not graph.exact:
         tried = partial(left_out_share, twin=scenario, unsafe=unsafe, pause=pause)
         left_out = max(
-            tried(given, solve(given, pause=pause), pem=_GivenVisibility(model, u))
+            tried(given, solve(given, pause=pause), pem=model.given(u))
             for u, given in _typical(solved, model, given_visibility)
         )
     plain = tabulated(graph, solved.pooled, twin=scenario, left_out=left_out, pause=pause)
@@ -103,7 +103,7 @@ def _solved(
     graph: StateGraph, model: FrailModel, given_visibility: ByVisibility, pause: Pause
 ) -> _Solved:
     """Backward at every node; forward too at those that are pooled."""
-    u = value_nodes(model.memory.frailty)
+    u = value_nodes(model.visibility.memory.frailty)
     log_value = tuple(np.empty((layer.count, u.size), dtype=np.float32) for layer in graph.layers)
     log_start = np.full(u.size, 0.0 if np.all(graph.start == UNSAFE_NODE) else -LARGEST_LOG)
     pool = _Pool.of([layer.count for layer in graph.layers])
@@ -207,16 +207,3 @@ def _typical(
     share = np.cumsum(np.exp(log_share - log_share.max()))
     for u in model.nodes.u[np.searchsorted(share / share[-1], QUANTILES)].tolist():
         yield u, given_visibility(u)
-
-
-@dataclass(frozen=True, eq=False)
-class _GivenVisibility:
-    """The error model of an obstacle of visibility ``u``, on the scenario beneath."""
-
-    model: FrailModel
-    u: float
-
-    def logit(self, salient: FloatArray) -> FloatArray:
-        own = OwnOutcomes(self.model).logit(salient)
-        last = salient[..., -1] if self.model.memory.tau_s > 0.0 else np.zeros(own.shape)
-        return self.model.logit_given(own, last, u=self.u)

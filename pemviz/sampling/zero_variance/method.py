@@ -19,10 +19,10 @@ from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.zero_variance import ZeroVarianceProposal
 from pemviz.sampling.estimates.diagnostics import called_safe
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
-from pemviz.sampling.frailty import FrailModel
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.zero_variance.frail import FrailModel
 from pemviz.sampling.zero_variance.frail_tables import build_frail_proposal
 from pemviz.sampling.zero_variance.merging import LARGEST_LAYER, Pause
 from pemviz.sampling.zero_variance.reachable_states import Unsafe
@@ -179,10 +179,11 @@ class _LastBuilt:
         held = self._held
         if held is not None and held[0].is_same_as(wanted):
             return held[1]
-        if isinstance(wanted.pem, FrailModel):
+        frail = FrailModel.of(wanted.pem)
+        if frail is not None:
             built = build_frail_proposal(
                 twin=wanted.twin,
-                model=wanted.pem,
+                model=frail,
                 unsafe=wanted.unsafe,
                 largest_layer=wanted.largest_layer,
                 pause=pause,

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.sampling.estimates.diagnostics import reason, undermining
 from pemviz.sampling.finished import nothing_finished
-from pemviz.sampling.frailty import FrailModel, without_frailty
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import largest_part
-from pemviz.sampling.zero_variance.frail import OwnOutcomes, frail_log_probability
+from pemviz.sampling.state.composed import without_following
+from pemviz.sampling.zero_variance.frail import FrailModel, frail_log_probability
 from pemviz.sampling.zero_variance.merging import TooManyStates
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling, require_unsafe
 from pemviz.sampling.zero_variance.reachable_states import explore
@@ -124,12 +124,12 @@ def exact_log_probability(
         InputError: Single states do not decide the specification.
         TooManyStates: The twin has more than ``most_states``.
     """
-    frail, pem = problem.pem if isinstance(problem.pem, FrailModel) else None, problem.pem
+    frail = FrailModel.of(problem.pem)
     if frail is not None and most_states is not None:
         most_states //= FRAIL_COST
     graph = explore(
-        twin=without_frailty(twin),
-        pem=pem if frail is None else OwnOutcomes(frail),
+        twin=twin if frail is None else without_following(twin),
+        pem=problem.pem if frail is None else frail,
         unsafe=require_unsafe(problem),
         most_states=most_states,
         pause=problem.pause,

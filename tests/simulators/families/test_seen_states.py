@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from pemviz.errors import ConfigError
+from pemviz.sampling.state.composed import with_last_outcome
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.families.features import FamilyFeatures
 from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
 from pemviz.simulators.latents import salient_of, stepped
-from pemviz.simulators.remembering import remembering
 from pemviz.simulators.slots import SeenStates, UnrolledSimulator
 from pemviz.stl import parse
 from pemviz.stl.monitor import FormulaMonitor
@@ -29,7 +29,7 @@ def plain(states):
 def test_what_is_known_of_states_changes_nothing(name):
     """Salient variables, reactions and next states, with and without what states know."""
     unrolled = UnrolledSimulator(SCENARIOS[name])
-    simulator = remembering(unrolled)
+    simulator = with_last_outcome(unrolled, tau_s=0.2)
     features = FamilyFeatures(unrolled, SCENARIOS[name])
     for states, hits, noise in steps(simulator):
         assert isinstance(states, SeenStates)
@@ -66,7 +66,7 @@ class Counted(TwoCars):
 def test_a_scenario_is_asked_once_a_step(wrapped):
     """In the turns of all slots together, whatever wraps it."""
     cars = Counted()
-    simulator = remembering(UnrolledSimulator(cars))
+    simulator = with_last_outcome(UnrolledSimulator(cars), tau_s=0.2)
     rule = parse("always[0,3] (gap_a >= 0.5)")
     if wrapped == "latched":
         simulator = LatchedSimulator(simulator, lambda states: states.signals["gap_a"] < 0.5)

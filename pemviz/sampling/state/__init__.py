@@ -1,0 +1,1 @@
+"""What perception hides: properties that outcomes tell of, as part of a system's state."""
