@@ -32,7 +32,7 @@ class StandingCar:
         gap_m = quantiles.log_normal(start[:, 0], median=60.0, spread=0.1)
         return {"gap": gap_m, "speed": quantiles.normal(start[:, 1], mean=14.0, sd=1.0)}
 
-    def initial(self, *, count: int, start: FloatArray) -> StateBatch:  # noqa: ARG002
+    def initial(self, *, count: int, start: FloatArray) -> StateBatch:
         signals = self.start_values(start)  # [count] each
         return StateBatch(step=np.zeros((), dtype=np.int64), signals=signals)
 
