@@ -1,7 +1,7 @@
 """The texts of a recording, as markdown."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from pemviz.analysis.contribution import CARRIED
 from pemviz.config.toml_files import config_text
@@ -9,7 +9,8 @@ from pemviz.recording.latents import starts_table
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track, rules_table
-from pemviz.reports.markdown import sections_markdown
+from pemviz.reports.document import Section
+from pemviz.reports.markdown import PLAIN_MARKS, sections_markdown
 from pemviz.reports.numbers import end_text, share_text
 from pemviz.reports.run_document import ANSWER, TRUST, WHY, run_document
 from pemviz.runs.result import RankedRollout, RunResult
@@ -41,7 +42,7 @@ def answer_text(result: RunResult, *, running: bool) -> str:
     """The answer, how far it is open and what causes violations, and how to go on reading."""
     document = run_document(result, running=running)
     first, *others = document.choose(("answer", *ANSWER[2:], *WHY, *TRUST[:2], "question"))
-    parts = sections_markdown([first], level=1) + sections_markdown(others, level=2)
+    parts = _markdown([first], level=1) + _markdown(others, level=2)
     return "\n\n".join([*parts, READ_ON])
 
 
@@ -51,7 +52,11 @@ def warnings_text(result: RunResult) -> str:
 
 
 def _page(result: RunResult, *keys: str) -> str:
-    return "\n\n".join(sections_markdown(run_document(result).choose(keys), level=1))
+    return "\n\n".join(_markdown(run_document(result).choose(keys), level=1))
+
+
+def _markdown(sections: Iterable[Section], *, level: int) -> list[str]:
+    return sections_markdown(sections, level=level, marks=PLAIN_MARKS)
 
 
 def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:

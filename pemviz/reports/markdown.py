@@ -1,6 +1,6 @@
 """Documents as markdown: summary pages of pipelines, and the texts of a recording."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
 from pemviz.charts.characters import characters
@@ -32,12 +32,14 @@ from pemviz.reports.gate import GateDecision
 from pemviz.reports.run_document import ANSWER, RECORD, TRUST, WHY, run_document
 from pemviz.runs.result import RunResult
 
-MARKS: dict[Mark, str] = {
+Marks = Mapping[Mark, str]
+MARKS: Marks = {
     "yes": "\N{WHITE HEAVY CHECK MARK}",
     "no": "\N{CROSS MARK}",
     "open": "\N{WARNING SIGN}\N{VARIATION SELECTOR-16}",
 }
-WARNING = MARKS["open"]
+PLAIN_MARKS: Marks = {"yes": "**ok:**", "no": "**no:**", "open": "**warning:**"}
+"""For a viewer whose font has no pictures: rerun's ends itself at one without a display."""
 
 
 def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> str:
@@ -54,13 +56,16 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     return "\n\n".join(parts) + "\n"
 
 
-def sections_markdown(sections: Iterable[Section], *, level: int, prefix: str = "") -> list[str]:
+def sections_markdown(
+    sections: Iterable[Section], *, level: int, prefix: str = "", marks: Marks = MARKS
+) -> list[str]:
     """Paragraphs of sections in full, each under its title.
 
     Args:
         sections: In their order.
         level: Of their titles.
         prefix: Stands before the words of a headline.
+        marks: Stand before verdicts and warnings.
     """
     parts: list[str] = []
     for section in sections:
@@ -68,21 +73,23 @@ def sections_markdown(sections: Iterable[Section], *, level: int, prefix: str = 
             continue
         if not isinstance(section.full[0], Headline | Verdict):
             parts.append(f"{'#' * level} {markdown_text(section.title)}")
-        parts += blocks_markdown(section.full, level=level, prefix=prefix)
+        parts += blocks_markdown(section.full, level=level, prefix=prefix, marks=marks)
     return parts
 
 
-def blocks_markdown(blocks: Iterable[Block], *, level: int, prefix: str = "") -> Iterator[str]:
+def blocks_markdown(
+    blocks: Iterable[Block], *, level: int, prefix: str = "", marks: Marks = MARKS
+) -> Iterator[str]:
     """Paragraphs of blocks; warnings that follow each other are one list."""
     for kind, group in groupby(blocks, key=type):
         if kind is Caution:
-            yield "\n".join(f"- {WARNING} {markdown_text(one.text)}" for one in group)  # pyright: ignore[reportAttributeAccessIssue]
+            yield "\n".join(f"- {marks['open']} {markdown_text(one.text)}" for one in group)  # pyright: ignore[reportAttributeAccessIssue]
             continue
         for block in group:
-            yield from _block(block, level=level, prefix=prefix)
+            yield from _block(block, level=level, prefix=prefix, marks=marks)
 
 
-def _block(block: Block, *, level: int, prefix: str) -> Iterator[str]:
+def _block(block: Block, *, level: int, prefix: str, marks: Marks) -> Iterator[str]:
     match block:
         case Headline():
             text = f"{block.text[0].lower()}{block.text[1:]}" if prefix else block.text
@@ -93,41 +100,41 @@ def _block(block: Block, *, level: int, prefix: str) -> Iterator[str]:
             text = markdown_text(block.text)
             yield f"**{text}**" if block.tone == "strong" else text
         case Caution():
-            yield f"{WARNING} {markdown_text(block.text)}"
+            yield f"{marks['open']} {markdown_text(block.text)}"
         case Verdict():
-            yield f"{MARKS[block.mark]} **{markdown_text(block.text)}**"
+            yield f"{marks[block.mark]} **{markdown_text(block.text)}**"
         case Bullets():
             sign = "1." if block.numbered else "-"
             yield "\n".join(f"{sign} {markdown_text(item)}" for item in block.items)
         case Code():
             yield markdown_block(block.text, language=block.language)
         case Table():
-            yield from _table(block)
+            yield from _table(block, marks)
         case Figure():
             if block.words:
-                yield from blocks_markdown(block.words, level=level)
+                yield from blocks_markdown(block.words, level=level, marks=marks)
             elif drawn := characters(block.chart):
                 yield markdown_text(block.caption)
                 yield markdown_block(drawn)
         case Folded():
-            body = "\n\n".join(blocks_markdown(block.blocks, level=level))
+            body = "\n\n".join(blocks_markdown(block.blocks, level=level, marks=marks))
             yield (
                 f"<details><summary>{markdown_text(block.title)}</summary>\n\n{body}\n\n</details>"
             )
 
 
-def _table(block: Table) -> Iterator[str]:
+def _table(block: Table, marks: Marks) -> Iterator[str]:
     if block.name:
         yield f"{markdown_text(block.name)}:"
     header = tuple(markdown_text(column) for column in block.columns)
-    yield markdown_table(header, [tuple(map(_cell, row)) for row in block.rows])
+    yield markdown_table(header, [tuple(_cell(cell, marks) for cell in row) for row in block.rows])
     if block.note:
         yield markdown_text(block.note)
 
 
-def _cell(cell: Cell) -> str:
+def _cell(cell: Cell, marks: Marks) -> str:
     if isinstance(cell, Verdict):
-        return f"{MARKS[cell.mark]} {markdown_text(cell.text)}"
+        return f"{marks[cell.mark]} {markdown_text(cell.text)}"
     text = cell_text(cell)
     if not isinstance(cell, Verbatim):
         return markdown_text(text)

@@ -1,6 +1,7 @@
 """Every view shows something, every path is documented, texts say what is left out."""
 
 import ast
+import unicodedata
 from dataclasses import replace
 from pathlib import Path
 
@@ -263,3 +264,10 @@ def test_events_after_the_end_are_ignored(learned, tmp_path):
     recorder = Recorder(tmp_path / "run.rrd")
     recorder.notify(RunDone(result=learned.result))
     assert not (tmp_path / "run.rrd").exists()
+
+
+def test_texts_are_in_letters_that_the_viewer_has(learned):
+    """Its font has no pictures: at one it shows a box, and ends itself without a display."""
+    for path, found in texts(learned.path).items():
+        pictures = {sign for sign in found if unicodedata.category(sign) in ("So", "Cs", "Co")}
+        assert not pictures, (path, pictures)

@@ -40,7 +40,9 @@ main {{ max-width: 1060px; margin: 0 auto; padding: 28px 24px 60px; }}
 h1 {{ font-size: 27px; line-height: 1.25; margin: 0 0 4px; }}
 h2 {{ font-size: 20px; margin: 38px 0 8px; padding-bottom: 4px; border-bottom: 2px solid #d5dae0; }}
 main p, main li {{ max-width: 82ch; }} figure {{ max-width: 780px; }}
-.head {{ border: 1px solid #cbd2d9; border-radius: 6px; padding: 16px 20px 10px; margin: 16px 0; }}
+.head {{ border: 1px solid #cbd2d9; border-radius: 6px; padding: 16px 20px 10px; margin: 16px 0;
+  columns: 2 380px; column-gap: 28px; }}
+.head figure, .head li, .head p {{ break-inside: avoid; }}
 nav {{ margin: 10px 0 0; font-size: 14px; }}
 nav a {{ color: {BLUE}; margin-right: 14px; text-decoration: none; }}
 section.run {{ margin-top: 52px; border-top: 4px solid #1f2933; padding-top: 22px; }}
