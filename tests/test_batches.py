@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pemviz.latents import Latents
 from pemviz.sampling.splitting.particles import Particles
-from pemviz.simulators.latched import MonitoredStates
+from pemviz.simulators.absorbing import MonitoredStates
 from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
 
 STATES = 4

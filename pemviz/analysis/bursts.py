@@ -13,7 +13,7 @@ import numpy as np
 from pemviz.analysis.causes import Failures
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Share
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 
 LOW, HIGH = 0.1, 0.9
 

@@ -10,7 +10,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Count, Share, StepIndex
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import log_sum
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import CERTAIN, RolloutBatch, ScoredRollouts
 
 CHAINS = 10

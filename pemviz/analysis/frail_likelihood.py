@@ -26,7 +26,7 @@ from pemviz.pem.models.memory import Memory, miss_quantile
 from pemviz.sampling.state.composed import ComposedSimulator
 from pemviz.sampling.state.last_outcome import last_outcome
 from pemviz.sampling.state.visibility import Visibility
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 
 CHUNK_OUTCOMES = 20_000
 LOG_ROOT_TWO_PI = 0.5 * math.log(2.0 * math.pi)
@@ -61,13 +61,13 @@ class FrailOutcomes:
         rollouts = failures.rollouts
         states, shape = rollouts.decision_states(), rollouts.detected.shape
         own = system.own_logit(states)
-        latch = states.memory.get(VIOLATED)
+        violated = states.memory.get(VIOLATED)
         return FrailOutcomes(
             visibility=visibility,
             own=own,
             last=last_outcome(states.signals, otherwise=own),
             missed=~rollouts.detected,
-            counting=np.ones(shape, dtype=np.bool_) if latch is None else ~latch,
+            counting=np.ones(shape, dtype=np.bool_) if violated is None else ~violated,
         )
 
     @property

@@ -23,7 +23,7 @@ from pemviz.sampling.estimates.diagnostics import weight_diagnostics
 from pemviz.sampling.estimates.importance_weights import log_sum, weight_figures
 from pemviz.sampling.estimates.trust import caveats
 from pemviz.sampling.problem import sample
-from pemviz.sampling.zero_variance.method import ZeroVarianceSampling, with_latch
+from pemviz.sampling.zero_variance.method import ZeroVarianceSampling, with_absorbing_violation
 from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, outcome_log_likelihood
 
 
@@ -87,7 +87,9 @@ def compare_models(
     seeds = np.random.SeedSequence(config.seed).spawn(len(names))
     scored = ScoredRollouts.concatenate(
         [
-            sample(with_latch(one.problem), proposal=proposal, count=rollouts, seeds=seed)
+            sample(
+                with_absorbing_violation(one.problem), proposal=proposal, count=rollouts, seeds=seed
+            )
             for one, proposal, seed in zip(experiments, proposals, seeds, strict=True)
         ]
     )

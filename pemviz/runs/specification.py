@@ -18,7 +18,7 @@ from pemviz.sampling.rollouts.compiled import CompiledRunner
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
-from pemviz.simulators.latched import Monitor
+from pemviz.simulators.absorbing import Monitor
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.stl.monitor import FormulaMonitor

@@ -27,7 +27,7 @@ from pemviz.sampling.state.composed import (
     as_member,
     with_hidden,
 )
-from pemviz.simulators.latched import Monitor
+from pemviz.simulators.absorbing import Monitor
 from pemviz.simulators.latents import latent_counts, within
 from pemviz.types import (
     Proposal,

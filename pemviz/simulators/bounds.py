@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from pemviz.arrays import FloatArray
-from pemviz.simulators.latched import WrappedSimulator
+from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.types import Simulator, StateBatch
 
 SignalBounds: TypeAlias = Mapping[str, tuple[FloatArray | float, FloatArray | float]]

@@ -10,6 +10,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.faults import SimulationError, told
 from pemviz.latents import StandardNormals
+from pemviz.simulators.absorbing import VIOLATED, violated_rule
 from pemviz.simulators.check_latents import check_counts, tried_normals
 from pemviz.simulators.check_scene import check_scene
 from pemviz.simulators.check_slots import (
@@ -20,7 +21,6 @@ from pemviz.simulators.check_slots import (
     outcomes_by_slot,
 )
 from pemviz.simulators.episodic import episodic, kept_memory
-from pemviz.simulators.latched import VIOLATED, violated_rule
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.simulators.starts import check_starts

@@ -15,7 +15,7 @@ from scipy.special import ndtr, ndtri
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError
 from pemviz.latents import LatentCounts
-from pemviz.simulators.latched import WrappedSimulator
+from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.latents import LatentSimulator, begun, latent_counts, stepped, within
 from pemviz.simulators.slots import Slot, SlotSimulator
 from pemviz.simulators.starts import NamesStarts

@@ -21,7 +21,7 @@ from pemviz.proposals.offset_logistic_fit import (
     group_sums,
     leave_one_out_loss,
 )
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import StateBatch
 from tests.lattice_walk import ToySimulator
 

@@ -34,7 +34,7 @@ from pemviz.sampling.state.composed import ComposedSimulator, as_member, proposa
 from pemviz.sampling.state.visibility import NEXT, Visibility
 from pemviz.sampling.zero_variance.frail import FrailModel
 from pemviz.sampling.zero_variance.frail_tables import build_frail_proposal
-from pemviz.sampling.zero_variance.method import with_latch
+from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
 from pemviz.sampling.zero_variance.tables import with_defence
 from pemviz.types import RolloutBatch, outcome_log_likelihood
@@ -167,7 +167,7 @@ def test_the_value_function_steers_with_next_to_no_variance(memory):
     assert exact.exact
     assert not merged.exact
     drawn = sample(
-        with_latch(problem),
+        with_absorbing_violation(problem),
         proposal=with_defence(exact, defensive_steps=1e-9, steps=8),
         count=200,
         seeds=np.random.SeedSequence(1),
@@ -177,7 +177,7 @@ def test_the_value_function_steers_with_next_to_no_variance(memory):
     known = reference(problem, twin=back_end.twin, rollouts=1_000)
     assert abs(known.probability - truth) < 5 * known.std_error
     method = DirectSampling(name="naive", proposal=merged, rollouts=1_000, seed=1)
-    found = estimate_of(method, with_latch(problem))
+    found = estimate_of(method, with_absorbing_violation(problem))
     assert found.std_error is not None
     assert abs(found.probability - truth) < 5 * found.std_error
 

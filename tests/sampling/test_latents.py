@@ -12,8 +12,8 @@ from pemviz.errors import ConfigError
 from pemviz.latents import LatentCounts
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.latent_decisions import LatentDecisions
+from pemviz.proposals.latent_exploration import LatentFamily
 from pemviz.proposals.latent_means import LatentMeans, fit_means, scores
-from pemviz.proposals.latent_pilots import LatentFamily
 from pemviz.proposals.single_moves import even_logit
 from pemviz.proposals.start_moves import StartMoves
 from pemviz.runs.resume import carry_out
@@ -307,7 +307,7 @@ def test_means_are_found_again():
 
 
 def test_densities_are_densities():
-    """Of pilots and of fitted means: their ratio to the model has mean 1 under the model."""
+    """Of exploration and of fitted means: their ratio to the model has mean 1 under the model."""
     generator = np.random.default_rng(4)
     start, noise = generator.standard_normal((20_000, 1)), generator.standard_normal((20_000, 3, 1))
     family = LatentFamily.over(3, start=1, noise=1)

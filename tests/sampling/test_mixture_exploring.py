@@ -1,4 +1,4 @@
-"""What mixture explores with: pilots, levels of robustness, and what it says of blind spots."""
+"""What mixture explores with: a broad family, levels of robustness, and its blind spots."""
 
 import itertools
 from dataclasses import replace
@@ -10,9 +10,9 @@ from scipy.special import expit
 
 from benchmarks.trust_systems import TwoWayWalk
 from pemviz.config import ExperimentConfig
+from pemviz.proposals.exploration import ExplorationFamily, raised
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.proposals.offset_logistic_fit import WeightedOutcomes
-from pemviz.proposals.pilots import PilotFamily, raised
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
 from pemviz.sampling.mixture.drawing import components
@@ -23,7 +23,7 @@ from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.batches import BatchTask
 from pemviz.sampling.rollouts.draw import replay, simulate
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import RolloutBatch, outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
 from tests.sampling.two_ways import probabilities
@@ -88,10 +88,10 @@ def test_a_way_of_failing_that_robustness_does_not_show(toy, at_zero, largest_er
     assert sum(e.ci_low < truth < e.ci_high for e in found) >= 8
 
 
-def test_the_pilots_family_is_a_distribution():
+def test_the_exploration_family_is_a_distribution():
     """Its likelihoods of all 2^10 chains sum to 1, and are what each member's own would give."""
     simulator, pem = ToySimulator(initial_gap=4, states=11), ToyPem(at_zero=2.0)
-    family, chains = PilotFamily.over(10), all_chains(10)
+    family, chains = ExplorationFamily.over(10), all_chains(10)
     signals = replay(simulator=simulator, detected=chains)
     logit = pem.logit(simulator.salient({"gap": signals["gap"][:, :-1]}))
     rollouts = RolloutBatch(
@@ -111,11 +111,11 @@ def test_the_pilots_family_is_a_distribution():
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
-def test_pilots_are_drawn_in_their_shares_and_as_they_say():
-    """Misses of 4,000 pilots, within and outside of windows: z-tests at level 1e-4 each."""
+def test_exploration_proposals_are_sampled_in_their_shares_and_as_they_say():
+    """Misses of 4,000 such proposals, within and outside of windows: z-tests at level 1e-4 each."""
     simulator, pem = ToySimulator(initial_gap=8, largest_gap=8, states=17), ToyPem(slope=0.0)
     features = SignalFeatures(simulator.signals)
-    family = PilotFamily.over(16)
+    family = ExplorationFamily.over(16)
     generator = np.random.default_rng(3)
     drawn = family.drawn(4000, generator, features=features, violated=VIOLATED, of=4100)
     for strength in np.unique(family.strength):
@@ -147,7 +147,7 @@ def test_rollouts_do_not_depend_on_batches():
 
 def test_a_batch_in_pieces_gives_the_same_rollouts():
     simulator, pem = ToySimulator(initial_gap=5, states=15), ToyPem(at_zero=3.0)
-    proposal = PilotFamily.over(14).drawn(
+    proposal = ExplorationFamily.over(14).drawn(
         30,
         np.random.default_rng(1),
         features=SignalFeatures(simulator.signals),
@@ -268,14 +268,17 @@ def test_parts_that_disagree_are_named():
     assert "half" in one.text
 
 
-def test_failures_that_pilots_alone_would_draw_are_named():
-    """Four in twenty violations are e^4 times likelier under the pilots."""
+def test_failures_that_exploration_alone_would_sample_are_named():
+    """Four in twenty violations are e^4 times likelier under the exploration proposals."""
     component, violated = np.repeat([0, 1], 50), np.arange(100) % 5 == 0
     ratio = np.zeros((100, 2))
     ratio[[0, 5, 50, 55]] = [0.0, -4.0]
     (one,) = disagreements(pool_of(ratio, component, violated), final=slice(50, None))
     weight = 1.0 / (0.5 + 0.5 * np.exp(-4.0))
-    assert (one.kind, one.value) == ("pilots-alone", pytest.approx(4 * weight / (4 * weight + 16)))
+    assert (one.kind, one.value) == (
+        "exploration-alone",
+        pytest.approx(4 * weight / (4 * weight + 16)),
+    )
     assert not disagreements(
         pool_of(np.zeros((100, 2)), component, np.zeros(100, bool)), final=slice(50, None)
     )

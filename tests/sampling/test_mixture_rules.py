@@ -11,7 +11,7 @@ from pemviz.errors import ConfigError
 from pemviz.proposals.defensive_share import share_for
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.mixture.balance_heuristic import PILOTS
+from pemviz.sampling.mixture.balance_heuristic import EXPLORATION
 from pemviz.sampling.mixture.drawing import several_rules
 from pemviz.simulators.check import check_simulator
 from pemviz.types import outcome_log_likelihood
@@ -87,7 +87,7 @@ def test_a_proposal_leaves_the_error_model_until_its_rule_is_broken(drawn):
     component = state.pool.component[-rollouts.count :]
     steps, gap = np.arange(STATES - 1), rollouts.signals["gap"]
     after = 0
-    for place in np.unique(component[component != PILOTS]):
+    for place in np.unique(component[component != EXPLORATION]):
         rows = np.flatnonzero(component == place)
         until = steps_until(gap[rows], state.pool.proposals[place - 1].rule)
         broken = steps >= until[:, None]

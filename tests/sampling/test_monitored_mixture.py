@@ -13,9 +13,9 @@ from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
-from pemviz.simulators.latched import (
+from pemviz.simulators.absorbing import (
     VIOLATED,
-    LatchedSimulator,
+    AbsorbingSimulator,
     MonitoredSimulator,
     MonitoredStates,
 )
@@ -118,7 +118,7 @@ def test_a_monitor_of_states_latches_as_the_states_do():
     formula = stl.parse(text, signals=["gap"])
     unsafe = unsafe_states(formula)
     generator = np.random.default_rng(5)
-    by_state = LatchedSimulator(SIMULATOR, unsafe)
+    by_state = AbsorbingSimulator(SIMULATOR, unsafe)
     by_monitor = MonitoredSimulator(SIMULATOR, FormulaMonitor(formula))
     one, other = by_state.initial(count=60), by_monitor.initial(count=60)
     for _ in range(SIMULATOR.states - 1):

@@ -13,7 +13,7 @@ from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.sampling.problem import sample
 from pemviz.sampling.slots import slot_pem
-from pemviz.sampling.zero_variance.method import with_latch
+from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.simulators.slots import Slot
 from pemviz.types import StateBatch
@@ -168,7 +168,7 @@ def test_one_slot_is_what_a_simulator_without_is(method, memory_s, tmp_path):
 def test_folding_loses_nothing(case, memory_s):
     """To the last bit: a run that was interrupted goes on from what files hold of it."""
     experiment = experiment_of(case, method="mixture", memory_s=memory_s)
-    folding, problem = experiment.folding, with_latch(experiment.problem)
+    folding, problem = experiment.folding, with_absorbing_violation(experiment.problem)
     proposal = ConstantProposal(0.6)
     drawn = sample(problem, proposal=proposal, count=50, seeds=np.random.SeedSequence(1)).rollouts
     folded = folding.folded(drawn)

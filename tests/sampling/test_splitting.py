@@ -19,7 +19,7 @@ from pemviz.sampling.splitting.looks import MOST_LOOKS
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.splitting.particles import beginning, continued, restart
 from pemviz.sampling.splitting.run import split
-from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
+from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
 from pemviz.stl import parse
 from pemviz.stl.monitor import FormulaMonitor
 from tests.lattice_walk import (
@@ -306,13 +306,13 @@ def test_a_violation_out_of_reach_is_no_bare_zero():
     assert found.warnings
 
 
-@pytest.mark.parametrize("kind", ["latched", "monitored"])
+@pytest.mark.parametrize("kind", ["absorbing", "monitored"])
 def test_states_that_cannot_be_kept_are_refused(kind):
-    """A latch stands in the memory; what a monitor knows does not."""
+    """An absorbing violation stands in the memory; what a monitor knows does not."""
     problem = problem_of(ToySimulator(), ToyPem(at_zero=0.0))
     formula = parse("always[0,14] (gap > 0)", signals=["gap"])
     wrapped = {
-        "latched": LatchedSimulator(problem.simulator, toy_unsafe),
+        "absorbing": AbsorbingSimulator(problem.simulator, toy_unsafe),
         "monitored": MonitoredSimulator(problem.simulator, FormulaMonitor(formula)),
     }
     problem = replace(problem, simulator=wrapped[kind])

@@ -25,7 +25,7 @@ from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.sampling.zero_variance.tables import build_zero_variance_proposal, with_defence
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.sampling.zero_variance.values import solve
-from pemviz.simulators.latched import LatchedSimulator
+from pemviz.simulators.absorbing import AbsorbingSimulator
 from pemviz.types import Signal, StateBatch, outcome_log_likelihood
 from tests.toy import FunctionPem
 
@@ -131,7 +131,7 @@ def all_sequences(problem):
 
 def likelihoods(problem, detected, *, proposal):
     """Log likelihood ``[N]`` of sequences ``[N, T-1]`` under the error model and a proposal."""
-    simulator = LatchedSimulator(problem.simulator, problem.unsafe)
+    simulator = AbsorbingSimulator(problem.simulator, problem.unsafe)
     states = simulator.initial(count=detected.shape[0])
     log_p, log_q = np.zeros(detected.shape[0]), np.zeros(detected.shape[0])
     for outcomes in detected.T:

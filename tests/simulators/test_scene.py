@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import pemviz
+from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.latched import WrappedSimulator
 from pemviz.simulators.scene import drawn_scene, drawn_tracks
 from pemviz.simulators.slots import UnrolledSimulator
 from tests.lattice_walk import ToySimulator

@@ -14,7 +14,7 @@ from pemviz.pem import load_pem
 
 WEIGHTED, PLAIN = METHODS = ("mixture", "monte-carlo")
 """What every cell is answered by."""
-PILOT_SHARE = 20
+EXPLORATION_SHARE = 20
 """One of so many rollouts is in a stage of mixture, as in the families' presets."""
 MOST_CELLS = 1000
 Rollouts = Annotated[int, Range(low=200, high=1_000_000)]
@@ -79,15 +79,15 @@ class FamilySettings:
     def config(self, cell: Cell, method: str) -> ExperimentConfig:
         """What is asked of a cell by one of the two methods."""
         base = load_preset(cell.family)
-        pilots = self.rollouts // PILOT_SHARE
-        final = self.rollouts - (base.stages + 1) * pilots
+        exploration = self.rollouts // EXPLORATION_SHARE
+        final = self.rollouts - (base.stages + 1) * exploration
         return replace(
             base,
             method=method,
             pem=self.pem,
             memory_s=cell.memory_s,
             seed=self.seed,
-            rollouts=pilots,
+            rollouts=exploration,
             final_rollouts=final if method == WEIGHTED else self.plain_rollouts,
             scenario=replace(base.scenario, tracker=cell.tracker),
         )

@@ -2,14 +2,14 @@
 
 The simulator's answer to a chain of outcomes does not depend on the error model, and the chain's
 probability p_m is known for every memory m of misses, a memory time tau and a frailty f: rollouts
-drawn for one serve all. Families of pilots come first (:mod:`pemviz.proposals.pilots`), around
-independent misses, around bursts and around obstacles that are hard to see. Then a proposal is
-fitted for one m after another, first for independent misses, then for what is farther from them,
-since long bursts, obstacles hard to see and scattered misses are different failure modes and none
-is a start for another; in between or in the end for what is known least. Each fit learns from
-everything drawn before, reweighted to its own m, and adds its rollouts to it. It is around the
-model of obstacles of one visibility u_k, the average of those that it learns from. With n_k of all
-N rollouts drawn from proposal q_k::
+drawn for one serve all. Families of exploration proposals come first
+(:mod:`pemviz.proposals.exploration`), around independent misses, around bursts and around obstacles
+that are hard to see. Then a proposal is fitted for one m after another, first for independent
+misses, then for what is farther from them, since long bursts, obstacles hard to see and scattered
+misses are different failure modes and none is a start for another; in between or in the end for
+what is known least. Each fit learns from everything drawn before, reweighted to its own m, and adds
+its rollouts to it. It is around the model of obstacles of one visibility u_k, the average of those
+that it learns from. With n_k of all N rollouts drawn from proposal q_k::
 
     proposal  logit h_k(miss | s) = logit p_k(miss | s, u_k) + clip(beta_k . b(s), -12, 12)
               q_k(o | s) = (1 - d) h_k(o | s) + d p_k(o | s, u_k)
@@ -46,8 +46,14 @@ from pemviz.sampling.bursts.pool import (
     seen_at,
     with_drawing,
 )
-from pemviz.sampling.bursts.scenario import Drawing, Given, Scenario, drawn_by_fit, drawn_by_pilots
-from pemviz.sampling.estimates.diagnostics import unlatched, weight_diagnostics
+from pemviz.sampling.bursts.scenario import (
+    Drawing,
+    Given,
+    Scenario,
+    sampled_by_exploration,
+    sampled_by_fit,
+)
+from pemviz.sampling.estimates.diagnostics import not_absorbing, weight_diagnostics
 from pemviz.sampling.estimates.estimate import log_normal_interval, log_stratified_error
 from pemviz.sampling.estimates.importance_weights import (
     effective_sample_size,
@@ -65,7 +71,7 @@ from pemviz.sampling.mixture.fit import (
 )
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.state.composed import with_last_outcome
-from pemviz.sampling.zero_variance.method import with_latch
+from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.types import Diagnostic
 
 MEASURED_S = {"RRC, a camera detector": 0.3, "PointRCNN, a lidar detector": 0.17}
@@ -73,8 +79,8 @@ MEASURED_S = {"RRC, a camera detector": 0.3, "PointRCNN, a lidar detector": 0.17
 cars are taken to be alike; both were trained on these drives."""
 SHOWN_S = (0.0, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)
 """Memory times at which the curve is told [s]."""
-PILOTED_U = 2.0
-"""The visibility that pilots are around, where obstacles differ: one hard to see."""
+EXPLORED_U = 2.0
+"""The visibility that exploration proposals are around, where obstacles differ: one hard to see."""
 LEAST_KNOWN = None
 """For what is known least by then."""
 FITTED_S = (0.0, 0.0, 0.0, 0.01, 0.02, 0.02, 1.0, 0.3, 0.1, 0.05, 0.03, *[LEAST_KNOWN] * 8)
@@ -85,8 +91,8 @@ FRAIL_FITTED_S = (
     *(LEAST_KNOWN, LEAST_KNOWN),
 )
 """The same where obstacles differ: some of all late, for independence is not known least then."""
-PILOTED_S = (0.0, 0.1, 1.0)
-"""Memory times whose models a family of pilots is around, each [s]."""
+EXPLORED_S = (0.0, 0.1, 1.0)
+"""Memory times whose models a family of exploration proposals is around, each [s]."""
 MEASURED_FRAILTY = {"RRC, a camera detector": 0.68, "PointRCNN, a lidar detector": 0.83}
 """Frailties of the same detectors there, beside memory times of 0.25 and 0.11 s, by ``pemviz pem
 fit --memory``."""
@@ -98,10 +104,10 @@ FITTED_FRAILTY = (
     *(LEAST_KNOWN, LEAST_KNOWN),
 )
 """Frailties that proposals are fitted for, one after another."""
-PILOTED_FRAILTY = ((0.0, 0.0), (0.5, 2.0), (1.0, 2.0))
-"""Frailties and visibilities whose models a family of pilots is around, each."""
-PILOTS_SHARE = 1 / 18
-"""Of all rollouts, from each family of pilots."""
+EXPLORED_FRAILTY = ((0.0, 0.0), (0.5, 2.0), (1.0, 2.0))
+"""Frailties and visibilities whose models a family of exploration proposals is around, each."""
+EXPLORATION_SHARE = 1 / 18
+"""Of all rollouts, from each family of exploration proposals."""
 ROLLOUTS = 2400
 SETTINGS = FitSettings(elites=40, ridge=1.0)
 ADAPTATION = 1.15
@@ -151,7 +157,7 @@ class _Axis:
         sought: Those of them that proposals may be fitted for to know them better.
         fitted: What proposals are fitted for, one after another.
         late: So many of them draw what is compared with everything drawn before.
-        piloted: What pilots are around.
+        explored: What exploration proposals are around.
         seed_key: Of its randomness.
     """
 
@@ -159,7 +165,7 @@ class _Axis:
     sought: tuple[Memory, ...]
     fitted: tuple[Memory | None, ...]
     late: int
-    piloted: tuple[Given, ...]
+    explored: tuple[Given, ...]
     seed_key: int
 
     @property
@@ -195,13 +201,13 @@ def memory_curve(
     """
     fitted_s, late, u = FITTED_S, 8, 0.0
     if frailty > 0.0:
-        fitted_s, late, u = FRAIL_FITTED_S, 10, PILOTED_U
+        fitted_s, late, u = FRAIL_FITTED_S, 10, EXPLORED_U
     axis = _Axis(
         told=tuple(Memory(tau_s, frailty) for tau_s in sorted({*SHOWN_S, *also_s})),
         sought=tuple(Memory(tau_s, frailty) for tau_s in SHOWN_S),
         fitted=tuple(None if at is None else Memory(at, frailty) for at in fitted_s),
         late=late,
-        piloted=tuple(Given(Memory(tau_s, frailty), u) for tau_s in PILOTED_S),
+        explored=tuple(Given(Memory(tau_s, frailty), u) for tau_s in EXPLORED_S),
         seed_key=SEED_KEY,
     )
     return _told(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
@@ -237,7 +243,7 @@ def frailty_curve(
         sought=tuple(Memory(tau_s, frailty) for frailty in SHOWN_FRAILTY),
         fitted=tuple(None if at is None else Memory(tau_s, at) for at in FITTED_FRAILTY),
         late=10,
-        piloted=tuple(Given(Memory(tau_s, frailty), u) for frailty, u in PILOTED_FRAILTY),
+        explored=tuple(Given(Memory(tau_s, frailty), u) for frailty, u in EXPLORED_FRAILTY),
         seed_key=FRAILTY_SEED_KEY,
     )
     return _told(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
@@ -246,20 +252,22 @@ def frailty_curve(
 def _told(
     axis: _Axis, problem: Problem, *, pem: Pem, features: StateFeatures, seed: int, rollouts: int
 ) -> tuple[CurvePoint, ...]:
-    latched = problem.unsafe is not None or problem.monitor is not None
+    absorbing = problem.unsafe is not None or problem.monitor is not None
     simulator = with_last_outcome(problem.simulator, tau_s=0.0)
     scenario = Scenario(
-        problem=with_latch(replace(problem, simulator=simulator)),
+        problem=with_absorbing_violation(replace(problem, simulator=simulator)),
         pem=pem,
         own_features=features,
         asked=axis.told,
-        piloted=axis.piloted,
+        explored=axis.explored,
         forgetful=axis.is_forgetful,
     )
     seeds = (
         np.random.SeedSequence(seed, spawn_key=(axis.seed_key, part)) for part in itertools.count()
     )
-    scored = drawn_by_pilots(scenario, each=int(rollouts * PILOTS_SHARE), seeds=next(seeds))
+    scored = sampled_by_exploration(
+        scenario, each=int(rollouts * EXPLORATION_SHARE), seeds=next(seeds)
+    )
     if scenario.forgetful and not is_indifferent(scenario, scored.rollouts):
         scenario = replace(scenario, forgetful=False)
     scenario = replace(scenario, basis=first_basis(scenario, scored))
@@ -270,12 +278,12 @@ def _told(
         memory = _least_known(axis, drawn) if chosen is LEAST_KNOWN else chosen
         drawing, optimism = _fitted(scenario, drawn, axis.told.index(memory))
         drawings.append(drawing)
-        scored = drawn_by_fit(scenario, drawing, count=count, seeds=next(seeds))
+        scored = sampled_by_fit(scenario, drawing, count=count, seeds=next(seeds))
         fresh = described(scenario, scored, drawings, component=len(drawings))
         drawn = joined(with_drawing(scenario, drawn, drawing, optimism=optimism), fresh)
     late = slice(rollouts - sum(counts[-axis.late :]), rollouts)
     told = [_point(scenario, drawn, place, late=late) for place in range(len(axis.told))]
-    wrong = () if latched else (unlatched(),)
+    wrong = () if absorbing else (not_absorbing(),)
     return tuple(replace(one, diagnostics=(*one.diagnostics, *wrong)) for one in told)
 
 
@@ -305,7 +313,7 @@ def _fitted(scenario: Scenario, drawn: Drawn, place: int) -> tuple[Drawing, Floa
         The proposal, and by how much it flatters each of the rollouts ``[N]``.
     """
     basis, pool = scenario.basis, seen_at(scenario, drawn, place)
-    assert basis is not None  # noqa: S101  chosen from the pilots' rollouts
+    assert basis is not None  # noqa: S101  chosen from the exploration proposals' rollouts
     elites = failing_elites(pool.robustness, pool.violated, least=SETTINGS.elites)
     aim = min(max(SETTINGS.elites, SETTINGS.ess_share * elites.count), elites.count / 2)
     exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))

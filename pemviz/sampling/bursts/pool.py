@@ -8,8 +8,8 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.defensive_share import defended
+from pemviz.proposals.exploration import ExplorationFamily
 from pemviz.proposals.offset_logistic import PolynomialBasis, shift
-from pemviz.proposals.pilots import PilotFamily
 from pemviz.sampling.bursts.likelihood import (
     Outcomes,
     by_node,
@@ -18,7 +18,7 @@ from pemviz.sampling.bursts.likelihood import (
 from pemviz.sampling.bursts.scenario import Drawing, Given, Scenario
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool, balance_weights
 from pemviz.sampling.rollouts.draw import replay
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import LAST_OUTCOME, RolloutBatch, ScoredRollouts, StateBatch
 
 DEGREE = 3
@@ -26,13 +26,14 @@ DEGREE = 3
 
 @dataclass(frozen=True)
 class Drawn:
-    """N rollouts and K proposals, beside pilots.
+    """N rollouts and K proposals, beside exploration proposals.
 
     Attributes:
         outcomes: Of all rollouts.
-        component: What each was drawn from, ``[N]``: 0 is the pilots' families, k the k-th
-            proposal.
-        log_q: Log likelihood under the pilots and under each proposal, ``[N, 1 + K]`` [nats].
+        component: What each was drawn from, ``[N]``: 0 is the exploration proposals' families, k
+            the k-th proposal.
+        log_q: Log likelihood under the exploration proposals and under each proposal, ``[N, 1 +
+            K]`` [nats].
         log_p: The same under the error model with each memory that was asked for, ``[N, A]``.
         visibility: Posterior mean of the obstacle's visibility u, ``[N, A]``.
         robustness: ``[N]``.
@@ -70,7 +71,7 @@ def described(
     scenario: Scenario, scored: ScoredRollouts, drawings: Sequence[Drawing], *, component: int
 ) -> Drawn:
     """Rollouts drawn from one component, with their likelihood under all."""
-    assert scenario.basis is not None  # noqa: S101  chosen from the pilots' rollouts
+    assert scenario.basis is not None  # noqa: S101  chosen from the exploration proposals' rollouts
     rollouts = scored.rollouts
     states, counting = _counting(scenario, rollouts)
     salient = scenario.problem.simulator.salient(states.signals)
@@ -86,19 +87,19 @@ def described(
     )
     by_family = [
         under_logits(outcomes, model_logit(scenario, outcomes, given), count=rollouts.count)
-        + PilotFamily.over(scenario.steps).log_ratio(
+        + ExplorationFamily.over(scenario.steps).log_ratio(
             replace(rollouts, pem_logit=scenario.model(given).after(own_logit, last[..., None])),
             counting & matters if scenario.ignores(given) else counting,
         )
-        for given in scenario.piloted
+        for given in scenario.explored
     ]
-    by_pilots = log_sum_exp(np.asarray(by_family), axis=0) - np.log(len(by_family))
+    by_exploration = log_sum_exp(np.asarray(by_family), axis=0) - np.log(len(by_family))
     by_fits = [_log_q(scenario, outcomes, drawing, rollouts.count) for drawing in drawings]
     likely = [_likely(scenario, outcomes, memory, rollouts.count) for memory in scenario.asked]
     return Drawn(
         outcomes=outcomes,
         component=np.full(rollouts.count, component, dtype=np.int64),
-        log_q=np.stack([by_pilots, *by_fits], axis=1),
+        log_q=np.stack([by_exploration, *by_fits], axis=1),
         log_p=np.stack([log_p for log_p, _ in likely], axis=1),
         visibility=np.stack([mean for _, mean in likely], axis=1),
         robustness=scored.robustness,
@@ -193,8 +194,8 @@ def _counting(scenario: Scenario, rollouts: RolloutBatch) -> tuple[StateBatch, B
     Those before a violation, if a rollout knows of it; of a forgetful scenario those that matter.
     """
     states, shape = rollouts.decision_states(), rollouts.detected.shape
-    latch = rollouts.memory.get(VIOLATED)
-    counting = np.ones(shape, dtype=np.bool_) if latch is None else ~latch[:, : shape[1]]
+    violated = rollouts.memory.get(VIOLATED)
+    counting = np.ones(shape, dtype=np.bool_) if violated is None else ~violated[:, : shape[1]]
     return states, counting & scenario.own_features.reacts(
         states
     ) if scenario.forgetful else counting

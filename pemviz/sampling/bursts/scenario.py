@@ -9,18 +9,18 @@ from pemviz.arrays import FloatArray
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.defensive_share import share_for
+from pemviz.proposals.exploration import ExplorationFamily
 from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,
     PolynomialBasis,
     StateFeatures,
 )
-from pemviz.proposals.pilots import PilotFamily
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.state.composed import ComposedFeatures, ComposedPem
 from pemviz.sampling.state.hidden import HiddenProperty
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.state.visibility import GivenVisibility
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import Proposal, ScoredRollouts
 
 DEFENSIVE_STEPS = 2.0
@@ -47,23 +47,24 @@ class Scenario:
     """What rollouts are drawn on, and what is looked at.
 
     Attributes:
-        problem: With the last outcome as a signal, and a latch.
+        problem: With the last outcome as a signal, and an absorbing violation.
         pem: The model of single outcomes.
         own_features: What the scenario itself offers to look at.
         asked: How misses may hang together, each.
-        piloted: The models that a family of pilots is around, each.
+        explored: The models that a family of exploration proposals is around, each.
         forgetful: Whether no memory that is asked about has a memory time. Outcomes to which the
             scenario does not react then change nothing that comes after, neither states nor what
             proposals do: summed over them a likelihood is that of the other outcomes. They are
-            left out of all, unless the pilots' rollouts show that the scenario does react.
-        basis: Of the proposals; chosen from the pilots' rollouts.
+            left out of all, unless the exploration proposals' rollouts show that the scenario does
+            react.
+        basis: Of the proposals; chosen from the exploration proposals' rollouts.
     """
 
     problem: Problem
     pem: Pem
     own_features: StateFeatures
     asked: tuple[Memory, ...]
-    piloted: tuple[Given, ...]
+    explored: tuple[Given, ...]
     forgetful: bool = False
     basis: PolynomialBasis | None = None
 
@@ -99,7 +100,7 @@ class Scenario:
 
     def proposal(self, drawing: Drawing) -> OffsetLogisticProposal:
         """What rollouts are drawn from."""
-        assert self.basis is not None  # noqa: S101  chosen from the pilots' rollouts
+        assert self.basis is not None  # noqa: S101  chosen from the exploration proposals' rollouts
         return OffsetLogisticProposal(
             features=self.features(drawing.around),
             basis=self.basis,
@@ -109,28 +110,28 @@ class Scenario:
         )
 
 
-def drawn_by_pilots(
+def sampled_by_exploration(
     scenario: Scenario, *, each: int, seeds: np.random.SeedSequence
 ) -> ScoredRollouts:
-    """``each`` rollouts from every family of pilots."""
+    """``each`` rollouts from every family of exploration proposals."""
     return ScoredRollouts.concatenate(list(_by_family(scenario, each, seeds)))
 
 
 def _by_family(
     scenario: Scenario, each: int, seeds: np.random.SeedSequence
 ) -> Iterator[ScoredRollouts]:
-    families = len(scenario.piloted)
-    for given, child in zip(scenario.piloted, seeds.spawn(families), strict=True):
-        pilots = PilotFamily.over(scenario.steps).drawn(
+    families = len(scenario.explored)
+    for given, child in zip(scenario.explored, seeds.spawn(families), strict=True):
+        exploration = ExplorationFamily.over(scenario.steps).drawn(
             each,
             np.random.default_rng(child.spawn(1)[0]),
             features=scenario.features(given),
             violated=VIOLATED,
         )
-        yield _sampled(scenario, pilots, given, each, child)
+        yield _sampled(scenario, exploration, given, each, child)
 
 
-def drawn_by_fit(
+def sampled_by_fit(
     scenario: Scenario, drawing: Drawing, *, count: int, seeds: np.random.SeedSequence
 ) -> ScoredRollouts:
     """``count`` rollouts from a fitted proposal."""

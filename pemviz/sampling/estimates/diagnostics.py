@@ -86,7 +86,7 @@ def _below_doubles(log10_probability: float) -> Sequence[Diagnostic]:
     return (Diagnostic("below-doubles", log10_probability, SMALLEST_LOG10, text),)
 
 
-def unlatched() -> Diagnostic:
+def not_absorbing() -> Diagnostic:
     """Of importance sampling whose rollouts do not know when they have violated."""
     text = (
         "nothing tells during a rollout whether it has violated, so proposals are wasted on what "
@@ -94,7 +94,7 @@ def unlatched() -> Diagnostic:
         "at 20 rollouts a stage, by 30 % at 50, by 10 % at 100 and by 0.6 % at 218; give it a "
         "monitor"
     )
-    return Diagnostic("unlatched", None, None, text)
+    return Diagnostic("not-absorbing", None, None, text)
 
 
 def called_safe(share: float, *, relative_error: float | None) -> Sequence[Diagnostic]:
@@ -133,19 +133,20 @@ def parts_disagreement(*, late: float, halves: float) -> Sequence[Diagnostic]:
     return (Diagnostic("parts-disagree", errors, AGREEMENT_ERRORS, text),)
 
 
-def pilots_alone(share: float) -> Sequence[Diagnostic]:
-    """Of proposals that were fitted beside pilots that nothing is fitted to.
+def exploration_alone(share: float) -> Sequence[Diagnostic]:
+    """Of proposals that were fitted beside exploration proposals that nothing is fitted to.
 
     Args:
-        share: Of the estimate, from rollouts that pilots would draw sooner than all the others.
+        share: Of the estimate, from rollouts that exploration proposals would draw sooner than all
+            the others.
     """
     if share <= LARGE_SHARE:
         return ()
     text = (
-        f"{share:.0%} of the probability is from failures that no proposal but the pilots would "
-        "readily draw: a failure mode is not learned"
+        f"{share:.0%} of the probability is from failures that no proposal but the exploration "
+        "proposals would readily draw: a failure mode is not learned"
     )
-    return (Diagnostic("pilots-alone", share, LARGE_SHARE, text),)
+    return (Diagnostic("exploration-alone", share, LARGE_SHARE, text),)
 
 
 def reference_disagreement(

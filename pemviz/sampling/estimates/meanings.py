@@ -73,7 +73,7 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         undermines=ALL,
         in_repetitions="there was a run in which no particle reached a violation",
     ),
-    "unlatched": Meaning(
+    "not-absorbing": Meaning(
         phrase="nothing tells during a rollout whether it has violated",
         undermines=ALL,
         in_repetitions="nothing tells during a rollout whether it has violated",
@@ -114,10 +114,10 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         in_repetitions="parts of the rollouts disagree",
         reason="parts of the rollouts are {:.1f} standard errors apart",
     ),
-    "pilots-alone": Meaning(
-        phrase="no proposal but the pilots",
+    "exploration-alone": Meaning(
+        phrase="no proposal but the exploration proposals",
         undermines=ALL_BUT_COUNTS,
-        in_repetitions="a failure mode was met by hardly any proposal but the pilots",
+        in_repetitions="a failure mode was met by hardly any proposal but exploration",
     ),
     "reference-disagrees": Meaning(phrase="times the reference", undermines=ALL),
     # the estimate may be right all the same

@@ -23,11 +23,12 @@ from pemviz.proposals.latent_decisions import LatentDecisions
 from pemviz.proposals.latent_means import LatentMeans
 from pemviz.proposals.monomials import Monomials, some_at_once
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
-from pemviz.simulators.latched import violated_rule
+from pemviz.simulators.absorbing import violated_rule
 from pemviz.types import RolloutBatch
 
-PILOTS = 0
-"""The component that stands for the pilots' family; the fitted proposals count from 1."""
+EXPLORATION = 0
+"""The component that stands for the exploration proposals' family; the fitted proposals count from
+1."""
 ROWS_AT_ONCE = 1 << 14
 """Of ratios, whose exponentials take several times their own memory."""
 MORE_THAN_HALF = 0.5
@@ -81,13 +82,13 @@ class FailingWeights:
         rollout: Index of each in the pool, ascending, ``[F]``.
         log_weight: As draws from the mixture of all stages, ``[F]``.
         among_final: As draws from the final batch's own, ``[F]``.
-        by_pilots: Whether pilots are most of what could draw it, ``[F]``.
+        by_exploration: Whether exploration proposals are most of what could draw it, ``[F]``.
     """
 
     rollout: IntArray
     log_weight: Mapping[Rule, FloatArray]
     among_final: Mapping[Rule, FloatArray]
-    by_pilots: Mapping[Rule, BoolArray]
+    by_exploration: Mapping[Rule, BoolArray]
 
     @staticmethod
     def of(
@@ -99,7 +100,9 @@ class FailingWeights:
             rollout=rollout,
             log_weight={rule: weights(ratio, planned.of_all) for rule, ratio in ratios},
             among_final={rule: weights(ratio, planned.of_final) for rule, ratio in ratios},
-            by_pilots={rule: mostly_by_pilots(ratio, planned.of_all) for rule, ratio in ratios},
+            by_exploration={
+                rule: mostly_by_exploration(ratio, planned.of_all) for rule, ratio in ratios
+            },
         )
 
 
@@ -118,11 +121,11 @@ def weights(log_ratio: FloatArray, shares: FloatArray) -> FloatArray:
     return found
 
 
-def mostly_by_pilots(log_ratio: FloatArray, shares: FloatArray) -> BoolArray:
-    """Whether pilots are most of what could draw each of ``[H]`` rollouts."""
+def mostly_by_exploration(log_ratio: FloatArray, shares: FloatArray) -> BoolArray:
+    """Whether exploration proposals are most of what could draw each of ``[H]`` rollouts."""
     log_joint = log_ratio + shares
-    by_pilots = np.exp(log_joint[:, PILOTS] - np.asarray(log_sum_exp(log_joint, axis=1)))
-    return by_pilots > MORE_THAN_HALF
+    by_exploration = np.exp(log_joint[:, EXPLORATION] - np.asarray(log_sum_exp(log_joint, axis=1)))
+    return by_exploration > MORE_THAN_HALF
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,8 +244,8 @@ class Pool:
 
     Attributes:
         decisions: Of the M rollouts but the final ones.
-        component: What each of all was drawn from, ``[N]``: 0 is the pilots' family, k the
-            k-th fitted proposal.
+        component: What each of all was drawn from, ``[N]``: 0 is the exploration proposals' family,
+            k the k-th fitted proposal.
         proposals: Each fitted one, K in all.
         log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[M, 1 + K]``:
             of what it was until the rule at hand was broken. None of a large final batch's.
@@ -389,14 +392,14 @@ class Pool:
         return found
 
     @property
-    def by_pilots(self) -> BoolArray:
-        """Whether pilots are most of what could draw each of the F violations, ``[F]``."""
+    def by_exploration(self) -> BoolArray:
+        """Whether exploration is most of what could draw each of the F violations, ``[F]``."""
         learned, shares = self.violated[: len(self.log_ratio)], self._log_shares
         final = [
-            weights.by_pilots[self._until][self.violated[weights.rollout]]
+            weights.by_exploration[self._until][self.violated[weights.rollout]]
             for weights in self.failing
         ]
-        return np.concatenate([mostly_by_pilots(self.log_ratio[learned], shares), *final])
+        return np.concatenate([mostly_by_exploration(self.log_ratio[learned], shares), *final])
 
     @property
     def _until(self) -> Rule:

@@ -1,12 +1,12 @@
-"""A stage's rollouts: pilots first, then every fitted proposal in its share; a large one in parts.
+"""A stage's rollouts: exploration, then each fitted proposal in its share; large ones in parts.
 
 The pool keeps the decisions of every rollout that proposals are fitted to and that is weighed by
 them, which of a very large stage would be more than memory holds. So it is drawn in parts, each
-from pilots and proposals in their shares, and it is over with the part that brings its violations
-to as many as are enough: later ones would teach nothing, and narrow the estimate less than final
-rollouts do, of which weights alone are kept. All that were drawn count. Where violations are rare,
-all that were asked for are drawn; of those that hold, the least robust join the pool, and an even
-sample that stands for the others.
+from exploration and fitted proposals in their shares, and it is over with the part that brings its
+violations to as many as are enough: later ones would teach nothing, and narrow the estimate less
+than final rollouts do, of which weights alone are kept. All that were drawn count. Where violations
+are rare, all that were asked for are drawn; of those that hold, the least robust join the pool, and
+an even sample that stands for the others.
 
 That a stage is over sooner where more of it violates moves its own average by less than a tenth of
 its standard error: 0.4 / (p + 1) of it at most after p parts, p at least 4, which is the mean of a
@@ -27,13 +27,14 @@ from pemviz.drawn import Drawn
 from pemviz.faults import counted_from
 from pemviz.latents import LatentCounts
 from pemviz.proposals.defensive_share import share_for
+from pemviz.proposals.exploration import ExplorationFamily, ExplorationProposal
+from pemviz.proposals.latent_exploration import LatentExploration, LatentFamily
 from pemviz.proposals.latent_means import (
     LatentMeans,
     choice_logit,
     noise_means,
     unmoved,
 )
-from pemviz.proposals.latent_pilots import LatentFamily, LatentPilots
 from pemviz.proposals.monomials import noise_basis, noise_features
 from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,
@@ -41,12 +42,11 @@ from pemviz.proposals.offset_logistic import (
     StateFeatures,
     acting,
 )
-from pemviz.proposals.pilots import PilotFamily, PilotProposal
 from pemviz.proposals.single_moves import even_logit
 from pemviz.proposals.start_moves import StartMoves
 from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.mixture.balance_heuristic import (
-    PILOTS,
+    EXPLORATION,
     Pool,
     TargetRules,
 )
@@ -54,14 +54,15 @@ from pemviz.sampling.mixture.fit import Fit
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.final_batch import part_sizes
 from pemviz.sampling.rollouts.thinning import Thinned, Whole, least_robust
-from pemviz.sampling.zero_variance.method import with_latch
-from pemviz.simulators.latched import VIOLATED, EachRule, MonitoredSimulator
+from pemviz.sampling.zero_variance.method import with_absorbing_violation
+from pemviz.simulators.absorbing import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import ScoredRollouts, StateBatch
 
-EARLY_PILOT_SHARE = 0.25
-"""Of the rollouts of the first half of the learning stages, drawn from the pilots' family."""
-PILOT_SHARE = 0.1
+EARLY_EXPLORATION_SHARE = 0.25
+"""Of the rollouts of the first half of the learning stages, drawn from the exploration proposals'
+family."""
+EXPLORATION_SHARE = 0.1
 """Of every later stage's."""
 DEFENSIVE_STEPS = 2.0
 """Of each rollout, drawn from the error model on average."""
@@ -73,30 +74,31 @@ Part = Callable[[Problem, int, int], ScoredRollouts]
 
 @dataclass(frozen=True, eq=False)
 class DividedLatents:
-    """What the latents of each of N rollouts are drawn from: a pilot's means or fitted ones.
+    """What the latents of each of N rollouts are drawn from: means of exploration, or fitted ones.
 
     Attributes:
-        pilots: Of all N rollouts; 0 for those that are not pilots.
-        start: Fitted moves at the start, of each rollout its own, none for pilots.
+        exploration: Of all N rollouts; 0 for those that are not exploration proposals.
+        start: Fitted moves at the start, of each rollout its own, none for exploration proposals.
         noise: Fitted coefficients, ``[N, M, B]``, likewise.
         choice: Fitted coefficients of how often it is moved, ``[N, B]``.
-        noise_sd: Spreads of half of the noise that is moved, ``[N, M]``, 1 for pilots.
+        noise_sd: Spreads of half of the noise that is moved, ``[N, M]``, 1 for exploration
+            proposals.
         once: Which move one step's noise at most, ``[N]``.
-        piloted: Which are pilots, ``[N]``: what they move, they move always.
+        explored: Which are exploration proposals, ``[N]``: what they move, they move always.
         targets: The rule that each is to break, and until when it moves anything.
         features: What fitted proposals look at, beside the step's last outcome.
-        basis: Monomials of it all; ``None`` if all rollouts are pilots.
+        basis: Monomials of it all; ``None`` if all rollouts are exploration proposals.
         steps: Of a rollout.
         turns: Outcomes of a step.
     """
 
-    pilots: LatentPilots
+    exploration: LatentExploration
     start: StartMoves
     noise: FloatArray
     choice: FloatArray
     noise_sd: FloatArray
     once: BoolArray
-    piloted: BoolArray
+    explored: BoolArray
     targets: TargetRules
     features: StateFeatures
     basis: PolynomialBasis | None
@@ -105,12 +107,12 @@ class DividedLatents:
 
     def start_mean(self) -> FloatArray:
         """Of the latents at the start, ``[N, S]``."""
-        return self.pilots.start + self.start.mean
+        return self.exploration.start + self.start.mean
 
     def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Of a step's noise: means ``[N, M]`` and shares ``[N]``, 0 after a violation."""
         step = int(states.step) // self.turns
-        mean = self.pilots.noise_mean(step)
+        mean = self.exploration.noise_mean(step)
         share = np.ones(len(mean))
         if self.basis is not None:
             basis = self.basis.evaluate(noise_features(self.features, states, detected))
@@ -118,7 +120,7 @@ class DividedLatents:
             logit = choice_logit(basis, self.choice)
             even = even_logit(np.array(step), steps=self.steps)
             share = expit(np.where(self.once, logit + even, logit))
-            share = np.where(self.piloted, 1.0, share)
+            share = np.where(self.explored, 1.0, share)
         over = states.memory.get(VIOLATED, np.zeros(len(mean), dtype=np.bool_))
         over = over | self.targets.reached(states.memory)
         return np.where(over[:, None], 0.0, mean), np.where(over, 0.0, share)
@@ -127,50 +129,51 @@ class DividedLatents:
         """Of some of the rollouts."""
         return replace(
             self,
-            pilots=self.pilots.rows(rows),
+            exploration=self.exploration.rows(rows),
             start=self.start.rows(rows),
             noise=self.noise[rows],
             choice=self.choice[rows],
             noise_sd=self.noise_sd[rows],
             once=self.once[rows],
-            piloted=self.piloted[rows],
+            explored=self.explored[rows],
             targets=self.targets.rows(rows),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class DividedProposal:
-    """A proposal for each of N rollouts: a pilot's or a fitted one's.
+    """A proposal for each of N rollouts: an exploration proposal's or a fitted one's.
 
     Attributes:
-        pilots: Of all N rollouts; without a step for those that are not pilots. What they look
-            at is what the fitted ones do.
-        fitted: With coefficients ``[N, B]``, 0 for pilots; ``None`` if all are pilots.
-        piloted: Which are, ``[N]``.
+        exploration: Of all N rollouts; without a step for those that are not exploration proposals.
+            What they look at is what the fitted ones do.
+        fitted: With coefficients ``[N, B]``, 0 for exploration proposals; ``None`` if all are
+            exploration proposals.
+        explored: Which are, ``[N]``.
         targets: The rule that each is to break, and until when it leaves the error model.
         latents: What latents are drawn from, where there are any.
     """
 
-    pilots: PilotProposal
+    exploration: ExplorationProposal
     fitted: OffsetLogisticProposal | None
-    piloted: BoolArray
+    explored: BoolArray
     targets: TargetRules
     latents: DividedLatents | None = None
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[N]``, at states ``[N]`` of the same N rollouts."""
-        pilots, fitted = self.pilots, self.fitted
-        acts = acting(pilots.features, states, pem_logit.shape, violated=pilots.violated)
+        exploration, fitted = self.exploration, self.fitted
+        acts = acting(exploration.features, states, pem_logit.shape, violated=exploration.violated)
         if not acts.any():
             return pem_logit
-        by_pilots = pilots.logit_where(acts, states, pem_logit)
+        by_exploration = exploration.logit_where(acts, states, pem_logit)
         if fitted is None:
-            return by_pilots
-        acts = acts & ~self.piloted
+            return by_exploration
+        acts = acts & ~self.explored
         if self.targets.rules:
             acts &= ~self.targets.reached(states.memory)
         by_fitted = fitted.logit_where(acts, states, pem_logit)
-        return np.where(self.piloted, by_pilots, by_fitted)
+        return np.where(self.explored, by_exploration, by_fitted)
 
     def start_mean(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
         """Of the latents at the start, ``[N, S]``.
@@ -225,16 +228,16 @@ class DividedProposal:
             fitted = replace(fitted, coefficients=fitted.coefficients[rows])
         return replace(
             self,
-            pilots=self.pilots.rows(rows),
+            exploration=self.exploration.rows(rows),
             fitted=fitted,
-            piloted=self.piloted[rows],
+            explored=self.explored[rows],
             targets=self.targets.rows(rows),
             latents=None if self.latents is None else self.latents.rows(rows),
         )
 
     def arrays(self) -> Mapping[str, AnyArray]:
         """Of both kinds."""
-        return {**self.pilots.arrays(), **(self.fitted.arrays() if self.fitted else {})}
+        return {**self.exploration.arrays(), **(self.fitted.arrays() if self.fitted else {})}
 
 
 def components(count: int, *, first: int, shares: Sequence[float], explores: bool) -> IntArray:
@@ -243,15 +246,16 @@ def components(count: int, *, first: int, shares: Sequence[float], explores: boo
     Args:
         count: Number of rollouts.
         first: Component of the first fitted proposal, which is drawn what is left over.
-        shares: Of the fitted proposals in the rollouts that are not pilots; empty: all are.
+        shares: Of the fitted proposals in the rollouts that are not exploration proposals; empty:
+            all are.
         explores: Whether the stage is one of the first.
     """
     if not shares:
-        return np.full(count, PILOTS, dtype=np.int64)
-    pilots = max(1, int((EARLY_PILOT_SHARE if explores else PILOT_SHARE) * count))
-    others = [int(share * (count - pilots)) for share in shares[1:]]
-    numbers = [pilots, count - pilots - sum(others), *others]
-    return np.repeat([PILOTS, *range(first, first + len(shares))], numbers).astype(np.int64)
+        return np.full(count, EXPLORATION, dtype=np.int64)
+    exploration = max(1, int((EARLY_EXPLORATION_SHARE if explores else EXPLORATION_SHARE) * count))
+    others = [int(share * (count - exploration)) for share in shares[1:]]
+    numbers = [exploration, count - exploration - sum(others), *others]
+    return np.repeat([EXPLORATION, *range(first, first + len(shares))], numbers).astype(np.int64)
 
 
 def divided(
@@ -260,7 +264,7 @@ def divided(
     like: OffsetLogisticProposal | None,
     *,
     targets: TargetRules,
-    family: PilotFamily,
+    family: ExplorationFamily,
     features: StateFeatures,
     generator: np.random.Generator,
 ) -> DividedProposal:
@@ -269,14 +273,15 @@ def divided(
     Args:
         component: Of each rollout, ascending, ``[N]``.
         coefficients: Of the fitted components, ``[B]`` each.
-        like: A fitted proposal, for everything else; ``None`` if all rollouts are pilots.
+        like: A fitted proposal, for everything else; ``None`` if all rollouts are exploration
+            proposals.
         targets: The rule that each rollout is to break.
-        family: Of the pilots.
+        family: Of the exploration proposals.
         features: Tell where the scenario reacts.
-        generator: What the pilots' members are drawn with.
+        generator: What the exploration proposals' members are drawn with.
     """
-    pilots = family.drawn(
-        int((component == PILOTS).sum()),
+    exploration = family.drawn(
+        int((component == EXPLORATION).sum()),
         generator,
         features=features,
         violated=VIOLATED,
@@ -286,11 +291,13 @@ def divided(
         nothing = np.zeros(like.coefficients.size)
         rows = [coefficients.get(int(index), nothing) for index in component]
         like = replace(like, coefficients=np.stack(rows))
-    return DividedProposal(pilots=pilots, fitted=like, piloted=component == PILOTS, targets=targets)
+    return DividedProposal(
+        exploration=exploration, fitted=like, explored=component == EXPLORATION, targets=targets
+    )
 
 
 def divided_latents(
-    pilots: LatentPilots,
+    exploration: LatentExploration,
     means: Sequence[LatentMeans | None],
     targets: TargetRules,
     counts: LatentCounts,
@@ -303,8 +310,8 @@ def divided_latents(
     """Of N rollouts.
 
     Args:
-        pilots: Of all; 0 for those that are not pilots.
-        means: Fitted ones of each rollout, ``None`` for pilots.
+        exploration: Of all; 0 for those that are not exploration proposals.
+        means: Fitted ones of each rollout, ``None`` for exploration proposals.
         targets: The rule that each is to break.
         counts: Latents of a rollout.
         features: What fitted proposals look at.
@@ -317,13 +324,13 @@ def divided_latents(
     none = unmoved(start=counts.start, noise=counts.noise, basis=monomials)
     own = [none if each is None else each for each in means]
     return DividedLatents(
-        pilots=pilots,
+        exploration=exploration,
         start=StartMoves.of_each([each.start for each in own]),
         noise=np.stack([each.noise for each in own]),
         choice=np.stack([each.choice for each in own]),
         noise_sd=np.stack([each.sd for each in own]),
         once=np.array([each.once for each in own]),
-        piloted=np.array([each is None for each in means]),
+        explored=np.array([each is None for each in means]),
         targets=targets,
         features=features,
         basis=basis,
@@ -342,10 +349,10 @@ class MixtureState:
         features: What proposals look at.
         basis: Monomials of it; ``None`` before the first stage.
         pool: Everything drawn so far.
-        fits: What the next stage draws from beside pilots: the main proposal, those of other
-            failure modes, one fitted to a level above 0; empty before the first stage.
+        fits: What the next stage draws from beside exploration proposals: the main proposal, those
+            of other failure modes, one fitted to a level above 0; empty before the first stage.
         frozen: How many rollouts each part of the final batch has, as far as it is drawn.
-        latched: Whether rollouts know when they have violated.
+        absorbing: Whether rollouts know when they have violated.
         turns: Outcomes of a step of the scenario.
         starts: Random values at the start of a rollout.
         rules: Names, where there are several.
@@ -359,7 +366,7 @@ class MixtureState:
     pool: Pool | None = None
     fits: tuple[Fit, ...] = ()
     frozen: tuple[int, ...] = ()
-    latched: bool = True
+    absorbing: bool = True
     turns: int = 1
     starts: int = 0
     rules: tuple[str, ...] = ()
@@ -376,7 +383,7 @@ def until_settled(problem: Problem) -> Problem:
     """The problem on a simulator that remembers what is broken, and that nothing is left to be."""
     rules = several_rules(problem)
     if not rules:
-        return with_latch(problem)
+        return with_absorbing_violation(problem)
     each = EachRule({rule: problem.rules[rule].monitor for rule in rules})
     return replace(problem, simulator=MonitoredSimulator(problem.simulator, each))
 
@@ -413,25 +420,27 @@ def drawn(
         SimulationError: A batch has something that is no finite number, or takes too long.
     """
     steps = problem.simulator.states - 1
-    fitted = np.unique(component[component != PILOTS])
+    fitted = np.unique(component[component != EXPLORATION])
     generator = np.random.default_rng(seeds.spawn(1)[0])
-    fits = [None if c == PILOTS else state.fits[c - fitted[0]] for c in component.tolist()]
+    fits = [None if c == EXPLORATION else state.fits[c - fitted[0]] for c in component.tolist()]
     targets = TargetRules.of(state.rules, [fit.rule if fit else None for fit in fits])
     proposal = divided(
         component,
         {int(index): state.fits[index - fitted[0]].coefficients for index in fitted},
         main_proposal(state, steps=steps),
         targets=targets,
-        family=PilotFamily.over(steps, turns=state.turns),
+        family=ExplorationFamily.over(steps, turns=state.turns),
         features=state.features,
         generator=generator,
     )
     counts = latent_counts(problem.simulator)
     if counts:
         family = LatentFamily.over(steps // state.turns, start=counts.start, noise=counts.noise)
-        pilots = family.drawn(int((component == PILOTS).sum()), generator, of=component.size)
+        exploration = family.drawn(
+            int((component == EXPLORATION).sum()), generator, of=component.size
+        )
         latents = divided_latents(
-            pilots,
+            exploration,
             [fit.means if fit else None for fit in fits],
             targets,
             counts,

@@ -2,7 +2,8 @@
 
 An average of weights has no way to know of a failure mode that its proposals do not draw. What
 shows it, if anything does, is that parts of the rollouts disagree: those before the final batch
-and the final batch; one half and the other; what fitted proposals draw and what pilots draw.
+and the final batch; one half and the other; what fitted proposals draw and what exploration
+proposals draw.
 """
 
 import math
@@ -11,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.sampling.estimates.diagnostics import parts_disagreement, pilots_alone
+from pemviz.sampling.estimates.diagnostics import exploration_alone, parts_disagreement
 from pemviz.sampling.estimates.estimate import (
     ADAPTATION,
     SLOTS_AND_STARTS_ADAPTATION,
@@ -135,7 +136,7 @@ def disagreements(pool: Pool, *, final: slice) -> Sequence[Diagnostic]:
     ]
     return (
         *parts_disagreement(late=_errors_apart(*late), halves=_errors_apart(*halves)),
-        *pilots_alone(_share_of_pilots(pool)),
+        *exploration_alone(_share_of_exploration(pool)),
     )
 
 
@@ -160,9 +161,9 @@ def _errors_apart(first: LogEstimate, second: LogEstimate) -> float:
     return abs(float(one - other)) / joint if joint > 0.0 else 0.0
 
 
-def _share_of_pilots(pool: Pool) -> float:
-    """Of the estimate, from failures for which pilots were most of what could draw them."""
+def _share_of_exploration(pool: Pool) -> float:
+    """Of the estimate, from failures for which exploration was most of what could draw them."""
     if not pool.violated.any():
         return 0.0
-    log_weight, alone = pool.log_weight[pool.violated], pool.by_pilots
+    log_weight, alone = pool.log_weight[pool.violated], pool.by_exploration
     return float(np.exp(log_sum(log_weight[alone]) - log_sum(log_weight))) if alone.any() else 0.0

@@ -46,7 +46,8 @@ BLIND = 1e6
 """Times these penalties where a proposal is not to look at the state."""
 FEW_FEATURES = 3
 EXPLORING_SHARE = 0.25
-"""Of the rollouts that are not pilots, for a level above 0, and for hidden failure modes."""
+"""Of the rollouts that are not exploration proposals, for a level above 0, and for hidden failure
+modes."""
 LARGEST_SHARE = 0.5
 """Of the probability under the error model that elites have between them."""
 
@@ -82,7 +83,7 @@ class Fit:
         threshold: The level of robustness below which rollouts were learned from.
         elites: How many.
         loss: [nats a decision].
-        share: Of the rollouts that are not pilots, drawn from it.
+        share: Of the rollouts that are not exploration proposals, drawn from it.
         means: How it moves latents, where there are any.
         rule: Which it is to break.
     """

@@ -10,21 +10,21 @@ drawn from proposal q_k::
     weight    w_i = p(tau_i) / sum_k (n_k / N) q_k(tau_i)
     estimate  mu  = 1 / N sum_i 1[i violates] w_i
 
-The first stage draws from a broad family of pilots alone (:mod:`pemviz.proposals.pilots`), which is
-q_0 as a whole, and every later one a share of its rollouts. The rest come from the newest proposal
-fitted to the violations; in the first half of the stages, while the weights do not tell the
-probability of a violation well, a quarter of them from one fitted to the lowest level of robustness
-whose probability they do tell (:mod:`pemviz.sampling.mixture.fit`). Another quarter comes from
-proposals for failure modes that the newest would hardly draw, in the second half only where they
-carry a thousandth of the estimate already (:mod:`pemviz.sampling.mixture.next_proposals`). With
-several rules each that was broken has proposals of its own, drawn from alike; a proposal and a
-rollout's likelihood go as far as the rule at hand is kept
-(:mod:`pemviz.sampling.mixture.balance_heuristic`).
+The first stage draws from a broad family of exploration proposals alone
+(:mod:`pemviz.proposals.exploration`), which is q_0 as a whole, and every later one a share of its
+rollouts. The rest come from the newest proposal fitted to the violations; in the first half of the
+stages, while the weights do not tell the probability of a violation well, a quarter of them from
+one fitted to the lowest level of robustness whose probability they do tell
+(:mod:`pemviz.sampling.mixture.fit`). Another quarter comes from proposals for failure modes that
+the newest would hardly draw, in the second half only where they carry a thousandth of the estimate
+already (:mod:`pemviz.sampling.mixture.next_proposals`). With several rules each that was broken has
+proposals of its own, drawn from alike; a proposal and a rollout's likelihood go as far as the rule
+at hand is kept (:mod:`pemviz.sampling.mixture.balance_heuristic`).
 
-Latents, where the scenario takes any, are moved beside outcomes: pilots move one at a time up or
-down (:mod:`pemviz.proposals.latent_pilots`), each fitted proposal has means of its own, fitted with
-the same weights (:mod:`pemviz.proposals.latent_means`), and q_k is the density of both. Noise is
-moved at all steps, at some, or at one step of each rollout that nobody knows
+Latents, where the scenario takes any, are moved beside outcomes: exploration proposals move one at
+a time up or down (:mod:`pemviz.proposals.latent_exploration`), each fitted proposal has means of
+its own, fitted with the same weights (:mod:`pemviz.proposals.latent_means`), and q_k is the density
+of both. Noise is moved at all steps, at some, or at one step of each rollout that nobody knows
 (:mod:`pemviz.proposals.single_moves`), whichever is likeliest. A quarter of the rollouts come from
 a proposal that is fitted blind to the state, so that no step is left out where few are known.
 
@@ -52,7 +52,7 @@ from pemviz.proposals.offset_logistic import (
     SignalFeatures,
     StateFeatures,
 )
-from pemviz.sampling.estimates.diagnostics import unlatched
+from pemviz.sampling.estimates.diagnostics import not_absorbing
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
@@ -113,12 +113,12 @@ class MixtureSampling:
     def init(self, problem: Problem, *, repetition: int) -> MixtureState:
         """Nothing is drawn yet."""
         features = self.features or SignalFeatures(problem.simulator.signals)
-        latched = problem.unsafe is not None or problem.monitor is not None
+        absorbing = problem.unsafe is not None or problem.monitor is not None
         return MixtureState(
             repetition=repetition,
             stage=0,
             features=features,
-            latched=latched,
+            absorbing=absorbing,
             turns=problem.turns,
             starts=latent_counts(problem.simulator).start,
             rules=several_rules(problem),
@@ -182,9 +182,9 @@ class MixtureSampling:
         )
         wrong = [*found.diagnostics, *disagreements(pool, final=final)]
         found = replace(found, diagnostics=tuple(wrong))
-        if state.latched:
+        if state.absorbing:
             return found
-        return replace(found, diagnostics=(*found.diagnostics, unlatched()))
+        return replace(found, diagnostics=(*found.diagnostics, not_absorbing()))
 
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
         """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were drawn.

@@ -1,8 +1,8 @@
-"""What the next stage draws from beside pilots: proposals for each rule and for what is unknown.
+"""What the next stage draws from beside the broad family: for each rule, and for what is unknown.
 
 Among them are failure modes that the proposals fitted to all violations would hardly draw.
-Such a way looks improbable at first, because the pilots that met it missed more often than was
-needed: it is learned about on its own before the weights pass judgement on it.
+Such a mode looks improbable at first, because the broad proposals that met it missed more often
+than needed: it is learned about on its own before the weights pass judgement on it.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,8 @@ from pemviz.sampling.mixture.fit import (
 RELEVANT_SHARE = 1e-3
 """Of the estimate, from a hidden failure mode that is explored in every stage that learns."""
 HARDLY_DRAWN = 3.0
-"""Log of how many times more often pilots draw a rollout than the main proposals do."""
+"""Log of how many times more often exploration proposals draw a rollout than the main proposals
+do."""
 EVEN_SHARE = 0.9
 """Of the violating rollouts, which they count as where failure modes are told apart."""
 LEAST_SCATTER, PRICE = 2.0, 0.3
@@ -55,7 +56,7 @@ def next_proposals(
     explores: bool,
     for_final: bool,
 ) -> tuple[Fit, ...]:
-    """With their shares of the rollouts that are not pilots, the main proposals first.
+    """With their shares of the rollouts that do not explore, the main proposals first.
 
     Rules that nothing has broken yet, beside others that something has, are searched for like
     hidden failure modes: a share of the rollouts goes towards them, and none of the final batch.
@@ -173,7 +174,7 @@ def _share(pool: Pool, chosen: BoolArray) -> float:
 
 
 def _hardly_drawn(pool: Pool, main: Sequence[Fit], defensive: float) -> BoolArray:
-    """Violating rollouts that pilots draw far more often than the main proposals, ``[N]``."""
+    """Violating rollouts that exploration draws far more often than the main proposals, ``[N]``."""
     (ratio,) = log_ratios(
         pool.decisions,
         [fit.moves for fit in main],

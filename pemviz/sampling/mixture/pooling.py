@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.proposals.exploration import ExplorationFamily
 from pemviz.proposals.latent_decisions import LatentDecisions
-from pemviz.proposals.latent_pilots import LatentFamily
+from pemviz.proposals.latent_exploration import LatentFamily
 from pemviz.proposals.monomials import Monomials, noise_basis, noise_features
 from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, acting
-from pemviz.proposals.pilots import PilotFamily
 from pemviz.proposals.single_moves import even_logit
 from pemviz.sampling.mixture.balance_heuristic import (
     Decisions,
@@ -26,7 +26,7 @@ from pemviz.sampling.mixture.balance_heuristic import (
     still_open,
 )
 from pemviz.sampling.mixture.drawing import Joining
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
 
 DEGREE = 3
@@ -136,11 +136,11 @@ def _pool_of(
     terms: Terms,
 ) -> Pool:
     """The pool of ``scored`` alone."""
-    decisions, latents, by_pilots = _fresh(scored.rollouts, terms)
+    decisions, latents, by_exploration = _fresh(scored.rollouts, terms)
     by_fitted = _of_fitted(decisions, latents, proposals, terms, count=scored.rollouts.count)
     after = [
-        np.hstack([pilots[:, None], fitted])
-        for pilots, fitted in zip(by_pilots, by_fitted, strict=True)
+        np.hstack([exploration[:, None], fitted])
+        for exploration, fitted in zip(by_exploration, by_fitted, strict=True)
     ]
     return Pool(
         decisions=decisions,
@@ -211,7 +211,7 @@ def _under_new(
 def _fresh(
     rollouts: RolloutBatch, terms: Terms
 ) -> tuple[Decisions, LatentDecisions | None, Sequence[FloatArray]]:
-    """Decisions, latents, and log of the pilots' likelihood over the model's under each rule."""
+    """Decisions, latents, and log likelihood of exploration over the model's under each rule."""
     states = rollouts.decision_states()
     acts = acting(terms.features, states, rollouts.detected.shape, violated=VIOLATED)
     broken = broken_at(states.memory, terms.rules)
@@ -223,7 +223,7 @@ def _fresh(
         broken=broken,
         many=terms.many,
     )
-    by_pilots = _by_pilots(rollouts, acts, broken, terms)
+    by_exploration = _by_exploration(rollouts, acts, broken, terms)
     latents = fresh_latents(
         rollouts,
         features=terms.features,
@@ -234,16 +234,18 @@ def _fresh(
         many=terms.many,
     )
     if latents is None:
-        return decisions, None, by_pilots
-    both = [first + second for first, second in zip(by_pilots, latents.by_pilots, strict=True)]
+        return decisions, None, by_exploration
+    both = [
+        first + second for first, second in zip(by_exploration, latents.by_exploration, strict=True)
+    ]
     return decisions, latents.decisions, both
 
 
-def _by_pilots(
+def _by_exploration(
     rollouts: RolloutBatch, acts: BoolArray, broken: BoolArray | None, terms: Terms
 ) -> Sequence[FloatArray]:
-    """Log of the pilots' likelihood over the model's, ``[n]`` under each rule."""
-    family = PilotFamily.over(acts.shape[1], turns=terms.turns)
+    """Log of the exploration proposals' likelihood over the model's, ``[n]`` under each rule."""
+    family = ExplorationFamily.over(acts.shape[1], turns=terms.turns)
     known: dict[bytes, FloatArray] = {}
     found: list[FloatArray] = []
     for rule in terms.under:
@@ -325,12 +327,12 @@ class FreshLatents:
 
     Attributes:
         decisions: As proposals see them.
-        by_pilots: Log of the pilots' density over the model's, ``[n]``, under all rules together
-            and each of several.
+        by_exploration: Log of the exploration proposals' density over the model's, ``[n]``, under
+            all rules together and each of several.
     """
 
     decisions: LatentDecisions
-    by_pilots: Sequence[FloatArray]
+    by_exploration: Sequence[FloatArray]
 
 
 def fresh_latents(
@@ -366,7 +368,7 @@ def fresh_latents(
             even=even_logit(np.nonzero(acts)[1], steps=acts.shape[1]),
             broken=None if broken is None else broken[acts],
         ),
-        by_pilots=[
+        by_exploration=[
             family.log_ratio(start, latents.noise, within)
             for within in _until_each(acts, broken, rules)
         ],

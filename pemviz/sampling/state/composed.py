@@ -28,8 +28,8 @@ from pemviz.sampling.state.hidden import (
 )
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.state.visibility import Visibility
+from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.episodic import kept_memory
-from pemviz.simulators.latched import WrappedSimulator
 from pemviz.simulators.latents import begun, salient_of, stepped, within
 from pemviz.simulators.slots import UnrolledSimulator
 from pemviz.types import RolloutBatch, Signal, Simulator, StateBatch, outcome_log_likelihood

@@ -31,7 +31,7 @@ from pemviz.sampling.zero_variance.tables import (
     build_zero_variance_proposal,
     with_defence,
 )
-from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
+from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
 from pemviz.types import Estimate, Simulator, StageResult
 
 
@@ -93,7 +93,7 @@ class ZeroVarianceSampling:
         """Draw and score the next part."""
         stage = len(state.batch.drawn)
         scored = sample_stage(
-            with_latch(problem),
+            with_absorbing_violation(problem),
             proposal=state.proposal,
             count=state.batch.next_size,
             seed=self.seed,
@@ -142,10 +142,10 @@ def require_unsafe(problem: Problem, *, method: str = "zero-variance") -> Unsafe
     return problem.unsafe
 
 
-def with_latch(problem: Problem) -> Problem:
+def with_absorbing_violation(problem: Problem) -> Problem:
     """The problem on a simulator that remembers violations, if the problem says what they are."""
     if problem.unsafe is not None:
-        return replace(problem, simulator=LatchedSimulator(problem.simulator, problem.unsafe))
+        return replace(problem, simulator=AbsorbingSimulator(problem.simulator, problem.unsafe))
     if problem.monitor is not None:
         return replace(problem, simulator=MonitoredSimulator(problem.simulator, problem.monitor))
     return problem

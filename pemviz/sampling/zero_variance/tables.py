@@ -29,7 +29,7 @@ from pemviz.sampling.zero_variance.values import (
     log_sum_by,
     solve,
 )
-from pemviz.simulators.latched import VIOLATED
+from pemviz.simulators.absorbing import VIOLATED
 from pemviz.simulators.latents import begun
 from pemviz.simulators.quantised import start_cells
 from pemviz.types import Signal, Simulator

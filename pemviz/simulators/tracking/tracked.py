@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import ConfigError
-from pemviz.simulators.latched import WrappedSimulator
+from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import Slot, SlotSimulator
 from pemviz.simulators.tracking.tracker import Tracker

@@ -8,9 +8,9 @@ import pytest
 
 from pemviz.errors import ConfigError
 from pemviz.sampling.state.composed import with_last_outcome
+from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.families.features import FamilyFeatures
-from pemviz.simulators.latched import LatchedSimulator, MonitoredSimulator
 from pemviz.simulators.latents import salient_of, stepped
 from pemviz.simulators.slots import SeenStates, UnrolledSimulator
 from pemviz.stl import parse
@@ -62,14 +62,14 @@ class Counted(TwoCars):
         return super().salient(signals)
 
 
-@pytest.mark.parametrize("wrapped", ["alone", "latched", "monitored"])
+@pytest.mark.parametrize("wrapped", ["alone", "absorbing", "monitored"])
 def test_a_scenario_is_asked_once_a_step(wrapped):
     """In the turns of all slots together, whatever wraps it."""
     cars = Counted()
     simulator = with_last_outcome(UnrolledSimulator(cars), tau_s=0.2)
     rule = parse("always[0,3] (gap_a >= 0.5)")
-    if wrapped == "latched":
-        simulator = LatchedSimulator(simulator, lambda states: states.signals["gap_a"] < 0.5)
+    if wrapped == "absorbing":
+        simulator = AbsorbingSimulator(simulator, lambda states: states.signals["gap_a"] < 0.5)
     elif wrapped == "monitored":
         simulator = MonitoredSimulator(simulator, FormulaMonitor(rule))
     for states, *_ in steps(simulator, count=3):

@@ -1,7 +1,8 @@
-"""A broad family that moves latents, for pilots: up and down, by a few strengths, nothing fitted.
+"""A broad family of proposals that move latents: up and down, by a few strengths, nothing fitted.
 
-It goes with :mod:`pemviz.proposals.pilots`: a pilot's outcomes, latents at the start and noise are
-drawn from a member of a family each, one independent of the other, so that likelihoods multiply.
+It goes with :mod:`pemviz.proposals.exploration`: an exploration proposal's outcomes, latents at the
+start and noise are drawn from a member of a family each, one independent of the other, so that
+likelihoods multiply.
 """
 
 from collections.abc import Iterator
@@ -66,7 +67,7 @@ class LatentFamily:
             noise=noise,
         )
 
-    def drawn(self, count: int, generator: np.random.Generator, *, of: int) -> "LatentPilots":
+    def drawn(self, count: int, generator: np.random.Generator, *, of: int) -> "LatentExploration":
         """Members for the first ``count`` of N rollouts, systematically, in random order."""
         at_start = np.zeros((of, self.start.shape[1]))
         at_start[:count] = self.start[_systematic(self.start_share, count, generator)]
@@ -75,7 +76,7 @@ class LatentFamily:
         mean = np.zeros((of, self.noise))
         if self.noise:
             mean[np.arange(of), self.latent[member]] = self.mean[member]
-        return LatentPilots(at_start, mean, self.first[member], self.stop[member])
+        return LatentExploration(at_start, mean, self.first[member], self.stop[member])
 
     def log_ratio(self, start: FloatArray, noise: FloatArray, acts: BoolArray) -> FloatArray:
         """Log of the families' density over the model's, ``[N]``.
@@ -108,7 +109,7 @@ class LatentFamily:
 
 
 @dataclass(frozen=True, eq=False)
-class LatentPilots:
+class LatentExploration:
     """Members for N rollouts.
 
     Attributes:
@@ -123,9 +124,11 @@ class LatentPilots:
     first: IntArray
     stop: IntArray
 
-    def rows(self, rows: slice) -> "LatentPilots":
+    def rows(self, rows: slice) -> "LatentExploration":
         """Of some of the rollouts."""
-        return LatentPilots(self.start[rows], self.noise[rows], self.first[rows], self.stop[rows])
+        return LatentExploration(
+            self.start[rows], self.noise[rows], self.first[rows], self.stop[rows]
+        )
 
     def noise_mean(self, step: int) -> FloatArray:
         """Of the noise of a step, ``[N, M]``."""

@@ -17,7 +17,8 @@ from pemviz.proposals.offset_logistic import StateFeatures, acting
 from pemviz.types import RolloutBatch, StateBatch
 
 CEILING_LOGIT = 3.0
-"""Logit of the largest probability, 0.95, that a pilot raises (or a detection's, lowers) to."""
+"""Logit of the largest probability, 0.95, that an exploration proposal raises (or a detection's,
+lowers) to."""
 EVERYWHERE = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, -1.0)
 """Strengths of the members whose window is the whole rollout."""
 WINDOWED = (0.6, 1.0)
@@ -29,7 +30,7 @@ SLOT_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class PilotFamily:
+class ExplorationFamily:
     """Members F, each a strength and a window of steps.
 
     A strength s in (0, 1] raises the logit u of a miss to u + s max(c - u, 0), one below 0 lowers
@@ -52,13 +53,13 @@ class PilotFamily:
     turns: int = 1
 
     @staticmethod
-    def over(steps: int, *, turns: int = 1) -> "PilotFamily":
+    def over(steps: int, *, turns: int = 1) -> "ExplorationFamily":
         """The family for rollouts of ``steps`` outcomes, of slots that take ``turns``."""
         family = _over_all(steps)
         if turns == 1:
             return family
         alone = np.repeat(np.arange(turns), len(EVERYWHERE))
-        return PilotFamily(
+        return ExplorationFamily(
             strength=np.concatenate([family.strength, np.tile(EVERYWHERE, turns)]),
             first=np.pad(family.first, (0, alone.size)),
             stop=np.pad(family.stop, (0, alone.size), constant_values=steps),
@@ -77,7 +78,7 @@ class PilotFamily:
         features: StateFeatures,
         violated: str,
         of: int | None = None,
-    ) -> "PilotProposal":
+    ) -> "ExplorationProposal":
         """Members for ``count`` rollouts, systematically so that shares are kept, in random order.
 
         Args:
@@ -92,7 +93,7 @@ class PilotFamily:
         member = np.searchsorted(edges, places * edges[-1], side="right")
         member = generator.permutation(np.minimum(member, edges.size - 1))
         rest = (0, (of or count) - count)
-        return PilotProposal(
+        return ExplorationProposal(
             strength=np.pad(self.strength[member], rest),
             first=np.pad(self.first[member], rest),
             stop=np.pad(self.stop[member], rest),
@@ -132,16 +133,17 @@ class PilotFamily:
 
 
 @dataclass(frozen=True, eq=False)
-class PilotProposal:
+class ExplorationProposal:
     """Members of the family, one for each of N rollouts.
 
     Attributes:
         strength: ``[N]``.
         first: First step of the window, ``[N]``.
         stop: The step after its last, ``[N]``.
-        features: Tell where the scenario reacts; elsewhere a pilot is the error model.
+        features: Tell where the scenario reacts; elsewhere an exploration proposal is the error
+            model.
         violated: Name of the memory that says whether a rollout has violated already.
-        slot: As :class:`PilotFamily` has it, ``[N]``.
+        slot: As :class:`ExplorationFamily` has it, ``[N]``.
         turns: Likewise.
     """
 
@@ -184,13 +186,13 @@ class PilotProposal:
 
 
 def raised(miss_logit: FloatArray, strength: FloatArray | float) -> FloatArray:
-    """The logit of a miss under a pilot of a strength."""
+    """The logit of a miss under an exploration proposal of a strength."""
     up = (CEILING_LOGIT - miss_logit).clip(0.0)
     down = (miss_logit + CEILING_LOGIT).clip(0.0)
     return miss_logit + strength * np.where(strength > 0.0, up, down)
 
 
-def _over_all(steps: int) -> PilotFamily:
+def _over_all(steps: int) -> ExplorationFamily:
     """Members that raise all slots' errors alike."""
     lengths = _windows(steps)
     members = [(strength, 0, steps) for strength in EVERYWHERE]
@@ -200,7 +202,7 @@ def _over_all(steps: int) -> PilotFamily:
         members += alike
         share += [WINDOWED_SHARE / len(lengths) / len(alike)] * len(alike)
     strength, first, stop = zip(*members, strict=True)
-    return PilotFamily(
+    return ExplorationFamily(
         strength=np.array(strength),
         first=np.array(first, dtype=np.int64),
         stop=np.array(stop, dtype=np.int64),

@@ -110,7 +110,7 @@ class WrappedSimulator:
 
 
 @dataclass(frozen=True)
-class LatchedSimulator(WrappedSimulator):
+class AbsorbingSimulator(WrappedSimulator):
     """Remembers violations where single states decide them, as ``violated`` in the memory.
 
     A proposal that makes violations likely must know when there has been one: from then on
@@ -129,16 +129,16 @@ class LatchedSimulator(WrappedSimulator):
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The back end's initial states and whether they violate."""
         states = begun(self.scenario, count=count, start=start)
-        return self._latched(states, np.zeros(count, dtype=np.bool_))
+        return self._absorbed(states, np.zeros(count, dtype=np.bool_))
 
     def step(
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
     ) -> StateBatch:
         """The back end's next states; a violation stays."""
         after = stepped(self.scenario, states, detected, noise)
-        return self._latched(after, states.memory[VIOLATED])
+        return self._absorbed(after, states.memory[VIOLATED])
 
-    def _latched(self, states: StateBatch, before: BoolArray) -> StateBatch:
+    def _absorbed(self, states: StateBatch, before: BoolArray) -> StateBatch:
         return replace(states, memory={**states.memory, VIOLATED: before | self.unsafe(states)})
 
 
