@@ -42,7 +42,7 @@ class ApproachingWalk(ToySimulator):
 
 
 @dataclass(frozen=True)
-class Looking(SignalFeatures):
+class Evaluating(SignalFeatures):
     """Where the walk reacts: truly so from step BLIND on."""
 
     since: int = BLIND
@@ -95,7 +95,7 @@ def truth(memory):
 
 
 def curve_of(problem=PROBLEM, *, since=BLIND, curve=frailty_curve, **options):
-    features = Looking(WALK.signals, since)
+    features = Evaluating(WALK.signals, since)
     options = {"rollouts": 1200, **options}
     return curve(problem, pem=PEM, features=features, seed=2, **options)
 

@@ -17,7 +17,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
 from pemviz.sampling.mixture.drawing import components
 from pemviz.sampling.mixture.estimate import disagreements
-from pemviz.sampling.mixture.failure_modes import WeightedRollouts, ways_of
+from pemviz.sampling.mixture.failure_modes import WeightedRollouts, failure_modes_of
 from pemviz.sampling.mixture.fit import guided_elites
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
@@ -229,7 +229,7 @@ def test_a_single_rollout_is_one_way_of_failing():
         weight=np.ones(9),
     )
     alone = WeightedRollouts(outcomes, np.zeros(9, dtype=np.int64), np.ones(1))
-    assert ways_of(alone, np.zeros(1), ridge=np.ones(1)).share.tolist() == [1.0]
+    assert failure_modes_of(alone, np.zeros(1), ridge=np.ones(1)).share.tolist() == [1.0]
 
 
 def pool_of(log_ratio, component, violated):

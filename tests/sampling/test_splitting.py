@@ -14,8 +14,8 @@ from pemviz.faults import SimulationError
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.splitting.evaluated_states import MOST_EVALUATIONS
 from pemviz.sampling.splitting.importance import OUT_OF_REACH, importance
-from pemviz.sampling.splitting.looks import MOST_LOOKS
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.splitting.particles import beginning, continued, restart
 from pemviz.sampling.splitting.run import split
@@ -153,7 +153,7 @@ def test_continuing_from_kept_states_is_replaying(braking):
 def test_looks_are_where_an_unlikely_outcome_changed_something(braking):
     """Beyond 10 m the ego takes no notice of what it detects."""
     particles = drawn(braking, count=300, generator=np.random.default_rng(2))
-    fresh = np.diff(particles.looks, axis=1) > 0
+    fresh = np.diff(particles.evaluations, axis=1) > 0
     near = particles.rollouts.signals["gap"][:, :-1] < braking_limit_m()
     np.testing.assert_array_equal(fresh[:, :-1], (near & ~particles.rollouts.detected)[:, :-1])
     assert not fresh[:, -1].any()  # the last state needs none
@@ -191,14 +191,14 @@ def test_cost_is_linear_in_the_length_of_a_rollout(states):
     )
     count, each = 20, 2 + math.ceil(math.log2(states))  # two extremes and a bisection
     particles = drawn(problem, count=count, generator=np.random.default_rng(0))
-    assert particles.looks.max() <= MOST_LOOKS
-    assert simulator.rows <= (2 + each * MOST_LOOKS) * states * count
+    assert particles.evaluations.max() <= MOST_EVALUATIONS
+    assert simulator.rows <= (2 + each * MOST_EVALUATIONS) * states * count
     before = simulator.rows
     cut = np.full(count, states // 2)
     generator = np.random.default_rng(1)
     wanted = restart(particles, parent=np.arange(count), cut=cut, generator=generator)
     continued(problem, [wanted])
-    assert simulator.rows - before <= (2 + each * MOST_LOOKS) * (states - states // 2) * count
+    assert simulator.rows - before <= (2 + each * MOST_EVALUATIONS) * (states - states // 2) * count
 
 
 def counted(miss_probability, states=20):

@@ -29,12 +29,12 @@ from pemviz.proposals.latent_means import (
 )
 from pemviz.proposals.offset_logistic_fit import LogisticFit, WeightedOutcomes, group_sums
 
-MOST_WAYS = 4
+MOST_MODES = 4
 LEAST_SCATTER = 4.0
 """Variance of the fitted rollouts' scores along the worst direction; 1 if they were its draws."""
 ROUNDS = 8
 SAMPLE = 100
-"""Rollouts by which ways are told apart: enough for a handful, and cheap."""
+"""Rollouts by which failure modes are told apart: enough for a handful, and cheap."""
 Ridges = tuple[FloatArray, FloatArray]
 """Penalties of the coefficients, ``[B]``, and of those of the means of noise, ``[B']``."""
 
@@ -85,7 +85,7 @@ class WeightedRollouts:
 
 
 @dataclass(frozen=True)
-class Ways:
+class FailureModes:
     """A mixture of C proposals.
 
     Attributes:
@@ -129,7 +129,7 @@ class Ways:
         return np.exp(joint - np.asarray(log_sum_exp(joint, axis=1))[:, None])
 
 
-def ways_of(
+def failure_modes_of(
     rollouts: WeightedRollouts,
     first: FloatArray,
     *,
@@ -138,7 +138,7 @@ def ways_of(
     noise_ridge: FloatArray | None = None,
     least_scatter: float = LEAST_SCATTER,
     price: float = 1.0,
-) -> Ways:
+) -> FailureModes:
     """As many proposals as the rollouts' likelihood asks for, the largest share first.
 
     Args:
@@ -150,19 +150,19 @@ def ways_of(
         least_scatter: Proposals whose rollouts scatter less are not split.
         price: Of another proposal, in units of the Bayesian information criterion.
     """
-    ways = Ways(first[None, :], np.ones(1), (means,))
+    modes = FailureModes(first[None, :], np.ones(1), (means,))
     ridges = ridge, np.empty(0) if noise_ridge is None else noise_ridge
-    if _scatter(rollouts, *ways.each[0], rollouts.weight, ridges)[0] < least_scatter:
-        return ways
+    if _scatter(rollouts, *modes.each[0], rollouts.weight, ridges)[0] < least_scatter:
+        return modes
     few = rollouts.resampled(SAMPLE)
-    while ways.share.size < MOST_WAYS:
-        tried = _split(few, ways, ridges, least_scatter)
-        if tried is None or _gain(few, ways, tried) <= price * _price(few, ridges):
+    while modes.share.size < MOST_MODES:
+        tried = _split(few, modes, ridges, least_scatter)
+        if tried is None or _gain(few, modes, tried) <= price * _price(few, ridges):
             break
-        ways = tried
-    order = np.argsort(-ways.share, kind="stable")
-    ordered = tuple(ways.means[place] for place in order)
-    return Ways(ways.coefficients[order], ways.share[order], ordered)
+        modes = tried
+    order = np.argsort(-modes.share, kind="stable")
+    ordered = tuple(modes.means[place] for place in order)
+    return FailureModes(modes.coefficients[order], modes.share[order], ordered)
 
 
 def _price(rollouts: WeightedRollouts, ridges: Ridges) -> float:
@@ -173,22 +173,22 @@ def _price(rollouts: WeightedRollouts, ridges: Ridges) -> float:
     return 0.5 * size * float(np.log(max(rollouts.weight.sum(), np.e)))
 
 
-def _gain(rollouts: WeightedRollouts, before: Ways, after: Ways) -> float:
+def _gain(rollouts: WeightedRollouts, before: FailureModes, after: FailureModes) -> float:
     totals = [
-        float(rollouts.weight @ np.asarray(log_sum_exp(ways.log_joint(rollouts), axis=1)))
-        for ways in (before, after)
+        float(rollouts.weight @ np.asarray(log_sum_exp(modes.log_joint(rollouts), axis=1)))
+        for modes in (before, after)
     ]
     return totals[1] - totals[0]
 
 
 def _split(
-    rollouts: WeightedRollouts, ways: Ways, ridges: Ridges, least_scatter: float
-) -> Ways | None:
+    rollouts: WeightedRollouts, modes: FailureModes, ridges: Ridges, least_scatter: float
+) -> FailureModes | None:
     """One proposal more, fitted from a cut through the part that scatters most."""
-    shares = ways.responsibilities(rollouts)
+    shares = modes.responsibilities(rollouts)
     scatter = [
         _scatter(rollouts, *one, rollouts.weight * shares[:, index], ridges)
-        for index, one in enumerate(ways.each)
+        for index, one in enumerate(modes.each)
     ]
     worst = int(np.argmax([largest for largest, _ in scatter]))
     largest, place = scatter[worst]
@@ -197,9 +197,9 @@ def _split(
     upper = place > _cut(place, rollouts.weight * shares[:, worst])
     shares = np.hstack([shares, (shares[:, worst] * upper)[:, None]])
     shares[upper, worst] = 0.0
-    start = (*ways.coefficients, ways.coefficients[worst])
+    start = (*modes.coefficients, modes.coefficients[worst])
     fits = [LogisticFit(one, rollouts.outcomes, ridges[0]) for one in start]
-    means, tried = (*ways.means, ways.means[worst]), ways
+    means, tried = (*modes.means, modes.means[worst]), modes
     for _ in range(ROUNDS):
         weights = (rollouts.weight[:, None] * shares).T
         share = weights.sum(axis=1)
@@ -212,7 +212,7 @@ def _split(
             _next_means(one, rollouts, weight, ridges[1])
             for one, weight in zip(means, weights, strict=True)
         )
-        tried = Ways(np.stack([f.coefficients for f in fits]), share / share.sum(), means)
+        tried = FailureModes(np.stack([f.coefficients for f in fits]), share / share.sum(), means)
         shares = tried.responsibilities(rollouts, [fit.cross_entropy for fit in fits])
     return tried
 

@@ -21,11 +21,11 @@ from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, smoothed_weights
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule
 from pemviz.sampling.mixture.failure_modes import (
-    Ways,
+    FailureModes,
     WeightedRollouts,
     at_most,
+    failure_modes_of,
     shares_of_draws,
-    ways_of,
 )
 
 NEGLIGIBLE_SHARE = 1e-4
@@ -131,23 +131,23 @@ def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -
     first = fitted(pool, basis, elites, weight, settings)
     learned = learned_from(pool, weight)
     ridge = ridge_by_degree(basis, settings.ridge, varied=pool.varied)
-    ways = ways_of(
+    modes = failure_modes_of(
         learned,
         first.coefficients,
         means=first.means,
         ridge=ridge,
         noise_ridge=noise_ridge(basis, settings),
     )
-    if ways.share.size == 1:
+    if modes.share.size == 1:
         return (first,)
-    parts = np.zeros((ways.share.size, pool.count))
+    parts = np.zeros((modes.share.size, pool.count))
     parts[:, weight > 0.0] = _parts(
-        ways, learned, pool.log_weight[weight > 0.0], exponent, settings
+        modes, learned, pool.log_weight[weight > 0.0], exponent, settings
     )
     return tuple(
         replace(fitted(pool, basis, elites, part, settings, start=start), share=share)
         for part, start, share in zip(
-            parts, ways.coefficients, shares_of_draws(ways.share), strict=True
+            parts, modes.coefficients, shares_of_draws(modes.share), strict=True
         )
     )
 
@@ -333,18 +333,18 @@ def learned_from(pool: Pool, weight: FloatArray) -> WeightedRollouts:
 
 
 def _parts(
-    ways: Ways,
+    modes: FailureModes,
     learned: WeightedRollouts,
     log_weight: FloatArray,
     exponent: float,
     settings: FitSettings,
 ) -> FloatArray:
-    """Weights of the E rollouts for each of C ways, by how likely they are its own, ``[C, E]``.
+    """Weights of E rollouts for each of C failure modes: how likely they are its own, ``[C, E]``.
 
-    They are smoothed anew, for a way may have few rollouts where all together have many.
+    They are smoothed anew, for a mode may have few rollouts where all together have many.
     """
     parts: list[FloatArray] = []
-    for share in ways.responsibilities(learned).T:
+    for share in modes.responsibilities(learned).T:
         own = log_weight[share > 0.5]
         if settings.alpha is None and own.size:
             aim = min(max(settings.elites, settings.ess_share * own.size), own.size / 2)

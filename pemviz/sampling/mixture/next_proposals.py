@@ -17,7 +17,12 @@ from pemviz.proposals.offset_logistic_fit import fit_offset_logistic
 from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 from pemviz.sampling.mixture.balance_heuristic import Pool, log_ratios
-from pemviz.sampling.mixture.failure_modes import SAMPLE, Ways, WeightedRollouts, ways_of
+from pemviz.sampling.mixture.failure_modes import (
+    SAMPLE,
+    FailureModes,
+    WeightedRollouts,
+    failure_modes_of,
+)
 from pemviz.sampling.mixture.fit import (
     Elites,
     Fit,
@@ -128,9 +133,9 @@ def fit_to_hidden_ways(
     even = smoothing_exponent(log_weight, least_ess=EVEN_SHARE * hidden.count)
     weight = weights_of(pool, hidden, exponent=even)
     learned, rollouts = learned_from(pool, weight), np.flatnonzero(weight > 0.0)
-    ways = _told_apart(learned.resampled(SAMPLE), basis, settings, varied=pool.varied)
+    modes = _told_apart(learned.resampled(SAMPLE), basis, settings, varied=pool.varied)
     fits: list[Fit] = []
-    for share in ways.responsibilities(learned).T:
+    for share in modes.responsibilities(learned).T:
         chosen = np.zeros_like(hidden.chosen)
         chosen[rollouts[share > 0.5]] = True
         own = Elites(VIOLATION_THRESHOLD, chosen)
@@ -147,7 +152,7 @@ def fit_to_hidden_ways(
 
 def _told_apart(
     few: WeightedRollouts, basis: PolynomialBasis, settings: FitSettings, *, varied: bool
-) -> Ways:
+) -> FailureModes:
     """Failure modes among few rollouts."""
     ridge, of_noise = (
         ridge_by_degree(basis, settings.ridge, varied=varied),
@@ -157,7 +162,7 @@ def _told_apart(
     means = None
     if few.latents is not None:
         means = fit_means(few.latents, few.weight, ridge=of_noise).means
-    return ways_of(
+    return failure_modes_of(
         few,
         first.coefficients,
         means=means,

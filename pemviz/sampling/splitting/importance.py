@@ -13,7 +13,7 @@ from scipy.special import log_expit
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.chunks import distinct_rows
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.splitting.ways import Ways
+from pemviz.sampling.splitting.prefixes import Prefixes
 from pemviz.types import RolloutBatch
 
 OUT_OF_REACH = 1e9
@@ -69,25 +69,25 @@ def _of_block(
     if alike is not None:
         first, which = alike
         return _of_block(problem, rollouts, row[first], step[first])[which]
-    ways = Ways(rollouts, row, step)
+    prefixes = Prefixes(rollouts, row, step)
     none = np.zeros(row.size, dtype=np.int64)
     detected, missed = (
-        ways.carried_on(problem, others=none, then=np.full(row.size, outcome))
+        prefixes.carried_on(problem, others=none, then=np.full(row.size, outcome))
         for outcome in (True, False)
     )
     best, worst = np.maximum(detected, missed), np.minimum(detected, missed)
     result = np.where(best < 0.0, best, OUT_OF_REACH + worst)
     between = np.flatnonzero((best >= 0.0) & (worst < 0.0))
     if between.size:
-        ways = ways if between.size == row.size else ways.take(between)
+        prefixes = prefixes if between.size == row.size else prefixes.take(between)
         better = detected[between] >= missed[between]
         needed = _needed_on_end(
-            lambda others: ways.carried_on(problem, others=others, then=better),
+            lambda others: prefixes.carried_on(problem, others=others, then=better),
             best[between],
             worst[between],
-            steps_left=problem.simulator.states - 1 - ways.step,
+            steps_left=problem.simulator.states - 1 - prefixes.step,
         )
-        logit = rollouts.pem_logit[row[between], ways.step]
+        logit = rollouts.pem_logit[row[between], prefixes.step]
         result[between] = -needed * log_expit(np.where(better, -logit, logit))
     return result
 

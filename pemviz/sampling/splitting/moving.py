@@ -15,7 +15,7 @@ from pemviz.types import RolloutBatch, StateBatch
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class CutRollouts:
     """M rollouts that are to go on, each from one of its states.
 
     Attributes:
@@ -31,9 +31,9 @@ class Way:
     noise: FloatArray
 
 
-def moved_on(problem: Problem, way: Way) -> RolloutBatch:
+def moved_on(problem: Problem, started: CutRollouts) -> RolloutBatch:
     """The rollouts to their ends, under the error model; the given ones are overwritten."""
-    simulator, rollouts, cut = problem.simulator, way.rollouts, way.cut
+    simulator, rollouts, cut = problem.simulator, started.rollouts, started.cut
     slots = unrolled(simulator)
     arriving = carried_at(simulator, rollouts, step=cut)
     carried = {name: values[:0] for name, values in arriving.items()}
@@ -49,8 +49,8 @@ def moved_on(problem: Problem, way: Way) -> RolloutBatch:
         before = before if slots is None else slots.seen(before)
         salient = salient_of(simulator, before)
         logit = logit_of(problem.pem, salient, step=step // problem.turns)
-        detected = way.uniforms[step, :active] >= expit(-logit)
-        noise = _drawn_noise(way, step, active, turns=problem.turns)
+        detected = started.uniforms[step, :active] >= expit(-logit)
+        noise = _drawn_noise(started, step, active, turns=problem.turns)
         after = stepped(simulator, before, detected, noise)
         rollouts.pem_logit[:active, step] = logit
         rollouts.detected[:active, step] = detected
@@ -76,10 +76,10 @@ def is_last_of_step(rollouts: RolloutBatch, outcome: int, *, turns: int) -> bool
     return latents is not None and latents.noise.shape[2] > 0 and (outcome + 1) % turns == 0
 
 
-def _drawn_noise(way: Way, step: int, active: int, *, turns: int) -> FloatArray | None:
+def _drawn_noise(started: CutRollouts, step: int, active: int, *, turns: int) -> FloatArray | None:
     """The noise ``[active, M]`` of the step that an outcome belongs to, written to the rollouts."""
-    latents = way.rollouts.latents
-    if latents is None or not is_last_of_step(way.rollouts, step, turns=turns):
+    latents = started.rollouts.latents
+    if latents is None or not is_last_of_step(started.rollouts, step, turns=turns):
         return None
-    latents.noise[:active, step // turns] = way.noise[:active, step // turns]
+    latents.noise[:active, step // turns] = started.noise[:active, step // turns]
     return latents.noise[:active, step // turns]

@@ -16,9 +16,9 @@ from pemviz.faults import of_no_rollouts, reordered
 from pemviz.latents import Latents
 from pemviz.sampling.problem import Problem, ranked
 from pemviz.sampling.rollouts.batches import check_numbers
+from pemviz.sampling.splitting.evaluated_states import EVALUATION_COUNT, evaluated_at
 from pemviz.sampling.splitting.importance import importance, importance_at_end
-from pemviz.sampling.splitting.looks import LOOKS, looked_at
-from pemviz.sampling.splitting.moving import Way, moved_on
+from pemviz.sampling.splitting.moving import CutRollouts, moved_on
 from pemviz.sampling.state.composed import kept_with_rollouts
 from pemviz.simulators.latents import begun, latent_counts
 from pemviz.simulators.slots import SeenStates
@@ -33,13 +33,13 @@ class Particles(Batch):
         rollouts: The rollouts, without logits of a proposal: it is the error model.
         score: ``[N, T]``: the importance function at the states so far, running minimum; see
             :func:`pemviz.sampling.splitting.importance.importance`.
-        looks: ``[N, T]``: at how many of the states so far it was computed.
+        evaluations: ``[N, T]``: at how many of the states so far it was computed.
         ancestor: ``[N]``: which of the particles at the start of the run each descends from.
     """
 
     rollouts: RolloutBatch
     score: FloatArray
-    looks: AnyArray
+    evaluations: AnyArray
     ancestor: IntArray
 
     @property
@@ -102,7 +102,7 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
             latents=_unmoved(normals, noise) if counts else None,
         ),
         score=np.full((count, states), np.inf),
-        looks=np.zeros((count, states), dtype=LOOKS),
+        evaluations=np.zeros((count, states), dtype=EVALUATION_COUNT),
         ancestor=np.arange(count),
     )
     return Continuation(
@@ -191,12 +191,12 @@ def _first_column(values: AnyArray, states: int) -> AnyArray:
 def _continued(problem: Problem, run: Continuation) -> Particles:
     """A run's particles, gone on after the states ``cut``."""
     paths, cut = run.paths, run.cut
-    rollouts = moved_on(problem, Way(paths.rollouts, cut, run.uniforms, run.noise))
+    rollouts = moved_on(problem, CutRollouts(paths.rollouts, cut, run.uniforms, run.noise))
     name = problem.simulator.name
     check_numbers(rollouts, simulator=name, turns=problem.turns)
     with of_no_rollouts():  # what might have been
-        to_look = looked_at(problem, rollouts, cut=cut, looks=paths.looks)
-        step, row = np.nonzero(to_look.T)
+        to_evaluate = evaluated_at(problem, rollouts, cut=cut, evaluations=paths.evaluations)
+        step, row = np.nonzero(to_evaluate.T)
         fresh = np.full_like(paths.score, np.inf)
         fresh[row, step] = importance(problem, rollouts, row=row, step=step)
     fresh[:, -1] = importance_at_end(ranked(problem, rollouts.signals))

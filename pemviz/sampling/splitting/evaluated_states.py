@@ -9,16 +9,16 @@ from pemviz.sampling.state.composed import dynamics_of
 from pemviz.simulators.latents import stepped
 from pemviz.types import CERTAIN, RolloutBatch, Simulator, StateBatch
 
-MOST_LOOKS = 64
+MOST_EVALUATIONS = 64
 """States of one rollout at which the importance function is computed at most, so that what a
 rollout costs grows with its length and not with its square; half of them may be at its start,
 the rest come evenly over the steps."""
-LOOKS = np.int16
+EVALUATION_COUNT = np.int16
 """Of their numbers."""
 
 
-def looked_at(
-    problem: Problem, rollouts: RolloutBatch, *, cut: IntArray, looks: AnyArray
+def evaluated_at(
+    problem: Problem, rollouts: RolloutBatch, *, cut: IntArray, evaluations: AnyArray
 ) -> BoolArray:
     """At which states ``[N, T]`` after ``cut [N]``, ascending, it is computed.
 
@@ -30,11 +30,11 @@ def looked_at(
     Args:
         problem: The scenario.
         rollouts: N, whole.
-        cut: The last state of each that was looked at before, or passed over.
-        looks: ``[N, T]``: how often it was computed so far; overwritten after ``cut``.
+        cut: The last state of each that was evaluated before, or passed over.
+        evaluations: ``[N, T]``: how often it was computed so far; overwritten after ``cut``.
     """
     count, steps = rollouts.detected.shape
-    to_look = np.zeros((count, steps + 1), dtype=np.bool_, order="F")
+    to_evaluate = np.zeros((count, steps + 1), dtype=np.bool_, order="F")
     pending = np.zeros(count, dtype=np.bool_)
     for step in range(int(cut[0]), steps):
         active = int(np.searchsorted(cut, step, side="right"))
@@ -50,18 +50,20 @@ def looked_at(
             rollouts.memory[CERTAIN][:active, step + 1] if CERTAIN in rollouts.memory else False
         )
         ready = pending[:active] & ~np.asarray(certain)
-        pending[:active] &= ~_marked(to_look, looks, ready, step + 1)
-    return to_look
+        pending[:active] &= ~_marked(to_evaluate, evaluations, ready, step + 1)
+    return to_evaluate
 
 
-def _marked(to_look: BoolArray, looks: AnyArray, ready: BoolArray, step: int) -> BoolArray:
-    """Decide and tell which of the first particles, ``ready [M]``, are looked from at ``step``."""
-    last, active = looks.shape[1] - 1, ready.size
-    allowed = MOST_LOOKS * (last + step) // (2 * last) if step < last else 0
-    before = looks[:active, step - 1]
+def _marked(
+    to_evaluate: BoolArray, evaluations: AnyArray, ready: BoolArray, step: int
+) -> BoolArray:
+    """Decide and tell which of the first particles, ``ready [M]``, are evaluated at ``step``."""
+    last, active = evaluations.shape[1] - 1, ready.size
+    allowed = MOST_EVALUATIONS * (last + step) // (2 * last) if step < last else 0
+    before = evaluations[:active, step - 1]
     chosen = ready & (before < allowed)
-    to_look[:active, step] = chosen
-    looks[:active, step] = before + chosen
+    to_evaluate[:active, step] = chosen
+    evaluations[:active, step] = before + chosen
     return chosen
 
 

@@ -1,4 +1,4 @@
-"""Ways of rollouts up to some of their states, gone on with outcomes that are given."""
+"""Prefixes: rollouts up to some of their states, gone on with outcomes that are given."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,11 +14,11 @@ from pemviz.types import RolloutBatch, Simulator, StateBatch
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
-    """M ways to states, in the order of the states' steps.
+class Prefixes:
+    """M prefixes, each to a state, in the order of the states' steps.
 
     Attributes:
-        rollouts: Whose ways they are.
+        rollouts: Whose prefixes they are.
         row: Which rollout, ``[M]``.
         step: To which of its states, ``[M]``, ascending.
     """
@@ -27,9 +27,9 @@ class Ways:
     row: IntArray
     step: IntArray
 
-    def take(self, chosen: IntArray) -> "Ways":
+    def take(self, chosen: IntArray) -> "Prefixes":
         """Some of them, in their order."""
-        return Ways(self.rollouts, self.row[chosen], self.step[chosen])
+        return Prefixes(self.rollouts, self.row[chosen], self.step[chosen])
 
     def carried_on(self, problem: Problem, *, others: IntArray, then: BoolArray) -> FloatArray:
         """Robustness ``[M]``, `ranked`, of rollouts that go on to their ends with given outcomes.
@@ -70,9 +70,9 @@ class Ways:
                 memory={**states.memory, **reached.memory},
             )
 
-    def _at(self, ways: slice, *, moment: int) -> StateBatch:
-        """The states that some of the ways lead to, all of the step ``moment``."""
-        row, step = self.row[ways], self.step[ways]
+    def _at(self, prefixes: slice, *, moment: int) -> StateBatch:
+        """The states that some of the prefixes lead to, all of the step ``moment``."""
+        row, step = self.row[prefixes], self.step[prefixes]
         kept = kept_with_rollouts(self.rollouts.memory)
         return StateBatch(
             step=np.array(moment, dtype=np.int64),
