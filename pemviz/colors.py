@@ -28,7 +28,7 @@ SOURCES = {
     "sampling": BLUE,
     "reference": GREEN,
     "refits": ORANGE,
-    "families": VERMILLION,
+    "model-classes": VERMILLION,
     "memory": GREY,
     "data": PURPLE,
 }

@@ -113,9 +113,9 @@ def models_chart(result: RunResult) -> IntervalChart | None:
         ends = interval.low or 0.0, interval.high
         name = f"its {interval.members} refits"
         rows.append(Row(name, *ends, refits, ORANGE, figures=range_text(*ends)))
-    for family in sorted(result.families, key=lambda one: one.log10_probability):
-        rough = "" if family.is_reliable else " (rough)"
-        rows.append(_point(f"{family.name}{rough}", family.probability, VERMILLION))
+    for model_class in sorted(result.model_classes, key=lambda one: one.log10_probability):
+        rough = "" if model_class.is_reliable else " (rough)"
+        rows.append(_point(f"{model_class.name}{rough}", model_class.probability, VERMILLION))
     if len(rows) < 2:
         return None
     if result.reference is not None:

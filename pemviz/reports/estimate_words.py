@@ -11,7 +11,7 @@ from pemviz.sampling.estimates.trust import rests_on_weights
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate
 
-REFITS = "refits of one architecture on the same data, not other model families"
+REFITS = "refits of one architecture on the same data, not other model classes"
 """What the error model's ensemble is."""
 
 

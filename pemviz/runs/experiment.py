@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pemviz import stl
-from pemviz.analysis.model_families import families_beside
+from pemviz.analysis.model_classes import model_classes_beside
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.config.toml_files import with_own_rules
 from pemviz.errors import ConfigError
@@ -52,7 +52,7 @@ class Experiment:
     Attributes:
         config: What was asked, validated.
         ensemble: Models that its training data could as well have produced, if there are any.
-        families: Models of other families that were trained on the same data.
+        model_classes: Models of other classes that were trained on the same data.
         formula: The specification.
         problem: What is to be estimated.
         back_end: The simulator with its twin, if it has one, and what proposals may look at.
@@ -69,7 +69,7 @@ class Experiment:
     back_end: BackEnd
     method: Method[Any]
     planned_rollouts: int
-    families: tuple[Pem, ...] = ()
+    model_classes: tuple[Pem, ...] = ()
     warnings: tuple[str, ...] = ()
 
     @property
@@ -162,7 +162,7 @@ def build_experiment(
         *latent_warnings(back_end.simulator),
         *check_error_model(model, back_end.simulator),
     )
-    others = () if back_end.is_own else families_beside(model)
+    others = () if back_end.is_own else model_classes_beside(model)
     memory = Memory(tau_s=config.memory_s, frailty=config.frailty)
     properties = properties_of_memory(memory, simulator=back_end.simulator)
     back_end, model = composed(back_end, model, properties=(*properties, *hidden))
@@ -181,7 +181,7 @@ def build_experiment(
         back_end=back_end,
         method=_method(config, problem, back_end),
         planned_rollouts=config.repetitions * by_name(config.method).budget(config).rollouts,
-        families=tuple(as_member(family, like=model) for family in others),
+        model_classes=tuple(as_member(other, like=model) for other in others),
         warnings=warnings,
     )
 

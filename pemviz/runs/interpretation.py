@@ -11,13 +11,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from pemviz.analysis.explanation import explain
-from pemviz.analysis.model_families import (
+from pemviz.analysis.model_classes import (
     MOST_VIOLATIONS,
-    FamilyRatios,
+    ModelClassRatios,
     SomeViolations,
     Violating,
-    family_answers,
-    family_ratios,
+    model_class_answers,
+    model_class_ratios,
     violating,
 )
 from pemviz.analysis.model_uncertainty import (
@@ -62,7 +62,7 @@ Told = TypeVar("Told", bound=SomeViolations)
 
 @dataclass(frozen=True)
 class _Weighed(Generic[Told]):
-    """V of N rollouts' violations, or what families make of them, with log weights ``[V]``."""
+    """V of N rollouts' violations, or what model classes make of them, with log weights ``[V]``."""
 
     told: Told
     log_weight: FloatArray
@@ -89,8 +89,8 @@ class Interpreted:
         result: The result.
         members: The answers of the error model's ensemble on which ``result.pem_interval``
             rests, one for each part of a final batch that was asked.
-        unasked: Violations of the latest stages, of which other families are asked once there are
-            many, or the repetition is done; with the stages' own log weights.
+        unasked: Violations of the latest stages, of which other model classes are asked once
+            there are many, or the repetition is done; with the stages' own log weights.
         of_repetition: What they make of those before, since the last repetition ended.
         of_repetitions: The same of each repetition that is done, with the log weights that its
             estimate averages.
@@ -101,8 +101,8 @@ class Interpreted:
     result: RunResult
     members: tuple[MemberEstimates, ...] = ()
     unasked: tuple[_Weighed[Violating], ...] = ()
-    of_repetition: tuple[_Weighed[FamilyRatios], ...] = ()
-    of_repetitions: tuple[_Weighed[FamilyRatios], ...] = ()
+    of_repetition: tuple[_Weighed[ModelClassRatios], ...] = ()
+    of_repetitions: tuple[_Weighed[ModelClassRatios], ...] = ()
     stage_starts: tuple[StageStarts, ...] = ()
     starts: tuple[Violations, ...] = ()
 
@@ -127,7 +127,7 @@ def interpret(
         return
     pools = isinstance(experiment.method, PoolsStages)
     if stage.kind == "final" or pools:
-        interpreted = _told_families(interpreted, experiment, stage)
+        interpreted = _told_model_classes(interpreted, experiment, stage)
     if stage.kind != "final":
         if pools:
             yield interpreted
@@ -198,11 +198,11 @@ def _asked_of_members(
     return replace(interpreted, result=result, members=members)
 
 
-def _told_families(
+def _told_model_classes(
     interpreted: Interpreted, experiment: Experiment, stage: StageResult
 ) -> Interpreted:
-    """The stage's violations, kept for other families; asked of at once if there are many."""
-    if not experiment.families:
+    """The stage's violations, kept for other model classes; asked of at once if there are many."""
+    if not experiment.model_classes:
         return interpreted
     told, rollouts = violating(stage.scored), stage.scored.rollouts
     number = numbers_of(rollouts.count, stage.drawn)[told.rollout]
@@ -211,16 +211,16 @@ def _told_families(
     unasked = (*interpreted.unasked, weighed)
     interpreted = replace(interpreted, unasked=unasked)
     many = sum(part.told.rollout.size for part in unasked) >= MOST_VIOLATIONS
-    return _asked_of_families(interpreted, experiment) if many else interpreted
+    return _asked_of_model_classes(interpreted, experiment) if many else interpreted
 
 
-def _asked_of_families(interpreted: Interpreted, experiment: Experiment) -> Interpreted:
-    """What other families of models make of the violations that they were not asked of yet."""
+def _asked_of_model_classes(interpreted: Interpreted, experiment: Experiment) -> Interpreted:
+    """What other model classes make of the violations that they were not asked of yet."""
     if not interpreted.unasked:
         return interpreted
     asked = _Weighed.concatenate(interpreted.unasked)
-    simulator, families = experiment.problem.simulator, experiment.families
-    ratios = family_ratios(asked.told, simulator=simulator, families=families)
+    simulator, model_classes = experiment.problem.simulator, experiment.model_classes
+    ratios = model_class_ratios(asked.told, simulator=simulator, model_classes=model_classes)
     weighed = _Weighed(ratios, asked.log_weight, asked.count)
     of_repetition = (*interpreted.of_repetition, weighed)
     return replace(interpreted, unasked=(), of_repetition=of_repetition)
@@ -229,14 +229,14 @@ def _asked_of_families(interpreted: Interpreted, experiment: Experiment) -> Inte
 def interpret_repetition(
     interpreted: Interpreted, *, experiment: Experiment, state: Any
 ) -> Interpreted:
-    """Which starts are dangerous, and what other families answer, once a repetition is done.
+    """Which starts are dangerous, and what other model classes answer, once a repetition is done.
 
     Args:
         interpreted: All before, with every stage of the repetition.
         experiment: What is run.
         state: The method's, after its last stage.
     """
-    interpreted = _asked_of_families(_starts_told(interpreted, experiment, state), experiment)
+    interpreted = _asked_of_model_classes(_starts_told(interpreted, experiment, state), experiment)
     if not interpreted.of_repetition:
         return interpreted
     weighed, method = _Weighed.concatenate(interpreted.of_repetition), experiment.method
@@ -245,15 +245,15 @@ def interpret_repetition(
         weighed = replace(weighed, log_weight=of_all[weighed.told.rollout])
     of_repetitions = (*interpreted.of_repetitions, weighed)
     pooled = _Weighed.concatenate(of_repetitions)
-    families = family_answers(
+    model_classes = model_class_answers(
         pooled.told,
-        families=experiment.families,
+        model_classes=experiment.model_classes,
         log_weight=pooled.log_weight,
         of=pooled.count,
     )
     return replace(
         interpreted,
-        result=replace(interpreted.result, families=families),
+        result=replace(interpreted.result, model_classes=model_classes),
         of_repetition=(),
         of_repetitions=of_repetitions,
     )

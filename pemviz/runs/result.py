@@ -14,7 +14,7 @@ import numpy as np
 from pemviz.analysis.contribution import CARRIED, carrying, contributions
 from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
-from pemviz.analysis.model_families import FamilyAnswer
+from pemviz.analysis.model_classes import ModelClassAnswer
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
 from pemviz.analysis.robustness_tail import RobustnessTail
 from pemviz.analysis.starts import DangerousStarts
@@ -154,7 +154,7 @@ class RunResult(ShownInNotebooks):
         pem_interval: The answer's range over other models that fit the same data.
         starts: Which starts are dangerous, where the simulator names random ones: of violations
             in all, then of each rule's.
-        families: The answer under other families of models that learnt from the same data.
+        model_classes: The answer under other model classes that learnt from the same data.
         data_bound: What the model's training data alone allow.
         plan: What to measure next, if it was asked for.
         explanation: Where and when the detector misses before violations, and what would help.
@@ -186,7 +186,7 @@ class RunResult(ShownInNotebooks):
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
     starts: tuple[DangerousStarts, ...] = ()
-    families: tuple[FamilyAnswer, ...] = ()
+    model_classes: tuple[ModelClassAnswer, ...] = ()
     data_bound: DataBound | None = None
     plan: DataPlan | None = None
     explanation: Explanation | None = None

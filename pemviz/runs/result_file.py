@@ -171,7 +171,7 @@ def result_document(result: RunResult) -> Table:
         **({"starts": result.starts} if result.starts else {}),
         "reference": result.reference,
         "pem_interval": result.pem_interval,
-        "families": result.families,
+        "model_classes": result.model_classes,
         "uncertainty": uncertainty_budget(result),
         "data_bound": result.data_bound,
         "plan": result.plan,

@@ -13,7 +13,7 @@ from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.trust import remedy
 
-SourceKind = Literal["sampling", "reference", "refits", "families", "memory", "data"]
+SourceKind = Literal["sampling", "reference", "refits", "model-classes", "memory", "data"]
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ def _sources(result: RunResult) -> Iterator[UncertaintySource]:
     if result.reference is not None:
         yield _reference(result)
     yield _refits(result)
-    if result.families:
-        yield _families(result)
+    if result.model_classes:
+        yield _model_classes(result)
     yield _memory(result)
     yield _data(result)
 
@@ -103,14 +103,14 @@ def _refits(result: RunResult) -> UncertaintySource:
     )
 
 
-def _families(result: RunResult) -> UncertaintySource:
-    ranked = sorted(result.families, key=lambda answer: answer.log10_probability)
+def _model_classes(result: RunResult) -> UncertaintySource:
+    ranked = sorted(result.model_classes, key=lambda answer: answer.log10_probability)
     vague = [answer.name for answer in ranked if not answer.is_reliable]
     named = f"{ranked[0].name} to {ranked[-1].name}" if len(ranked) > 1 else ranked[0].name
     note = f"{', '.join(vague)} only roughly" if vague else ""
     return UncertaintySource(
-        kind="families",
-        name=f"other families ({named})",
+        kind="model-classes",
+        name=f"other model classes ({named})",
         low=ranked[0].probability,
         high=ranked[-1].probability,
         note=note,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.analysis.model_families import FamilyAnswer
+from pemviz.analysis.model_classes import ModelClassAnswer
 from pemviz.errors import InputError
 from pemviz.panel.contribution import shares
 from pemviz.panel.tabs.experiment import read_number
@@ -75,13 +75,13 @@ def test_the_gaps_drawn_are_those_of_the_heaviest(loaded_run):
 
 def test_every_refit_and_family_has_a_mark(naive_run):
     interval = replace(naive_run.result.pem_interval, log10_answers=(-9.0, -8.5, None, -3.0))
-    family = FamilyAnswer("lr", 1e-6, -6.0, 0.1, effective_failures=2.0)
-    result = replace(naive_run.result, pem_interval=interval, families=(family,))
+    family = ModelClassAnswer("lr", 1e-6, -6.0, 0.1, effective_failures=2.0)
+    result = replace(naive_run.result, pem_interval=interval, model_classes=(family,))
     _, refits, other, *_ = models_chart(result).rows
     assert [math.log10(value) for value in refits.values] == pytest.approx([-9.0, -8.5, -3.0])
     assert (other.name, other.values) == ("lr (rough)", (1e-6,))
-    assert "lr (rough)" in why.why(with_result(naive_run, families=(family,)))
-    assert models_chart(replace(result, families=(), pem_interval=None)) is None
+    assert "lr (rough)" in why.why(with_result(naive_run, model_classes=(family,)))
+    assert models_chart(replace(result, model_classes=(), pem_interval=None)) is None
 
 
 def test_a_run_keeps_the_answers_of_its_refits(naive_run):

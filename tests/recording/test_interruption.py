@@ -103,7 +103,7 @@ def test_another_simulator_is_recorded_without_the_scene(tmp_path):
     )
     path = tmp_path / "run.rrd"
     run(
-        replace(experiment, problem=problem, ensemble=None, families=()),
+        replace(experiment, problem=problem, ensemble=None, model_classes=()),
         observers=[Recorder(path)],
     )
     assert verify(path).returncode == 0

@@ -105,7 +105,7 @@ def test_the_page_tells_the_whole_story():
         "37498 obstacles",
         "misses are independent",
         "1.0e-17 to 1.0e-13 (95% of 20 refits of one architecture on the same data, "
-        "not other model families)",
+        "not other model classes)",
         "no obstacle closer than 7 m",
         "few effective failures",
         "6.69e-15 +- 6e-18",

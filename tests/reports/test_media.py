@@ -68,7 +68,7 @@ def whole(**changes):
     config = ExperimentConfig(method="mixture", encounters_per_hour=2.0, target=1e-18)
     return replace(
         result(
-            estimate(method="mixture"), plan=PLAN, families=FAMILIES, explanation=EXPLANATION,
+            estimate(method="mixture"), plan=PLAN, model_classes=FAMILIES, explanation=EXPLANATION,
             memory=RunMemory(tau_s=0.0, curve=CURVE), config=config, robustness_tail=TAIL,
             starts=(START,),
             rules=(RuleAnswer("near", "always[0,9] (gap > 0)", estimate(method="mixture")),),

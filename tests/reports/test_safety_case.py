@@ -62,9 +62,9 @@ def test_a_claim_is_judged_by_every_source():
         CurvePoint(tau_s=tau_s, probability=p, low=0.9 * p, high=1.1 * p, ess=99.0)
         for tau_s, p in ((0.0, 2e-15), (1.0, 1e-3))
     )
-    one = sound(families=FAMILIES, memory=RunMemory(tau_s=0.0, curve=curve))
+    one = sound(model_classes=FAMILIES, memory=RunMemory(tau_s=0.0, curve=curve))
     assert verdicts(one, below=1e-9) == {
-        "sampling": "shown", "refits": "shown", "families": "not shown", "memory": "not shown",
+        "sampling": "shown", "refits": "shown", "model-classes": "not shown", "memory": "not shown",
         "data": "not shown",
     }  # fmt: skip
     assert verdicts(one, below=0.01)["data"] == "shown"
@@ -76,21 +76,21 @@ def test_a_claim_is_judged_by_every_source():
 
 def test_an_unreliable_estimate_shows_nothing():
     doubted = warned("one rollout carries 51% of the weight", kind="large-weight", value=0.51)
-    one = sound(estimate(method="mixture", diagnostics=(doubted,)), families=FAMILIES)
+    one = sound(estimate(method="mixture", diagnostics=(doubted,)), model_classes=FAMILIES)
     found = verdicts(one, below=0.5)
-    assert {found[kind] for kind in ("sampling", "refits", "families")} == {"not known"}
+    assert {found[kind] for kind in ("sampling", "refits", "model-classes")} == {"not known"}
     assert found["data"] == "shown"
     assert "Do not quote it" in page_of(one)
     assert verdicts(sound(estimate(method="adaptive")), below=0.5)["sampling"] == "not known"
 
 
 def test_without_a_claim_the_page_says_what_holds_under_the_least():
-    sentence = claim_sentence(sound(families=FAMILIES), below=None)
+    sentence = claim_sentence(sound(model_classes=FAMILIES), below=None)
     assert "below 0.0042, if of the model no more is granted" in sentence
 
 
 def test_every_section_has_its_content_and_the_page_is_well_formed():
-    page = page_of(result(families=FAMILIES, plan=PLAN), below=1e-9)
+    page = page_of(result(model_classes=FAMILIES, plan=PLAN), below=1e-9)
     tree = well_formed(page)
     text = "".join(tree.itertext())
     for section in SECTIONS:
@@ -104,7 +104,7 @@ def test_every_section_has_its_content_and_the_page_is_well_formed():
 
 def test_the_page_holds_nothing_but_itself():
     """No element or style fetches anything, no script stands there, and a policy forbids both."""
-    page = page_of(result(families=FAMILIES, plan=PLAN), nasty_result(), below=1e-9)
+    page = page_of(result(model_classes=FAMILIES, plan=PLAN), nasty_result(), below=1e-9)
     assert "default-src 'none'" in page
     assert LOADS.findall(page) == []
     tree = well_formed(page)
@@ -137,9 +137,9 @@ def test_a_run_without_an_estimate_claims_nothing(status):
 def test_several_runs_stand_side_by_side():
     other = result(
         estimate(probability=3e-12, ci_low=1e-12, ci_high=8e-12),
-        config=ExperimentConfig(seed=7), families=FAMILIES,
+        config=ExperimentConfig(seed=7), model_classes=FAMILIES,
     )  # fmt: skip
-    page = page_of(result(families=FAMILIES), other, below=1e-9)
+    page = page_of(result(model_classes=FAMILIES), other, below=1e-9)
     text = "".join(well_formed(page).itertext())
     assert "Claims of less than 1e-09" in text
     assert "Run 2: run-2" in text

@@ -65,7 +65,7 @@ def test_a_run_tells_the_same_whatever_is_kept(runs):
     assert few["result"]["config"].pop("keep") == "violations"
     assert few["result"] == every["result"]
     assert few["proposals.safetensors"] == every["proposals.safetensors"]
-    assert every["result"]["families"] or every["result"]["starts"]
+    assert every["result"]["model_classes"] or every["result"]["starts"]
 
 
 def test_a_resumed_run_has_the_same_bytes(runs):

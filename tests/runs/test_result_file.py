@@ -49,7 +49,7 @@ MAY_BE_NULL = re.compile(
 )
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
-    r"|pem_interval\.log10_answers|families|uncertainty|plan|plan\.labels\.warning|memory"
+    r"|pem_interval\.log10_answers|model_classes|uncertainty|plan|plan\.labels\.warning|memory"
     r"|memory\.(fitted|curve|frailty|frailty_curve|hidden)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats)"
     r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|slots|chains\[\d+\]\.(likeliest|slots))"
@@ -144,7 +144,7 @@ def test_the_document_is_what_the_file_holds_in_its_order(tmp_path):
     assert {**document, "schema": 2, "files": {}, "digest": kept["digest"]} == kept
     assert list(kept) == [
         "schema", "run_id", "status", "message", "seed", "versions", "config", "pem", "estimate",
-        "memory", "reference", "pem_interval", "families", "uncertainty", "data_bound", "plan",
+        "memory", "reference", "pem_interval", "model_classes", "uncertainty", "data_bound", "plan",
         "sensitivity", "causes", "repetitions", "stages", "least_robust", "assumptions", "warnings",
         "timings_s", "files", "digest",
     ]  # fmt: skip

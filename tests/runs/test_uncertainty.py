@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.analysis.model_families import FamilyAnswer
+from pemviz.analysis.model_classes import ModelClassAnswer
 from pemviz.charts.svg import svg
 from pemviz.config import METHODS
 from pemviz.latents import LatentCounts
@@ -24,7 +24,7 @@ from tests.reports.runs import estimate, result, warned
 
 
 def family(name, log10, *, effective=50.0):
-    return FamilyAnswer(
+    return ModelClassAnswer(
         name=name,
         probability=10.0**log10,
         log10_probability=log10,
@@ -41,16 +41,16 @@ def sources(one):
 
 
 def test_each_source_has_the_ends_of_what_it_stands_for():
-    one = result(families=FAMILIES)
+    one = result(model_classes=FAMILIES)
     found = sources(one)
-    assert list(found) == ["sampling", "reference", "refits", "families", "memory", "data"]
+    assert list(found) == ["sampling", "reference", "refits", "model-classes", "memory", "data"]
     assert (found["sampling"].low, found["sampling"].high) == (8e-16, 5e-15)
     assert found["reference"].low < one.reference.probability < found["reference"].high
     assert (found["refits"].low, found["refits"].high) == (
         one.pem_interval.low, one.pem_interval.high
     )  # fmt: skip
-    assert (found["families"].low, found["families"].high) == (1e-17, 1e-8)
-    assert "gb-raw to lr" in found["families"].name
+    assert (found["model-classes"].low, found["model-classes"].high) == (1e-17, 1e-8)
+    assert "gb-raw to lr" in found["model-classes"].name
     assert (found["memory"].low, found["memory"].high) == (None, None)
     assert (found["data"].low, found["data"].high) == (0.0, one.data_bound.probability)
 
@@ -67,7 +67,7 @@ def test_what_is_not_known_is_said():
 
 def test_families_that_few_rollouts_carry_are_named():
     vague = (family("lr", -8.0, effective=3.0), family("b-nn", -10.0))
-    assert sources(result(families=vague))["families"].note == "lr only roughly"
+    assert sources(result(model_classes=vague))["model-classes"].note == "lr only roughly"
 
 
 def test_memory_tells_what_is_assumed_and_what_was_measured():
@@ -110,14 +110,14 @@ def test_no_method_that_runs_through_states_is_recommended_where_latents_leave_n
 
 @pytest.mark.parametrize("tell", [summary_markdown, lambda one: answer_text(one, running=False)])
 def test_every_report_has_every_source(tell):
-    one = result(families=FAMILIES)
+    one = result(model_classes=FAMILIES)
     text = tell(one).replace("\\", "")
     for row in uncertainty_rows(one):
         assert row[0] in text
 
 
 def test_the_uncertainty_budget_stands_in_result_json():
-    one = result(families=FAMILIES)
+    one = result(model_classes=FAMILIES)
     entries = json.loads(json.dumps(result_document(one)))["uncertainty"]
     assert [entry["kind"] for entry in entries] == list(sources(one))
     assert entries[0]["high"] == one.estimate.ci_high
@@ -125,7 +125,7 @@ def test_the_uncertainty_budget_stands_in_result_json():
 
 @pytest.mark.parametrize("low", [0.0, 5e-324, 1e-30, 0.3])
 def test_the_drawing_stays_within_its_axis(low):
-    one = result(estimate(ci_low=low, ci_high=1.2), families=FAMILIES)
+    one = result(estimate(ci_low=low, ci_high=1.2), model_classes=FAMILIES)
     drawn = svg(uncertainty_chart(one))
     assert "nan" not in drawn
     dotted = drawn.count("stroke-dasharray='3 3'")
@@ -139,7 +139,7 @@ def test_the_terminal_shows_at_most_five_warnings_and_all_if_asked(capsys, monke
     monkeypatch.setenv("COLUMNS", "100")
     wrong = tuple(warned(f"wrong {number}") for number in range(9))
     data = tuple(f"{kind}: at {z} m" for kind in ("extrapolation", "thin data") for z in range(4))
-    one = result(estimate(diagnostics=wrong), families=FAMILIES, warnings=data)
+    one = result(estimate(diagnostics=wrong), model_classes=FAMILIES, warnings=data)
     print_summary(one, Path("run"))
     brief = capsys.readouterr().out
     told = [line for line in brief.splitlines() if line.startswith("warning")]

@@ -105,7 +105,7 @@ def test_chains_have_the_probabilities_of_an_integral_over_the_obstacle(memory):
 
 
 def test_another_models_likelihood_does_not_rest_on_what_the_state_knows():
-    """As when refits and other families are asked with the same rollouts."""
+    """As when refits and other model classes are asked with the same rollouts."""
     memory, other = MEMORIES[1], ToyPem(at_zero=1.0)
     problem, _ = frail_problem(memory)
     _, salient = all_rollouts(problem)
@@ -286,7 +286,7 @@ def test_a_run_says_what_it_assumes_and_asks_refits_and_families():
     assert (result.memory.tau_s, result.memory.frailty) == (0.2, 0.5)
     assert "frailty 0.5" in " ".join(result.assumptions)
     assert result.pem_interval is not None
-    assert result.families
+    assert result.model_classes
     assert result.explanation is not None
     assert result.explanation.memory is not None
     assert "frailty 0.5" in summary_text(result)

@@ -12,7 +12,7 @@ Verdict = Literal["shown", "not shown", "not known"]
 GRANTED: Mapping[SourceKind, str] = {
     "sampling": "the error model {pem} and the simulation are right",
     "refits": "any refit of {pem} to its data may be right",
-    "families": "any of the other shipped kinds of error model may be right",
+    "model-classes": "any of the other shipped kinds of error model may be right",
     "memory": "misses may hang together in time, and obstacles differ, as far as was looked at",
     "data": "of the model no more is granted than that P(missed) is constant in bands of distance, "
     "and misses are as assumed",
@@ -49,7 +49,9 @@ def claims(result: RunResult, *, below: float | None) -> list[Claim]:
         below: The failure probability that is to be claimed, if one is named.
     """
     doubts = "; ".join(run_interval_caveats(result))
-    against: Mapping[SourceKind, str] = dict.fromkeys(("sampling", "refits", "families"), doubts)
+    against: Mapping[SourceKind, str] = dict.fromkeys(
+        ("sampling", "refits", "model-classes"), doubts
+    )
     return [
         _claim(source, pem=result.pem.name, below=below, doubted=against.get(source.kind, ""))
         for source in uncertainty_budget(result)

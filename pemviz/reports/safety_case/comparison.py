@@ -17,7 +17,7 @@ MOST_IN_FULL = 8
 """Of more runs the rest stands side by side only."""
 MOST_DRAWN = 40
 MOST_SETTINGS = 5
-COLUMNS = ("", "run", "probability", "interval", "refits", "families", "data alone", "trust")
+COLUMNS = ("", "run", "probability", "interval", "refits", "model classes", "data alone", "trust")
 
 
 def side_by_side(runs: Sequence[CaseRun], *, below: float | None) -> Iterator[Section]:
@@ -49,7 +49,7 @@ def _row(run: CaseRun) -> tuple[str, ...]:
         probability_text(estimate),
         interval_text(estimate, caveats=()),
         ends.get("refits", "-"),
-        ends.get("families", "-"),
+        ends.get("model-classes", "-"),
         ends.get("data", "-"),
         f"unreliable: {against[0]}" if against else "no warning",
     )

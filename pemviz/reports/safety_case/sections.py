@@ -138,7 +138,7 @@ def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
     if text.startswith(("misses are independent", "given the state, misses hang")):
         kinds = ("memory",)
     elif "model holds where" in text:
-        kinds = ("refits", "families", "data")
+        kinds = ("refits", "model-classes", "data")
     sources = [source for source in uncertainty_budget(result) if source.kind in kinds]
     if not sources:
         return text, "not told by this run", "Not quantified here; to be argued from elsewhere."

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.analysis.model_families import (
+from pemviz.analysis.model_classes import (
     MOST_VIOLATIONS,
-    FamilyRatios,
-    families_beside,
-    family_answers,
-    family_ratios,
+    ModelClassRatios,
+    model_class_answers,
+    model_class_ratios,
+    model_classes_beside,
     violating,
 )
 from pemviz.config.toml_files import load_preset
@@ -34,8 +34,8 @@ def drawn(problem, *, count=4_000):
 
 def answered(scored, ratios):
     log_weight = scored.rollouts.log_weight
-    return family_answers(
-        ratios, families=FAMILIES, log_weight=log_weight[ratios.rollout], of=log_weight.size
+    return model_class_answers(
+        ratios, model_classes=FAMILIES, log_weight=log_weight[ratios.rollout], of=log_weight.size
     )
 
 
@@ -43,7 +43,9 @@ def answered(scored, ratios):
 def test_every_family_gets_its_own_answer(count, toy_problem):
     """Six z-tests at 4 standard errors: false alarm 4e-4 together; the seed is fixed."""
     scored = drawn(toy_problem, count=count)
-    ratios = family_ratios(violating(scored), simulator=toy_problem.simulator, families=FAMILIES)
+    ratios = model_class_ratios(
+        violating(scored), simulator=toy_problem.simulator, model_classes=FAMILIES
+    )
     assert ratios.rollout.size == min(MOST_VIOLATIONS, scored.violated.sum())
     answers = answered(scored, ratios)
     steps = scored.rollouts.detected.shape[1]
@@ -59,7 +61,9 @@ def test_every_family_gets_its_own_answer(count, toy_problem):
 def test_all_violations_give_the_plain_importance_sampling_average(toy_problem):
     scored = drawn(toy_problem)
     assert scored.violated.sum() <= MOST_VIOLATIONS
-    ratios = family_ratios(violating(scored), simulator=toy_problem.simulator, families=FAMILIES)
+    ratios = model_class_ratios(
+        violating(scored), simulator=toy_problem.simulator, model_classes=FAMILIES
+    )
     answers = answered(scored, ratios)
     misses, steps = (~scored.rollouts.detected).sum(axis=1), scored.rollouts.detected.shape[1]
     for answer, miss in zip(answers, MISS, strict=True):
@@ -76,12 +80,14 @@ def test_stages_together_are_one_batch(toy_problem):
     half = scored.violated.size // 2
     parts = [scored.take(slice(half)), scored.take(slice(half, None))]
     pieces = [
-        family_ratios(violating(part), simulator=toy_problem.simulator, families=FAMILIES)
+        model_class_ratios(violating(part), simulator=toy_problem.simulator, model_classes=FAMILIES)
         for part in parts
     ]
     pieces[1] = replace(pieces[1], rollout=pieces[1].rollout + half)
-    whole = family_ratios(violating(scored), simulator=toy_problem.simulator, families=FAMILIES)
-    joined = FamilyRatios.concatenate(pieces)
+    whole = model_class_ratios(
+        violating(scored), simulator=toy_problem.simulator, model_classes=FAMILIES
+    )
+    joined = ModelClassRatios.concatenate(pieces)
     assert np.array_equal(joined.rollout, whole.rollout)
     assert np.array_equal(joined.log_ratio, whole.log_ratio)
 
@@ -94,18 +100,20 @@ def test_without_violations_there_is_no_answer(toy_problem):
         seeds=np.random.SeedSequence(0),
     )
     assert not safe.violated.any()
-    ratios = family_ratios(violating(safe), simulator=toy_problem.simulator, families=FAMILIES)
+    ratios = model_class_ratios(
+        violating(safe), simulator=toy_problem.simulator, model_classes=FAMILIES
+    )
     assert answered(safe, ratios) == ()
 
 
 def test_families_are_the_shipped_models_of_the_same_data():
     asked = load_pem("ml-nn")
-    names = {model.name for model in families_beside(asked)}
+    names = {model.name for model in model_classes_beside(asked)}
     assert {"lr", "b-nn", "gb-raw"} <= names
     assert "ml-nn" not in names
     assert not any(name.endswith("-ensemble") for name in names)
-    assert all(model.data == asked.data for model in families_beside(asked))
-    assert families_beside(ConstantPem(0.1)) == ()
+    assert all(model.data == asked.data for model in model_classes_beside(asked))
+    assert model_classes_beside(ConstantPem(0.1)) == ()
 
 
 EXACT = {"lr": -7.836, "b-nn": -10.544, "gb-raw": -17.134}
@@ -116,10 +124,10 @@ EXACT = {"lr": -7.836, "b-nn": -10.544, "gb-raw": -17.134}
 def test_one_run_of_mixture_tells_what_the_others_answer(seed):
     """Each within 4 of its own relative standard errors, or a factor 2: false alarm below 1e-3."""
     result = run_experiment(replace(load_preset("paper"), method="mixture", seed=seed))
-    answers = {answer.name: answer for answer in result.families}
+    answers = {answer.name: answer for answer in result.model_classes}
     assert set(answers) >= set(EXACT)
     for name, log10 in EXACT.items():
         answer = answers[name]
         off = abs(answer.log10_probability - log10)
         assert off < max(math.log10(1.0 + 4.0 * answer.relative_std_error), 0.3), name
-    assert result_from_document(result_document(result)).families == result.families
+    assert result_from_document(result_document(result)).model_classes == result.model_classes

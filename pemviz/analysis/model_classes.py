@@ -1,6 +1,6 @@
-"""Other families of error models that the same data produced, asked with the same rollouts.
+"""Other classes of error models that the same data produced, asked with the same rollouts.
 
-A model's refits differ by chance; another family (logistic regression, trees, a Bayesian network)
+A model's refits differ by chance; another model class (logistic regression, trees, a Bayesian net)
 extends elsewhere to where there are no data, and nobody's labels say which is right. The
 simulator's answer to a chain of detections does not depend on the model, so rollouts with their
 weights under one model give the failure probability under another::
@@ -27,12 +27,12 @@ from pemviz.sampling.estimates.meanings import SMALL_ESS
 from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
 
 MOST_VIOLATIONS = 2_000
-"""Of a stage: families differ by far more than 1 / sqrt of it."""
+"""Of a stage: model classes differ by far more than 1 / sqrt of it."""
 
 
 @dataclass(frozen=True)
-class FamilyAnswer:
-    """The failure probability under one other family.
+class ModelClassAnswer:
+    """The failure probability under another model class.
 
     Attributes:
         name: The model's.
@@ -54,7 +54,7 @@ class FamilyAnswer:
         return self.effective_failures >= SMALL_ESS
 
 
-def families_beside(pem: Pem) -> tuple[Pem, ...]:
+def model_classes_beside(pem: Pem) -> tuple[Pem, ...]:
     """The shipped single models that were trained on the same data as ``pem``, but ``pem``."""
     others: list[Pem] = []
     for name in shipped_pems():
@@ -82,7 +82,7 @@ class SomeViolations(Batch):
 
 @dataclass(frozen=True)
 class Violating(SomeViolations):
-    """Violations with their rollouts, as families are asked of them.
+    """Violations with their rollouts, as model classes are asked of them.
 
     Attributes:
         rollouts: ``[V]``.
@@ -92,11 +92,11 @@ class Violating(SomeViolations):
 
 
 @dataclass(frozen=True)
-class FamilyRatios(SomeViolations):
-    """Violations with what F other families make of them.
+class ModelClassRatios(SomeViolations):
+    """Violations with what F other model classes make of them.
 
     Attributes:
-        log_ratio: Log p_f / p of each under each family, ``[V, F]``.
+        log_ratio: Log p_f / p of each under each model class, ``[V, F]``.
     """
 
     log_ratio: FloatArray
@@ -117,10 +117,10 @@ def violating(scored: ScoredRollouts) -> Violating:
     )
 
 
-def family_ratios(
-    asked: Violating, *, simulator: Simulator, families: Sequence[Pem]
-) -> FamilyRatios:
-    """What ``families`` make of violations.
+def model_class_ratios(
+    asked: Violating, *, simulator: Simulator, model_classes: Sequence[Pem]
+) -> ModelClassRatios:
+    """What ``model_classes`` make of violations.
 
     Of several stages together sooner than one by one: what it takes to ask a model along the gap
     hardly grows with the number of rollouts.
@@ -128,46 +128,46 @@ def family_ratios(
     Args:
         asked: The violations.
         simulator: That they come from.
-        families: F models.
+        model_classes: F models.
     """
     if asked.rollout.size == 0:
-        empty = np.empty((0, len(families)))
-        return FamilyRatios(asked.rollout, asked.log_stands_for, empty)
+        empty = np.empty((0, len(model_classes)))
+        return ModelClassRatios(asked.rollout, asked.log_stands_for, empty)
     failing = asked.rollouts
     salient = simulator.salient(failing.decision_states().signals)
     log_p = row_sums(failing.log_p)
     columns = [
         chain_log_likelihood(model, salient, failing.detected, logit_of=chain_logit_along) - log_p
-        for model in families
+        for model in model_classes
     ]
-    return FamilyRatios(
+    return ModelClassRatios(
         rollout=asked.rollout,
         log_stands_for=asked.log_stands_for,
         log_ratio=np.stack(columns, axis=1),
     )
 
 
-def family_answers(
-    ratios: FamilyRatios, *, families: Sequence[Pem], log_weight: FloatArray, of: int
-) -> tuple[FamilyAnswer, ...]:
-    """The failure probability under each family, if any violation speaks for it.
+def model_class_answers(
+    ratios: ModelClassRatios, *, model_classes: Sequence[Pem], log_weight: FloatArray, of: int
+) -> tuple[ModelClassAnswer, ...]:
+    """The failure probability under each model class, if any violation speaks for it.
 
     Args:
         ratios: Of all rollouts that the estimate averages.
-        families: F models.
+        model_classes: F models.
         log_weight: Their violations' log weights under the model itself, ``[V]``.
         of: How many rollouts there are, N.
     """
     carried = log_weight + ratios.log_stands_for
-    answers: list[FamilyAnswer] = []
-    for model, log_ratio in zip(families, ratios.log_ratio.T, strict=True):
+    answers: list[ModelClassAnswer] = []
+    for model, log_ratio in zip(model_classes, ratios.log_ratio.T, strict=True):
         log_mu = log_mean(carried + log_ratio, of=of)
         if not math.isfinite(log_mu):
             continue
         second = log_mean(2.0 * (carried + log_ratio), of=of)
         variance = max(math.expm1(second - 2.0 * log_mu), 0.0)
         answers.append(
-            FamilyAnswer(
+            ModelClassAnswer(
                 name=model.name,
                 probability=math.exp(log_mu),
                 log10_probability=log_mu / math.log(10.0),
