@@ -17,7 +17,7 @@ from pemviz.cli.parsing import parse_arguments
 from pemviz.errors import EXIT_DONE
 
 PROGRAM = "python -m benchmarks"
-Part = Literal["paper", "plain", "simulators", "families", "stl", "recording", "scale"]
+Part = Literal["paper", "plain", "simulators", "encounters", "stl", "recording", "scale"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,10 +30,17 @@ class BenchArguments:
     a user would make take; they have options of their own.
     """
 
-    part: tuple[Part, ...] = ("paper", "plain", "simulators", "families", "stl", "recording")
+    part: tuple[Part, ...] = (
+        "paper",
+        "plain",
+        "simulators",
+        "encounters",
+        "stl",
+        "recording",
+    )
     """What to measure: the paper's experiment, plain rollouts (which loop this installation has),
-    both back ends, those of the families, the robustness metrics, size and cost of a recording;
-    scale (a few minutes) how time and memory grow."""
+    both back ends, those of the logical scenarios, the robustness metrics, size and cost of a
+    recording; scale (a few minutes) how time and memory grow."""
     json: bool = False
     """Print the figures as one JSON object and nothing else."""
 
@@ -157,10 +164,10 @@ def _measure(part: Part) -> Callable[[], Sequence[Figure]]:
         from benchmarks.plain_rollouts import plain_rollout_figures  # noqa: PLC0415
 
         return plain_rollout_figures
-    if part == "families":
-        from benchmarks.families import family_figures  # noqa: PLC0415
+    if part == "encounters":
+        from benchmarks.encounters import scenario_figures  # noqa: PLC0415
 
-        return family_figures
+        return scenario_figures
     if part == "recording":
         from benchmarks.recording import recording_figures  # noqa: PLC0415  rerun is slow
 

@@ -48,7 +48,7 @@ def particles(generator, count):
     return Particles(
         rollouts=rollouts(generator, count),
         score=generator.normal(size=(count, STATES)),
-        looks=generator.integers(9, size=(count, STATES)),
+        evaluations=generator.integers(9, size=(count, STATES)),
         ancestor=np.arange(count),
     )
 

@@ -198,7 +198,7 @@ def test_the_range_over_refits_is_called_that_and_its_caveats_are_told():
     words = told(result)
     assert caveat in words
     assert "refits of ml-nn" in words
-    assert "refits of one architecture on the same data, not other model families" in words
+    assert "refits of one architecture on the same data, not other model classes" in words
     assert "error models" not in words
 
 

@@ -1,11 +1,11 @@
-"""Pictures of every tab of the panel, and of each family of encounters, for the README.
+"""Pictures of every tab of the panel, and of each logical scenario, for the README.
 
     python tools/panel_pictures.py --out FOLDER [--recordings recordings]
 
 Needs Chromium (``apt-get install chromium``), playwright and Pillow. The pictures show the newest
 run of ``mixture`` in the recordings folder, beside the newest ones of the paper's method and of
-``zero-variance``, whose curve over memory times another one shows, and those of the families in
-folders of their own; a run that is not there is made first.
+``zero-variance``, whose curve over memory times another one shows, and those of the logical
+scenarios in folders of their own; a run that is not there is made first.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from panel_timings import (
 )
 from playwright.sync_api import FloatRect, Page, sync_playwright
 
-from pemviz.config.encounters import FAMILIES
+from pemviz.config.encounters import LOGICAL_SCENARIOS
 
 VIEWPORT = {"width": 1400, "height": 920}
 PIXELS_A_POINT = 1
@@ -37,7 +37,7 @@ NOWHERE = (700, 130)
 COLORS = 256
 SHOWN_STEP = 50
 STEPS_BEFORE = 10
-"""How long before contact a family's first picture is taken."""
+"""How long before contact a logical scenario's first picture is taken."""
 SCENE = {"x": 424, "y": 44, "width": 976, "height": 876}
 ROAD = {"x": 424, "y": 180, "width": 976, "height": 250}
 """Parts of the page: the scene with the rollout's plots, and the road seen from above."""
@@ -68,14 +68,16 @@ def main() -> int:
         show(page, "img", "If misses come in bursts")
         keep(page, arguments.out / "panel-memory.png")
         browser.close()
-    for family in FAMILIES:
-        picture_family(family, arguments.recordings / family, arguments)
+    for logical_scenario in LOGICAL_SCENARIOS:
+        picture_scenario(logical_scenario, arguments.recordings / logical_scenario, arguments)
     return 0
 
 
-def picture_family(family: str, recordings: Path, arguments: argparse.Namespace) -> None:
-    """The likeliest contact of a family: before it from behind, and from above as it happens."""
-    run = newest(recordings, "mixture", "--preset", family)
+def picture_scenario(
+    logical_scenario: str, recordings: Path, arguments: argparse.Namespace
+) -> None:
+    """The likeliest contact: before it from behind, and from above as it happens."""
+    run = newest(recordings, "mixture", "--preset", logical_scenario)
     with sync_playwright() as playwright, server(recordings) as address:
         browser = playwright.chromium.launch(executable_path=arguments.browser, args=ARGUMENTS)
         page = browser.new_page(viewport=VIEWPORT)
@@ -99,7 +101,7 @@ def picture_family(family: str, recordings: Path, arguments: argparse.Namespace)
     both = PIL.Image.new("RGB", (before.width, before.height + road.height))
     both.paste(before, (0, 0))
     both.paste(road, (0, before.height))
-    save(both, arguments.out / f"family-{family}.png")
+    save(both, arguments.out / f"family-{logical_scenario}.png")
 
 
 def newest(recordings: Path, method: str, *options: str) -> str:

@@ -32,8 +32,8 @@ class Source:
     """Where the configuration starts from; every other option overrides it."""
 
     preset: str | None = None
-    """Shipped configuration: paper, town01, or paper-algorithm, the paper's own method; or a family
-    of encounters with random starts: braking, cut-in, cut-out; or merge, highway-env's own; or
+    """Shipped configuration: paper, town01, or paper-algorithm, the paper's own method; or a
+    logical scenario with random starts: braking, cut-in, cut-out; or merge, highway-env's own; or
     free-traffic, in SUMO. Without --config, paper."""
     config: Path | None = None
     """Configuration file (TOML), for instance the config.toml of an earlier run."""
@@ -61,7 +61,7 @@ class RecordArguments:
     """Traffic of SUMO's own, with simulator sumo: a .sumocfg file, or free-traffic. As
     --sumo.config; --sumo.ego says which of its vehicles is the ego."""
     start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A start value of the family's encounters as NAME=VALUE, or NAME=DISTRIBUTION, such as
+    """A start value of the encounters as NAME=VALUE, or NAME=DISTRIBUTION, such as
     gap="lognormal(30, 0.4) in [8, 100]"; others keep theirs."""
     fail_above: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1.

@@ -11,7 +11,7 @@ from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.progress import progress_observer
 from pemviz.cli.record_arguments import RecordArguments
 from pemviz.cli.workers import check_workers, with_workers
-from pemviz.config.encounters import NO_FAMILY
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.config.gate_limits import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
 from pemviz.reports.gate import decide_limits
@@ -141,7 +141,9 @@ def _has_film(experiment: Experiment) -> bool:
     Not on SUMO, where cars move otherwise for the same outcomes.
     """
     config = experiment.config
-    shipped = not experiment.is_own_system or config.encounter.family != NO_FAMILY
+    shipped = (
+        not experiment.is_own_system or config.encounter.logical_scenario != NO_LOGICAL_SCENARIO
+    )
     return shipped and config.position_errors is None and config.simulator != "sumo"
 
 

@@ -10,8 +10,8 @@ import tyro
 
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import parse_arguments
-from pemviz.cli.reproduce_families import run as reproduce_families
 from pemviz.cli.reproduce_progress import make_folder, reproduction_progress
+from pemviz.cli.reproduce_scenarios import run as reproduce_scenarios
 from pemviz.errors import EXIT_DONE, RunError
 from pemviz.files.atomic import write_bytes
 from pemviz.reproduce.carry_out import Reproduction, reproduce
@@ -21,10 +21,10 @@ Chosen = Literal["table1", "table2", "table3", "figures", "all"]
 
 DESCRIPTION = (
     "Compute the paper's tables and figures anew and set them beside the published numbers: "
-    "markdown, CSV, PNG and one recording. 'pemviz reproduce families' is a study of its own, "
-    "what memory and tracker are worth in each family of encounters: see its --help."
+    "markdown, CSV, PNG and one recording. 'pemviz reproduce scenarios' is a study of its own, "
+    "what memory and tracker are worth in each logical scenario: see its --help."
 )
-FAMILIES_WORD = "families"
+SCENARIOS_WORD = "scenarios"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +58,8 @@ def run(words: Sequence[str]) -> int:
         InputError: The arguments are wrong.
         RunError: Interrupted, or a file cannot be written.
     """
-    if words and words[0] == FAMILIES_WORD:
-        return reproduce_families(words[1:])
+    if words and words[0] == SCENARIOS_WORD:
+        return reproduce_scenarios(words[1:])
     arguments = parse_arguments(
         ReproduceArguments,
         words,

@@ -1,6 +1,6 @@
 """What is asked of a run, with units and ranges, and how it is written as TOML."""
 
-from pemviz.config.encounters import FAMILIES, EncounterConfig, StartChoice
+from pemviz.config.encounters import LOGICAL_SCENARIOS, EncounterConfig, StartChoice
 from pemviz.config.settings import (
     BLACK_BOXES,
     CLIENTS,
@@ -17,7 +17,7 @@ from pemviz.config.settings import (
 __all__ = [
     "BLACK_BOXES",
     "CLIENTS",
-    "FAMILIES",
+    "LOGICAL_SCENARIOS",
     "METHODS",
     "SHIPPED_SIMULATORS",
     "EncounterConfig",

@@ -1,6 +1,6 @@
-"""Driving situations of a family: what is fixed about them, and what is drawn for each encounter.
+"""A logical scenario: what is fixed about its encounters, and what is drawn for each.
 
-``pemviz.simulators.families`` tells exactly what the numbers do.
+``pemviz.simulators.encounters`` tells exactly what the numbers do.
 """
 
 from collections.abc import Mapping
@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 from pemviz.config.ranges import Range
 
-NO_FAMILY = "none"
-FAMILIES = ("braking", "cut-in", "cut-out")
-FamilyName = Literal["none", "braking", "cut-in", "cut-out"]
+NO_LOGICAL_SCENARIO = "none"
+LOGICAL_SCENARIOS = ("braking", "cut-in", "cut-out")
+LogicalScenarioName = Literal["none", "braking", "cut-in", "cut-out"]
 Positive = Range(low=0.0, low_open=True, high=1e6)
 Size = Annotated[float, Range(low=0.0, low_open=True, high=30.0)]
 Acceleration = Annotated[float, Range(low=0.0, high=20.0)]
@@ -35,10 +35,10 @@ class StartChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class EncounterConfig:
-    """An encounter of a family with random starts; ``pemviz.simulators.families`` tells exactly."""
+    """A logical scenario with random starts; ``pemviz.simulators.encounters`` tells exactly."""
 
-    family: FamilyName = NO_FAMILY
-    """Family of encounters: braking (a lead car brakes), cut-in (a car cuts in), cut-out (a lead
+    logical_scenario: LogicalScenarioName = NO_LOGICAL_SCENARIO
+    """Logical scenario: braking (a lead car brakes), cut-in (a car cuts in), cut-out (a lead
     car leaves the lane and reveals a slower one), or none: the braking scenario with one start."""
     side: Literal["left", "right"] = "right"
     """Lane from which a car cuts in, or into which one cuts out."""
@@ -160,14 +160,14 @@ START_VALUES: Mapping[str, tuple[StartValue, ...]] = {
         _start("revealed_speed", "m/s", (0.0, 20.0), "uniform(0, 10)"),
     ),
 }
-"""By family; where they come from stands in ``pemviz.simulators.families``."""
+"""By logical scenario; where they come from stands in ``pemviz.simulators.encounters``."""
 NEIGHBOUR_GAP = _start("neighbour_gap", "m", (-50.0, 100.0), "uniform(5, 60)")
 GHOST_GAP = _start("ghost_gap", "m", (0.0, 250.0), "uniform(20, 200)")
 
 
 def start_values(config: EncounterConfig) -> tuple[StartValue, ...]:
-    """What an encounter draws at its start, in the order of its latents; nothing without family."""
-    own = START_VALUES.get(config.family, ())
+    """What an encounter draws at its start, in the order of its latents; nothing without one."""
+    own = START_VALUES.get(config.logical_scenario, ())
     if not own:
         return ()
     neighbour = (NEIGHBOUR_GAP,) if config.neighbour else ()

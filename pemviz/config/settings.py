@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Self
 
 from pemviz.config.carla import read_address
-from pemviz.config.encounters import NO_FAMILY, EncounterConfig, StartChoice, start_values
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO, EncounterConfig, StartChoice, start_values
 from pemviz.config.entry_points import NamedPart
 from pemviz.config.ranges import Range, check_fields, shown
 from pemviz.config.sumo import SumoConfig
@@ -130,8 +130,8 @@ class ExperimentConfig:
     of its own for as long as it is there, with this spread; how often the error model misses in
     all is as without; 0 to 5. 0: all are alike."""
     position_errors: str | None = None
-    """Errors of the lead car's measured distance, in families of the place of every car, which the
-    ego then brakes by: a shipped name (pointpillars, pointrcnn) or a file of 'pemviz pem fit
+    """Errors of the lead car's measured distance, in encounters of the place of every car, which
+    the ego then brakes by: a shipped name (pointpillars, pointrcnn) or a file of 'pemviz pem fit
     --position-errors'. Left out, it is measured without error. Shipped back ends only; without
     method zero-variance and reference."""
     memory_curve: bool = False
@@ -197,9 +197,9 @@ class ExperimentConfig:
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     """The scenario's parameters."""
     encounter: EncounterConfig = field(default_factory=EncounterConfig)
-    """A family of encounters in place of the scenario, whose tracker it has."""
+    """A logical scenario in place of the scenario, whose tracker it has."""
     start: tuple[StartChoice, ...] = ()
-    """Start values of the encounter with other distributions than the family's."""
+    """Start values of the encounter with other distributions than the logical scenario's."""
     sumo: SumoConfig = field(default_factory=SumoConfig)
     """Of simulator sumo."""
 
@@ -207,7 +207,7 @@ class ExperimentConfig:
     def is_braking_scenario(self) -> bool:
         """Whether it is about the one gap of the shipped braking scenario."""
         is_shipped = self.simulator in SHIPPED_SIMULATORS and not self.is_sumo_traffic
-        return self.encounter.family == NO_FAMILY and is_shipped
+        return self.encounter.logical_scenario == NO_LOGICAL_SCENARIO and is_shipped
 
     @property
     def is_sumo_traffic(self) -> bool:
@@ -221,9 +221,9 @@ class ExperimentConfig:
             return (
                 f"traffic of {self.sumo.config}, in SUMO, whose vehicle {self.sumo.ego} is the ego"
             )
-        if self.encounter.family == NO_FAMILY:
+        if self.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
             return f"that of the simulator {self.simulator}"
-        return f"encounters of the family {self.encounter.family}, on {self.simulator}"
+        return f"logical scenario {self.encounter.logical_scenario}, on {self.simulator}"
 
     @property
     def dt_s(self) -> float:
@@ -239,7 +239,11 @@ class ExperimentConfig:
     def _timed(self) -> ScenarioConfig | EncounterConfig | SumoConfig:
         if self.is_sumo_traffic:
             return self.sumo
-        return self.scenario if self.encounter.family == NO_FAMILY else self.encounter
+        return (
+            self.scenario
+            if self.encounter.logical_scenario == NO_LOGICAL_SCENARIO
+            else self.encounter
+        )
 
     def with_rules(self, rules: Mapping[str, str]) -> Self:
         """The same with named rules instead of one specification; with none, as it is.
@@ -288,7 +292,7 @@ class ExperimentConfig:
     def _validate_sumo(self) -> None:
         if self.sumo != SumoConfig() and (self.simulator != "sumo" or self.is_braking_scenario):
             message = (
-                "sumo: must be left out without simulator sumo and a family of encounters or "
+                "sumo: must be left out without simulator sumo and a logical scenario or "
                 "sumo.config"
             )
             raise ConfigError(message)
@@ -300,8 +304,9 @@ class ExperimentConfig:
                 "sumo.config, which is answered per kilometre"
             )
             raise ConfigError(message)
-        if self.encounter.family != NO_FAMILY:
-            message = f"sumo.config = {self.sumo.config!r}: must be left out with {self._family}"
+        if self.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
+            where = f"sumo.config = {self.sumo.config!r}"
+            message = f"{where}: must be left out with {self._logical_scenario}"
             raise ConfigError(message)
         if abs(round(self.sumo.step_s * 1000) / 1000 - self.sumo.step_s) > 1e-12:
             message = f"sumo.step_s = {self.sumo.step_s:g}: must be whole milliseconds"
@@ -316,26 +321,29 @@ class ExperimentConfig:
         read_address(self.carla)
 
     def _validate_encounter(self) -> None:
-        if self.encounter.family == NO_FAMILY:
+        if self.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
             if self.encounter != EncounterConfig() or self.start:
                 changed = "start" if self.start else "encounter"
-                message = f"{changed}: must be left out where encounter.family is none"
+                message = f"{changed}: must be left out where encounter.logical_scenario is none"
                 raise ConfigError(message)
             return
         if self.scenario != ScenarioConfig(tracker=self.scenario.tracker):
-            message = f"scenario: must be left out but for its tracker with {self._family}"
+            message = (
+                f"scenario: must be left out but for its tracker with {self._logical_scenario}"
+            )
             raise ConfigError(message)
         if self.simulator not in SHIPPED_SIMULATORS:
             allowed = ", ".join(SHIPPED_SIMULATORS)
-            message = f"simulator = {self.simulator!r}: must be {allowed} with {self._family}"
+            message = (
+                f"simulator = {self.simulator!r}: must be {allowed} with {self._logical_scenario}"
+            )
             raise ConfigError(message)
         known = [value.name for value in start_values(self.encounter)]
         names = [choice.name for choice in self.start]
         for name in names:
             if name not in known:
-                message = (
-                    f"start = {shown(name)}: must be one of {', '.join(known)} with {self._family}"
-                )
+                allowed = f"{', '.join(known)} with {self._logical_scenario}"
+                message = f"start = {shown(name)}: must be one of {allowed}"
                 raise ConfigError(message)
         if len(set(names)) < len(names):
             message = f"start = {', '.join(names)}: must be each name once"
@@ -346,8 +354,8 @@ class ExperimentConfig:
             read_distribution(choice.distribution, name=f"start.{choice.name}")
 
     @property
-    def _family(self) -> str:
-        return f"encounter.family {self.encounter.family}"
+    def _logical_scenario(self) -> str:
+        return f"encounter.logical_scenario {self.encounter.logical_scenario}"
 
 
 def conjunction(rules: Sequence[Rule]) -> str:

@@ -13,8 +13,8 @@ class SumoConfig:
     """With simulator sumo; ``pemviz.simulators.sumo`` tells exactly."""
 
     model: SumoModel = "idm"
-    """Car-following model of SUMO's that other cars of a family drive by: idm (intelligent driver
-    model), krauss (SUMO's default) or acc (adaptive cruise control)."""
+    """Car-following model of SUMO's that the encounter's other cars drive by: idm (intelligent
+    driver model), krauss (SUMO's default) or acc (adaptive cruise control)."""
     config: str | None = None
     """Traffic of SUMO's own, in place of encounters: free-traffic, which is shipped, or a .sumocfg
     file with the ego in it."""

@@ -9,7 +9,7 @@ from typing import Any, cast
 import tomli_w
 
 from pemviz.config import BLACK_BOXES, ExperimentConfig
-from pemviz.config.encounters import FAMILIES, NO_FAMILY, StartChoice
+from pemviz.config.encounters import LOGICAL_SCENARIOS, NO_LOGICAL_SCENARIO, StartChoice
 from pemviz.config.records import read_record, read_value
 from pemviz.config.sumo import SumoConfig
 from pemviz.config.tracker_text import NO_TRACKER
@@ -26,15 +26,15 @@ FREE_TRAFFIC = "free-traffic"
 """Dots in a key; tomllib's time grows with the square of their number."""
 
 
-def preset_names(*, families: bool = True) -> tuple[str, ...]:
+def preset_names(*, logical_scenarios: bool = True) -> tuple[str, ...]:
     """Names of the shipped presets, those of other scenarios than the braking one after the others.
 
     Args:
-        families: Whether to name those, of families of encounters and of black boxes.
+        logical_scenarios: Whether to name those, of logical scenarios and of black boxes.
     """
     names = {path.stem for path in asset_path("presets").glob("*.toml")}
-    others = (*FAMILIES, *BLACK_BOXES, FREE_TRAFFIC)
-    return (*sorted(names - set(others)), *(others if families else ()))
+    others = (*LOGICAL_SCENARIOS, *BLACK_BOXES, FREE_TRAFFIC)
+    return (*sorted(names - set(others)), *(others if logical_scenarios else ()))
 
 
 def with_own_rules(config: ExperimentConfig) -> ExperimentConfig:
@@ -150,8 +150,8 @@ def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
-    Without rules, position errors, server, tracker, family, SUMO's model and encounters an hour
-    where there are none, and without ``keep`` where all is kept.
+    Without rules, position errors, server, tracker, logical scenario, SUMO's model and encounters
+    an hour where there are none, and without ``keep`` where all is kept.
     """
     table = every_setting(config)
     if config.scenario.tracker == NO_TRACKER:
@@ -160,7 +160,7 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
         del table["position_errors"]
     if config.carla is None:
         del table["carla"]
-    if config.encounter.family == NO_FAMILY:
+    if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
         del table["encounter"]
     elif config.scenario.tracker == NO_TRACKER:
         del table["scenario"]

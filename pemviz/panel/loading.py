@@ -13,7 +13,7 @@ from scipy.special import expit
 from pemviz.analysis.detection_curves import gap_grid, initial_states, pem_curve
 from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.config import ExperimentConfig
-from pemviz.config.encounters import NO_FAMILY
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.errors import InputError
 from pemviz.files.array_files import load_tensors
 from pemviz.files.mapped_arrays import LARGEST_READ_BYTES, map_arrays
@@ -143,7 +143,9 @@ def _own_scenario(config: ExperimentConfig) -> Simulator | SlotSimulator | None:
     """
     if config.is_braking_scenario:
         return None
-    if config.encounter.family != NO_FAMILY:  # the same states on every back end
+    if (
+        config.encounter.logical_scenario != NO_LOGICAL_SCENARIO
+    ):  # the same states on every back end
         config = replace(config, simulator=DRAWN_BACK_END)
     found = build_back_end(config).simulator
     return own_scenario(found.scenario if isinstance(found, UnrolledSimulator) else found, config)

@@ -10,7 +10,7 @@ import rerun as rr
 
 from pemviz.arrays import AnyArray
 from pemviz.config import ExperimentConfig
-from pemviz.config.encounters import NO_FAMILY
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.recording.worst import Track
@@ -29,9 +29,9 @@ def log_film(
     simulator: Simulator | SlotSimulator,
     stage: int,
 ) -> None:
-    """One JPEG picture for each state of a rollout of the braking scenario or of a family.
+    """One JPEG picture for each state of a rollout of the braking scenario or of an encounter.
 
-    Of a family that measures places with errors there is none: a film is not told of their noise.
+    Of one that measures places with errors there is none: a film is not told of their noise.
     """
     encoded = [_jpeg(frame) for frame in _frames(track, config, simulator)]
     times = StepTimes(stage=stage, count=len(encoded), dt_s=config.dt_s)
@@ -46,9 +46,9 @@ def import_filming(config: ExperimentConfig) -> None:
         ImportError: highway-env is not installed.
     """
     scenario = "braking.highway_env_scenario"
-    encounter = "families.highway_env_encounters"
-    is_family = config.encounter.family != NO_FAMILY
-    import_module(f"pemviz.simulators.{encounter if is_family else scenario}")
+    encounter = "encounters.highway_env_encounters"
+    is_encounter = config.encounter.logical_scenario != NO_LOGICAL_SCENARIO
+    import_module(f"pemviz.simulators.{encounter if is_encounter else scenario}")
 
 
 def _frames(
@@ -56,17 +56,21 @@ def _frames(
 ) -> Iterator[AnyArray]:
     from pemviz.simulators.braking.highway import faded, frames  # noqa: PLC0415  pulls in pygame
 
-    if config.encounter.family == NO_FAMILY:
+    if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
         yield from frames(config.scenario, detected=track.outcomes)
         return
-    from pemviz.simulators.families.highway import encounter_frames  # noqa: PLC0415  likewise
-    from pemviz.simulators.families.scenario import FamilyScenario  # noqa: PLC0415
+    from pemviz.simulators.encounters.highway import encounter_frames  # noqa: PLC0415  likewise
+    from pemviz.simulators.encounters.scenario import LogicalScenario  # noqa: PLC0415
 
-    family, drawn = drawn_scene(simulator), track.drawn
-    if not isinstance(family, FamilyScenario) or drawn is None or family.errors is not None:
+    logical_scenario, drawn = drawn_scene(simulator), track.drawn
+    if (
+        not isinstance(logical_scenario, LogicalScenario)
+        or drawn is None
+        or logical_scenario.errors is not None
+    ):
         return
     contact = drawn.count if drawn.contact_step is None else drawn.contact_step
-    film = encounter_frames(family, detected=track.outcomes, start=track.start)
+    film = encounter_frames(logical_scenario, detected=track.outcomes, start=track.start)
     for step, frame in enumerate(film):
         yield frame if step < contact else faded(frame)
 

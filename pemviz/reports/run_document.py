@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 
 from pemviz.analysis.starts import DangerousStarts
 from pemviz.config import ExperimentConfig
-from pemviz.config.encounters import NO_FAMILY
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.config.toml_files import config_text
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.reports.causes_words import (
@@ -194,8 +194,10 @@ def _quiet(text: str) -> Paragraph:
 
 
 def _given(config: ExperimentConfig, result: RunResult) -> str:
-    family = config.encounter.family
-    occasion = "run" if family == NO_FAMILY else f"encounter of {family}"
+    logical_scenario = config.encounter.logical_scenario
+    occasion = (
+        "run" if logical_scenario == NO_LOGICAL_SCENARIO else f"encounter of {logical_scenario}"
+    )
     asked = beyond_default_text(result)
     beside = f"; with {asked}" if asked else ""
     return f"in one {occasion}, if error model {result.pem.name} is right{beside}"

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from pemviz.config import CLIENTS, ExperimentConfig
-from pemviz.config.encounters import NO_FAMILY
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.errors import ConfigError
 from pemviz.pem import PositionErrorModel, load_position_errors
 from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
@@ -19,12 +19,12 @@ from pemviz.simulators.braking.features import BrakingFeatures
 from pemviz.simulators.braking.scenario import BrakingScenario
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
+from pemviz.simulators.encounters.features import EncounterFeatures
 from pemviz.simulators.episodic import EpisodicSimulator, episodic, side_by_side
-from pemviz.simulators.families.features import FamilyFeatures
 from pemviz.simulators.latents import LatentSimulator, latent_counts
 from pemviz.simulators.merge.scenario import MergeSimulator
 from pemviz.simulators.quantised import start_cells
-from pemviz.simulators.registry import SHIPPED, build_family_simulator, build_named_simulator
+from pemviz.simulators.registry import SHIPPED, build_encounter_simulator, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.simulators.sumo.traffic.scenario import TrafficSimulator
 from pemviz.simulators.tracked_cars import TrackedCarFeatures
@@ -46,8 +46,8 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         ConfigError: There is none of that name, or it does not keep to the protocol.
         PemError: The model of position errors cannot be used.
     """
-    if config.encounter.family != NO_FAMILY:
-        return _family_back_end(config)
+    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
+        return _encounter_back_end(config)
     errors = _position_errors(config)
     simulator = build_named_simulator(
         config.simulator, config.scenario, errors=errors, carla=config.carla, sumo=config.sumo
@@ -82,19 +82,19 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
     )
 
 
-def _family_back_end(config: ExperimentConfig) -> BackEnd:
-    """Of a family of encounters, each slot of which takes its turn.
+def _encounter_back_end(config: ExperimentConfig) -> BackEnd:
+    """Of a logical scenario, each slot of which takes its turn.
 
     Raises:
         ConfigError: A start value's distribution cannot be.
         PemError: The model of position errors cannot be used.
     """
     errors = _position_errors(config)
-    scenario = build_family_simulator(config, errors=errors)
+    scenario = build_encounter_simulator(config, errors=errors)
     unrolled = UnrolledSimulator(scenario)
     return BackEnd(
         simulator=unrolled,
-        features=FamilyFeatures(unrolled, scenario),
+        features=EncounterFeatures(unrolled, scenario),
         twin=None,
         batch_rollouts=batch_rollouts(config),
         is_own=True,
@@ -120,12 +120,12 @@ def check_measures(config: ExperimentConfig) -> None:
     Raises:
         ConfigError: It is none of the shipped ones.
     """
-    is_family = config.encounter.family != NO_FAMILY
-    if config.position_errors is None or config.is_braking_scenario or is_family:
+    is_encounter = config.encounter.logical_scenario != NO_LOGICAL_SCENARIO
+    if config.position_errors is None or config.is_braking_scenario or is_encounter:
         return
     message = (
         f"position_errors = {config.position_errors!r}: simulator {config.simulator!r} takes none, "
-        f"only the braking scenario and families of encounters on {' and '.join(SHIPPED)} do"
+        f"only the braking scenario and logical scenarios on {' and '.join(SHIPPED)} do"
     )
     raise ConfigError(message)
 

@@ -29,8 +29,8 @@ from pemviz.simulators.braking.measured_gap import RangeErrors
 from pemviz.types import Simulator
 
 if TYPE_CHECKING:
-    from pemviz.simulators.families.measured import PlaneErrors
-    from pemviz.simulators.families.scenario import FamilyScenario
+    from pemviz.simulators.encounters.measured import PlaneErrors
+    from pemviz.simulators.encounters.scenario import LogicalScenario
 
 SHIPPED = SHIPPED_SIMULATORS
 SIMULATORS = NamedPart(
@@ -106,10 +106,10 @@ def _sumo(
     return SumoBraking(scenario, errors)
 
 
-def build_family_simulator(
+def build_encounter_simulator(
     config: ExperimentConfig, *, errors: "PlaneErrors | None" = None
-) -> "FamilyScenario":
-    """The back end of the family of encounters that ``config`` names.
+) -> "LogicalScenario":
+    """The back end of the logical scenario that ``config`` names.
 
     Args:
         config: What is asked.
@@ -120,21 +120,22 @@ def build_family_simulator(
     """
     own = (config.encounter, config.start, config.scenario.tracker, errors)
     if config.simulator == "highway-env":
-        from pemviz.simulators.families.highway import HighwayFamily  # noqa: PLC0415  as below
+        from pemviz.simulators.encounters.highway import HighwayEncounters  # noqa: PLC0415  as below
 
-        return HighwayFamily(*own)
-    from pemviz.simulators.families.vectorized import VectorizedFamily  # noqa: PLC0415  scipy
+        return HighwayEncounters(*own)
+    from pemviz.simulators.encounters.vectorized import VectorizedEncounters  # noqa: PLC0415  scipy
 
     if config.simulator == "sumo":
+        from pemviz.simulators.sumo.encounters import SumoEncounters  # noqa: PLC0415
         from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415  as below
-        from pemviz.simulators.sumo.families import SumoFamily  # noqa: PLC0415
 
         check_installed()
-        return SumoFamily(*own, sumo=config.sumo)
+        return SumoEncounters(*own, sumo=config.sumo)
     if config.simulator != "vectorized":
-        message = f"simulator = {config.simulator!r}: must be {', '.join(SHIPPED)} with a family"
+        allowed = f"{', '.join(SHIPPED)} with a logical scenario"
+        message = f"simulator = {config.simulator!r}: must be {allowed}"
         raise ConfigError(message)
-    return VectorizedFamily(*own)
+    return VectorizedEncounters(*own)
 
 
 def _called(factory: Callable[..., Any], scenario: ScenarioConfig) -> Any:

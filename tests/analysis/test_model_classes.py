@@ -23,7 +23,7 @@ from pemviz.sampling.problem import sample
 from tests.toy import ConstantPem, exact_failure_probability
 
 MISS = (0.02, 0.05, 0.2)
-FAMILIES = tuple(ConstantPem(miss) for miss in MISS)
+MODEL_CLASSES = tuple(ConstantPem(miss) for miss in MISS)
 
 
 def drawn(problem, *, count=4_000):
@@ -35,16 +35,19 @@ def drawn(problem, *, count=4_000):
 def answered(scored, ratios):
     log_weight = scored.rollouts.log_weight
     return model_class_answers(
-        ratios, model_classes=FAMILIES, log_weight=log_weight[ratios.rollout], of=log_weight.size
+        ratios,
+        model_classes=MODEL_CLASSES,
+        log_weight=log_weight[ratios.rollout],
+        of=log_weight.size,
     )
 
 
 @pytest.mark.parametrize("count", [4_000, 40_000])
-def test_every_family_gets_its_own_answer(count, toy_problem):
+def test_every_model_class_gets_its_own_answer(count, toy_problem):
     """Six z-tests at 4 standard errors: false alarm 4e-4 together; the seed is fixed."""
     scored = drawn(toy_problem, count=count)
     ratios = model_class_ratios(
-        violating(scored), simulator=toy_problem.simulator, model_classes=FAMILIES
+        violating(scored), simulator=toy_problem.simulator, model_classes=MODEL_CLASSES
     )
     assert ratios.rollout.size == min(MOST_VIOLATIONS, scored.violated.sum())
     answers = answered(scored, ratios)
@@ -62,7 +65,7 @@ def test_all_violations_give_the_plain_importance_sampling_average(toy_problem):
     scored = drawn(toy_problem)
     assert scored.violated.sum() <= MOST_VIOLATIONS
     ratios = model_class_ratios(
-        violating(scored), simulator=toy_problem.simulator, model_classes=FAMILIES
+        violating(scored), simulator=toy_problem.simulator, model_classes=MODEL_CLASSES
     )
     answers = answered(scored, ratios)
     misses, steps = (~scored.rollouts.detected).sum(axis=1), scored.rollouts.detected.shape[1]
@@ -80,12 +83,14 @@ def test_stages_together_are_one_batch(toy_problem):
     half = scored.violated.size // 2
     parts = [scored.take(slice(half)), scored.take(slice(half, None))]
     pieces = [
-        model_class_ratios(violating(part), simulator=toy_problem.simulator, model_classes=FAMILIES)
+        model_class_ratios(
+            violating(part), simulator=toy_problem.simulator, model_classes=MODEL_CLASSES
+        )
         for part in parts
     ]
     pieces[1] = replace(pieces[1], rollout=pieces[1].rollout + half)
     whole = model_class_ratios(
-        violating(scored), simulator=toy_problem.simulator, model_classes=FAMILIES
+        violating(scored), simulator=toy_problem.simulator, model_classes=MODEL_CLASSES
     )
     joined = ModelClassRatios.concatenate(pieces)
     assert np.array_equal(joined.rollout, whole.rollout)
@@ -101,12 +106,12 @@ def test_without_violations_there_is_no_answer(toy_problem):
     )
     assert not safe.violated.any()
     ratios = model_class_ratios(
-        violating(safe), simulator=toy_problem.simulator, model_classes=FAMILIES
+        violating(safe), simulator=toy_problem.simulator, model_classes=MODEL_CLASSES
     )
     assert answered(safe, ratios) == ()
 
 
-def test_families_are_the_shipped_models_of_the_same_data():
+def test_model_classes_are_the_shipped_models_of_the_same_data():
     asked = load_pem("ml-nn")
     names = {model.name for model in model_classes_beside(asked)}
     assert {"lr", "b-nn", "gb-raw"} <= names

@@ -6,7 +6,7 @@ import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.config import FAMILIES, ExperimentConfig, ScenarioConfig
+from pemviz.config import LOGICAL_SCENARIOS, ExperimentConfig, ScenarioConfig
 from pemviz.config.ranges import Range
 from pemviz.config.toml_files import (
     config_from_table,
@@ -22,10 +22,10 @@ from pemviz.runs.experiment import build_experiment
 
 def test_presets_are_the_designs():
     paper, town = load_preset("paper"), load_preset("town01")
-    assert preset_names(families=False) == ("paper", "paper-algorithm", "town01")
-    for family in FAMILIES:
-        config = load_preset(family)
-        assert (config.encounter.family, config.memory_s) == (family, 0.25)
+    assert preset_names(logical_scenarios=False) == ("paper", "paper-algorithm", "town01")
+    for logical_scenario in LOGICAL_SCENARIOS:
+        config = load_preset(logical_scenario)
+        assert (config.encounter.logical_scenario, config.memory_s) == (logical_scenario, 0.25)
         assert f"always[0,{config.encounter.states - 1}]" in config.rules[0].formula
     assert load_preset("paper-algorithm") == ExperimentConfig(method="adaptive")
     assert paper == ExperimentConfig(plan=True)

@@ -74,7 +74,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
     assert not (parts / "stages").exists()
 
 
-def test_a_stopped_run_of_a_family_goes_on_to_the_same_bytes(tmp_path):
+def test_a_stopped_run_of_a_logical_scenario_goes_on_to_the_same_bytes(tmp_path):
     """With all that its states remember: tracks, a ghost, errors of places, memory of misses."""
     preset = load_preset("cut-in")
     config = replace(

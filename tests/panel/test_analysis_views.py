@@ -73,14 +73,14 @@ def test_the_gaps_drawn_are_those_of_the_heaviest(loaded_run):
     assert weights.heaviest_curves(replace(loaded_run, running=True)) is None
 
 
-def test_every_refit_and_family_has_a_mark(naive_run):
+def test_every_refit_and_model_class_has_a_mark(naive_run):
     interval = replace(naive_run.result.pem_interval, log10_answers=(-9.0, -8.5, None, -3.0))
-    family = ModelClassAnswer("lr", 1e-6, -6.0, 0.1, effective_failures=2.0)
-    result = replace(naive_run.result, pem_interval=interval, model_classes=(family,))
+    model_class = ModelClassAnswer("lr", 1e-6, -6.0, 0.1, effective_failures=2.0)
+    result = replace(naive_run.result, pem_interval=interval, model_classes=(model_class,))
     _, refits, other, *_ = models_chart(result).rows
     assert [math.log10(value) for value in refits.values] == pytest.approx([-9.0, -8.5, -3.0])
     assert (other.name, other.values) == ("lr (rough)", (1e-6,))
-    assert "lr (rough)" in why.why(with_result(naive_run, model_classes=(family,)))
+    assert "lr (rough)" in why.why(with_result(naive_run, model_classes=(model_class,)))
     assert models_chart(replace(result, model_classes=(), pem_interval=None)) is None
 
 

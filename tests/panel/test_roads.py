@@ -174,7 +174,7 @@ def test_the_rollout_shown_has_the_robustness_of_each_rule_and_its_start_in_word
     assert "Standard normals of its steps" in page
 
 
-def test_the_experiment_tab_says_of_a_family_what_it_draws_and_what_it_refuses():
+def test_the_experiment_tab_says_of_a_logical_scenario_what_it_draws_and_what_it_refuses():
     config = load_preset("cut-in")
     page = scenario_text(replace(config, start=(StartChoice("gap", "uniform(9, 10)"),)))
     assert "a car cuts in ahead of the ego" in page

@@ -1,4 +1,4 @@
-"""The film of a family's least robust rollout shows that rollout."""
+"""The film of a logical scenario's least robust rollout shows that rollout."""
 
 from dataclasses import replace
 from io import BytesIO
@@ -13,7 +13,7 @@ from pemviz.recording import paths
 from tests.recording.conftest import chunks, record, with_blind_pem
 
 
-def test_a_family_is_filmed_with_its_own_start_and_in_grey_from_contact_on(tmp_path):
+def test_a_logical_scenario_is_filmed_with_its_own_start_and_in_grey_from_contact_on(tmp_path):
     pytest.importorskip("highway_env")
     preset = load_preset("braking")
     config = replace(

@@ -74,7 +74,7 @@ def test_the_table_tells_starts_and_how_hard_the_obstacle_is_to_see(braking):
     assert f"visibility u in the end {rollouts.signals['visibility'][row, -1]:.3g}" in first
 
 
-def test_a_family_tells_of_every_car_and_names_its_start(tmp_path):
+def test_a_logical_scenario_tells_of_every_car_and_names_its_start(tmp_path):
     config = replace(
         load_preset("cut-in"), method="monte-carlo", final_rollouts=10,
         position_errors="pointpillars", plan=False,

@@ -43,7 +43,7 @@ from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import PLAN, estimate, result
 from tests.reports.test_causes_words import EXPLANATION
-from tests.runs.test_uncertainty import FAMILIES
+from tests.runs.test_uncertainty import MODEL_CLASSES
 
 CURVE = tuple(
     CurvePoint(tau_s=tau_s, probability=p, low=p / 3.0, high=3.0 * p, ess=50.0)
@@ -68,7 +68,8 @@ def whole(**changes):
     config = ExperimentConfig(method="mixture", encounters_per_hour=2.0, target=1e-18)
     return replace(
         result(
-            estimate(method="mixture"), plan=PLAN, model_classes=FAMILIES, explanation=EXPLANATION,
+            estimate(method="mixture"), plan=PLAN, model_classes=MODEL_CLASSES,
+            explanation=EXPLANATION,
             memory=RunMemory(tau_s=0.0, curve=CURVE), config=config, robustness_tail=TAIL,
             starts=(START,),
             rules=(RuleAnswer("near", "always[0,9] (gap > 0)", estimate(method="mixture")),),

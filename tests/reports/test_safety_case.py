@@ -19,7 +19,7 @@ from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import PLAN, estimate, nasty_result, result, warned
-from tests.runs.test_uncertainty import FAMILIES
+from tests.runs.test_uncertainty import MODEL_CLASSES
 
 SECTIONS = (
     "Claim",
@@ -62,7 +62,7 @@ def test_a_claim_is_judged_by_every_source():
         CurvePoint(tau_s=tau_s, probability=p, low=0.9 * p, high=1.1 * p, ess=99.0)
         for tau_s, p in ((0.0, 2e-15), (1.0, 1e-3))
     )
-    one = sound(model_classes=FAMILIES, memory=RunMemory(tau_s=0.0, curve=curve))
+    one = sound(model_classes=MODEL_CLASSES, memory=RunMemory(tau_s=0.0, curve=curve))
     assert verdicts(one, below=1e-9) == {
         "sampling": "shown", "refits": "shown", "model-classes": "not shown", "memory": "not shown",
         "data": "not shown",
@@ -76,7 +76,7 @@ def test_a_claim_is_judged_by_every_source():
 
 def test_an_unreliable_estimate_shows_nothing():
     doubted = warned("one rollout carries 51% of the weight", kind="large-weight", value=0.51)
-    one = sound(estimate(method="mixture", diagnostics=(doubted,)), model_classes=FAMILIES)
+    one = sound(estimate(method="mixture", diagnostics=(doubted,)), model_classes=MODEL_CLASSES)
     found = verdicts(one, below=0.5)
     assert {found[kind] for kind in ("sampling", "refits", "model-classes")} == {"not known"}
     assert found["data"] == "shown"
@@ -85,12 +85,12 @@ def test_an_unreliable_estimate_shows_nothing():
 
 
 def test_without_a_claim_the_page_says_what_holds_under_the_least():
-    sentence = claim_sentence(sound(model_classes=FAMILIES), below=None)
+    sentence = claim_sentence(sound(model_classes=MODEL_CLASSES), below=None)
     assert "below 0.0042, if of the model no more is granted" in sentence
 
 
 def test_every_section_has_its_content_and_the_page_is_well_formed():
-    page = page_of(result(model_classes=FAMILIES, plan=PLAN), below=1e-9)
+    page = page_of(result(model_classes=MODEL_CLASSES, plan=PLAN), below=1e-9)
     tree = well_formed(page)
     text = "".join(tree.itertext())
     for section in SECTIONS:
@@ -104,7 +104,7 @@ def test_every_section_has_its_content_and_the_page_is_well_formed():
 
 def test_the_page_holds_nothing_but_itself():
     """No element or style fetches anything, no script stands there, and a policy forbids both."""
-    page = page_of(result(model_classes=FAMILIES, plan=PLAN), nasty_result(), below=1e-9)
+    page = page_of(result(model_classes=MODEL_CLASSES, plan=PLAN), nasty_result(), below=1e-9)
     assert "default-src 'none'" in page
     assert LOADS.findall(page) == []
     tree = well_formed(page)
@@ -137,9 +137,9 @@ def test_a_run_without_an_estimate_claims_nothing(status):
 def test_several_runs_stand_side_by_side():
     other = result(
         estimate(probability=3e-12, ci_low=1e-12, ci_high=8e-12),
-        config=ExperimentConfig(seed=7), model_classes=FAMILIES,
+        config=ExperimentConfig(seed=7), model_classes=MODEL_CLASSES,
     )  # fmt: skip
-    page = page_of(result(model_classes=FAMILIES), other, below=1e-9)
+    page = page_of(result(model_classes=MODEL_CLASSES), other, below=1e-9)
     text = "".join(well_formed(page).itertext())
     assert "Claims of less than 1e-09" in text
     assert "Run 2: run-2" in text

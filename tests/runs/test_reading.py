@@ -31,7 +31,7 @@ CUT_IN = replace(
     SMALL,
     scenario=ScenarioConfig(),
     spec="always[0,90] (needless_deceleration <= 3.0)",
-    encounter=EncounterConfig(family="cut-in", ghost_probability=0.05),
+    encounter=EncounterConfig(logical_scenario="cut-in", ghost_probability=0.05),
 )
 KINDS = {
     "plain": SMALL,

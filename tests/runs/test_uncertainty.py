@@ -23,7 +23,7 @@ from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import estimate, result, warned
 
 
-def family(name, log10, *, effective=50.0):
+def model_class(name, log10, *, effective=50.0):
     return ModelClassAnswer(
         name=name,
         probability=10.0**log10,
@@ -33,7 +33,11 @@ def family(name, log10, *, effective=50.0):
     )
 
 
-FAMILIES = (family("lr", -8.0), family("gb-raw", -17.0), family("b-nn", -10.0))
+MODEL_CLASSES = (
+    model_class("lr", -8.0),
+    model_class("gb-raw", -17.0),
+    model_class("b-nn", -10.0),
+)
 
 
 def sources(one):
@@ -41,7 +45,7 @@ def sources(one):
 
 
 def test_each_source_has_the_ends_of_what_it_stands_for():
-    one = result(model_classes=FAMILIES)
+    one = result(model_classes=MODEL_CLASSES)
     found = sources(one)
     assert list(found) == ["sampling", "reference", "refits", "model-classes", "memory", "data"]
     assert (found["sampling"].low, found["sampling"].high) == (8e-16, 5e-15)
@@ -65,8 +69,8 @@ def test_what_is_not_known_is_said():
     assert uncertainty_budget(replace(bare, estimate=None)) == ()
 
 
-def test_families_that_few_rollouts_carry_are_named():
-    vague = (family("lr", -8.0, effective=3.0), family("b-nn", -10.0))
+def test_model_classes_that_few_rollouts_carry_are_named():
+    vague = (model_class("lr", -8.0, effective=3.0), model_class("b-nn", -10.0))
     assert sources(result(model_classes=vague))["model-classes"].note == "lr only roughly"
 
 
@@ -110,14 +114,14 @@ def test_no_method_that_runs_through_states_is_recommended_where_latents_leave_n
 
 @pytest.mark.parametrize("tell", [summary_markdown, lambda one: answer_text(one, running=False)])
 def test_every_report_has_every_source(tell):
-    one = result(model_classes=FAMILIES)
+    one = result(model_classes=MODEL_CLASSES)
     text = tell(one).replace("\\", "")
     for row in uncertainty_rows(one):
         assert row[0] in text
 
 
 def test_the_uncertainty_budget_stands_in_result_json():
-    one = result(model_classes=FAMILIES)
+    one = result(model_classes=MODEL_CLASSES)
     entries = json.loads(json.dumps(result_document(one)))["uncertainty"]
     assert [entry["kind"] for entry in entries] == list(sources(one))
     assert entries[0]["high"] == one.estimate.ci_high
@@ -125,7 +129,7 @@ def test_the_uncertainty_budget_stands_in_result_json():
 
 @pytest.mark.parametrize("low", [0.0, 5e-324, 1e-30, 0.3])
 def test_the_drawing_stays_within_its_axis(low):
-    one = result(estimate(ci_low=low, ci_high=1.2), model_classes=FAMILIES)
+    one = result(estimate(ci_low=low, ci_high=1.2), model_classes=MODEL_CLASSES)
     drawn = svg(uncertainty_chart(one))
     assert "nan" not in drawn
     dotted = drawn.count("stroke-dasharray='3 3'")
@@ -139,7 +143,7 @@ def test_the_terminal_shows_at_most_five_warnings_and_all_if_asked(capsys, monke
     monkeypatch.setenv("COLUMNS", "100")
     wrong = tuple(warned(f"wrong {number}") for number in range(9))
     data = tuple(f"{kind}: at {z} m" for kind in ("extrapolation", "thin data") for z in range(4))
-    one = result(estimate(diagnostics=wrong), model_classes=FAMILIES, warnings=data)
+    one = result(estimate(diagnostics=wrong), model_classes=MODEL_CLASSES, warnings=data)
     print_summary(one, Path("run"))
     brief = capsys.readouterr().out
     told = [line for line in brief.splitlines() if line.startswith("warning")]

@@ -280,7 +280,7 @@ def test_a_stopped_run_with_frailty_goes_on_to_the_same_bytes(tmp_path):
     assert contents(parts) == contents(whole)
 
 
-def test_a_run_says_what_it_assumes_and_asks_refits_and_families():
+def test_a_run_says_what_it_assumes_and_asks_refits_and_model_classes():
     result = run_experiment(SHORT)
     assert result.memory is not None
     assert (result.memory.tau_s, result.memory.frailty) == (0.2, 0.5)

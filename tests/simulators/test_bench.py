@@ -3,7 +3,7 @@ import math
 import pytest
 
 from benchmarks import plain_rollouts
-from benchmarks.families import family_figures
+from benchmarks.encounters import scenario_figures
 from benchmarks.simulators import simulator_figures
 from pemviz.config import ScenarioConfig
 
@@ -36,14 +36,14 @@ def test_plain_rollouts_say_which_loop_there_is(installed, monkeypatch) -> None:
     assert math.isclose(gain, by_loop / by_numpy)
 
 
-def test_families_have_rates_and_a_ratio_each() -> None:
-    fast, fast_steps, slow, _, sumo, sumo_steps, gain = family_figures(
+def test_logical_scenarios_have_rates_and_a_ratio_each() -> None:
+    fast, fast_steps, slow, _, sumo, sumo_steps, gain = scenario_figures(
         vectorized_rollouts=10,
         highway_rollouts=2,
         sumo_rollouts=3,
         repeats=1,
         states=5,
-        families=("cut-in",),
+        logical_scenarios=("cut-in",),
     )
     assert [fast.name, sumo.name] == ["cut-in, vectorized", "cut-in, sumo"]
     assert min(fast.value, slow.value, sumo.value) > 0

@@ -242,6 +242,6 @@ def test_a_run_goes_on_with_the_same_position_errors_alone(tmp_path):
     assert "other position errors of the name 'pointpillars'" in difference
     with pytest.raises(
         ConfigError,
-        match="takes none, only the braking scenario and families of encounters on vec",
+        match="takes none, only the braking scenario and logical scenarios on vec",
     ):
         pemviz.build_experiment(config, simulator=MissCounter(states=7))

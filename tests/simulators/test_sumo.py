@@ -12,10 +12,10 @@ from pemviz.errors import ConfigError, RunError
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.rollouts.draw import replay
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from pemviz.simulators.families.vectorized import VectorizedFamily
+from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 from pemviz.simulators.sumo import engine
 from pemviz.simulators.sumo.braking import SumoBraking
-from pemviz.simulators.sumo.families import SumoFamily
+from pemviz.simulators.sumo.encounters import SumoEncounters
 from pemviz.simulators.sumo.roads import ROADS, Group, Roads
 
 TOLERANCE = 1e-9
@@ -48,9 +48,12 @@ def test_braking_differs_by_half_a_step_s_change_of_the_closing_speed() -> None:
     assert exact["ego_speed"].min() == 0.0
 
 
-def test_a_scripted_lead_car_of_a_family_is_the_specification_s() -> None:
-    config = EncounterConfig(family="braking", neighbour=True)
-    sumo, exact = SumoFamily(config, sumo=SumoConfig(model="krauss")), VectorizedFamily(config)
+def test_a_scripted_lead_car_of_a_logical_scenario_is_the_specification_s() -> None:
+    config = EncounterConfig(logical_scenario="braking", neighbour=True)
+    sumo, exact = (
+        SumoEncounters(config, sumo=SumoConfig(model="krauss")),
+        VectorizedEncounters(config),
+    )
     given = drawn(sumo)
     given["detected"] &= False  # the ego keeps its speed
     one, other = (replay(simulator=simulator, **given) for simulator in (sumo, exact))
@@ -69,7 +72,7 @@ def test_a_scripted_lead_car_of_a_family_is_the_specification_s() -> None:
 
 def test_idm_is_its_equation() -> None:
     """Treiber et al. 2000 with SUMO's parameters: 2.6 and 4.5 m/s^2, 1 s, 2.5 m, exponent 4."""
-    sumo = SumoFamily(EncounterConfig(family="cut-out"))
+    sumo = SumoEncounters(EncounterConfig(logical_scenario="cut-out"))
     rollouts = replay(simulator=sumo, **drawn(sumo))
     followed = (rollouts["aside_lead"] == 0.0)[:, :-1] & (rollouts["collided"] == 0.0)[:, 1:]
     along_mps = rollouts["speed_lead"] * np.cos(rollouts["heading_lead"])
@@ -86,8 +89,8 @@ def test_idm_is_its_equation() -> None:
 
 @pytest.mark.parametrize("model", ["idm", "krauss", "acc"])
 def test_a_rollout_depends_on_nothing_else_in_sumo(model) -> None:
-    config = EncounterConfig(family="cut-out", states=41)
-    sumo = SumoFamily(config, tracker_text="2/3", sumo=SumoConfig(model=model))
+    config = EncounterConfig(logical_scenario="cut-out", states=41)
+    sumo = SumoEncounters(config, tracker_text="2/3", sumo=SumoConfig(model=model))
     given = drawn(sumo)
     together = replay(simulator=sumo, **given)
     some = slice(40, 47)
@@ -98,7 +101,10 @@ def test_a_rollout_depends_on_nothing_else_in_sumo(model) -> None:
 
 
 def test_kept_states_go_on_while_another_simulator_uses_sumo() -> None:
-    sumo, braking = SumoFamily(EncounterConfig(family="cut-in")), SumoBraking(ScenarioConfig())
+    sumo, braking = (
+        SumoEncounters(EncounterConfig(logical_scenario="cut-in")),
+        SumoBraking(ScenarioConfig()),
+    )
     given = drawn(sumo, count=4)
     at_once = replay(simulator=sumo, **given)
     states, other = sumo.initial(count=4, start=given["start"]), braking.initial(count=2)
@@ -115,7 +121,7 @@ def test_kept_states_go_on_while_another_simulator_uses_sumo() -> None:
 
 def test_a_car_that_wants_no_speed_stands() -> None:
     chosen = (StartChoice("revealed_speed", "0"),)
-    sumo = SumoFamily(EncounterConfig(family="cut-out", states=31), chosen)
+    sumo = SumoEncounters(EncounterConfig(logical_scenario="cut-out", states=31), chosen)
     assert replay(simulator=sumo, **drawn(sumo, count=3))["speed_revealed"].max() == 0.0
 
 
@@ -136,7 +142,9 @@ def test_what_sumo_cannot_is_told_in_one_line(monkeypatch) -> None:
 
 
 def test_files_name_the_model_where_there_is_one() -> None:
-    config = ExperimentConfig(simulator="sumo", encounter=EncounterConfig(family="cut-in"))
+    config = ExperimentConfig(
+        simulator="sumo", encounter=EncounterConfig(logical_scenario="cut-in")
+    )
     assert config_table(config)["sumo"] == {"model": "idm"}
     for other in (replace(config, simulator="vectorized"), ExperimentConfig(simulator="sumo")):
         assert "sumo" not in config_table(other)

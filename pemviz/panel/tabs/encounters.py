@@ -1,4 +1,4 @@
-"""Controls of a family of encounters: what there is to choose of it."""
+"""Controls of a logical scenario: what there is to choose of it."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,12 +7,12 @@ from typing import Any, cast
 import viser
 
 from pemviz.config import ExperimentConfig, StartChoice
-from pemviz.config.encounters import NO_FAMILY, EncounterConfig
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO, EncounterConfig
 from pemviz.config.rule_words import read_starts
 from pemviz.panel.fields import field_docs
 from pemviz.runs.back_ends import build_back_end, check_method_fits
 from pemviz.runs.experiment import build_simulator
-from pemviz.simulators.registry import build_family_simulator
+from pemviz.simulators.registry import build_encounter_simulator
 from pemviz.types import Simulator
 
 SIDES = ("left", "right")
@@ -25,7 +25,7 @@ STARTS_HINT = (
 
 
 class EncounterControls:
-    """Shown while the settings are those of a family."""
+    """Shown while the settings are those of a logical scenario."""
 
     def __init__(self, gui: viser.GuiApi, changed: Callable[[Any], None]) -> None:
         """Add the controls.
@@ -44,8 +44,8 @@ class EncounterControls:
 
     @property
     def chosen(self) -> bool:
-        """Whether there is a family."""
-        return self._base.family != NO_FAMILY
+        """Whether there is a logical scenario."""
+        return self._base.logical_scenario != NO_LOGICAL_SCENARIO
 
     def fill(self, config: ExperimentConfig) -> None:
         """Show what a configuration says."""
@@ -74,16 +74,16 @@ class EncounterControls:
 def asked_simulator(config: ExperimentConfig) -> Simulator:
     """The scenario whose signals a specification is about."""
     plain = replace(config, rules=(), simulator=DRAWN_BACK_END)
-    if config.encounter.family == NO_FAMILY:
+    if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
         return build_simulator(plain)
-    return cast(Simulator, build_family_simulator(plain))
+    return cast(Simulator, build_encounter_simulator(plain))
 
 
 def check_encounter(config: ExperimentConfig) -> None:
-    """Refuse what cannot be had of a family.
+    """Refuse what cannot be had of a logical scenario.
 
     Raises:
         InputError: The line says what.
     """
-    if config.encounter.family != NO_FAMILY:
+    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
         check_method_fits(config, build_back_end(config))

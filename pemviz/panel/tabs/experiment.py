@@ -32,7 +32,7 @@ FIRST_PRESET = "paper"
 PRESET_HINT = (
     "Shipped configuration that fills in all controls and the scenario: paper (70 km/h, lead car "
     "brakes at 0.3 g), town01 (30 km/h, lead car brakes hard), paper-algorithm (paper, with the "
-    "paper's own method), or a family of encounters with random starts: braking, cut-in, cut-out."
+    "paper's own method), or a logical scenario with random starts: braking, cut-in, cut-out."
 )
 RUN_HINT = "Run what is set up below. One experiment runs at a time; all browsers see it."
 STOP_HINT = "Stop after the present batch of rollouts; what is finished is kept."
@@ -278,11 +278,13 @@ class ExperimentTab:
         ):
             if control.visible != shown:
                 control.visible = shown
-        family = self.encounter.chosen
-        self.perception.offer(self.simulator.value, errors=not family)
+        logical_scenario = self.encounter.chosen
+        self.perception.offer(self.simulator.value, errors=not logical_scenario)
         for control in (self.frailty, self.memory_curve, self.reference):
-            if control.visible == family:  # not with several obstacles, nor without a twin
-                control.visible = not family
+            if (
+                control.visible == logical_scenario
+            ):  # not with several obstacles, nor without a twin
+                control.visible = not logical_scenario
         for name, control in (
             ("stages", self.stages),
             ("rollouts", self.rollouts),

@@ -4,7 +4,7 @@ from html import escape
 from pathlib import Path
 
 from pemviz.config import ExperimentConfig
-from pemviz.config.encounters import NO_FAMILY, start_values
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO, start_values
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.panel.views.elements import block, grid, quiet
 
@@ -17,7 +17,7 @@ WORDS = {
 
 def scenario_text(config: ExperimentConfig) -> str:
     """The scenario in a sentence."""
-    if config.encounter.family != NO_FAMILY:
+    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
         return encounter_text(config)
     scenario, errors = config.scenario, config.position_errors
     end_s = (scenario.states - 1) * scenario.dt_s
@@ -36,7 +36,7 @@ def scenario_text(config: ExperimentConfig) -> str:
 
 
 def encounter_text(config: ExperimentConfig) -> str:
-    """The family in a sentence, and what is drawn for each encounter."""
+    """The logical scenario in a sentence, and what is drawn for each encounter."""
     encounter, chosen = config.encounter, {one.name: one.distribution for one in config.start}
     tracker = config.scenario.tracker
     tracked = "" if tracker == NO_TRACKER else f" It acts on a tracker ({tracker})."
@@ -51,7 +51,8 @@ def encounter_text(config: ExperimentConfig) -> str:
     ]
     return block(
         quiet(
-            f"Encounters of the family {encounter.family}: {WORDS[encounter.family]}. The ego "
+            f"Logical scenario {encounter.logical_scenario}: "
+            f"{WORDS[encounter.logical_scenario]}. The ego "
             "keeps its speed and a gap, and brakes hard at "
             f"{encounter.hard_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO} when the time to "
             f"collision is too small.{tracked} {encounter.states} states, {encounter.dt_s:g} s "

@@ -22,10 +22,10 @@ Perception
     a step before another car has it. What cars hide of each other is left out. A detection measures
     exactly where the car is and how fast.
 Ego
-    keeps its lane and drives by what it is told as in the families of encounters
-    (:mod:`pemviz.simulators.families.ego`, with the defaults of ``encounter``); it wants the speed
-    that SUMO allows it where it is, ``wanted_speed``. It knows no traffic lights and gives no way:
-    roads are to be motorways.
+    keeps its lane and drives by what it is told as in the logical scenarios
+    (:mod:`pemviz.simulators.encounters.ego`, with the defaults of ``encounter``); it wants the
+    speed that SUMO allows it where it is, ``wanted_speed``. It knows no traffic lights and gives no
+    way: roads are to be motorways.
 Signals
     ``distance`` driven [m], ``ego_speed``, ``ego_acceleration``; of each slot ``gap_NAME``,
     ``aside_NAME``, ``speed_NAME`` (along x) and ``heading_NAME``, a gap of 500 m where there is

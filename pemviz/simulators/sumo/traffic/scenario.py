@@ -19,9 +19,9 @@ from pemviz.simulators.braking.scenario import (
     NOT_OCCLUDED,
     NOT_TRUNCATED,
 )
+from pemviz.simulators.encounters import ego
+from pemviz.simulators.encounters.told import nothing_told, told_after
 from pemviz.simulators.episodic import SideBySide
-from pemviz.simulators.families import ego
-from pemviz.simulators.families.told import nothing_told, told_after
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot
 from pemviz.simulators.sumo.traffic.client import TrafficEpisodes

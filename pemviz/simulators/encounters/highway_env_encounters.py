@@ -1,0 +1,375 @@
+"""Encounters as highway-env environments; this module imports highway-env, and pygame.
+
+Importing it registers the environments with gymnasium::
+
+    import pemviz.simulators.encounters.highway_env_encounters
+    gymnasium.make("pemviz-cut-in-v0", render_mode="rgb_array")
+
+How an encounter begins, what the ego does and what is measured is in the files ``highway_*.py``
+beside this one, written from the logical scenarios' specification alone: one encounter, no batch.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import ActionType
+from highway_env.envs.common.graphics import EnvViewer
+from highway_env.envs.common.observation import ObservationType
+from highway_env.road.lane import LineType, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.colors import EGO, LEAD, rgb
+from pemviz.config import EncounterConfig, StartChoice
+from pemviz.config.tracker_text import NO_TRACKER
+from pemviz.simulators.braking.highway_env_scenario import no_display
+from pemviz.simulators.encounters.highway_ego import Told, acceleration
+from pemviz.simulators.encounters.highway_signals import Signals, first_touch
+from pemviz.simulators.encounters.highway_start import (
+    Place,
+    courses,
+    drawn,
+    encounter_distributions,
+)
+from pemviz.simulators.tracking.named import tracker_of_text
+
+ENCOUNTERS = {
+    "pemviz-braking-encounter-v0": EncounterConfig(logical_scenario="braking"),
+    "pemviz-cut-in-v0": EncounterConfig(logical_scenario="cut-in"),
+    "pemviz-cut-out-v0": EncounterConfig(logical_scenario="cut-out"),
+}
+"""By the environment's id."""
+FRAME_WIDTH_PX, FRAME_HEIGHT_PX = 640, 160
+SINE_LIMIT = 0.3
+LARGEST = 1e6
+
+
+class EncounterCar(Vehicle):
+    """A car that goes where it heads and stands rather than reverses; contact is not its own."""
+
+    MAX_SPEED = math.inf
+    MIN_SPEED = -math.inf
+
+    def __init__(self, road: Road, config: EncounterConfig, color: tuple[int, int, int]) -> None:
+        self.LENGTH, self.WIDTH = config.car_length_m, config.car_width_m
+        super().__init__(road, position=[0.0, 0.0])
+        self.color = color
+        self.collidable = self.check_collisions = False
+
+    def accelerate(self, acceleration_mps2: float) -> None:
+        """Keep this acceleration over the next step; the wheel is straight."""
+        self.action = {"steering": 0.0, "acceleration": acceleration_mps2}
+
+    def step(self, dt: float) -> None:
+        """Advance by ``dt`` [s]: position with the old speed, then speed."""
+        super().step(dt)
+        self.speed = max(self.speed, 0.0)
+
+    @property
+    def place(self) -> Place:
+        """Where it is; highway-env's y grows to the right."""
+        x_m, y_m = self.position.tolist()
+        return Place(x_m, -y_m, float(self.speed), -float(self.heading))
+
+    @place.setter
+    def place(self, place: Place) -> None:
+        self.position = np.array([place.x_m, -place.y_m])
+        self.speed, self.heading = place.speed_mps, -place.heading_rad
+
+
+class SignalsObservation(ObservationType):
+    """The logical scenario's signals in their order, float64."""
+
+    env: "EncounterEnv"
+
+    def space(self) -> spaces.Box:
+        """Anything finite that is not absurd."""
+        return spaces.Box(-LARGEST, LARGEST, (len(self.env.signals.names),), np.float64)
+
+    def observe(self) -> FloatArray:
+        """The current values."""
+        return np.array(list(self.env.signals.values().values()))
+
+
+class PerceptionOutcomes(ActionType):
+    """For each other car 0, missed, or 1, detected."""
+
+    env: "EncounterEnv"
+
+    def space(self) -> spaces.MultiBinary:
+        """An outcome for each, and for the ghost."""
+        return spaces.MultiBinary(len(self.env.closing_mps))
+
+    def act(self, action: Any) -> None:
+        """Nothing: the environment tells the ego as it moves on."""
+
+
+class EncounterEnv(AbstractEnv):
+    """An encounter as ``pemviz.simulators.encounters`` specifies it, stepped with outcomes.
+
+    The reward is always 0; contact ends nothing; an episode is truncated at its last state.
+    """
+
+    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012  declared so by gymnasium
+    viewer: EnvViewer | None
+
+    def __init__(
+        self,
+        encounter: EncounterConfig,
+        chosen: Sequence[StartChoice] = (),
+        tracker: str = NO_TRACKER,
+        render_mode: str | None = None,
+    ) -> None:
+        """Make the environment, in an encounter with medians at the start.
+
+        Args:
+            encounter: Parameters, with a logical scenario.
+            chosen: Start values with other distributions.
+            tracker: As ``ScenarioConfig.tracker``.
+            render_mode: ``rgb_array`` to render frames ``[160, 640, 3]`` without a display.
+        """
+        self.encounter = encounter
+        self.distributions = encounter_distributions(encounter, chosen)
+        self.tracker = tracker_of_text(tracker, dt_s=encounter.dt_s, axes=2)
+        self.start = np.zeros(sum(not one.fixed for one in self.distributions.values()))
+        self.empty_road = _road(encounter)
+        super().__init__(config=_view(encounter), render_mode=render_mode)
+
+    def update_metadata(self, video_real_time_ratio: float = 1) -> None:
+        """Set the frame rate at which a film runs in real time."""
+        frames_per_s = video_real_time_ratio / self.encounter.dt_s
+        self.metadata = {**self.metadata, "render_fps": frames_per_s}
+
+    def define_spaces(self) -> None:
+        """Set our own observation and action types."""
+        if not hasattr(self, "courses"):
+            self.begin(self.start)
+        self.observation_type = SignalsObservation(self)
+        self.action_type = PerceptionOutcomes(self)
+        self.observation_space = self.observation_type.space()
+        self.action_space = self.action_type.space()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an encounter with start values drawn at random.
+
+        Args:
+            seed: Of the draws.
+            options: ``start``: their standard normals ``[S]`` instead.
+        """
+        gymnasium.Env.reset(self, seed=seed)
+        given = (options or {}).get("start")
+        normals = self.np_random.standard_normal(len(self.start)) if given is None else given
+        self.start = np.asarray(normals, dtype=np.float64)
+        return super().reset()
+
+    def _reset(self) -> None:
+        self.begin(self.start)
+
+    def begin(self, start: FloatArray) -> None:
+        """Put all cars at the start for standard normals ``[S]``."""
+        self.values = drawn(self.distributions, start)
+        self.courses = courses(self.encounter, self.values)
+        self.set_speed_mps = max(self.values["ego_speed"], 0.0)
+        self.road = self.empty_road
+        self.ego = EncounterCar(self.road, self.encounter, rgb(EGO))
+        self.others = [EncounterCar(self.road, self.encounter, rgb(LEAD)) for _ in self.courses]
+        self.cars = (self.ego, *self.others)
+        self.road.vehicles = list[Vehicle](self.cars)
+        self.controlled_vehicles = [self.ego]
+        self.steps = 0
+        self.ego.place = Place(0.0, 0.0, self.set_speed_mps, 0.0)
+        for car, course in zip(self.others, self.courses, strict=True):
+            car.place = course.start
+        self._head()
+        self.signals = Signals(self.encounter, self.courses, self.values)
+        self.signals.begin(self.ego.place, self.places)
+        self.closing_mps = [0.0] * len(self.signals.reported_offsets)
+        if self.tracker is not None:
+            self.tracks = self.tracker.start(1, slots=len(self.closing_mps))
+
+    @property
+    def places(self) -> list[Place]:
+        """Where the other cars are."""
+        return [car.place for car in self.others]
+
+    def numbers(self) -> list[float]:
+        """All that the future depends on beside tracks and outcomes; see :meth:`load`."""
+        places = [number for car in self.cars for number in car.place]
+        values = list(self.values.values())
+        return [float(self.steps), *values, *places, *self.closing_mps, *self.signals.numbers()]
+
+    def load(self, numbers: Sequence[float]) -> None:
+        """Put the scene into a state that :meth:`numbers` gave; its tracks stay."""
+        rest = iter(numbers)
+        self.steps = int(next(rest))
+        self.values = {name: next(rest) for name in self.values}
+        self.courses = courses(self.encounter, self.values)
+        self.set_speed_mps = max(self.values["ego_speed"], 0.0)
+        for car in self.cars:
+            car.place = Place(*(next(rest) for _ in Place._fields))
+        self.closing_mps = [next(rest) for _ in self.closing_mps]
+        self.signals.load(list(rest), self.courses, self.values)
+        self.signals.look(self.ego.place, self.places)
+
+    def advance(self, detected: BoolArray) -> None:
+        """Move one time step on for outcomes ``[K]``, without the costs of observing."""
+        hits = np.asarray(detected, dtype=np.bool_) & self.signals.present()
+        if self.tracker is None:
+            self.move(hits)
+            return
+        measured = [self.signals.reported_offsets]
+        self.tracks = self.tracker.update(self.tracks, hits[None], np.array(measured))
+        speeds_mps = self.tracks.speed_mps[0] if self.has_speeds else None
+        self.move(hits, self.tracks.confirmed[0], self.tracks.position_m[0], speeds_mps)
+
+    @property
+    def has_speeds(self) -> bool:
+        """Whether the tracker's filter knows speeds."""
+        return self.tracker is not None and "speed_mps" in self.tracker.filter.keeps
+
+    def move(
+        self,
+        hits: BoolArray,
+        tracked: BoolArray | None = None,
+        position_m: FloatArray | None = None,
+        speed_mps: FloatArray | None = None,
+    ) -> None:
+        """Move one time step on, with the ego told of hits, or of tracks.
+
+        Args:
+            hits: Slots that are present and reported ``[K]``.
+            tracked: Of which the ego is told ``[K]``; ``None``: of the hits.
+            position_m: Gaps and offsets of the tracks, or as measured, ``[K, 2]``; ``None``: as
+                they are.
+            speed_mps: How they change, where a filter knows it, ``[K, 2]``.
+        """
+        ego_mps, offsets_m = self.ego.place.speed_mps, self.signals.reported_offsets
+        along_mps = [place.along_mps for place in self.places]
+        along_mps += [0.0] * (len(offsets_m) - len(along_mps))
+        self.closing_mps = [
+            ego_mps - along if hit else held
+            for hit, along, held in zip(hits, along_mps, self.closing_mps, strict=True)
+        ]
+        told: list[Told] = []
+        for slot, is_told in enumerate(hits if tracked is None else tracked):
+            if is_told:
+                offsets = offsets_m[slot] if position_m is None else position_m[slot]
+                closing = self.closing_mps[slot] if speed_mps is None else -speed_mps[slot][0]
+                told.append(Told(float(offsets[0]), float(offsets[1]), float(closing)))
+        self._step(told)
+
+    def _step(self, told: Sequence[Told]) -> None:
+        config, collided = self.encounter, self.signals.collided
+        own = acceleration(config, told, self.ego.place.speed_mps, self.set_speed_mps)
+        others = [course.acceleration(self.steps * config.dt_s) for course in self.courses]
+        self.ego.accelerate(0.0 if collided else own)
+        for car, one in zip(self.others, others, strict=True):
+            car.accelerate(one)
+        before = [car.place for car in self.cars]
+        held = [pair for pair in zip(self.cars, before, strict=True) if self._is_held(pair[0])]
+        braking_mps2 = [-one for one in others]
+        self.signals.leave(0.0 if collided else own, braking_mps2)
+        self.road.step(config.dt_s)
+        for car, place in held:
+            car.place = place
+        if not collided:
+            self._touch(before)
+        self.steps += 1
+        self._head()
+        self.signals.arrive(self.ego.place, self.places, self.steps)
+
+    def _is_held(self, car: EncounterCar) -> bool:
+        """Whether it stands in contact."""
+        touched = self.signals.touched
+        return touched is not None and (car is self.ego or car is self.others[touched])
+
+    def _touch(self, before: Sequence[Place]) -> None:
+        """Stop the ego and the car that it touches first over the step, if any."""
+        after = [car.place for car in self.cars]
+        found = first_touch(self.encounter, before, after)
+        if found is None:
+            return
+        self.signals.touch(found.car, found.impact_mps)
+        for number in (0, found.car + 1):
+            self.cars[number].place = found.at(before[number], after[number])
+
+    def _head(self) -> None:
+        """Turn the cars to where their profiles have them at the next state."""
+        dt_s = self.encounter.dt_s
+        for car, course in zip(self.others, self.courses, strict=True):
+            place = car.place
+            if place.speed_mps > 0.0:
+                aside_m = course.profile(self.encounter, (self.steps + 1) * dt_s) - place.y_m
+                sine = min(max(aside_m / (place.speed_mps * dt_s), -SINE_LIMIT), SINE_LIMIT)
+                car.place = place._replace(heading_rad=math.asin(sine))
+
+    def render(self) -> Any:
+        """A frame, uint8 ``[160, 640, 3]``; ``None`` if no render mode was chosen."""
+        if self.viewer is None and self.render_mode is not None:
+            with no_display():
+                self.viewer = EnvViewer(self)
+            self.viewer.enabled = True  # with the dummy driver it leaves frames black
+        return super().render()
+
+    def _simulate(self, action: Any = None) -> None:
+        self.advance(np.asarray(action, dtype=np.bool_))
+
+    def _reward(self, action: Any) -> float:  # noqa: ARG002
+        return 0.0
+
+    def _is_terminated(self) -> bool:
+        return False
+
+    def _is_truncated(self) -> bool:
+        return self.steps >= self.encounter.states - 1
+
+    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:  # noqa: ARG002
+        return {"present": self.signals.present()}
+
+
+def _road(config: EncounterConfig) -> Road:
+    """Three lanes, as long as an encounter can need."""
+    length_m, network = 20_000.0, RoadNetwork()
+    sides = (LineType.STRIPED, LineType.CONTINUOUS_LINE)
+    for lane in (-1, 0, 1):
+        left, right = sides[lane == -1], sides[lane == 1]
+        y_m = lane * config.lane_width_m
+        types: Any = (left, right)
+        network.add_lane(
+            "start",
+            "end",
+            StraightLane(
+                [-length_m, y_m], [length_m, y_m], width=config.lane_width_m, line_types=types
+            ),
+        )
+    return Road(network=network)
+
+
+def _view(config: EncounterConfig) -> dict[str, Any]:
+    """Show what the camera sees; the ego stays near the left edge."""
+    return {
+        "screen_width": FRAME_WIDTH_PX,
+        "screen_height": FRAME_HEIGHT_PX,
+        "centering_position": [0.1, 0.5],
+        "offscreen_rendering": True,
+        "scaling": float(np.clip(FRAME_WIDTH_PX * 0.9 / config.farthest_m, 2.0, 20.0)),
+        "simulation_frequency": 1 / config.dt_s,
+        "policy_frequency": 1 / config.dt_s,
+    }
+
+
+for _name, _encounter in ENCOUNTERS.items():
+    if _name not in gymnasium.registry:
+        gymnasium.register(
+            id=_name,
+            entry_point=f"{__name__}:{EncounterEnv.__name__}",
+            kwargs={"encounter": _encounter},
+        )

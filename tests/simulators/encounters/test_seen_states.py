@@ -1,0 +1,107 @@
+"""What perception depends on at a state is asked once, and what is asked then is the same."""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pemviz.errors import ConfigError
+from pemviz.sampling.state.composed import with_last_outcome
+from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
+from pemviz.simulators.check import check_simulator
+from pemviz.simulators.encounters.features import EncounterFeatures
+from pemviz.simulators.latents import salient_of, stepped
+from pemviz.simulators.slots import SeenStates, UnrolledSimulator
+from pemviz.stl import parse
+from pemviz.stl.monitor import FormulaMonitor
+from pemviz.types import StateBatch
+from tests.simulators.encounters.courses import SCENARIOS, assert_same, steps
+from tests.slot_toys import TwoCars
+
+
+def plain(states):
+    """The same states, of which nothing is known beside signals and memory."""
+    return StateBatch(states.step, dict(states.signals), dict(states.memory))
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_what_is_known_of_states_changes_nothing(name):
+    """Salient variables, reactions and next states, with and without what states know."""
+    unrolled = UnrolledSimulator(SCENARIOS[name])
+    simulator = with_last_outcome(unrolled, tau_s=0.2)
+    features = EncounterFeatures(unrolled, SCENARIOS[name])
+    for states, hits, noise in steps(simulator):
+        assert isinstance(states, SeenStates)
+        bare = plain(states)
+        np.testing.assert_array_equal(
+            salient_of(simulator, states), simulator.salient(states.signals)
+        )
+        np.testing.assert_array_equal(salient_of(simulator, bare), salient_of(simulator, states))
+        assert_same(stepped(simulator, states, hits, noise), stepped(simulator, bare, hits, noise))
+        by_row = replace(bare, step=np.full(states.shape, states.step))
+        np.testing.assert_array_equal(features.values(states), features.values(by_row))
+        np.testing.assert_array_equal(features.reacts(states), features.reacts(by_row))
+        np.testing.assert_array_equal(
+            features.reacts_within(states, steps=8), features.reacts_within(by_row, steps=8)
+        )
+
+
+@dataclass(frozen=True)
+class Counted(TwoCars):
+    """It counts how often it is asked."""
+
+    asked: list[str] = field(default_factory=list)
+
+    def present(self, signals):
+        self.asked.append("present")
+        return super().present(signals)
+
+    def salient(self, signals):
+        self.asked.append("salient")
+        return super().salient(signals)
+
+
+@pytest.mark.parametrize("wrapped", ["alone", "absorbing", "monitored"])
+def test_a_scenario_is_asked_once_a_step(wrapped):
+    """In the turns of all slots together, whatever wraps it."""
+    cars = Counted()
+    simulator = with_last_outcome(UnrolledSimulator(cars), tau_s=0.2)
+    rule = parse("always[0,3] (gap_a >= 0.5)")
+    if wrapped == "absorbing":
+        simulator = AbsorbingSimulator(simulator, lambda states: states.signals["gap_a"] < 0.5)
+    elif wrapped == "monitored":
+        simulator = MonitoredSimulator(simulator, FormulaMonitor(rule))
+    for states, *_ in steps(simulator, count=3):
+        salient_of(simulator, states)
+    assert cars.asked.count("salient") == cars.states - 1
+    assert cars.asked.count("present") == cars.states
+
+
+@dataclass(frozen=True)
+class SeesElsewhere(TwoCars):
+    """What it has under the name that is asked in place of others is something else."""
+
+    def sight(self, signals):
+        absent = np.zeros_like(self.present(signals))
+        return SimpleNamespace(present=absent, salient=self.salient(signals))
+
+
+@dataclass(frozen=True)
+class ReactsElsewhere(TwoCars):
+    """Likewise, of where it reacts."""
+
+    def reacts(self, signals):
+        return self.present(signals)
+
+    def reacts_in(self, slot, signals):
+        return ~self.present(signals)[..., slot]
+
+
+def test_what_is_asked_in_place_of_others_must_say_the_same():
+    with pytest.raises(ConfigError, match="sight and present differ: both must give the same"):
+        check_simulator(SeesElsewhere())
+    with pytest.raises(ConfigError, match="reacts_in and reacts differ: both must give the same"):
+        check_simulator(ReactsElsewhere())
+    for scenario in SCENARIOS.values():
+        check_simulator(scenario)
