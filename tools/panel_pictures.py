@@ -101,7 +101,7 @@ def picture_scenario(
     both = PIL.Image.new("RGB", (before.width, before.height + road.height))
     both.paste(before, (0, 0))
     both.paste(road, (0, before.height))
-    save(both, arguments.out / f"family-{logical_scenario}.png")
+    save(both, arguments.out / f"encounter-{logical_scenario}.png")
 
 
 def newest(recordings: Path, method: str, *options: str) -> str:

@@ -155,7 +155,7 @@ def build_experiment(
     config, named, back_end = _named_parts(config, own, pem, allow_python=allow_python)
     back_end = with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
     check_method_fits(config, back_end)
-    _check_slots(config, back_end, hidden)
+    _check_hidden(config, back_end, hidden)
     ensemble = ensemble_of(config.pem) if pem is None else None
     model, ensemble = with_slots(back_end.simulator, named, ensemble)
     warnings = (
@@ -203,14 +203,24 @@ def _method(config: ExperimentConfig, problem: Problem, back_end: BackEnd) -> Me
     return method
 
 
-def _check_slots(
+def _check_hidden(
     config: ExperimentConfig, back_end: BackEnd, hidden: Sequence[HiddenProperty]
 ) -> None:
-    """Refuse slots with what is known of one obstacle alone.
+    """Refuse properties that the answer could not name, and slots with what is of one obstacle.
 
     Raises:
-        ConfigError: The simulator has them.
+        ConfigError: There are such.
     """
+    given: Sequence[object] = hidden
+    for one in given:
+        if not isinstance(one, HiddenProperty):
+            message = f"hidden: {type(one).__name__}: must be a pemviz.HiddenProperty"
+            raise ConfigError(message)
+        if not one.label:
+            message = (
+                f"hidden: {type(one).__name__}: must have a label, by which the answer names it"
+            )
+            raise ConfigError(message)
     if not isinstance(back_end.simulator, UnrolledSimulator):
         return
     which = f"simulator {back_end.simulator.name!r}, which has slots,"

@@ -183,3 +183,30 @@ def test_slots_are_refused_in_one_line():
     with pytest.raises(ConfigError, match="hidden: simulator 'two-cars', which has") as caught:
         build_experiment(config, simulator=TwoCars(), pem=ConstantPem(0.1), hidden=[LENS])
     assert "\n" not in str(caught.value)
+
+
+@dataclass(frozen=True)
+class Nameless(DirtyLens):
+    @property
+    def label(self):
+        return ""
+
+
+@dataclass(frozen=True)
+class Copied(DirtyLens):
+    follows_model = False
+
+
+@pytest.mark.parametrize(
+    ("hidden", "words"),
+    [
+        ([Nameless(0.1, 4.0)], "hidden: Nameless: must have a label"),
+        (["fog"], "hidden: str: must be a pemviz.HiddenProperty"),
+        ([Copied(0.1, 4.0), Copied(0.2, 4.0)], "hidden: signal 'dirty': belongs to two"),
+        ([LENS, LENS], "hidden: signal 'dirty': belongs to two"),
+    ],
+)
+def test_what_is_no_property_is_refused_in_one_line(hidden, words):
+    with pytest.raises(ConfigError, match=words) as caught:
+        build_experiment(CONFIG, simulator=SIMULATOR, twin=SIMULATOR, pem=PEM, hidden=hidden)
+    assert "\n" not in str(caught.value)

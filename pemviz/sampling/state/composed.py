@@ -7,7 +7,7 @@ property knows is asked of the property.
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -45,12 +45,13 @@ class ComposedSimulator(WrappedSimulator):
 
     Attributes:
         properties: At least one.
-        pem: The model of single outcomes, where what is known depends on it.
+        pem: The model of single outcomes, where what is known depends on it; one of the user's own
+            need not know how to compare, so that it takes no part in comparisons.
         left_out: Properties whose part of the states is not gone on with.
     """
 
     properties: tuple[HiddenProperty, ...]
-    pem: Pem | None = None
+    pem: Pem | None = field(default=None, compare=False)
     left_out: tuple[HiddenProperty, ...] = ()
 
     @property
@@ -298,6 +299,10 @@ def composed(
     """
     if not properties:
         return back_end, pem
+    names = [signal.name for signal in _signals(properties)]
+    if twice := {name for name in names if names.count(name) > 1}:
+        message = f"hidden: signal {min(twice)!r}: belongs to two properties; choose another name"
+        raise ConfigError(message)
     following = [one for one in properties if one.follows_model]
     if following and len(properties) > 1 and not isinstance(properties[-1], Visibility):
         names = ", ".join(one.label or type(one).__name__ for one in properties)

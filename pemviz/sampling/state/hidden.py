@@ -24,7 +24,8 @@ OwnLogit = Callable[[], FloatArray]
 AskModel = Callable[[StateBatch], FloatArray]
 """States ``[...]`` to the logits of P(detected) of the model of single outcomes, ``[...]``."""
 CARRIED = "pemviz carries: "
-"""Names of memory that is for going on from a state alone begin so; rollouts do not keep it."""
+"""Names of memory that is for going on from a state alone begin so; rollouts do not keep it, and
+method ``splitting`` asks for it anew (:class:`RestoresMemory`)."""
 
 
 @dataclass(frozen=True)
