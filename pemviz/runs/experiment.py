@@ -203,16 +203,13 @@ def _method(config: ExperimentConfig, problem: Problem, back_end: BackEnd) -> Me
     return method
 
 
-def _check_hidden(
-    config: ExperimentConfig, back_end: BackEnd, hidden: Sequence[HiddenProperty]
-) -> None:
+def _check_hidden(config: ExperimentConfig, back_end: BackEnd, hidden: Sequence[object]) -> None:
     """Refuse properties that the answer could not name, and slots with what is of one obstacle.
 
     Raises:
         ConfigError: There are such.
     """
-    given: Sequence[object] = hidden
-    for one in given:
+    for one in hidden:
         if not isinstance(one, HiddenProperty):
             message = f"hidden: {type(one).__name__}: must be a pemviz.HiddenProperty"
             raise ConfigError(message)
