@@ -73,7 +73,7 @@ def _remark(model: str, scores: Scores, paper: tuple[float, float]) -> str:
         return f"{model}: as in the paper, within {CLOSE_BCE} nats and {CLOSE_AUC} of ROC-AUC."
     better = "better" if bce < paper[0] else "worse"
     reason = (
-        "prior and variational logical scenario of the Bayesian network are our choice here"
+        "prior and variational family of the Bayesian network are our choice here"
         if model == "b-nn"
         else "the fit's details differ where the paper leaves them open"
     )

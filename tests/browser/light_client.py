@@ -22,7 +22,7 @@ CAMERA = {
     "look_at": [0.0, 0.0, 0.0],
     "up_direction": [0.0, 0.0, 1.0],
 }
-LEFT_ALONE = ("Run", "Stop")  # what changes the experiment itself
+LEFT_ALONE = ("Run", "Stop", "Delete it for good")  # what changes the experiment itself
 
 
 class LightClient:

@@ -27,7 +27,7 @@ class Cell:
     """A logical scenario under one detector and one tracker.
 
     Attributes:
-        logical scenario: Its preset.
+        logical_scenario: Its preset.
         memory_s: Memory time of misses [s].
         tracker: As ``ScenarioConfig.tracker``.
     """
