@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CLIENTS = 20
 SOAK_S = float(os.environ.get("PEMVIZ_SOAK_S", "30"))
 GROWTH_MB = 50.0
-VARYING = ("run_id", "timings_s")
+VARYING = ("run_id", "timings_s", "schema")  # of a folder: with digests
 
 
 def resident_mb(pid: int) -> float:
