@@ -21,7 +21,7 @@ from pemviz.runs.specification import asked_signals
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.scenario import GAP, scenario_signals
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from pemviz.simulators.scene import drawn_scene
+from pemviz.simulators.drawn_scene import drawn_scene
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Signal, Simulator, StageKind
 

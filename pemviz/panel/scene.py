@@ -1,97 +1,80 @@
-"""The 3D scene of one rollout: road, two cars, camera's view, gap line, hits and misses.
+"""The 3D scene of one rollout of any scenario that tells where its cars are.
 
-Coordinates: x ahead, y to the left, z up, in metres; the ego's windscreen camera stands at
-x = 0 when the rollout begins.
+Coordinates: x along the road, y to the left, z up, in metres; the ego's centre is at x = 0 when
+the rollout begins.
 """
 
-import math
+from typing import Literal
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
-from pemviz.arrays import FloatArray
-from pemviz.colors import BLUE, DETECTED, EGO, LEAD, MISSED, rgb
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.colors import BLUE, DETECTED, MISSED, car_color, rgb
 from pemviz.panel import meshes
 from pemviz.panel.views.rollout import Track
-from pemviz.simulators.braking.contact import (
-    CAMERA_TO_BUMPER_M,
-    contact_text,
-    drawn_gap,
-    until_contact,
-)
+from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
+from pemviz.simulators.scene import SceneCar
 
+ROOT, WORDS = "/world", "/words-"
+FIRST_VIEW_POSITION = (-24.0, -14.0, 16.0)
+FIRST_VIEW_TARGET = (14.0, 0.5, -6.0)
+FIRST_VIEW_FOV = 0.66
 ROAD = (72, 76, 84)
 VERGE = (176, 190, 168)
 PAINT = (240, 240, 240)
 GLASS = (28, 34, 44)
 TYRE = (22, 22, 24)
 LAMP_ON, LAMP_OFF = (255, 20, 20), (84, 12, 12)
-SAFE, CLOSE = np.array([120.0, 130.0, 140.0]), np.array([225.0, 20.0, 20.0])
-FOCAL_PX, IMAGE_PX = 721.5, (1242, 375)
-VIEW_DEPTH_M = 2.0
-LOOK_AHEAD_WXYZ = (0.5, -0.5, 0.5, -0.5)
-FIRST_VIEW_POSITION = (-15.0, -19.0, 12.0)
-FIRST_VIEW_TARGET = (4.5, 0.0, -3.6)
-FIRST_VIEW_FOV = 0.66
-BRAKING_MPS2 = 1.0
 AFTER_CONTACT = (150, 150, 150)
-OUTCOME = {True: "detected", False: "MISSED"}
+BRAKING_MPS2 = 1.0
+"""From which on a car's lamps are lit."""
+BEFORE_M, BEYOND_M = 70.0, 150.0
+DASH_M, DASH_SPACING_M = 3.0, 9.0
+SIGMAS = 2.0
+TRACKED = (255, 255, 255)
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)
+CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]) / 2
+MARK_SPACING_M = 1.3
+BALL_ABOVE_M, WORDS_ABOVE_M, WORDS_ASIDE_M = 0.8, 1.4, 0.4
+"""Of what tells of a car: over its roof, and beside it."""
+LAMPS = ((-0.5, -0.38, 0.48), (-0.5, 0.38, 0.48), (-0.33, 0.0, 0.88))
+"""Of a car's length, width and height, from its centre on the ground."""
+LAMP_SIZES_M = ((0.1, 0.34, 0.2), (0.1, 0.34, 0.2), (0.2, 0.5, 0.08))
+BALL_M = {NOT_ASKED: 0.12, RIGHT: 0.28, WRONG: 0.5}
+BALLS = {NOT_ASKED: AFTER_CONTACT, RIGHT: rgb(DETECTED), WRONG: rgb(MISSED)}
 
 
 class Scene:
     """Draws a rollout with one scene API, of a browser or of an exporter."""
 
     def __init__(self, api: viser.SceneApi) -> None:
+        lights(api)
         self._api = api
         self._track: Track | None = None
         self._follow = True
-        self._travelled_m: FloatArray = np.zeros(1)
-        self._gap_m: FloatArray = np.zeros(1)
-        lights(api)
-        self._world = api.add_frame("/world", show_axes=False)
-        self._ego = api.add_frame("/world/ego", show_axes=False)
-        self._lead = api.add_frame("/world/lead", show_axes=False)
-        self._ego_body, self._ego_lamps = self._car(
-            "/world/ego", color=EGO, x_m=CAMERA_TO_BUMPER_M - meshes.CAR_LENGTH_M
-        )
-        self._lead_body, self._lead_lamps = self._car("/world/lead", color=LEAD, x_m=0.0)
-        self._frustum = api.add_camera_frustum(
-            "/world/ego/camera",
-            fov=2 * math.atan(IMAGE_PX[1] / 2 / FOCAL_PX),
-            aspect=IMAGE_PX[0] / IMAGE_PX[1],
-            scale=VIEW_DEPTH_M,
-            thickness=0.035,
-            color=rgb(DETECTED),
-            wxyz=LOOK_AHEAD_WXYZ,
-            position=(0.0, 0.0, 1.65),
-            cast_shadow=False,
-        )
-        self._gap_line = api.add_line_segments(
-            "/world/ego/gap",
-            points=np.zeros((1, 2, 3), dtype=np.float32),
-            colors=(120, 130, 140),
-            thickness=0.14,
-        )
-        self._gap_label = api.add_label(
-            "/world/ego/gap_label", "gap", anchor="bottom-center", font_screen_scale=1.15
-        )
+        self._cars: list[_Car] = []
+        self._words = _Words(api)
+        self._tracks: list[viser.LineSegmentsHandle] = []
 
     def clear(self) -> None:
-        """Nothing is drawn; a later rollout is."""
-        self._world.visible = False
+        """Nothing is drawn."""
+        if self._track is not None:
+            self._api.remove_by_name(ROOT)
+            self._words.hide()
+        self._track, self._cars, self._tracks = None, [], []
 
     def show(self, track: Track) -> None:
         """Draw another rollout; call :meth:`at` afterwards."""
+        self.clear()
         self._track = track
-        self._world.visible = True
-        dt_s = track.scenario.dt_s
-        travelled_m = np.concatenate([[0.0], np.cumsum(track.ego_speed_mps[:-1] * dt_s)])
-        self._travelled_m = until_contact(travelled_m, track.contact)
-        self._gap_m = drawn_gap(track.gap_m, track.contact)
-        self._ground(float(self._travelled_m[-1]))
-        self._zones(track.scenario.emergency_gap_m)
-        self._marks(track)
+        self._world = self._api.add_frame(ROOT, show_axes=False)
+        drawn = track.drawn
+        self._ground(drawn)
+        self._cars = [_Car(self._api, drawn, car) for car in range(len(drawn.cars))]
+        if drawn.tracks is not None:
+            self._tracks = [self._track_lines(slot) for slot in range(len(drawn.slots))]
+        self._marks(drawn)
 
     def follow(self, follow: bool) -> None:
         """Whether the ego car stays put and the road moves, so that any view follows it."""
@@ -102,153 +85,229 @@ class Scene:
         track = self._track
         if track is None:
             return
-        x_m, gap_m = float(self._travelled_m[step]), float(self._gap_m[step])
-        self._world.position = (-x_m if self._follow else 0.0, 0.0, 0.0)
-        self._ego.position = (x_m, 0.0, 0.0)
-        self._lead.position = (x_m + gap_m, 0.0, 0.0)
-        touching = track.contact is not None and step >= track.contact.step
-        self._shade(touching)
-        last = step >= track.detected.size
-        seen = not last and bool(track.detected[step])
-        self._frustum.color = AFTER_CONTACT if touching else rgb(DETECTED if seen else MISSED)
-        self._set_gap(track, gap_m, words=gap_words(track, step))
-        for lamps, speed_mps in (
-            (self._ego_lamps, track.ego_speed_mps),
-            (self._lead_lamps, track.lead_speed_mps),
-        ):
-            self._set_lamps(lamps, not touching and braking(speed_mps, step, track.scenario.dt_s))
+        drawn = track.drawn
+        ego_x_m = float(drawn.states.x_m[step, 0])
+        ahead_m = -ego_x_m if self._follow else 0.0
+        self._world.position = (ahead_m, 0.0, 0.0)
+        after = drawn.contact_step is not None and step >= drawn.contact_step
+        for car in self._cars:
+            car.at(step, after=after)
+        self._words.at(drawn, step, ahead_m=ahead_m, after=after)
+        for slot, lines in enumerate(self._tracks):
+            self._move_track(drawn, slot, lines, step, after=after)
 
-    def _shade(self, touching: bool) -> None:
-        """Cars in grey from contact on: what the simulation goes on with is no real motion."""
-        for body, color in ((self._ego_body, EGO), (self._lead_body, LEAD)):
-            shade = AFTER_CONTACT if touching else rgb(color)
-            if tuple(body.color) != shade:
-                body.color = shade
-
-    def _set_gap(self, track: Track, gap_m: float, *, words: str) -> None:
-        start, end = np.array([0.0, 0.0, 1.15]), np.array([gap_m, 0.0, 1.15])
-        self._gap_line.points = np.stack([start, end])[None].astype(np.float32)
-        self._gap_line.colors = np.tile(
-            gap_color(gap_m, wide_m=track.scenario.emergency_gap_m), (1, 2, 1)
-        )
-        self._gap_label.position = (gap_m / 2, 0.0, 1.9)
-        self._gap_label.text = words
-
-    def _set_lamps(self, lamps: list[viser.BoxHandle], lit: bool) -> None:
-        for lamp in lamps:
-            lamp.color = LAMP_ON if lit else LAMP_OFF
-            lamp.scale = 1.35 if lit else 1.0
-
-    def _car(
-        self, path: str, *, color: str, x_m: float
-    ) -> tuple[viser.MeshHandle, list[viser.BoxHandle]]:
-        """A car with its rear at ``x_m``: its body and its lamps."""
-        parts = (
-            ("body", meshes.car_body(), rgb(color)),
-            ("glass", meshes.car_glass(), GLASS),
-            ("wheels", meshes.car_wheels(), TYRE),
-        )
-        body, *_ = [
-            self._api.add_mesh_simple(
-                f"{path}/{name}",
-                vertices=mesh.vertices.astype(np.float32),
-                faces=mesh.faces.astype(np.uint32),
-                color=shade,
-                flat_shading=True,
-                side="double",
-                position=(x_m, 0.0, 0.0),
-            )
-            for name, mesh, shade in parts
-        ]
-        places = ((-0.66, 0.74, 0.34), (0.66, 0.74, 0.34), (0.0, 1.36, 0.5))
-        lamps = [
-            self._api.add_box(
-                f"{path}/lamp{number}",
-                color=LAMP_OFF,
-                dimensions=(0.1 if number < 2 else 0.2, width, 0.2 if number < 2 else 0.08),
-                position=(x_m + (0.0 if number < 2 else 0.85), y, z),
-                cast_shadow=False,
-            )
-            for number, (y, z, width) in enumerate(places)
-        ]
-        return body, lamps
-
-    def _ground(self, travelled_m: float) -> None:
-        start_m, end_m = -60.0, travelled_m + 90.0
+    def _ground(self, drawn: DrawnRollout) -> None:
+        x_m = drawn.states.x_m[drawn.states.present]
+        start_m, end_m = float(np.min(x_m)) - BEFORE_M, float(np.max(x_m)) + BEYOND_M
+        edges_m = drawn.road.lane_edges_m
+        middle_m = (start_m + end_m) / 2
         self._api.add_box(
-            "/world/verge",
+            f"{ROOT}/verge",
             color=VERGE,
             dimensions=(end_m - start_m + 400.0, 400.0, 0.1),
-            position=((start_m + end_m) / 2, 0.0, -0.2),
+            position=(middle_m, 0.0, -0.2),
             cast_shadow=False,
         )
         self._api.add_box(
-            "/world/road",
+            f"{ROOT}/road",
             color=ROAD,
-            dimensions=(end_m - start_m, 9.0, 0.1),
-            position=((start_m + end_m) / 2, 1.2, -0.06),
+            dimensions=(end_m - start_m, edges_m[-1] - edges_m[0] + 0.8, 0.1),
+            position=(middle_m, (edges_m[0] + edges_m[-1]) / 2, -0.06),
             cast_shadow=False,
         )
-        dashes_m = np.arange(start_m, end_m, 6.0)
-        self._stripes("/world/dashes", dashes_m, dashes_m + 2.5, y_m=1.9)
-        ends = (np.array([start_m]), np.array([end_m]))
-        self._stripes("/world/edge_right", *ends, y_m=-2.9)
-        self._stripes("/world/edge_left", *ends, y_m=5.4)
+        dashes_m = np.arange(start_m, end_m, DASH_SPACING_M)
+        for place, edge_m in enumerate(edges_m):
+            if place in (0, len(edges_m) - 1):
+                starts_m, ends_m = np.array([start_m]), np.array([end_m])
+            else:
+                starts_m, ends_m = dashes_m, dashes_m + DASH_M
+            points = np.full((starts_m.size, 2, 3), 0.02)
+            points[:, 0, 0], points[:, 1, 0], points[..., 1] = starts_m, ends_m, edge_m
+            self._api.add_line_segments(
+                f"{ROOT}/line{place}", points=points.astype(np.float32), colors=PAINT,
+                thickness=0.13,
+            )  # fmt: skip
 
-    def _stripes(self, name: str, starts_m: FloatArray, ends_m: FloatArray, *, y_m: float) -> None:
-        height, across = np.full(starts_m.size, 0.02), np.full(starts_m.size, y_m)
-        points = np.stack(
-            [np.stack([x, across, height], axis=1) for x in (starts_m, ends_m)], axis=1
-        )
-        self._api.add_line_segments(
-            name, points=points.astype(np.float32), colors=PAINT, thickness=0.13
-        )
-
-    def _zones(self, emergency_gap_m: float) -> None:
-        """The distance in which a detection brakes hard, and where the bumpers touch."""
-        self._api.add_box(
-            "/world/ego/zone",
-            color=rgb(BLUE),
-            dimensions=(emergency_gap_m, 3.2, 0.02),
-            position=(emergency_gap_m / 2, 0.0, 0.01),
-            opacity=0.32,
-            cast_shadow=False,
-        )
-        self._api.add_box(
-            "/world/ego/limit",
-            color=rgb(MISSED),
-            dimensions=(0.12, 3.2, 0.03),
-            position=(CAMERA_TO_BUMPER_M, 0.0, 0.03),
-            cast_shadow=False,
+    def _track_lines(self, slot: int) -> viser.LineSegmentsHandle:
+        return self._api.add_line_segments(
+            f"{ROOT}/track{slot}",
+            points=np.zeros((len(CORNERS) + len(ANGLES) - 2, 2, 3), dtype=np.float32),
+            colors=TRACKED,
+            thickness=0.09,
+            visible=False,
         )
 
-    def _marks(self, track: Track) -> None:
-        at_m = self._travelled_m[:-1]
-        real = np.arange(at_m.size) < (at_m.size if track.contact is None else track.contact.step)
-        for name, mesh, chosen, color in (
-            ("hits", meshes.hit_mark(), real & track.detected, DETECTED),
-            ("misses", meshes.miss_mark(), real & ~track.detected, MISSED),
+    def _move_track(
+        self,
+        drawn: DrawnRollout,
+        slot: int,
+        lines: viser.LineSegmentsHandle,
+        step: int,
+        *,
+        after: bool,
+    ) -> None:
+        """Where the controller believes a slot's car to be: its outline and an ellipse."""
+        tracks = drawn.tracks
+        shown = tracks is not None and not after and bool(tracks.confirmed[step, slot])
+        lines.visible = shown
+        if tracks is None or not shown:
+            return
+        centre = np.array([tracks.x_m[step, slot], tracks.y_m[step, slot]])
+        car = drawn.car_of_slot(slot)
+        outline = centre + CORNERS * (car.length_m + 0.3, car.width_m + 0.3)
+        reach = SIGMAS * np.array([tracks.x_sd_m[step, slot], tracks.y_sd_m[step, slot]])
+        ellipse = centre + np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) * reach
+        flat = [_segments(outline, 0.06), _segments(ellipse, car.height_m + 0.15)]
+        lines.points = np.concatenate(flat).astype(np.float32)
+
+    def _marks(self, drawn: DrawnRollout) -> None:
+        """Beside the road, a row for each slot: where the ego was at every answer about it."""
+        end = drawn.count - 1 if drawn.contact_step is None else drawn.contact_step
+        x_m = drawn.states.x_m[:-1, 0]
+        edge_m = drawn.road.lane_edges_m[0]
+        for answer, mesh, color in (
+            (RIGHT, meshes.hit_mark(), DETECTED),
+            (WRONG, meshes.miss_mark(), MISSED),
         ):
-            count = int(np.count_nonzero(chosen))
-            path = f"/world/{name}"
-            if not count:
-                self._api.remove_by_name(path)
+            step, slot = np.nonzero(drawn.answers[:end] == answer)
+            if not step.size:
                 continue
-            positions = np.stack(
-                [at_m[chosen], np.full(count, -2.2), np.zeros(count)], axis=1
-            ).astype(np.float32)
+            places = np.zeros((step.size, 3), dtype=np.float32)
+            places[:, 0], places[:, 1] = x_m[step], edge_m - 1.0 - MARK_SPACING_M * slot
             self._api.add_batched_meshes_simple(
-                path,
+                f"{ROOT}/answers{answer}",
                 vertices=mesh.vertices.astype(np.float32),
                 faces=mesh.faces.astype(np.uint32),
-                batched_wxyzs=np.tile(np.array([1.0, 0, 0, 0], dtype=np.float32), (count, 1)),
-                batched_positions=positions,
+                batched_wxyzs=np.tile(np.array([1.0, 0, 0, 0], dtype=np.float32), (step.size, 1)),
+                batched_positions=places,
                 batched_colors=linear(rgb(color)),
                 flat_shading=True,
                 side="double",
                 lod="off",
                 cast_shadow=False,
             )
+
+
+class _Car:
+    """One car: body, glass, wheels, lamps, its zone and, over it, what perception tells of it."""
+
+    def __init__(self, api: viser.SceneApi, drawn: DrawnRollout, car: int) -> None:
+        self._drawn, self._car = drawn, car
+        shape = drawn.cars[car]
+        self._color = rgb(car_color(car))
+        self._answers = drawn.answer_about(car)
+        path = f"{ROOT}/car{car}"
+        self._frame = api.add_frame(path, show_axes=False)
+        parts = (
+            ("body", meshes.car_body(), self._color),
+            ("glass", meshes.car_glass(), GLASS),
+            ("wheels", meshes.car_wheels(), TYRE),
+        )
+        self._body, *_ = [
+            api.add_mesh_simple(
+                f"{path}/{name}",
+                vertices=_sized(mesh.vertices, shape).astype(np.float32),
+                faces=mesh.faces.astype(np.uint32),
+                color=color,
+                flat_shading=True,
+                side="double",
+            )
+            for name, mesh, color in parts
+        ]
+        self._lamps = [
+            api.add_box(
+                f"{path}/lamp{number}",
+                color=LAMP_OFF,
+                dimensions=size,
+                position=(x * shape.length_m, y * shape.width_m, z * shape.height_m),
+                cast_shadow=False,
+            )
+            for number, ((x, y, z), size) in enumerate(zip(LAMPS, LAMP_SIZES_M, strict=True))
+        ]
+        self._brakes = brakes(drawn.states.speed_mps[:, car], dt_s=drawn.dt_s)
+        if shape.zone is not None:
+            ahead_m, front_m = shape.zone.ahead_m, shape.length_m / 2
+            api.add_box(
+                f"{path}/zone",
+                color=rgb(BLUE),
+                dimensions=(ahead_m, 1.6 * shape.width_m, 0.02),
+                position=(front_m + ahead_m / 2, 0.0, 0.01),
+                opacity=0.32,
+                cast_shadow=False,
+            )
+        self._ball = api.add_icosphere(
+            f"{path}/answer", 1.0, BALLS[NOT_ASKED],
+            position=(0.0, 0.0, shape.height_m + BALL_ABOVE_M),
+            cast_shadow=False, visible=False,
+        )  # fmt: skip
+        self._is_asked = drawn.slot_of_car[car] is not None
+
+    def at(self, step: int, *, after: bool) -> None:
+        states, car = self._drawn.states, self._car
+        there = bool(states.present[step, car])
+        self._frame.visible = there
+        if not there:
+            return
+        half = float(states.heading_rad[step, car]) / 2
+        self._frame.position = (float(states.x_m[step, car]), float(states.y_m[step, car]), 0.0)
+        self._frame.wxyz = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+        shade = AFTER_CONTACT if after else self._color
+        if tuple(self._body.color) != shade:
+            self._body.color = shade
+        for lamp in self._lamps:
+            lit = not after and bool(self._brakes[step])
+            lamp.color, lamp.scale = (LAMP_ON, 1.35) if lit else (LAMP_OFF, 1.0)
+        answer = int(self._answers[step])
+        self._ball.visible = self._is_asked and not after and step < self._drawn.count - 1
+        self._ball.color, self._ball.scale = BALLS[answer], BALL_M[answer]
+
+
+class _Words:
+    """What is written: a label for each car, and when and how fast the ego touched one.
+
+    The labels stay from one rollout to the next, and only move: of labels that are taken away and
+    put back at once, a browser may draw one at another one's place.
+    """
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._api = api
+        self._contact: viser.LabelHandle | None = None
+        self._names: list[viser.LabelHandle] = []
+
+    def hide(self) -> None:
+        for label in (self._contact, *self._names):
+            if label is not None:
+                label.visible = False
+
+    def at(self, drawn: DrawnRollout, step: int, *, ahead_m: float, after: bool) -> None:
+        """Beside each car its name and, of one that perception is asked about, the answer.
+
+        Names stand to the left of their cars and what contact was like to the right of the ego:
+        there they cover no car, seen from behind or from above.
+        """
+        if self._contact is None:
+            self._contact = self._label("contact", anchor="top-left", scale=1.15)
+        while len(self._names) < len(drawn.cars):
+            name = f"car{len(self._names)}"
+            self._names.append(self._label(name, anchor="bottom-center", scale=0.95))
+        x_m, y_m = drawn.states.x_m[step] + ahead_m, drawn.states.y_m[step]
+        for car, (label, shape) in enumerate(zip(self._names, drawn.cars, strict=False)):
+            label.visible = bool(drawn.states.present[step, car])
+            label.text = _car_words(drawn, car, step, after=after)
+            aside_m = shape.width_m / 2 + WORDS_ASIDE_M
+            above_m = shape.height_m + WORDS_ABOVE_M
+            label.position = (float(x_m[car]), float(y_m[car]) + aside_m, above_m)
+        self._contact.visible = after
+        self._contact.text = drawn.contact_words
+        right_m = float(y_m[0]) - drawn.cars[0].width_m / 2 - WORDS_ASIDE_M
+        self._contact.position = (float(x_m[0]), right_m, 0.0)
+
+    def _label(
+        self, name: str, *, anchor: Literal["bottom-center", "top-left"], scale: float
+    ) -> viser.LabelHandle:
+        return self._api.add_label(
+            f"{WORDS}{name}", "", anchor=anchor, font_screen_scale=scale, visible=False
+        )
 
 
 def lights(api: viser.SceneApi) -> None:
@@ -260,20 +319,9 @@ def lights(api: viser.SceneApi) -> None:
     api.add_light_directional("/light/sun", intensity=1.0, position=(-6.0, -10.0, 14.0))
 
 
-def gap_words(track: Track, step: int) -> str:
-    """The gap and perception's outcome at a step, or how the cars came into contact."""
-    if track.contact is not None and step >= track.contact.step:
-        return contact_text(track.contact)
-    word = "end" if step >= track.detected.size else OUTCOME[bool(track.detected[step])]
-    gap_m = float(track.gap_m[step])
-    return f"gap {gap_m:.1f} m (bumper {gap_m - CAMERA_TO_BUMPER_M:.1f} m), {word}"
-
-
-def braking(speed_mps: FloatArray, step: int, dt_s: float) -> bool:
-    """Whether a car decelerates noticeably between a step and the next."""
-    if step + 1 >= speed_mps.size:
-        return False
-    return float(speed_mps[step] - speed_mps[step + 1]) > BRAKING_MPS2 * dt_s
+def brakes(speed_mps: FloatArray, *, dt_s: float) -> BoolArray:
+    """``[T]`` whether a car decelerates noticeably between a state and the next."""
+    return np.append(np.diff(speed_mps) < -BRAKING_MPS2 * dt_s, False)
 
 
 def linear(color: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -282,7 +330,24 @@ def linear(color: tuple[int, int, int]) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def gap_color(gap_m: float, *, wide_m: float) -> NDArray[np.uint8]:
-    """RGB ``[3]`` from 0 to 255: grey at ``wide_m`` and beyond, red at contact."""
-    share = float(np.clip((wide_m - gap_m) / max(wide_m - CAMERA_TO_BUMPER_M, 1e-9), 0.0, 1.0))
-    return np.rint(SAFE + share * (CLOSE - SAFE)).astype(np.uint8)
+def _car_words(drawn: DrawnRollout, car: int, step: int, *, after: bool) -> str:
+    name, slot = drawn.cars[car].name, drawn.slot_of_car[car]
+    if slot is None or after or step >= len(drawn.answers):
+        return name
+    return f"{name}: {answer_words(drawn.slots[slot], int(drawn.answers[step, slot]))}"
+
+
+def _sized(vertices: FloatArray, car: SceneCar) -> FloatArray:
+    """Vertices of the standard car, centred and as large as a car."""
+    scale = (
+        car.length_m / meshes.CAR_LENGTH_M,
+        car.width_m / meshes.WIDTH_M,
+        car.height_m / meshes.HEIGHT_M,
+    )
+    return (vertices - np.array([meshes.CAR_LENGTH_M / 2, 0.0, 0.0])) * np.array(scale)
+
+
+def _segments(outline: FloatArray, height_m: float) -> FloatArray:
+    """A closed outline ``[N, 2]`` as segments ``[N-1, 2, 3]`` at a height."""
+    at = np.column_stack([outline, np.full(len(outline), height_m)])
+    return np.stack([at[:-1], at[1:]], axis=1)

@@ -8,10 +8,8 @@ import rerun.blueprint as rrb
 from pemviz.recording import paths
 from pemviz.recording.views import ContainerSpec, ViewKind, ViewSpec, keep_views
 
-EYE_M = (7.0, -10.0, 19.0)
-LOOK_AT_M = (7.0, 8.2, 0.0)
-ROADS_EYE_M = (-7.0, -13.0, 10.0)
-ROADS_LOOK_AT_M = (11.0, 6.0, 0.0)
+EYE_M = (-7.0, -13.0, 10.0)
+LOOK_AT_M = (11.0, 6.0, 0.0)
 LEGEND_CORNERS = {
     paths.MISSED_SHARE: rrb.Corner2D.RightTop,
 }
@@ -101,19 +99,9 @@ def _scene(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
         **common,
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=EYE_M, look_target=LOOK_AT_M, eye_up=(0, 0, 1)
-        ),
-    )
-
-
-def _roads(spec: ViewSpec, common: dict[str, Any]) -> rrb.View:  # noqa: ARG001
-    return rrb.Spatial3DView(
-        **common,
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=ROADS_EYE_M,
-            look_target=ROADS_LOOK_AT_M,
+            position=EYE_M,
+            look_target=LOOK_AT_M,
             eye_up=(0, 0, 1),
         ),
     )
@@ -142,7 +130,6 @@ VIEWS: dict[ViewKind, Callable[[ViewSpec, dict[str, Any]], rrb.View]] = {
     "series": _series,
     "tensor": _tensor,
     "scene": _scene,
-    "roads": _roads,
     "plan": _plan,
     "image": lambda _, common: rrb.Spatial2DView(**common),
 }

@@ -14,7 +14,7 @@ from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.recording.worst import Track
-from pemviz.simulators.scene import drawn_scene
+from pemviz.simulators.drawn_scene import drawn_scene
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator
 

@@ -9,16 +9,17 @@ from pathlib import Path
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
 from pemviz.arrays import FloatArray
 from pemviz.config import ExperimentConfig
-from pemviz.recording import learning, paths, scene, text, worst
+from pemviz.recording import learning, paths, text, worst
 from pemviz.recording.blueprint import blueprint, views_with_data
 from pemviz.recording.chart import log_intervals
 from pemviz.recording.compact import compact
 from pemviz.recording.estimates import Answer, drawn_answer, drawn_repetitions, log_estimates
 from pemviz.recording.film import import_filming, log_film
 from pemviz.recording.latents import noise_title
-from pemviz.recording.road_plan import log_road_plan
-from pemviz.recording.road_scene import log_road_scene
 from pemviz.recording.rollouts import log_rollouts
+from pemviz.recording.scene import log_scene
+from pemviz.recording.scene_layout import MOST_ROADS
+from pemviz.recording.scene_plan import log_scene_plan
 from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota, unvaried
 from pemviz.recording.stream import RecordingFile
 from pemviz.recording.views import ContainerSpec, Subject, all_views, without_signals
@@ -34,8 +35,7 @@ from pemviz.runs.events import (
 from pemviz.runs.result import RunResult
 from pemviz.runs.slot_outcomes import slots_of
 from pemviz.runs.specification import asked_signals
-from pemviz.simulators.braking.scenario import EGO_SPEED
-from pemviz.simulators.scene import drawn_scene
+from pemviz.simulators.drawn_scene import drawn_scene
 from pemviz.simulators.slots import Slot
 from pemviz.types import StageResult
 
@@ -54,7 +54,6 @@ class _Run:
         views: What the recording will show.
         quota: How many rollouts are kept.
         gap_m: Grid of the curves against gap; ``None`` if the scenario has no gap.
-        has_scene: Whether the scenario has what the 3D scene of one gap draws.
         slots: The scenario's slots; none where perception answers one thing a step.
     """
 
@@ -62,7 +61,6 @@ class _Run:
     views: ContainerSpec
     quota: Quota
     gap_m: FloatArray | None
-    has_scene: bool
     slots: tuple[Slot, ...] = ()
 
 
@@ -153,15 +151,13 @@ class Recorder:
                 run.quota,
                 repetitions=config.repetitions,
                 slots=run.slots,
-                on_roads=drawn_scene(event.simulator) is not None,
+                has_scene=drawn_scene(event.simulator) is not None,
             ),
         )
         self._write_texts(file, event.result, running=True)
         if run.gap_m is not None:
             curve = pem_curve(simulator=event.simulator, pem=event.pem, gap_m=run.gap_m)
             learning.log_pem_curve(file, run.gap_m, curve)
-        if run.has_scene:
-            scene.log_scene_setting(file, config.scenario)
         file.flush()
 
     def _add_stage(self, file: RecordingFile, run: _Run, event: StageDone) -> None:
@@ -188,8 +184,8 @@ class Recorder:
             slots=run.slots,
             dt_s=run.started.simulator.dt_s,
         )
-        if self._tracks[: scene.LANES] != before[: scene.LANES]:
-            self._write_scene(file, run, stage=stage.stage)
+        if self._tracks[:MOST_ROADS] != before[:MOST_ROADS]:
+            self._write_scene(file, stage=stage.stage)
         self._write_texts(file, event.result, running=True)
         file.flush()
 
@@ -279,21 +275,18 @@ class Recorder:
             file, self._tracks, signals=run.started.signals, stage=last, dt_s=dt_s
         )
         if run.started.config.repetitions > 1:
-            self._write_scene(file, run, stage=last)
+            self._write_scene(file, stage=last)
         if self._frames:
             config, simulator = run.started.config, run.started.simulator
             log_film(file, self._tracks[0], config=config, simulator=simulator, stage=last)
 
-    def _write_scene(self, file: RecordingFile, run: _Run, *, stage: int) -> None:
+    def _write_scene(self, file: RecordingFile, *, stage: int) -> None:
         """The least robust rollouts on their road, as far as their scenario tells of one."""
-        if run.has_scene:
-            scene.log_scene(file, self._tracks, scenario=run.started.config.scenario, stage=stage)
-            return
         drawn = [track.drawn for track in self._tracks if track.drawn is not None]
         titles = [f"robustness {track.ranked.robustness:.3g}" for track in self._tracks]
         if drawn:
-            log_road_scene(file, drawn, titles=titles, stage=stage)
-            log_road_plan(file, drawn, titles=titles, stage=stage)
+            log_scene(file, drawn, titles=titles, stage=stage)
+            log_scene_plan(file, drawn, titles=titles, stage=stage)
 
 
 def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
@@ -311,7 +304,7 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
                 robustness_unit=robustness_unit(config.metric),
                 frames=frames,
                 road=None if told is None else told.road,
-                asked=None if told is None else asked_signals(config, event.signals)[0],
+                asked=asked_signals(config, event.signals)[0],
                 noise=noise_title(event.simulator),
             )
         ),
@@ -323,7 +316,6 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
         gap_m=gap_grid(event.simulator, step_m=CURVE_STEP_M)
         if GAP in names and not slots
         else None,
-        has_scene={GAP, EGO_SPEED} <= names and not slots and told is None,
         slots=slots,
     )
 

@@ -1,9 +1,4 @@
-"""The least robust rollouts as a 3D scene, seen from the ego car.
-
-Every lane shows one rollout. The ego car's windscreen camera stays at x = 0, so that the lead
-car's rear stands at the gap and the rollouts can be compared; the road moves instead.
-Coordinates: x ahead, y to the left, z up, in metres.
-"""
+"""The least robust rollouts of any scenario that tells where its cars are, in 3D."""
 
 from collections.abc import Sequence
 
@@ -11,206 +6,221 @@ import numpy as np
 import rerun as rr
 
 from pemviz.arrays import AnyArray, FloatArray
-from pemviz.colors import DETECTED, EGO, GREEN, GREY, LEAD, MISSED, WHITE, Rgba, rgba
-from pemviz.config import ScenarioConfig
+from pemviz.colors import GREEN, GREY, WHITE, Rgba, car_color, rgba
 from pemviz.recording import paths
-from pemviz.recording.stream import RecordingFile, StepTimes
-from pemviz.recording.worst import Track
-from pemviz.simulators.braking.contact import (
-    CAMERA_TO_BUMPER_M,
-    Contact,
-    contact_text,
-    drawn_gap,
-    first_contact,
-    until_contact,
+from pemviz.recording.scene_layout import (
+    AHEAD_M,
+    ANSWERS,
+    BEHIND_M,
+    DASH_M,
+    DASH_SPACING_M,
+    SIGMAS,
+    RoadPlace,
+    grey_from,
+    places_m,
+    road_place,
+    with_room,
 )
-from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, EGO_SPEED, GAP
+from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
+from pemviz.simulators.scene import SceneCar, SceneTracks, SceneZone
 
-LANES = 5
-POST_M = 5.5
-LABEL_X_M, LABEL_STEP_M = -7.5, -0.7
-"""Where a lane's words stand; farther lanes' cover more of the road."""
-LANE_SPACING_M = 4.5
-ROAD_START_M = -12.0
-ROAD_END_M = 32.0
-DASH_SPACING_M = 6.0
-DASH_M = 2.5
-TICKS_M = (0.0, 5.0, 10.0, 15.0, 20.0)
-BONNET_HEIGHT_M = 0.9
-FOCAL_PX = 721.5
-IMAGE_PX = (1242, 375)
-AHEAD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 PAINT: Rgba = (190, 190, 190, 255)
 ROAD: Rgba = (55, 55, 60, 255)
-
-
-def log_scene_setting(file: RecordingFile, scenario: ScenarioConfig) -> None:
-    """What never moves: axes, a ruler of gaps, and where emergency braking starts."""
-    file.static(paths.SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    near_m, far_m = -LANE_SPACING_M / 2, (LANES - 0.5) * LANE_SPACING_M
-    ticks = [[[x, near_m, 0.03], [x, far_m, 0.03]] for x in TICKS_M]
-    file.static(
-        paths.setting("ruler"),
-        rr.LineStrips3D(ticks, colors=rgba(GREY), radii=0.02),
-    )
-    file.static(
-        paths.setting("ruler/labels"),
-        rr.Points3D(
-            [[x, near_m - 0.8, 0.0] for x in TICKS_M],
-            labels=[f"gap {x:g} m" for x in TICKS_M],
-            radii=0.05,
-            colors=rgba(GREY),
-            show_labels=True,
-        ),
-    )
-    edge_m = scenario.emergency_gap_m
-    file.static(
-        paths.setting("emergency_gap"),
-        rr.LineStrips3D(
-            [[[edge_m, near_m, 0.05], [edge_m, far_m, 0.05], [edge_m, far_m, POST_M]]],
-            colors=rgba(GREEN),
-            radii=0.07,
-        ),
-    )
-    file.static(
-        paths.setting("emergency_gap/label"),
-        rr.Points3D(
-            [[edge_m, far_m, POST_M]],
-            labels=[f"a detection nearer than {edge_m:g} m brakes hard"],
-            colors=rgba(GREEN),
-            radii=0.02,
-            show_labels=True,
-        ),
-    )
+RADII_M = {NOT_ASKED: 0.15, RIGHT: 0.3, WRONG: 0.6}
+"""Of the mark over a car: a miss differs in more than its colour."""
+CABIN_SHARE, BODY_SHARE = 0.55, 0.58
+"""Of a car's length, and of its height."""
+UNKNOWN_SD_M = 0.02
 
 
 def log_scene(
-    file: RecordingFile, tracks: Sequence[Track], *, scenario: ScenarioConfig, stage: int
+    file: RecordingFile, drawn: Sequence[DrawnRollout], *, titles: Sequence[str], stage: int
 ) -> None:
-    """One lane for each of the first tracks; later calls replace what earlier ones drew."""
-    for rank, track in enumerate(tracks[:LANES], start=1):
-        _log_lane_setting(file, rank, scenario)
-        _log_lane(file, rank, track, scenario=scenario, stage=stage)
+    """A road for each of the first rollouts; later calls replace what earlier ones drew."""
+    file.static(paths.SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    for rank, (one, title) in enumerate(zip(with_room(drawn), titles, strict=False), start=1):
+        place = road_place(one, rank)
+        times = StepTimes(stage=stage, count=one.count, dt_s=one.dt_s)
+        _log_road(file, one, place, times=times)
+        for car in range(len(one.cars)):
+            _log_car(file, one, place, car, times=times)
+        if one.tracks is not None:
+            _log_tracks(file, one, one.tracks, place, times=times)
+        _log_words(file, one, place, title=title, times=times)
 
 
-def lane_y_m(rank: int) -> float:
-    """Where the lane's middle lies; the least robust rollout is nearest to the viewer."""
-    return (rank - 1) * LANE_SPACING_M
-
-
-def _log_lane_setting(file: RecordingFile, rank: int, scenario: ScenarioConfig) -> None:
-    if paths.lane(rank, "road") in file.logged:
-        return
-    y_m = lane_y_m(rank)
+def _log_road(
+    file: RecordingFile, drawn: DrawnRollout, place: RoadPlace, *, times: StepTimes
+) -> None:
+    rank, shift_m = place.rank, place.shift_m
+    middle_m = (place.low_m + place.high_m) / 2 + shift_m
+    half = [(BEHIND_M + AHEAD_M) / 2, (place.high_m - place.low_m) / 2 + 0.5, 0.05]
     file.static(
         paths.lane(rank, "road"),
         rr.Boxes3D(
-            centers=[[(ROAD_START_M + ROAD_END_M) / 2, y_m, -0.06]],
-            half_sizes=[[(ROAD_END_M - ROAD_START_M) / 2, 0.45 * LANE_SPACING_M, 0.05]],
+            centers=[[(AHEAD_M - BEHIND_M) / 2, middle_m, -0.06]],
+            half_sizes=[half],
             colors=ROAD,
             fill_mode="solid",
         ),
     )
-    starts_m = np.arange(ROAD_START_M + DASH_SPACING_M, ROAD_END_M, DASH_SPACING_M)
-    side_m = y_m + 0.4 * LANE_SPACING_M
-    file.static(
-        paths.lane(rank, "paint"),
-        rr.LineStrips3D(
-            [[[x, side_m, 0.02], [x + DASH_M, side_m, 0.02]] for x in starts_m],
-            colors=PAINT,
-            radii=0.06,
-        ),
-    )
-    length_m = scenario.lead_length_m
-    ego = _car(x_m=CAMERA_TO_BUMPER_M - length_m, y_m=y_m, length_m=length_m)
-    file.static(paths.lane(rank, "ego"), ego)
-    file.static(
-        paths.lane(rank, "camera"),
-        rr.Transform3D(translation=[0.0, y_m, scenario.camera_height_m], mat3x3=AHEAD_FROM_CAMERA),
-        rr.Pinhole(
-            focal_length=FOCAL_PX, width=IMAGE_PX[0], height=IMAGE_PX[1], image_plane_distance=1.5
-        ),
-    )
-    file.static(paths.lane(rank, "lead/body"), _car(x_m=0.0, y_m=y_m, length_m=length_m))
+    edges_m = [edge_m + shift_m for edge_m in drawn.road.lane_edges_m]
+    solid = [[[-BEHIND_M, y, 0.02], [AHEAD_M, y, 0.02]] for y in (edges_m[0], edges_m[-1])]
+    file.static(paths.lane(rank, "edges"), rr.LineStrips3D(solid, colors=PAINT, radii=0.06))
+    starts_m = np.arange(DASH_SPACING_M - BEHIND_M, AHEAD_M - DASH_M, DASH_SPACING_M)
+    dashes = [[[x, y, 0.02], [x + DASH_M, y, 0.02]] for y in edges_m[1:-1] for x in starts_m]
+    if not dashes:
+        return
+    file.static(paths.lane(rank, "paint"), rr.LineStrips3D(dashes, colors=PAINT, radii=0.06))
+    moved = np.zeros((drawn.count, 3))
+    moved[:, 0] = -(drawn.states.x_m[:, 0] % DASH_SPACING_M)
+    file.along(paths.lane(rank, "paint"), rr.Transform3D.columns(translation=moved), times=times)
 
 
-def _car(*, x_m: float, y_m: float, length_m: float) -> rr.Boxes3D:
-    """Cabin and bonnet of a car whose rear is at ``x_m``; the bonnet ends in front.
+def _log_car(
+    file: RecordingFile, drawn: DrawnRollout, place: RoadPlace, car: int, *, times: StepTimes
+) -> None:
+    path = paths.road_car(place.rank, car)
+    shape, states = drawn.cars[car], drawn.states
+    file.static(f"{path}/body", _body(shape))
+    there = states.present[:, car]
+    height_m = np.where(there, 0.0, -100.0)  # out of sight
+    centre_m = np.column_stack([places_m(drawn, place, car), height_m])
+    half = np.where(there, states.heading_rad[:, car], 0.0) / 2
+    zeros = np.zeros_like(half)
+    turned = np.stack([zeros, zeros, np.sin(half), np.cos(half)], axis=1)
+    centre_m = np.where(there[:, None], centre_m, [0.0, 0.0, -100.0])
+    file.along(path, rr.Transform3D.columns(translation=centre_m, quaternion=turned), times=times)
+    shades = np.tile(np.array(rgba(car_color(car)), dtype=np.uint8), (drawn.count, 1))
+    shades[grey_from(drawn) :] = rgba(GREY)
+    twice = np.repeat(shades, 2, axis=0)
+    body = rr.Boxes3D.columns(colors=twice).partition([2] * drawn.count)
+    file.along(f"{path}/body", body, times=times)
+    if shape.zone is not None:
+        _log_zone(file, f"{path}/zone", shape, shape.zone, named=place.rank == 1)
+    if drawn.slot_of_car[car] is not None:
+        _log_mark(file, drawn, place, car, times=times)
 
-    It has no colour here: what is logged once for all time hides what is logged over time.
-    """
-    cabin_m = length_m - CAMERA_TO_BUMPER_M
+
+def _log_zone(
+    file: RecordingFile, path: str, car: SceneCar, zone: SceneZone, *, named: bool
+) -> None:
+    """Its outline on the road; of the least robust rollout what happens in it, at its far end."""
+    near_m, far_m, aside_m = car.length_m / 2, car.length_m / 2 + zone.ahead_m, 0.8 * car.width_m
+    outline = [(near_m, -aside_m), (far_m, -aside_m), (far_m, aside_m), (near_m, aside_m)]
+    strip = [(x, y, 0.04) for x, y in [*outline, outline[0]]]
+    file.static(path, rr.LineStrips3D([strip], colors=rgba(GREEN), radii=0.06))
+    if named:
+        label = rr.Points3D(
+            [(far_m, -aside_m - 0.6, 0.0)], labels=[zone.words], colors=rgba(GREEN), radii=0.02,
+            show_labels=True,
+        )  # fmt: skip
+        file.static(f"{path}/words", label)
+
+
+def _body(car: SceneCar) -> rr.Boxes3D:
+    """Body and cabin around the car's centre; colours come with time."""
+    low_m = BODY_SHARE * car.height_m
+    cabin_m = CABIN_SHARE * car.length_m
+    back_m = -0.45 * car.length_m
     return rr.Boxes3D(
-        centers=[
-            [x_m + cabin_m / 2, y_m, CAR_HEIGHT_M / 2],
-            [x_m + cabin_m + CAMERA_TO_BUMPER_M / 2, y_m, BONNET_HEIGHT_M / 2],
-        ],
+        centers=[[0.0, 0.0, low_m / 2], [back_m + cabin_m / 2, 0.0, (low_m + car.height_m) / 2]],
         half_sizes=[
-            [cabin_m / 2, CAR_WIDTH_M / 2, CAR_HEIGHT_M / 2],
-            [CAMERA_TO_BUMPER_M / 2, CAR_WIDTH_M / 2, BONNET_HEIGHT_M / 2],
+            [car.length_m / 2, car.width_m / 2, low_m / 2],
+            [cabin_m / 2, 0.44 * car.width_m, (car.height_m - low_m) / 2],
         ],
         fill_mode="solid",
     )
 
 
-def _log_lane(
-    file: RecordingFile, rank: int, track: Track, *, scenario: ScenarioConfig, stage: int
+def _log_mark(
+    file: RecordingFile, drawn: DrawnRollout, place: RoadPlace, car: int, *, times: StepTimes
 ) -> None:
-    contact = first_contact(track.signals[GAP], dt_s=scenario.dt_s)
-    gap_m = drawn_gap(track.signals[GAP], contact)
-    times = StepTimes(stage=stage, count=gap_m.size, dt_s=scenario.dt_s)
-    grey_from = gap_m.size if contact is None else contact.step
-    zeros = np.zeros(gap_m.size)
-    lead = np.stack([gap_m, zeros, zeros], axis=1)
-    file.along(paths.lane(rank, "lead"), rr.Transform3D.columns(translation=lead), times=times)
-    for part, color in (("ego", EGO), ("lead/body", LEAD)):
-        body = _car_colors(color, count=gap_m.size, grey_from=grey_from)
-        file.along(paths.lane(rank, part), rr.Boxes3D.columns(colors=body), times=times)
-    shades = _outcome_colors(track, grey_from=grey_from)
-    file.along(paths.lane(rank, "camera"), rr.Pinhole.columns(color=shades), times=times)
-    travelled_m = _travelled_m(track.signals[EGO_SPEED], dt_s=scenario.dt_s)
-    travelled_m = until_contact(travelled_m, contact)
-    road = np.stack([-(travelled_m % DASH_SPACING_M), zeros, zeros], axis=1)
-    file.along(paths.lane(rank, "paint"), rr.Transform3D.columns(translation=road), times=times)
-    _log_label(file, rank, track, contact=contact, times=times)
+    """Over the car what perception told of it; of the least robust rollout in words too."""
+    path = f"{paths.road_car(place.rank, car)}/outcome"
+    answers = drawn.answer_about(car)
+    slot_place = drawn.slot_of_car[car] or 0
+    names = [
+        f"{drawn.cars[car].name}: {answer_words(drawn.slots[slot_place], int(answer))}"
+        for answer in answers
+    ]
+    names[grey_from(drawn) :] = [drawn.cars[car].name] * (drawn.count - grey_from(drawn))
+    names[-1] = drawn.cars[car].name
+    above_m = drawn.cars[car].height_m + 1.8
+    mark = rr.Points3D.from_fields(positions=[[0.0, 0.0, above_m]], show_labels=place.rank == 1)
+    file.static(path, mark)
+    shades = np.array([ANSWERS[int(answer)] for answer in answers], dtype=np.uint8)
+    radii = [RADII_M[int(answer)] for answer in answers]
+    columns = rr.Points3D.columns(colors=shades, radii=radii, labels=names)
+    file.along(path, columns, times=times)
 
 
-def _log_label(
-    file: RecordingFile, rank: int, track: Track, *, contact: Contact | None, times: StepTimes
+def _log_tracks(
+    file: RecordingFile,
+    drawn: DrawnRollout,
+    tracks: SceneTracks,
+    place: RoadPlace,
+    *,
+    times: StepTimes,
 ) -> None:
-    """What happens at each step, in words, at the lane's beginning: there is room there."""
-    gap_m = track.signals[GAP]
-    outcomes = [*np.where(track.detected, "detected", "MISSED").tolist(), "end"]
-    words = [f"{word}, gap {gap:.1f} m" for word, gap in zip(outcomes, gap_m.tolist(), strict=True)]
-    if contact is not None:
-        words[contact.step :] = [contact_text(contact)] * (gap_m.size - contact.step)
-    path = paths.lane(rank, "outcome")
-    place = rr.Points3D.from_fields(
-        positions=[[LABEL_X_M + (rank - 1) * LABEL_STEP_M, lane_y_m(rank), 0.3]],
-        radii=[0.02],
-        colors=[rgba(WHITE)],
-        show_labels=True,
+    """Where the controller believes cars to be: a flat ellipse of two standard deviations."""
+    shown = tracks.confirmed & (np.arange(drawn.count) < grey_from(drawn))[:, None]
+    step, slot = np.nonzero(shown)
+    ego_x_m = drawn.states.x_m[step, 0]
+    centers = np.stack(
+        [tracks.x_m[step, slot] - ego_x_m, tracks.y_m[step, slot] + place.shift_m,
+         np.full(step.size, 0.1)], axis=1,
+    )  # fmt: skip
+    reach = [
+        SIGMAS * np.maximum(sd_m[step, slot], UNKNOWN_SD_M)
+        for sd_m in (tracks.x_sd_m, tracks.y_sd_m)
+    ]
+    sizes = np.stack([*reach, np.full(step.size, 0.05)], axis=1)
+    lengths = shown.sum(axis=1)
+    path = paths.lane(place.rank, "tracks")
+    file.static(path, rr.Ellipsoids3D.from_fields(fill_mode="solid"))
+    columns = rr.Ellipsoids3D.columns(
+        centers=centers, half_sizes=sizes, colors=_white(step.size, opacity=150)
     )
-    file.static(path, place)
-    labels = [f"rank {rank}: {word}" for word in words]
+    file.along(path, columns.partition(lengths), times=times)
+    file.static(f"{path}/cars", rr.Boxes3D.from_fields(fill_mode="majorwireframe"))
+    boxes = rr.Boxes3D.columns(
+        centers=centers + np.array([0.0, 0.0, 0.65]), half_sizes=_sizes(drawn, slot) / 2,
+        colors=_white(step.size, opacity=255),
+    )  # fmt: skip
+    file.along(f"{path}/cars", boxes.partition(lengths), times=times)
+
+
+def _sizes(drawn: DrawnRollout, slots: AnyArray) -> FloatArray:
+    """Of the cars that slots are about, ``[N, 3]``."""
+    cars = [drawn.car_of_slot(int(slot)) for slot in slots]
+    return np.array([(c.length_m, c.width_m, c.height_m) for c in cars]).reshape(-1, 3)
+
+
+def _white(count: int, *, opacity: int) -> AnyArray:
+    return np.tile(np.array(rgba(WHITE, opacity=opacity), dtype=np.uint8), (count, 1))
+
+
+def _log_words(
+    file: RecordingFile,
+    drawn: DrawnRollout,
+    place: RoadPlace,
+    *,
+    title: str,
+    times: StepTimes,
+) -> None:
+    """Which rollout it is, at its road's beginning; how it ended, from then on."""
+    labels = [f"rank {place.rank}: {title}"] * drawn.count
+    labels[grey_from(drawn) :] = [f"rank {place.rank}: {drawn.contact_words}"] * (
+        drawn.count - grey_from(drawn)
+    )
+    path = paths.lane(place.rank, "words")
+    at_m = [[-BEHIND_M + 8.0, place.high_m + place.shift_m + 0.4 * 5.0, 0.0]]
+    file.static(
+        path,
+        rr.Points3D.from_fields(
+            positions=at_m, radii=[0.02], colors=[rgba(WHITE)], show_labels=True
+        ),
+    )
     file.along(path, rr.Points3D.columns(labels=labels), times=times)
-
-
-def _car_colors(color: str, *, count: int, grey_from: int) -> AnyArray:
-    """RGBA ``[T, 4]`` of a car: grey from contact on, what follows happens in no encounter."""
-    shades = np.tile(np.array(rgba(color), dtype=np.uint8), (count, 1))
-    shades[grey_from:] = rgba(GREY)
-    return shades
-
-
-def _outcome_colors(track: Track, *, grey_from: int) -> AnyArray:
-    """RGBA ``[T, 4]``: detected, missed; grey at the last state and from contact on."""
-    shades = np.empty((track.detected.size + 1, 4), dtype=np.uint8)
-    shades[:-1] = np.where(track.detected[:, None], rgba(DETECTED), rgba(MISSED))
-    shades[min(grey_from, track.detected.size) :] = rgba(GREY)
-    return shades
-
-
-def _travelled_m(speed_mps: FloatArray, *, dt_s: float) -> FloatArray:
-    """Distance ``[T]`` since the start by explicit Euler, as the simulators step."""
-    return np.concatenate([[0.0], np.cumsum(speed_mps[:-1] * dt_s)])

@@ -104,14 +104,11 @@ def power_text(log10: float) -> str:
 
 
 SCENE_TEXT = (
-    "In the 3D scene all rollouts are seen from the ego car: its windscreen camera stands "
-    "at 0 m and the lead car's rear at the gap."
-)
-ROADS_TEXT = (
     "On the roads the ego's centre stays at 0 m. A line around a car, in 3D a mark over it, "
     "tells what perception reports of it at the step: blue detected, orange missed (with a cross "
     "from above; larger in 3D), none or grey where there is nothing to report. White outlines and "
-    "ellipses of two standard deviations: where the controller tracks a car. Grey cars: contact."
+    "ellipses of two standard deviations: where the controller tracks a car. Green: how near a car "
+    "must be for a detection to brake hard, where the scenario tells. Grey cars: contact."
 )
 
 
@@ -166,7 +163,7 @@ def provenance_text(result: RunResult) -> str:
 
 
 def contents_text(
-    quota: Quota, *, repetitions: int, slots: Sequence[Slot] = (), on_roads: bool = False
+    quota: Quota, *, repetitions: int, slots: Sequence[Slot] = (), has_scene: bool = False
 ) -> str:
     """What this recording holds and leaves out."""
     lines = [quota.describe()]
@@ -186,7 +183,8 @@ def contents_text(
         "rollouts were sampled from. Where a proposal depends on more than the gap, its curve "
         "against gap is the average over the states near that gap in the stage's rollouts."
     )
-    lines.append(ROADS_TEXT if on_roads else SCENE_TEXT)
+    if has_scene:
+        lines.append(SCENE_TEXT)
     lines.append(
         "Colours: blue holds or detected, orange violated or missed, yellow-orange the "
         "proposal, grey the perception error model."

@@ -8,11 +8,11 @@ import numpy as np
 
 from pemviz.recording import paths
 from pemviz.recording.plot import LARGE, NORMAL, ROWS, WITHOUT_LEGEND, Shape
-from pemviz.recording.road_plan import Bounds, plan_bounds
+from pemviz.recording.scene_plan import Bounds, plan_bounds
 from pemviz.simulators.scene import Road
 from pemviz.types import Signal
 
-ViewKind = Literal["text", "plot", "series", "tensor", "scene", "roads", "plan", "image"]
+ViewKind = Literal["text", "plot", "series", "tensor", "scene", "plan", "image"]
 ContainerKind = Literal["tabs", "horizontal", "vertical", "grid"]
 
 MOST_STAGE_TABS = 14
@@ -293,7 +293,6 @@ def _worst(subject: Subject) -> ContainerSpec:
             *([ViewSpec("series", subject.noise, (paths.WORST_NOISE,))] if subject.noise else []),
         ),
     )
-    upper = ContainerSpec("horizontal", "Scene", (scenes, plots), shares=(1.6, 1.0))
     lower = ContainerSpec(
         "horizontal",
         "Outcomes",
@@ -303,20 +302,22 @@ def _worst(subject: Subject) -> ContainerSpec:
         ),
         shares=(1.6, 1.0),
     )
-    share = 1.25 if subject.road is None else 1.9
-    return ContainerSpec("vertical", "Worst case", (upper, lower), shares=(share, 1.0))
+    if scenes is None:
+        return ContainerSpec("vertical", "Worst case", (plots, lower), shares=(1.25, 1.0))
+    upper = ContainerSpec("horizontal", "Scene", (scenes, plots), shares=(1.6, 1.0))
+    return ContainerSpec("vertical", "Worst case", (upper, lower), shares=(1.9, 1.0))
 
 
-def _scenes(subject: Subject) -> ViewSpec | ContainerSpec:
-    """The least robust rollouts in 3D and, where the scenario tells where cars are, from above."""
-    title, path = "Least robust rollouts, seen from the ego car", paths.SCENE + paths.SUBTREE
+def _scenes(subject: Subject) -> ContainerSpec | None:
+    """The least robust rollouts in 3D and from above, where the scenario tells where cars are."""
     if subject.road is None:
-        return ViewSpec("scene", title, (path,))
+        return None
+    title, path = "Least robust rollouts, seen from the ego car", paths.SCENE + paths.SUBTREE
     above = "Least robust rollouts from above; white: where the controller tracks a car"
     bounds = plan_bounds(subject.road)
     plan = ViewSpec("plan", above, (paths.PLAN + paths.SUBTREE,), bounds=bounds)
     return ContainerSpec(
-        "vertical", "Scenes", (ViewSpec("roads", title, (path,)), plan), shares=(1.0, 1.0)
+        "vertical", "Scenes", (ViewSpec("scene", title, (path,)), plan), shares=(1.0, 1.0)
     )
 
 

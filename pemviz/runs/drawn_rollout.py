@@ -11,15 +11,9 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.runs.slot_outcomes import slots_of
+from pemviz.simulators.drawn_scene import drawn_scene, drawn_tracks
 from pemviz.simulators.latents import begun, stepped
-from pemviz.simulators.scene import (
-    Road,
-    SceneCar,
-    SceneStates,
-    SceneTracks,
-    drawn_scene,
-    drawn_tracks,
-)
+from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot, SlotSimulator
 from pemviz.types import Simulator, StateBatch
 
@@ -118,7 +112,7 @@ def drawn_rollout(
     slots = slots_of(simulator)
     contact = np.flatnonzero(states.collided)
     contact_step = int(contact[0]) if contact.size else None
-    told = contact_step is not None and IMPACT_SPEED in signals
+    impact_mps = signals.get(IMPACT_SPEED, states.impact_speed_mps)
     return DrawnRollout(
         cars=scene.scene_cars,
         road=scene.road,
@@ -129,7 +123,9 @@ def drawn_rollout(
         tracks=_tracks(simulator, signals, memory),
         dt_s=simulator.dt_s,
         contact_step=contact_step,
-        impact_speed_mps=float(signals[IMPACT_SPEED][contact_step]) if told else None,
+        impact_speed_mps=None
+        if contact_step is None or impact_mps is None
+        else float(impact_mps[contact_step]),
     )
 
 

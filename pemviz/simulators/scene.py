@@ -2,15 +2,28 @@
 
 The frame is the world's: x along the road, y to its left [m], headings counterclockwise from x
 [rad]; x and y are those of a car's centre. Any simulator may offer it, shipped or not: a view asks
-:func:`drawn_scene` and :func:`drawn_tracks`, and draws whatever states files hold.
+:mod:`pemviz.simulators.drawn_scene`, and draws whatever states files hold.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.types import StateBatch
+
+
+@dataclass(frozen=True)
+class SceneZone:
+    """A stretch of road ahead of a car that its controller treats apart.
+
+    Attributes:
+        ahead_m: How far it reaches from the car's front bumper.
+        words: What happens in it, for labels.
+    """
+
+    ahead_m: float
+    words: str
 
 
 @dataclass(frozen=True)
@@ -24,6 +37,7 @@ class SceneCar:
         height_m: Ground to roof.
         slot: Name of the slot whose outcomes are about this car; ``None``: perception is not asked
             about it. Without slots, outcomes are about the first car after the ego.
+        zone: Drawn on the road ahead of it.
     """
 
     name: str
@@ -31,6 +45,7 @@ class SceneCar:
     width_m: float = 2.0
     height_m: float = 1.5
     slot: str | None = None
+    zone: SceneZone | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +71,8 @@ class SceneStates:
         speed_mps: ``[..., C]`` [m/s].
         present: ``[..., C]`` whether the car is there at all; the rest counts only where it is.
         collided: ``[...]`` whether the ego has touched another car.
+        impact_speed_mps: ``[...]`` how fast the ego and a car close in [m/s], read where they
+            first touch; ``None``: the scenario does not tell.
     """
 
     x_m: FloatArray
@@ -64,6 +81,7 @@ class SceneStates:
     speed_mps: FloatArray
     present: BoolArray
     collided: BoolArray
+    impact_speed_mps: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -112,22 +130,3 @@ class DrawsTracks(Protocol):
     def scene_tracks(self, states: StateBatch) -> SceneTracks:
         """States ``[...]``, memory included, to the tracks of the K slots, 1 without slots."""
         ...
-
-
-def drawn_scene(simulator: object) -> DrawsScene | None:
-    """A simulator, or the one that it wraps, if it tells where its cars are."""
-    return next((one for one in _inwards(simulator) if isinstance(one, DrawsScene)), None)
-
-
-def drawn_tracks(simulator: object) -> DrawsTracks | None:
-    """A simulator, or the one that it wraps, if it tells where it believes cars to be."""
-    return next((one for one in _inwards(simulator) if isinstance(one, DrawsTracks)), None)
-
-
-def _inwards(simulator: Any) -> list[Any]:
-    """A simulator, the one that it wraps as ``scenario``, and so on."""
-    layers: list[Any] = []
-    while simulator is not None:
-        layers.append(simulator)
-        simulator = getattr(simulator, "scenario", None)
-    return layers

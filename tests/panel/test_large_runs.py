@@ -71,7 +71,7 @@ def assert_alike(read, mapped):
     entry = row(read, ranking, 3)
     assert entry == row(mapped, ranking, 3)
     assert details(read, entry) == details(mapped, entry)
-    np.testing.assert_array_equal(track(read, entry).gap_m, track(mapped, entry).gap_m)
+    np.testing.assert_array_equal(track(read, entry).values, track(mapped, entry).values)
     np.testing.assert_array_equal(least_gaps(read).gap_m, least_gaps(mapped).gap_m)
     assert why(read) == why(mapped)
 
@@ -138,7 +138,7 @@ def test_numbers_of_a_mapped_run_are_checked_when_they_are_looked_at(kept, tmp_p
     run = load_run(damaged, most_read_bytes=0)
     ranking = rank(run, "classical")
     place = int(np.flatnonzero(ranking.order == 3)[0])
-    assert track(run, row(run, ranking, place - 1)).gap_m.size == 100
+    assert track(run, row(run, ranking, place - 1)).values.size == 100
     with pytest.raises(InputError, match="gap_m must hold numbers between"):
         track(run, row(run, ranking, place))
     with pytest.raises(InputError, match="gap_m must hold numbers between"):

@@ -23,7 +23,7 @@ from pemviz.panel.views.compare import metric_curves, metrics_page
 from pemviz.panel.views.details import details, rule_robustness
 from pemviz.panel.views.learning import learning
 from pemviz.panel.views.ranking_table import ranking_table
-from pemviz.panel.views.road_rollout import road_plots, road_plots_at, road_track, step_words
+from pemviz.panel.views.rollout import step_words, track, track_plots, with_cursor
 from pemviz.panel.views.scenario import scenario_text
 from pemviz.panel.views.weights import heaviest_curves, weights_page
 from pemviz.panel.views.why import failures_of, why
@@ -63,29 +63,30 @@ def test_a_run_read_from_its_folder_shows_what_it_showed_under_way(ran, monkeypa
     loaded = loading.load_run(ran.folder)
     assert loaded.own == CutIn()
     assert first(loaded) == first(ran.run)
-    again, before = road_track(loaded, first(loaded)), road_track(ran.run, first(ran.run))
+    again, before = track(loaded, first(loaded)), track(ran.run, first(ran.run))
     np.testing.assert_array_equal(again.drawn.states.x_m, before.drawn.states.x_m)
     np.testing.assert_array_equal(again.drawn.answers, before.drawn.answers)
-    assert road_plots(again) == road_plots(before)
+    assert track_plots(again) == track_plots(before)
 
 
-def with_cars(track, count):
+def with_cars(shown, count):
     """The rollout with the car behind the ego there several times, each faster than the last."""
-    drawn = track.drawn
+    drawn = shown.drawn
     others = tuple(replace(drawn.cars[1], name=f"the car number {i}") for i in range(1, count))
     pick = [0, *[1] * (count - 1)]
     states = {f.name: getattr(drawn.states, f.name) for f in fields(drawn.states)}
+    states = {name: values for name, values in states.items() if values is not None}
     many = {name: v[:, pick] if v.ndim == 2 else v for name, v in states.items()}
     many["speed_mps"] = many["speed_mps"] * np.r_[1.0, 0.5 + 0.1 * np.arange(count - 1)]
     cars = (drawn.cars[0], *others)
     drawn = replace(drawn, cars=cars, states=replace(drawn.states, **many))
-    return replace(track, drawn=drawn)
+    return replace(shown, drawn=drawn)
 
 
 def test_names_of_many_cars_stand_beside_the_lines_of_their_speeds(ran):
-    few = road_track(ran.run, first(ran.run))
+    few = track(ran.run, first(ran.run))
     for count, beside in ((3, False), (7, True)):
-        _, speeds, _ = road_plots(with_cars(few, count))
+        _, speeds, _ = track_plots(with_cars(few, count))
         right = float(re.search(r"<rect x='42' y='[\d.]+' width='([\d.]+)'", speeds)[1]) + 42.0
         names = [float(x) for x in re.findall(r"<text x='([\d.]+)'[^>]*>the car num", speeds)]
         assert len(names) == count - 1
@@ -94,7 +95,7 @@ def test_names_of_many_cars_stand_beside_the_lines_of_their_speeds(ran):
 
 def test_tracks_of_a_rollout_are_those_that_its_controller_had(ran):
     entry = first(ran.run)
-    tracks, scenario = road_track(ran.run, entry).drawn.tracks, CutIn()
+    tracks, scenario = track(ran.run, entry).drawn.tracks, CutIn()
     memory = {name: v[entry.rollout] for name, v in ran.rollouts.memory.items()}
     kept = scenario.tracker.state(memory, slots=2).confirmed
     assert 0 < kept.sum() < kept.size
@@ -103,12 +104,12 @@ def test_tracks_of_a_rollout_are_those_that_its_controller_had(ran):
 
 def test_errors_of_every_slot_count_and_are_told_at_their_step(ran):
     entry = first(ran.run)
-    chosen = road_track(ran.run, entry)
+    chosen = track(ran.run, entry)
     assert entry.misses == np.count_nonzero(~ran.rollouts.detected[entry.rollout])
     both = np.flatnonzero((chosen.drawn.answers[: chosen.drawn.contact_step] == WRONG).all(axis=1))
     assert step_words(chosen, int(both[0])) == "lead MISSED, cutter MISSED"
     assert step_words(chosen, chosen.drawn.contact_step) == "after contact"
-    page = road_plots_at(road_plots(chosen), chosen, 3, speed=1.0)
+    page = with_cursor(track_plots(chosen), chosen, 3, speed=1.0)
     for words in ("Perception", ">lead<", ">cutter<", "impact", "data-cursor='3'"):
         assert words in page
     failures = failures_of(ran.run)
@@ -134,7 +135,7 @@ def test_every_page_is_drawn_without_a_gap(ran):
 
 
 def test_a_page_of_the_scene_alone_names_the_cars(ran):
-    page = scene_html(road_track(ran.run, first(ran.run)))
+    page = scene_html(track(ran.run, first(ran.run)))
     assert page.lstrip().lower().startswith("<!doctype html>")
 
 

@@ -19,18 +19,17 @@ from pemviz.panel.fields import field_docs, hint, limits
 from pemviz.panel.ranking import rank, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_observer import Progress
-from pemviz.panel.scene import braking, gap_color
+from pemviz.panel.scene import brakes
 from pemviz.panel.tabs import experiment
-from pemviz.panel.tabs.player import interesting_step
 from pemviz.panel.views import compare, headline, learning, recordings, weights, why
 from pemviz.panel.views.elements import number
 from pemviz.panel.views.ranking_table import first_place, ranking_table
 from pemviz.panel.views.rollout import track, track_plots, with_cursor
 from pemviz.reports.estimate_words import short_probability
+from pemviz.runs.drawn_rollout import RIGHT
 from pemviz.runs.result import PemInfo
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
-from pemviz.simulators.braking.contact import contact_text
 from pemviz.types import Diagnostic
 from tests.reports.runs import PLAN
 
@@ -268,28 +267,31 @@ def test_without_a_violation_the_upper_bound_is_drawn(naive_run):
     assert "95 % upper bound" in learning.learning(run)
 
 
-def test_track_holds_the_rollout_and_its_probabilities(naive_run):
+def test_track_holds_the_rollout_its_limits_and_its_probabilities(naive_run):
     entry = row(naive_run, rank(naive_run, "classical"), 0)
     chosen = track(naive_run, entry)
-    np.testing.assert_array_equal(chosen.gap_m, naive_run.rollouts["gap_m"][entry.index])
-    np.testing.assert_allclose(chosen.proposal_detection, 0.5, rtol=1e-12)
-    assert np.all((chosen.pem_detection > 0.5) & (chosen.pem_detection < 1.0))
-    step = interesting_step(chosen)
-    assert chosen.gap_m[step] < 2.0
-    assert np.all(chosen.gap_m[:step] >= 2.0)
+    np.testing.assert_array_equal(chosen.values, naive_run.rollouts["gap_m"][entry.index])
+    assert chosen.limits == (2.0,)
+    pem, proposal = chosen.detection
+    np.testing.assert_allclose(proposal, 0.5, rtol=1e-12)
+    assert np.all((pem > 0.5) & (pem < 1.0))
+    step = chosen.interesting_step
+    assert chosen.values[step] < 2.0
+    assert np.all(chosen.values[:step] >= 2.0)
+    np.testing.assert_array_equal(
+        chosen.drawn.answers[:, 0] == RIGHT, naive_run.rollouts["detected"][entry.index]
+    )
 
 
 def test_cursor_stands_at_its_step(naive_run):
     chosen = track(naive_run, row(naive_run, rank(naive_run, "classical"), 0))
     pieces = track_plots(chosen)
-    for step in (0, chosen.contact.step - 1, chosen.contact.step, 99):
+    for step in (0, chosen.drawn.contact_step - 1, chosen.drawn.contact_step, 99):
         page = with_cursor(pieces, chosen, step, speed=1.0)
         well_formed(page)
         assert f"data-cursor='{step}'" in page
-        words = f"{chosen.gap_m[step]:.2f} m at {step * 0.05:.2f} s"
-        if step >= chosen.contact.step:
-            words = contact_text(chosen.contact)
-        assert words in page
+        assert f"{chosen.values[step]:.2f} m at {step * 0.05:.2f} s" in page
+        assert ("after contact" in page) == (step >= chosen.drawn.contact_step)
 
 
 def test_ranking_table_marks_the_selected_row(naive_run):
@@ -341,12 +343,9 @@ def test_plot_maps_values_to_pixels_and_breaks_lines_at_nan():
     assert path.count("M") == 2
 
 
-def test_brake_lights_and_gap_colour():
+def test_lamps_are_lit_while_a_car_brakes():
     speeds = np.array([20.0, 20.0, 19.6, 19.6])
-    assert [braking(speeds, step, 0.05) for step in range(4)] == [False, True, False, False]
-    assert gap_color(10.0, wide_m=10.0).tolist() == [120, 130, 140]
-    assert gap_color(-3.0, wide_m=10.0).tolist() == [225, 20, 20]
-    assert gap_color(2.0, wide_m=2.0).tolist() == [120, 130, 140]
+    assert brakes(speeds, dt_s=0.05).tolist() == [False, True, False, False]
 
 
 def with_result(run: RunData, **changes) -> RunData:

@@ -26,6 +26,7 @@ from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.trust import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
+from pemviz.simulators.drawn_scene import drawn_scene
 from tests.recording.conftest import LEARNING, chunks, record, texts, with_blind_pem
 
 PACKAGE = Path(text.__file__).parent
@@ -41,6 +42,7 @@ def subject_of(recorded, **changes) -> Subject:
         repetitions=config.repetitions,
         signals=started.signals,
         robustness_unit="m",
+        road=drawn_scene(started.simulator).road,
     )
     return replace(subject, **changes)
 

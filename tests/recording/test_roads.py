@@ -7,8 +7,8 @@ import pemviz
 from pemviz.colors import DETECTED, GREY, MISSED, rgba
 from pemviz.recording import paths
 from pemviz.recording.outcomes import outcome_frame
-from pemviz.recording.road_layout import road_place
-from pemviz.recording.road_plan import row_m
+from pemviz.recording.scene_layout import road_place
+from pemviz.recording.scene_plan import row_m
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, drawn_rollout, remembered
 from tests.recording import read_back
 from tests.recording.conftest import record, strips, texts, values_at

@@ -20,6 +20,7 @@ from pemviz.recording.recorder import CURVE_STEP_M
 from pemviz.runs.engine import run
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.rollouts.final_batch import weighed
+from pemviz.simulators.braking.scenario import EGO_LENGTH_M
 from tests.recording.conftest import (
     LEARNING,
     chunks,
@@ -202,12 +203,13 @@ def test_least_robust_outcomes_are_recorded(learned):
 def test_scene_places_the_lead_car_at_the_gap_and_leaves_it_there_once_the_bumpers_touch(learned):
     worst = learned.result.least_robust[0]
     gap_m = learned.stages[worst.stage].scored.rollouts.signals["gap"][worst.rollout]
-    latest = [c for c in chunks(learned.path) if c.entity_path == paths.lane(1, "lead")][-1]
+    latest = [c for c in chunks(learned.path) if c.entity_path == paths.road_car(1, 1)][-1]
     places = latest.to_record_batch()["Transform3D:translation"].to_pylist()
     touching = np.logical_or.accumulate(gap_m <= 2.0)
     assert touching.any()
-    drawn_m = np.where(touching, 2.0, gap_m)
-    np.testing.assert_allclose([row[0][0] for row in places], drawn_m, atol=1e-5)
+    half_m = (EGO_LENGTH_M + LEARNING.scenario.lead_length_m) / 2
+    between_m = np.array([row[0][0] for row in places]) - half_m
+    np.testing.assert_allclose(between_m, np.where(touching, 0.0, gap_m - 2.0), atol=1e-5)
 
 
 def test_recording_changes_no_digit_of_the_result(learned):

@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from pemviz.simulators.braking.contact import (
-    CAMERA_TO_BUMPER_M,
-    drawn_gap,
-    first_contact,
-    until_contact,
-)
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M, first_contact
+from pemviz.simulators.braking.drawing import FollowedCar
 
 DT_S = 0.1
 # closing at 5 m/s from 3.2 m: 3.2, 2.7, 2.2, 1.7, ... m
@@ -29,20 +25,23 @@ def test_touching_exactly_is_contact_and_a_hair_more_is_not():
     assert first_contact(np.nextafter(gap_m, np.inf), dt_s=DT_S) is None
 
 
-def test_from_contact_on_nothing_moves():
-    contact = first_contact(CLOSING_M, dt_s=DT_S)
-    travelled_m = np.arange(8.0)
-    assert until_contact(travelled_m, contact).tolist() == [0.0, 1.0, 2.0, 3.0, 3.0, 3.0, 3.0, 3.0]
-    drawn_m = drawn_gap(CLOSING_M, contact)
-    np.testing.assert_array_equal(drawn_m[:3], CLOSING_M[:3])
-    assert (drawn_m[3:] == CAMERA_TO_BUMPER_M).all()
-    assert (drawn_m >= CAMERA_TO_BUMPER_M).all()
+def test_from_contact_on_nothing_that_is_drawn_moves():
+    signals = {"gap": CLOSING_M, "ego_speed": np.full(8, 10.0), "lead_speed": np.full(8, 5.0)}
+    scene = FollowedCar(DT_S, lead_length_m=4.0).scene(signals)
+    ego_m, lead_m = scene.x_m.T
+    np.testing.assert_allclose(ego_m, [0.0, 1.0, 2.0, 3.0, 3.0, 3.0, 3.0, 3.0])
+    between_m = (lead_m - 2.0) - (ego_m + 2.5)
+    np.testing.assert_allclose(between_m, [1.2, 0.7, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
+    assert scene.collided.tolist() == [False] * 3 + [True] * 5
+    assert scene.impact_speed_mps[3] == pytest.approx(5.0)
 
 
-def test_who_never_touches_is_left_alone():
-    gap_m = np.full(4, 10.0)
-    assert until_contact(gap_m, None) is gap_m
-    np.testing.assert_array_equal(drawn_gap(gap_m, None), gap_m)
+def test_who_never_touches_is_drawn_where_it_is():
+    signals = {name: np.full(4, 10.0) for name in ("gap", "ego_speed", "lead_speed")}
+    scene = FollowedCar(DT_S).scene(signals)
+    assert not scene.collided.any()
+    np.testing.assert_allclose(np.diff(scene.x_m, axis=1)[:, 0], 5.0 + 10.0 - CAMERA_TO_BUMPER_M)
+    np.testing.assert_allclose(scene.x_m[:, 0], [0.0, 1.0, 2.0, 3.0])
 
 
 def test_a_rollout_that_begins_in_contact_has_no_impact():

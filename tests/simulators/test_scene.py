@@ -8,7 +8,7 @@ import pytest
 import pemviz
 from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.scene import drawn_scene, drawn_tracks
+from pemviz.simulators.drawn_scene import drawn_scene, drawn_tracks
 from pemviz.simulators.slots import UnrolledSimulator
 from tests.lattice_walk import ToySimulator
 from tests.scene_toys import CutIn

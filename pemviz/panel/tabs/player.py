@@ -1,22 +1,18 @@
 """The Rollout panel beneath the scene: play, pause, speed, scrub, follow, plots against time."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Literal
 
-import numpy as np
 import viser
 
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.page_layout import Window
 from pemviz.panel.ranking import RankedRow
-from pemviz.panel.road_scene import ROAD_VIEW_POSITION, ROAD_VIEW_TARGET, RoadScene
 from pemviz.panel.run_data import RunData
 from pemviz.panel.scene import FIRST_VIEW_POSITION, FIRST_VIEW_TARGET, Scene
-from pemviz.panel.scene_page import Shown
 from pemviz.panel.views.page import ROLLOUT, SHEET
-from pemviz.panel.views.road_rollout import RoadTrack, road_plots, road_plots_at, road_track
-from pemviz.panel.views.rollout import track, track_plots, with_cursor
+from pemviz.panel.views.rollout import Track, track, track_plots, with_cursor
 
 Key = Literal["space", "arrowleft", "arrowright"]
 
@@ -25,12 +21,8 @@ STEP_HINT = "State of the rollout; drag to scrub. Keys: arrow left, arrow right.
 PLAY_HINT = "Play and pause (key: space), start again, speed as a multiple of real time."
 PLOT_PAUSE_S = 0.12
 FROM_BEHIND, FROM_ABOVE = "from behind", "from above"
-GAP_VIEWS = {
+VIEWS = {
     FROM_BEHIND: (FIRST_VIEW_POSITION, FIRST_VIEW_TARGET),
-    FROM_ABOVE: ((8.0, -6.5, 44.0), (8.0, -6.0, 0.0)),
-}
-ROAD_VIEWS = {
-    FROM_BEHIND: (ROAD_VIEW_POSITION, ROAD_VIEW_TARGET),
     FROM_ABOVE: ((17.0, -9.5, 75.0), (17.0, -9.0, 0.0)),
 }
 """Where the camera stands, and what it looks at; the rollout's plots cover what lies below."""
@@ -43,15 +35,13 @@ class Player:
         self._browser = browser
         self.playing = False
         self._key: object = None
-        self.track: Shown | None = None
+        self.track: Track | None = None
         self._pieces: tuple[str, ...] = ()
         self._step = 0
         self._began: tuple[float, int] = (0.0, 0)
         self._plotted_s = 0.0
         self._speed = 1.0
-        self._on_roads = False
         self.scene = Scene(browser.client.scene)
-        self.roads = RoadScene(browser.client.scene)
         self.window = Window(browser.client, at_top=False)
         with self.window.panel.add_tab("Rollout", viser.Icon.MOVIE):
             self._add_controls()
@@ -61,42 +51,25 @@ class Player:
         key = (self._browser.selections, run.name, entry.repetition, entry.stage, entry.rollout)
         if key == self._key:
             return
-        roads = road_track(run, entry)
-        chosen = self.track = track(run, entry) if roads is None else roads
+        chosen = self.track = track(run, entry)
         self._key = key
-        self._pieces = plots_of(chosen)
+        self._pieces = track_plots(chosen)
         self.playing = False
         with self._browser.client.atomic():
             self.slider.max = chosen.states - 1
-            self._draw(chosen)
-            self._go_to(interesting_step(chosen))
-
-    def _draw(self, chosen: Shown) -> None:
-        """One of the two scenes is drawn, the other one is empty."""
-        on_roads = isinstance(chosen, RoadTrack)
-        if on_roads:
-            self.scene.clear()
-            self.roads.show(chosen)
-        else:
-            self.roads.clear()
             self.scene.show(chosen)
-        if on_roads != self._on_roads:
-            self._on_roads = on_roads
-            self.look_from(FROM_BEHIND)
+            self._go_to(chosen.interesting_step)
 
     def look_from(self, view: str) -> None:
         """Put the camera where a view of that name is taken from."""
         camera = self._browser.client.camera
-        position, target = (ROAD_VIEWS if self._on_roads else GAP_VIEWS)[view]
+        position, target = VIEWS[view]
         camera.position, camera.look_at = position, target
 
     @property
     def contact_words(self) -> str:
-        """When and how fast the cars of the rollout shown touch, where its plots do not tell."""
-        chosen = self.track
-        if isinstance(chosen, RoadTrack):
-            return chosen.drawn.contact_words
-        return ""
+        """When and how fast the cars of the rollout shown touch, if they do."""
+        return "" if self.track is None else self.track.drawn.contact_words
 
     def advance(self) -> None:
         """Move on with the time that has passed, while playing."""
@@ -134,13 +107,13 @@ class Player:
             return
         self._step = min(max(step, 0), chosen.states - 1)
         with self._browser.client.atomic():
-            drawn = self.roads if isinstance(chosen, RoadTrack) else self.scene
-            drawn.at(self._step)
+            self.scene.at(self._step)
             self.slider.value = self._step
             now_s = time.monotonic()
             if not self.playing or now_s - self._plotted_s >= PLOT_PAUSE_S:
                 self._plotted_s = now_s
-                set_html(self._plots, plots_at(self._pieces, chosen, self._step, speed=self._speed))
+                page = with_cursor(self._pieces, chosen, self._step, speed=self._speed)
+                set_html(self._plots, page)
 
     def _scrub(self) -> None:
         self._pause()
@@ -188,24 +161,4 @@ class Player:
     def follow(self, follow: bool) -> None:
         """Whether the view keeps up with the ego car."""
         self.scene.follow(follow)
-        self.roads.follow(follow)
         self._go_to(self._step)
-
-
-def plots_of(chosen: Shown) -> tuple[str, ...]:
-    """The plots of a rollout, each without its end."""
-    return road_plots(chosen) if isinstance(chosen, RoadTrack) else track_plots(chosen)
-
-
-def plots_at(pieces: Sequence[str], chosen: Shown, step: int, *, speed: float) -> str:
-    """The plots with a cursor at a step."""
-    if isinstance(chosen, RoadTrack):
-        return road_plots_at(pieces, chosen, step, speed=speed)
-    return with_cursor(pieces, chosen, step, speed=speed)
-
-
-def interesting_step(chosen: Shown) -> int:
-    """Where the eye should land: the state of contact, else the closest one."""
-    if isinstance(chosen, RoadTrack):
-        return chosen.interesting_step
-    return int(np.argmin(chosen.gap_m)) if chosen.contact is None else chosen.contact.step

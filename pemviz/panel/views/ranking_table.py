@@ -8,17 +8,10 @@ from pemviz.panel.ranking import RankedRow, Ranking, row
 from pemviz.panel.run_data import RunData
 from pemviz.panel.views.elements import MINUS, block, cells, clickable, number, percent, quiet
 from pemviz.sampling.registry import by_name
-from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 PAGE_ROWS = 12
 LONG_NAMES = 18
-BRAKING_SCENE = (
-    "flat blue marks on the road say where the camera detected the car ahead, upright crosses "
-    "where it missed; in the blue strip a detection brakes hard. The gap is measured from the "
-    f"ego's windscreen camera: at {CAMERA_TO_BUMPER_M:g} m, the red line, the bumpers touch, "
-    "and what a rollout tells after that is grey."
-)
-ROAD_SCENE = (
+SCENE = (
     "a ball over a car says what perception reports of it: small and blue detected, large and "
     "orange missed, grey nothing to report; beside the road stands a row for each obstacle, flat "
     "blue marks where the ego detected it, upright crosses where it erred. White lines: where "
@@ -65,7 +58,7 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
     shown = (
         f"Ranks {start + 1} to {start + len(lines)} of {count:,} {ranked_text(ranking)}. "
         "Click a row, or press the up and down arrow keys; type a rank to jump. In the scene, "
-        f"{BRAKING_SCENE if run.own is None else ROAD_SCENE}"
+        f"{SCENE}"
     )
     if run.kept < run.simulated:
         shown += (

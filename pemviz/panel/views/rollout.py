@@ -5,24 +5,47 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz import stl
+from pemviz.arrays import FloatArray
 from pemviz.charts.plot import Axis, Plot, svg, text
-from pemviz.colors import BLUE, DETECTED, EGO, GREY, LEAD, MISSED, PEM, PROPOSAL, VERMILLION
-from pemviz.config import ScenarioConfig
+from pemviz.colors import (
+    BLUE,
+    DETECTED,
+    GREY,
+    MISSED,
+    PEM,
+    PROPOSAL,
+    VERMILLION,
+    car_color,
+)
+from pemviz.config import ExperimentConfig
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
 from pemviz.panel.views.elements import number
 from pemviz.panel.views.page import PLOTS, SPEEDS
-from pemviz.simulators.braking.contact import (
-    CAMERA_TO_BUMPER_M,
-    Contact,
-    contact_text,
-    first_contact,
+from pemviz.runs.drawn_rollout import (
+    NOT_ASKED,
+    RIGHT,
+    WRONG,
+    DrawnRollout,
+    answer_words,
+    drawn_rollout,
+    remembered,
 )
-from pemviz.simulators.braking.scenario import GAP, scenario_signals
+from pemviz.simulators.drawn_scene import drawn_tracks
+from pemviz.simulators.episodic import episodic
+from pemviz.stl.expressions import Constant, Predicate
+from pemviz.stl.expressions import Signal as SignalOf
+from pemviz.types import Signal
 
 PLOT_WIDTH, HEIGHT = 300, 190
 CURSOR = "#111827"
+NAME_CHARACTERS = 16
+MARGIN = 8
+MOST_INSIDE = 3
+"""Cars whose names have room among the lines of their speeds; of more they stand beside these."""
+LEGEND_BESIDE, BESIDE_CHARACTERS = 96, 12
+SHADES = {NOT_ASKED: GREY, RIGHT: DETECTED, WRONG: MISSED}
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,61 +54,68 @@ class Track:
 
     Attributes:
         title: What it is, in words.
-        scenario: The scenario that it ran in.
-        gap_m: ``[T]``.
-        ego_speed_mps: ``[T]``.
-        lead_speed_mps: ``[T]``.
-        detected: ``[T-1]`` perception's outcomes.
-        pem_detection: ``[T-1]`` P(detected) under the error model.
-        proposal_detection: ``[T-1]`` P(detected) under the proposal sampled from.
+        drawn: Where its cars are, and what perception told.
+        asked: The signal that the specification is about first.
+        values: ``[T]`` of that signal.
+        limits: What the specification compares that signal with.
         violated: The verdict on the whole rollout.
-        contact: Where the cars touch, if they do.
+        detection: ``[2, T-1]`` P(detected) under the error model, and under the proposal sampled
+            from; ``None`` where perception answers several things at a step.
     """
 
     title: str
-    scenario: ScenarioConfig
-    gap_m: FloatArray
-    ego_speed_mps: FloatArray
-    lead_speed_mps: FloatArray
-    detected: BoolArray
-    pem_detection: FloatArray
-    proposal_detection: FloatArray
+    drawn: DrawnRollout
+    asked: Signal
+    values: FloatArray
+    limits: tuple[float, ...]
     violated: bool
-    contact: Contact | None = None
+    detection: FloatArray | None = None
 
     @property
     def states(self) -> int:
         """Number of states T."""
-        return int(self.gap_m.size)
+        return self.drawn.count
 
     @property
     def dt_s(self) -> float:
         """Time step [s]."""
-        return self.scenario.dt_s
+        return self.drawn.dt_s
 
     @property
     def time_s(self) -> FloatArray:
         """Times ``[T]`` [s]."""
-        return np.arange(self.states, dtype=np.float64) * self.scenario.dt_s
+        return np.arange(self.states, dtype=np.float64) * self.dt_s
+
+    @property
+    def interesting_step(self) -> int:
+        """Where the eye should land: contact, else where the asked signal is least."""
+        contact = self.drawn.contact_step
+        return int(np.argmin(self.values)) if contact is None else contact
 
 
 def track(run: RunData, entry: RankedRow) -> Track:
     """The rollout of a row of the ranking."""
-    keys = {signal.name: signal.key for signal in scenario_signals(run.config.scenario)}
-    table = run.steps([*keys.values(), "detected", "log_p", "log_q"], entry.index)
-    signals = {name: np.asarray(table[key][0], dtype=np.float64) for name, key in keys.items()}
-    detected = np.asarray(table["detected"][0], dtype=np.bool_)
+    index, simulator = entry.index, run.simulator
+    signals = {name: values[0] for name, values in run.signals(index).items()}
+    table = {n: values[0] for n, values in run.steps(["detected", "log_p", "log_q"], index).items()}
+    detected = np.asarray(table["detected"], dtype=np.bool_)
+    memory = {}
+    if drawn_tracks(simulator) is not None and episodic(simulator) is None:
+        latents = run.latents(index)
+        start = None if latents is None else latents.start[0]
+        noise = None if latents is None else latents.noise[0]
+        memory = remembered(simulator, detected=detected, start=start, noise=noise)
+    drawn = drawn_rollout(simulator, signals=signals, detected=detected, memory=memory)
+    assert drawn is not None  # noqa: S101  asked for by run_data.own_scenario
+    sampled = (detection_probability(table[name], detected) for name in ("log_p", "log_q"))
     return Track(
         title=row_title(entry),
-        scenario=run.config.scenario,
-        gap_m=signals["gap"],
-        ego_speed_mps=signals["ego_speed"],
-        lead_speed_mps=signals["lead_speed"],
-        detected=detected,
-        pem_detection=detection_probability(table["log_p"][0], detected),
-        proposal_detection=detection_probability(table["log_q"][0], detected),
+        drawn=drawn,
+        asked=run.charted,
+        values=signals[run.charted.name],
+        limits=limits_of(run.config, run.charted),
         violated=entry.violated,
-        contact=first_contact(signals[GAP], dt_s=run.config.scenario.dt_s),
+        detection=np.stack(list(sampled)) if detected.ndim == 1 else None,
     )
 
 
@@ -95,6 +125,26 @@ def row_title(entry: RankedRow) -> str:
     return (
         f"Rank {entry.rank}: robustness {number(entry.robustness)}, {verdict}, "
         f"{entry.misses} misses, stage {entry.stage}, rollout {entry.rollout}"
+    )
+
+
+def limits_of(config: ExperimentConfig, signal: Signal) -> tuple[float, ...]:
+    """What the specification, or its rules, compare a signal with, ascending."""
+    formulas = [rule.formula for rule in config.rules] or [config.spec]
+    predicates = (
+        (part.left, part.right)
+        for formula in formulas
+        for part in stl.parse(formula).walk()
+        if isinstance(part, Predicate)
+    )
+    return tuple(
+        sorted(
+            {
+                right.value
+                for left, right in predicates
+                if left == SignalOf(signal.name) and isinstance(right, Constant)
+            }
+        )
     )
 
 
@@ -111,78 +161,129 @@ def with_cursor(plots: Sequence[str], chosen: Track, step: int, *, speed: float)
     """The plots side by side with a cursor at a step, and the values there."""
     shown: list[str] = []
     values = _values(chosen, step, speed=speed)
-    for place, (drawn, plot) in enumerate(zip(plots, _plots_axes(chosen), strict=True)):
+    for place, (drawn, plot) in enumerate(zip(plots, _axes(chosen), strict=True)):
         x = plot.px(float(chosen.time_s[step]))
         line = f"<path d='M{x:.1f} {plot.top}V{plot.bottom}' stroke='{CURSOR}' stroke-width='1.4'/>"
-        words = text(values[place], plot.right, plot.top - 9, anchor="end", color=CURSOR)
+        end = PLOT_WIDTH - MARGIN
+        words = text(values[place], end, plot.top - 9, anchor="end", color=CURSOR)
         named = "" if place else f" data-cursor='{step}'"
         shown.append(f"{drawn}<g{named}>{line}{words}</g></svg>")
-    gap, speeds, perception = shown
+    asked, speeds, perception = shown
     middle = speeds.replace("<svg ", f"<svg class='{SPEEDS}' ", 1)
-    return f"<div class='{PLOTS}'>{gap}{middle}{perception}</div>"
+    return f"<div class='{PLOTS}'>{asked}{middle}{perception}</div>"
+
+
+def step_words(chosen: Track, step: int) -> str:
+    """What perception errs about at a step."""
+    drawn = chosen.drawn
+    if drawn.contact_step is not None and step >= drawn.contact_step:
+        return "after contact"
+    if step >= len(drawn.answers):
+        return "end"
+    if chosen.detection is not None:
+        return answer_words(drawn.slots[0], int(drawn.answers[step, 0]))
+    wrong = [
+        f"{slot.name} {answer_words(slot, WRONG)}"
+        for slot, answer in zip(drawn.slots, drawn.answers[step], strict=True)
+        if answer == WRONG
+    ]
+    return ", ".join(wrong) or "no error"
 
 
 def _values(chosen: Track, step: int, *, speed: float) -> tuple[str, str, str]:
-    time_s = chosen.time_s[step]
-    outcome = "end"
-    if step < chosen.detected.size:
-        outcome = "detected" if chosen.detected[step] else "MISSED"
-    if chosen.contact is not None and step >= chosen.contact.step:
-        return (contact_text(chosen.contact), "after contact", f"played at {speed:g}x")
+    states, unit = chosen.drawn.states, chosen.asked.unit
+    shown = f"{chosen.values[step]:.2f} {unit} at {chosen.time_s[step]:.2f} s"
     return (
-        f"{chosen.gap_m[step]:.2f} m at {time_s:.2f} s",
-        f"ego {chosen.ego_speed_mps[step]:.1f}, lead {chosen.lead_speed_mps[step]:.1f}",
-        f"{outcome}; played at {speed:g}x",
+        shown.replace("  ", " "),
+        f"ego {states.speed_mps[step, 0]:.1f} m/s, played at {speed:g}x",
+        step_words(chosen, step),
     )
 
 
-def _plots_axes(chosen: Track) -> tuple[Plot, Plot, Plot]:
-    end_s = float(chosen.time_s[-1])
-    low = min(-1.0, float(np.min(chosen.gap_m)) - 0.5)
-    high = max(float(np.max(chosen.gap_m)), chosen.scenario.emergency_gap_m) * 1.05
-    fastest = 3.6 * max(float(np.max(chosen.ego_speed_mps)), float(np.max(chosen.lead_speed_mps)))
-    time = Axis(0.0, end_s, "time [s]")
-    size = {"width": PLOT_WIDTH, "height": HEIGHT, "left": 42, "right": 8, "top": 22}
-    return (
-        Plot(title="Gap", x=time, y=Axis(low, high, "gap [m]"), **size),
-        Plot(title="Speeds", x=time, y=Axis(0.0, fastest / 3.6 * 1.08, "speed [m/s]"), **size),
-        Plot(title="Perception", x=time, y=Axis(-0.22, 1.04, "P(detected)",
-             ticks=(0.0, 0.5, 1.0)), **size),
-    )  # fmt: skip
+def _axes(chosen: Track) -> tuple[Plot, Plot, Plot]:
+    drawn = chosen.drawn
+    time = Axis(0.0, max(float(chosen.time_s[-1]), chosen.dt_s), "time [s]")
+    low, high = (float(end([*chosen.values, *chosen.limits])) for end in (np.min, np.max))
+    margin = 0.08 * (high - low) or 1.0
+    unit = f" [{chosen.asked.unit}]" if chosen.asked.unit else ""
+    name = chosen.asked.name.replace("_", " ")
+    fastest = max(float(np.max(drawn.states.speed_mps, initial=0.0)), 1.0)
+    size = {"width": PLOT_WIDTH, "height": HEIGHT, "left": 42, "right": MARGIN, "top": 22}
+    beside = LEGEND_BESIDE if len(drawn.cars) > MOST_INSIDE else MARGIN
+    asked = Plot(
+        title=name.capitalize(), x=time, y=Axis(low - margin, high + margin, name + unit), **size
+    )
+    speed = Axis(0.0, fastest * 1.08, "speed [m/s]")
+    speeds = Plot(title="Speeds", x=time, y=speed, **(size | {"right": beside}))
+    if chosen.detection is not None:
+        likely = Axis(-0.22, 1.04, "P(detected)", ticks=(0.0, 0.5, 1.0))
+        return asked, speeds, Plot(title="Perception", x=time, y=likely, **size)
+    rows, named = Axis(len(drawn.slots) + 0.5, 0.5, "", ticks=()), {"left": 100, "title_at": 4}
+    return asked, speeds, Plot(title="Perception", x=time, y=rows, **(size | named))
 
 
 def _plots(chosen: Track) -> tuple[Plot, Plot, Plot]:
-    gap, speed, perception = _plots_axes(chosen)
-    time_s, steps_s = chosen.time_s, chosen.time_s[:-1]
-    edge_m = chosen.scenario.emergency_gap_m
-    gap.band(gap.y.low, CAMERA_TO_BUMPER_M, color=VERMILLION, opacity=0.10)
-    gap.hline(
-        CAMERA_TO_BUMPER_M,
-        color=VERMILLION,
-        label=f"{CAMERA_TO_BUMPER_M:g} m: bumpers touch",
-        dash="",
-        at_left=True,
-    )
-    gap.hline(edge_m, color=GREY, label=f"{edge_m:g} m: emergency braking")
-    gap.line(time_s, chosen.gap_m, color=BLUE, width=2.2)
-    speed.line(time_s, chosen.ego_speed_mps, color=EGO, width=2.2)
-    speed.line(time_s, chosen.lead_speed_mps, color=LEAD, width=2.2, dash="6 3")
-    speed.legend([("ego", EGO, ""), ("lead", LEAD, "6 3")], x=speed.left + 8, y=speed.bottom - 20)
-    perception.line(steps_s, chosen.proposal_detection, color=PROPOSAL, width=1.8, dash="5 2")
-    perception.line(steps_s, chosen.pem_detection, color=PEM, width=1.8)
-    perception.legend(
-        [("error model", PEM, ""), ("proposal", PROPOSAL, "5 2")],
-        x=perception.right - 92,
-        y=perception.py(0.5) - 4,
-    )
-    hit, miss = steps_s[chosen.detected], steps_s[~chosen.detected]
-    base = perception.bottom
-    perception.ticks_at(hit, y_px=(base - 9, base - 1), color=DETECTED)
-    perception.ticks_at(miss, y_px=(base - 21, base - 12), color=MISSED)
+    asked, speeds, perception = _axes(chosen)
+    drawn, time_s = chosen.drawn, chosen.time_s
+    for limit in chosen.limits:
+        label = f"{limit:g} {chosen.asked.unit}".strip() + ": limit"
+        asked.hline(limit, color=VERMILLION, label=label, dash="", at_left=True)
+    asked.line(time_s, chosen.values, color=BLUE, width=2.2)
+    entries: list[tuple[str, str, str]] = []
+    for car, shape in enumerate(drawn.cars):
+        there = np.where(drawn.states.present[:, car], drawn.states.speed_mps[:, car], np.nan)
+        dash = "" if car == 0 else "6 3"
+        speeds.line(time_s, there, color=car_color(car), width=2.2, dash=dash)
+        entries.append((_short(shape.name), car_color(car), dash))
+    if len(entries) > MOST_INSIDE:
+        short = [
+            (_short(name, most=BESIDE_CHARACTERS), color, dash) for name, color, dash in entries
+        ]
+        speeds.legend(short, x=speeds.right + 4, y=speeds.top + 8)
+    else:
+        speeds.legend(entries, x=speeds.left + 8, y=speeds.bottom - 6 - 14 * len(entries))
+    draw = _draw_answers if chosen.detection is None else _draw_detection
+    draw(perception, chosen)
+    if drawn.contact_step is not None:
+        at_s = drawn.contact_step * drawn.dt_s
+        impact = drawn.impact_speed_mps
+        asked.veil(at_s, label="contact")
+        speeds.veil(at_s, label="" if impact is None else f"{impact:.1f} m/s impact")
+        perception.veil(at_s)
+    return asked, speeds, perception
+
+
+def _draw_answers(plot: Plot, chosen: Track) -> None:
+    """A row for each slot: strokes at errors, lower ones where there is none, none if absent."""
+    drawn = chosen.drawn
+    row_px = (plot.bottom - plot.top) / len(drawn.slots)
+    for place, slot in enumerate(drawn.slots):
+        middle = plot.top + (place + 0.5) * row_px
+        answers = drawn.answers[:, place]
+        tall = min(0.34 * row_px, 16.0)
+        for answer, half in ((RIGHT, 0.35 * tall), (WRONG, tall)):
+            at_s = chosen.time_s[:-1][answers == answer] + drawn.dt_s / 2
+            plot.ticks_at(at_s, y_px=(middle - half, middle + half), color=SHADES[answer])
+        if not np.any(answers):
+            plot.note(answer_words(slot, NOT_ASKED), plot.left + 4, middle + 4)
+        plot.note(_short(slot.name), plot.left - 4, middle + 4, anchor="end")
+
+
+def _draw_detection(plot: Plot, chosen: Track) -> None:
+    """P(detected) of the error model and of the proposal; under them strokes, misses higher."""
+    assert chosen.detection is not None  # noqa: S101  asked for with it alone
+    pem, proposal = chosen.detection
+    steps_s, answers = chosen.time_s[:-1], chosen.drawn.answers[:, 0]
+    plot.line(steps_s, proposal, color=PROPOSAL, width=1.8, dash="5 2")
+    plot.line(steps_s, pem, color=PEM, width=1.8)
+    names = [("error model", PEM, ""), ("proposal", PROPOSAL, "5 2")]
+    plot.legend(names, x=plot.right - 92, y=plot.py(0.5) - 4)
+    base = plot.bottom
+    plot.ticks_at(steps_s[answers == RIGHT], y_px=(base - 9, base - 1), color=DETECTED)
+    plot.ticks_at(steps_s[answers == WRONG], y_px=(base - 21, base - 12), color=MISSED)
     for label, y in (("hit", base - 2), ("miss", base - 13)):
-        perception.note(label, perception.left - 4, y, anchor="end")
-    if chosen.contact is not None:
-        gap.veil(chosen.contact.time_s, label="contact")
-        speed.veil(chosen.contact.time_s, label=f"{chosen.contact.impact_speed_mps:.1f} m/s impact")
-        perception.veil(chosen.contact.time_s)
-    return gap, speed, perception
+        plot.note(label, plot.left - 4, y, anchor="end")
+
+
+def _short(name: str, *, most: int = NAME_CHARACTERS) -> str:
+    return name if len(name) <= most else f"{name[: most - 1]}\N{HORIZONTAL ELLIPSIS}"

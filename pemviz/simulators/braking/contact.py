@@ -45,23 +45,6 @@ def first_contact(gap_m: FloatArray, *, dt_s: float) -> Contact | None:
     return Contact(step=step, time_s=step * dt_s, impact_speed_mps=closed_m / dt_s)
 
 
-def until_contact(values: FloatArray, contact: Contact | None) -> FloatArray:
-    """Values ``[T]`` along a rollout, held from the state of contact on."""
-    if contact is None:
-        return values
-    return np.append(
-        values[: contact.step], np.full(values.size - contact.step, values[contact.step])
-    )
-
-
-def drawn_gap(gap_m: FloatArray, contact: Contact | None) -> FloatArray:
-    """Gaps ``[T]`` [m] at which cars are drawn: bumper at bumper from contact on."""
-    drawn_m = np.array(gap_m)
-    if contact is not None:
-        drawn_m[contact.step :] = CAMERA_TO_BUMPER_M
-    return drawn_m
-
-
 def contact_text(contact: Contact) -> str:
     """In words: when, and how fast."""
     return f"contact at {contact.time_s:.2f} s, impact at {contact.impact_speed_mps:.1f} m/s"

@@ -5,6 +5,7 @@ centre stays at x = 0, so that the rollouts can be compared; the road moves inst
 ahead, y to the left, in metres.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,11 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.colors import DETECTED, GREY, MISSED, Rgba, rgba
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout
+from pemviz.simulators.scene import Road
 
-ROADS = 2
+MOST_ROADS = 3
+WIDTH_M = 34.0
+"""Of all roads and verges together, which is where ranks end."""
 VERGE_M = 5.0
 """Between two roads; a rollout's words stand there."""
 BEHIND_M, AHEAD_M = 15.0, 60.0
@@ -66,3 +70,18 @@ def dash_starts_m(ego_x_m: float) -> FloatArray:
 def grey_from(drawn: DrawnRollout) -> int:
     """The first state of contact: what follows is no motion of the encounter."""
     return drawn.count if drawn.contact_step is None else drawn.contact_step
+
+
+def row_m(road: Road) -> float:
+    """How far a rollout's road is from the next."""
+    return road.lane_edges_m[-1] - road.lane_edges_m[0] + VERGE_M
+
+
+def roads_shown(road: Road) -> int:
+    """How many of the least robust rollouts there is room for: at least two."""
+    return min(max(int(WIDTH_M // row_m(road)), 2), MOST_ROADS)
+
+
+def with_room(drawn: Sequence[DrawnRollout]) -> Sequence[DrawnRollout]:
+    """Those of the first rollouts that there is room for."""
+    return drawn[: roads_shown(drawn[0].road)] if drawn else ()

@@ -10,19 +10,21 @@ import numpy as np
 import rerun as rr
 
 from pemviz.arrays import FloatArray
-from pemviz.colors import BLACK, GREY, WHITE, Rgba, car_color, rgba
+from pemviz.colors import BLACK, GREEN, GREY, WHITE, Rgba, car_color, rgba
 from pemviz.recording import paths
 from pemviz.recording.plot import NO_DOT
-from pemviz.recording.road_layout import (
+from pemviz.recording.scene_layout import (
     AHEAD_M,
     ANSWERS,
     BEHIND_M,
     DASH_M,
-    ROADS,
     SIGMAS,
     VERGE_M,
     dash_starts_m,
     grey_from,
+    roads_shown,
+    row_m,
+    with_room,
 )
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.drawn_rollout import NOT_ASKED, WRONG, DrawnRollout, answer_words
@@ -74,21 +76,16 @@ class _Row:
         return (self.rank - 1) * row_m(self.drawn.road) + 0.25 * VERGE_M
 
 
-def row_m(road: Road) -> float:
-    """How far a rollout's road is from the next."""
-    return road.lane_edges_m[-1] - road.lane_edges_m[0] + VERGE_M
-
-
 def plan_bounds(road: Road) -> Bounds:
     """What a view shows, from left to right and from top to bottom."""
-    return (-BEHIND_M - 4.0, AHEAD_M + 4.0), (-1.0, ROADS * row_m(road) + 1.0)
+    return (-BEHIND_M - 4.0, AHEAD_M + 4.0), (-1.0, roads_shown(road) * row_m(road) + 1.0)
 
 
-def log_road_plan(
+def log_scene_plan(
     file: RecordingFile, drawn: Sequence[DrawnRollout], *, titles: Sequence[str], stage: int
 ) -> None:
     """A road for each of the first rollouts; later calls replace what earlier ones drew."""
-    for rank, (one, title) in enumerate(zip(drawn[:ROADS], titles, strict=False), start=1):
+    for rank, (one, title) in enumerate(zip(with_room(drawn), titles, strict=False), start=1):
         row = _Row(one, rank)
         times = StepTimes(stage=stage, count=one.count, dt_s=one.dt_s)
         steps = range(one.count)
@@ -150,6 +147,10 @@ def _cars(row: _Row, step: int) -> _Strips:
             continue
         turn = _turn(float(states.heading_rad[step, car]))
         color = rgba(GREY) if after else rgba(car_color(car))
+        if shape.zone is not None and not after:
+            far_m = reach_m + shape.zone.ahead_m
+            across = np.array([(far_m, -shape.width_m), (far_m, shape.width_m)])
+            strips.add(_flat(row, centre + across @ turn.T), rgba(GREEN), LINE_M)
         lap, radius_m = _filled(shape.length_m, shape.width_m)
         strips.add(_flat(row, centre + lap @ turn.T), color, radius_m)
         across_m = 0.36 * shape.width_m
