@@ -158,7 +158,7 @@ def _collect_nuscenes(arguments: CollectArguments, options: CollectOptions) -> i
         f"or radar, {counts.beyond} beyond their class's range, {counts.dropped} of unknown "
         "visibility"
     )
-    _tell_bad_lines(counts.bad_entries, counts.first_bad)
+    _tell_bad_lines(counts.bad_lines, counts.first_bad)
     return 0
 
 

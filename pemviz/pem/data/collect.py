@@ -1,13 +1,13 @@
 """From label and detection files to the table that models learn from, one frame at a time."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
+from pemviz.pem.data.collected import CollectedCounts, salient_cells, write_table
 from pemviz.pem.data.detections import Detection, DetectionFormat, FrameDetections, open_detections
 from pemviz.pem.data.kitti_labels import MISC, TYPES, UNKNOWN_OCCLUSION, Obstacle, read_labels
 from pemviz.pem.data.matching import PAPER_IOU, assign_boxes
@@ -18,8 +18,6 @@ from pemviz.pem.models.protocol import SALIENT_COLUMNS
 TABLE_COLUMNS = ("frame", "type", *SALIENT_COLUMNS, OUTCOME_COLUMN, "iou")
 NUMBERED_CLASSES = TYPES[:-1]
 """Names of the classes 0, 1, ... unless the user gives others: KITTI's, without DontCare."""
-
-CLASS_ID = {name: index for index, name in enumerate(TYPES)}
 
 
 @dataclass(frozen=True)
@@ -39,21 +37,13 @@ class CollectOptions:
 
 
 @dataclass
-class CollectCounts:
+class CollectCounts(CollectedCounts):
     """What happened on the way."""
 
     frames: int = 0
     """Frames read."""
     obstacles: int = 0
     """Obstacles written."""
-    missed: int = 0
-    """Those that the detector missed."""
-    dropped: int = 0
-    """Obstacles left out: class Misc or unknown occlusion."""
-    bad_lines: int = 0
-    """Malformed lines passed over."""
-    first_bad: str = field(default="")
-    """What was wrong with the first of them."""
 
 
 def collect(
@@ -92,13 +82,7 @@ def collect(
     if not files:
         raise PemError(f"{labels}: no folder with KITTI label files (*.txt)")
     counts = CollectCounts()
-
-    def on_bad_line(error: PemError) -> None:
-        if not options.skip_bad:
-            raise error
-        counts.bad_lines += 1
-        counts.first_bad = counts.first_bad or str(error)
-
+    on_bad_line = counts.on_bad_line(skip_bad=options.skip_bad)
     reader = open_detections(
         detections,
         detection_format=detection_format,
@@ -107,21 +91,17 @@ def collect(
         missing_is_empty=missing_is_empty,
         on_bad_line=on_bad_line,
     )
-    partial = out.with_name(f".{out.name}.partial")
-    try:
-        with partial.open("w", encoding="utf-8", newline="\n") as stream:
-            rows: list[_Row] = []
-            for done, file in enumerate(files, start=1):
-                obstacles = read_labels(file, on_bad_line=on_bad_line)
-                rows += _rows(file.stem, obstacles, reader, options=options, counts=counts)
-                if on_progress is not None:
-                    on_progress(done, len(files))
-            _write(stream, rows)
-        partial.replace(out)
-    except OSError as error:
-        raise PemError(f"{out}: cannot be written ({error.strerror})") from None
-    finally:
-        partial.unlink(missing_ok=True)
+    rows: list[_Row] = []
+    for done, file in enumerate(files, start=1):
+        obstacles = read_labels(file, on_bad_line=on_bad_line)
+        rows += _rows(file.stem, obstacles, reader, options=options, counts=counts)
+        if on_progress is not None:
+            on_progress(done, len(files))
+    placed = any(row.errors is not None for row in rows)
+    header = (*TABLE_COLUMNS, *PLANE_COLUMNS) if placed else TABLE_COLUMNS
+    write_table(
+        out, header, (",".join((row.cells, *(row.errors or ("", "")) * placed)) for row in rows)
+    )
     return counts
 
 
@@ -129,13 +109,6 @@ def collect(
 class _Row:
     cells: str
     errors: tuple[str, str] | None
-
-
-def _write(stream: TextIO, rows: Sequence[_Row]) -> None:
-    placed = any(row.errors is not None for row in rows)
-    stream.write(",".join((*TABLE_COLUMNS, *PLANE_COLUMNS) if placed else TABLE_COLUMNS) + "\n")
-    for row in rows:
-        stream.write(",".join((row.cells, *(row.errors or ("", "")) * placed)) + "\n")
 
 
 def place_errors(found: Detection | None, obstacle: Obstacle) -> tuple[str, str] | None:
@@ -162,16 +135,7 @@ def _rows(
         detected = overlap > options.iou_above
         counts.obstacles += 1
         counts.missed += not detected
-        values = (
-            CLASS_ID[obstacle.type],
-            obstacle.truncation,
-            obstacle.occlusion,
-            obstacle.alpha_rad,
-            *obstacle.dimensions_m,
-            *obstacle.location_m,
-            obstacle.rotation_y_rad,
-        )
-        cells = (frame, obstacle.type, *(f"{value:.10g}" for value in values))
+        cells = (frame, *salient_cells(obstacle))
         errors = place_errors(partner, obstacle) if detected else None
         yield _Row(",".join((*cells, str(int(detected)), f"{overlap:.4f}")), errors)
 

@@ -6,13 +6,12 @@ These files tell nothing of places in the world: the table has no salient variab
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 from pemviz.errors import PemError
-from pemviz.files.text_files import writing
 from pemviz.pem.data.collect import CollectOptions
-from pemviz.pem.data.collect_tracks import DEFAULT_OPTIONS, TRACK_COLUMNS, TrackCounts
+from pemviz.pem.data.collect_tracks import DEFAULT_OPTIONS, TRACK_COLUMNS
+from pemviz.pem.data.collected import TrackCounts, write_table
 from pemviz.pem.data.detections import Detection
 from pemviz.pem.data.matching import assign_boxes
 from pemviz.pem.data.mot_challenge import (
@@ -71,14 +70,8 @@ def collect_mot(
     if unknown := [name for name in types if name not in CLASSES]:
         raise PemError(f"types: {unknown[0]!r} is no class, allowed: {', '.join(CLASSES)}")
     files, reported = sequence_files(labels, "gt"), sequence_files(detections, "det")
-    counts, lines = TrackCounts(), [",".join(TABLE_COLUMNS)]
-
-    def on_bad_line(error: PemError) -> None:
-        if not options.skip_bad:
-            raise error
-        counts.bad_lines += 1
-        counts.first_bad = counts.first_bad or str(error)
-
+    counts, lines = TrackCounts(), list[str]()
+    on_bad_line = counts.on_bad_line(skip_bad=options.skip_bad)
     for done, (sequence, file) in enumerate(files.items(), start=1):
         plain(sequence, labels)
         if sequence not in reported:
@@ -88,10 +81,12 @@ def collect_mot(
         rate = sequence_rate_hz(file) or rate_hz
         rows = sorted(_rows(obstacles, found, types, options, counts), key=lambda row: row.place)
         lines += [_line(sequence, rate, row) for row in rows]
-        _count(rows, counts)
+        counts.add_sequence(
+            [row.place for row in rows], missed=sum(not row.detected for row in rows)
+        )
         if on_progress is not None:
             on_progress(done, len(files))
-    _write(out, lines)
+    write_table(out, TABLE_COLUMNS, lines)
     return counts
 
 
@@ -121,30 +116,9 @@ def _rows(
                 yield _Row(each, overlap > options.iou_above, overlap)
 
 
-def _count(rows: list[_Row], counts: TrackCounts) -> None:
-    counts.sequences += 1
-    counts.tracks += len({row.obstacle.track for row in rows})
-    counts.observations += len(rows)
-    counts.missed += sum(not row.detected for row in rows)
-    counts.gaps += sum(
-        here.place[0] == after.place[0] and after.place[1] > here.place[1] + 1
-        for here, after in pairwise(rows)
-    )
-
-
 def _line(sequence: str, rate_hz: float, row: _Row) -> str:
     one = row.obstacle
     visible = "" if one.visibility is None else f"{one.visibility:.6g}"
     who = (sequence, str(one.frame), str(one.track), f"{rate_hz:g}", one.type, visible)
     sides = (f"{side:.10g}" for side in one.box_px)
     return ",".join((*who, *sides, str(int(row.detected)), f"{row.overlap:.4f}"))
-
-
-def _write(out: Path, lines: list[str]) -> None:
-    partial = out.with_name(f".{out.name}.partial")
-    with writing(out):
-        try:
-            partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
-            partial.replace(out)
-        finally:
-            partial.unlink(missing_ok=True)

@@ -13,7 +13,7 @@ lidar and cameras look all round.
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.errors import PemError
 from pemviz.files.json_text import parse_json
-from pemviz.files.text_files import open_text, writing
-from pemviz.pem.data.collect import CLASS_ID
+from pemviz.files.text_files import open_text
 from pemviz.pem.data.collect_tracks import TRACK_COLUMNS
+from pemviz.pem.data.collected import CLASS_ID, CollectedCounts, write_table
 from pemviz.pem.data.kitti_labels import UNKNOWN_OCCLUSION, OnBadLine
 from pemviz.pem.data.nuscenes_tables import Annotation, Box, Sample, box_of, read_samples
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
@@ -45,7 +45,7 @@ TABLE_COLUMNS = (
 
 
 @dataclass
-class NuscenesCounts:
+class NuscenesCounts(CollectedCounts):
     """What happened on the way."""
 
     samples: int = 0
@@ -54,20 +54,12 @@ class NuscenesCounts:
     """Obstacles that were followed."""
     observations: int = 0
     """Rows written: an obstacle in a sample."""
-    missed: int = 0
-    """Those that the detector missed."""
     other_types: int = 0
     """Labels of the classes that error models do not have, or that were not asked for."""
     without_points: int = 0
     """Labels left out since no point of lidar or radar lies in them."""
     beyond: int = 0
     """Labels left out since they lie beyond their class's range."""
-    dropped: int = 0
-    """Labels left out since their visibility is unknown."""
-    bad_entries: int = 0
-    """Malformed labels and detections passed over."""
-    first_bad: str = field(default="")
-    """What was wrong with the first of them."""
 
 
 def collect_nuscenes(
@@ -107,7 +99,7 @@ def collect_nuscenes(
         allowed = ", ".join(CLASSES.values())
         raise PemError(f"types: {unknown[0]!r} is no class of nuScenes' here, allowed: {allowed}")
     counts, rows = NuscenesCounts(), list[tuple[tuple[str, str, int], str]]()
-    on_bad_line = _told_to(counts, skip_bad=skip_bad)
+    on_bad_line = counts.on_bad_line(skip_bad=skip_bad)
     found = _read_results(detections)
     samples = read_samples(labels, found, on_bad_line=on_bad_line)
     for done, (token, sample) in enumerate(samples.items(), start=1):
@@ -125,18 +117,8 @@ def collect_nuscenes(
             on_progress(done, len(samples))
     counts.samples, counts.observations = len(samples), len(rows)
     counts.tracks = len({key[:2] for key, _ in rows})
-    _write(out, [line for _, line in sorted(rows)])
+    write_table(out, TABLE_COLUMNS, (line for _, line in sorted(rows)))
     return counts
-
-
-def _told_to(counts: NuscenesCounts, *, skip_bad: bool) -> OnBadLine:
-    def on_bad_line(error: PemError) -> None:
-        if not skip_bad:
-            raise error
-        counts.bad_entries += 1
-        counts.first_bad = counts.first_bad or str(error)
-
-    return on_bad_line
 
 
 def _read_results(path: Path) -> Mapping[str, Any]:
@@ -258,14 +240,3 @@ def _turned(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     """A vector ``[3]`` turned by a quaternion w, x, y, z of length 1."""
     twice = 2.0 * np.cross(rotation[1:], vector)
     return vector + rotation[0] * twice + np.cross(rotation[1:], twice)
-
-
-def _write(out: Path, lines: list[str]) -> None:
-    partial = out.with_name(f".{out.name}.partial")
-    with writing(out):
-        try:
-            text = "\n".join([",".join(TABLE_COLUMNS), *lines]) + "\n"
-            partial.write_text(text, encoding="utf-8")
-            partial.replace(out)
-        finally:
-            partial.unlink(missing_ok=True)

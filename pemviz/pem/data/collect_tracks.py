@@ -1,13 +1,13 @@
 """From tracked labels and a detector's output to a table that keeps who is seen when."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
-from pemviz.pem.data.collect import CLASS_ID, CollectOptions, is_unknown, place_errors
+from pemviz.pem.data.collect import CollectOptions, is_unknown, place_errors
+from pemviz.pem.data.collected import CLASS_ID, TrackCounts, salient_cells, write_table
 from pemviz.pem.data.detections import Detection
 from pemviz.pem.data.matching import assign_boxes
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
@@ -23,32 +23,6 @@ from pemviz.pem.models.protocol import SALIENT_COLUMNS
 TRACK_COLUMNS = ("sequence", "frame", "track", "rate_hz")
 DEFAULT_OPTIONS = CollectOptions()
 TABLE_COLUMNS = (*TRACK_COLUMNS, "type", *SALIENT_COLUMNS, OUTCOME_COLUMN, "iou")
-
-
-@dataclass
-class TrackCounts:
-    """What happened on the way."""
-
-    sequences: int = 0
-    """Sequences read."""
-    tracks: int = 0
-    """Obstacles that were followed."""
-    observations: int = 0
-    """Rows written: an obstacle in a frame."""
-    missed: int = 0
-    """Those that the detector missed."""
-    gaps: int = 0
-    """How often a track goes on after frames without a row."""
-    ignored_detections: int = 0
-    """Detections of a lower score than asked for."""
-    other_types: int = 0
-    """Labels left out since they are of another class than asked for."""
-    dropped: int = 0
-    """Labels left out: class Misc or unknown occlusion; their track has a gap there."""
-    bad_lines: int = 0
-    """Malformed lines passed over."""
-    first_bad: str = field(default="")
-    """What was wrong with the first of them."""
 
 
 def collect_tracks(
@@ -88,28 +62,23 @@ def collect_tracks(
     if unknown := [name for name in types if name not in CLASS_ID]:
         raise PemError(f"types: {unknown[0]!r} is no class, allowed: {', '.join(CLASS_ID)}")
     counts = TrackCounts()
-
-    def on_bad_line(error: PemError) -> None:
-        if not options.skip_bad:
-            raise error
-        counts.bad_lines += 1
-        counts.first_bad = counts.first_bad or str(error)
-
+    on_bad_line = counts.on_bad_line(skip_bad=options.skip_bad)
     placed = sequence_format == "ab3dmot"
-    lines = [",".join((*TABLE_COLUMNS, *PLANE_COLUMNS) if placed else TABLE_COLUMNS)]
+    lines: list[str] = []
     for done, file in enumerate(files, start=1):
         tracked = read_tracking_labels(file, on_bad_line=on_bad_line)
         found = _detections_of(
             detections / file.name, sequence_format=sequence_format, on_bad_line=on_bad_line
         )
         rows = _outcomes(tracked, found, types=types, options=options, counts=counts)
-        lines += [
-            _line(file.stem, rate_hz, row, placed=placed) for row in sorted(rows, key=_by_track)
-        ]
-        _count(rows, counts)
+        rows.sort(key=_by_track)
+        lines += [_line(file.stem, rate_hz, row, placed=placed) for row in rows]
+        counts.add_sequence(
+            [_by_track(row) for row in rows], missed=sum(not row.detected for row in rows)
+        )
         if on_progress is not None:
             on_progress(done, len(files))
-    _write(out, lines)
+    write_table(out, (*TABLE_COLUMNS, *PLANE_COLUMNS) if placed else TABLE_COLUMNS, lines)
     return counts
 
 
@@ -165,40 +134,9 @@ def _outcomes(
     return rows
 
 
-def _count(rows: list[_Row], counts: TrackCounts) -> None:
-    counts.sequences += 1
-    counts.tracks += len({row.tracked.track for row in rows})
-    counts.observations += len(rows)
-    counts.missed += sum(not row.detected for row in rows)
-    places = sorted(_by_track(row) for row in rows)
-    counts.gaps += sum(
-        here[0] == after[0] and after[1] > here[1] + 1 for here, after in pairwise(places)
-    )
-
-
 def _line(sequence: str, rate_hz: float, row: _Row, *, placed: bool) -> str:
     obstacle = row.tracked.obstacle
-    values = (
-        CLASS_ID[obstacle.type],
-        obstacle.truncation,
-        obstacle.occlusion,
-        obstacle.alpha_rad,
-        *obstacle.dimensions_m,
-        *obstacle.location_m,
-        obstacle.rotation_y_rad,
-    )
     who = (sequence, str(row.tracked.frame), str(row.tracked.track), f"{rate_hz:g}")
-    cells = (*who, obstacle.type, *(f"{value:.10g}" for value in values))
+    cells = (*who, *salient_cells(obstacle))
     errors = (place_errors(row.found, obstacle) or ("", "")) if placed else ()
     return ",".join((*cells, str(int(row.detected)), f"{row.overlap:.4f}", *errors))
-
-
-def _write(out: Path, lines: list[str]) -> None:
-    partial = out.with_name(f".{out.name}.partial")
-    try:
-        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        partial.replace(out)
-    except OSError as error:
-        raise PemError(f"{out}: cannot be written ({error.strerror})") from None
-    finally:
-        partial.unlink(missing_ok=True)

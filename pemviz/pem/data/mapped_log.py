@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pemviz.errors import PemError
-from pemviz.files.text_files import open_text, writing
+from pemviz.files.text_files import open_text
+from pemviz.pem.data.collected import CollectedCounts, write_table
 from pemviz.pem.data.column_mapping import (
     ALPHA,
     SEPARATORS,
@@ -26,17 +27,11 @@ Cells = Mapping[str, str]
 
 
 @dataclass
-class LogCounts:
+class LogCounts(CollectedCounts):
     """What was in a log."""
 
     obstacles: int = 0
     """Rows written."""
-    missed: int = 0
-    """Those that the detector missed."""
-    bad_lines: int = 0
-    """Malformed rows passed over."""
-    first_bad: str = ""
-    """What was wrong with the first of them."""
 
 
 def collect_log(
@@ -55,27 +50,19 @@ def collect_log(
         PemError: naming file, line and column of what is malformed, or what is missing.
     """
     plan, counts, lines = read_mapping(mapping), LogCounts(), list[str]()
+    on_bad_line = counts.on_bad_line(skip_bad=skip_bad)
     written = [name for name in (*TRACK_COLUMNS, *SALIENT_COLUMNS, OUTCOME_COLUMN, *PLANE_COLUMNS)
                if name in plan.columns or name == ALPHA]  # fmt: skip
     for where, cells in _rows(plan, labels, detections):
         try:
             row = _row(plan, cells, where)
         except PemError as error:
-            if not skip_bad:
-                raise
-            counts.bad_lines += 1
-            counts.first_bad = counts.first_bad or str(error)
+            on_bad_line(error)
             continue
         counts.obstacles += 1
         counts.missed += row[OUTCOME_COLUMN] == "0"
         lines.append(",".join(row[name] for name in written))
-    partial = out.with_name(f".{out.name}.partial")
-    with writing(out):
-        try:
-            partial.write_text("\n".join([",".join(written), *lines]) + "\n", encoding="utf-8")
-            partial.replace(out)
-        finally:
-            partial.unlink(missing_ok=True)
+    write_table(out, written, lines)
     return counts
 
 
