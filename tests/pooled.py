@@ -1,7 +1,6 @@
 """Outcomes of rollouts as the paper's network is trained on them, all at once."""
 
-from pemviz.proposals.gap_network_fit import table_of
-from pemviz.proposals.outcome_sums import OutcomeSums
+from pemviz.proposals.gap_network import OutcomeSums, table_of
 
 
 def pool_outcomes(*, gap_m, detected, rollout_weight):

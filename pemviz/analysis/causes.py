@@ -1,4 +1,10 @@
-"""What causes the violations: where and when the detector misses, and in which chains."""
+"""What causes the violations: which rollouts, where and when the detector misses, in which bursts.
+
+A burst is a run of misses in neighbouring frames. Those are counted in which at least one miss is
+at a state where the outcome matters, up to the violation. The decisive burst of a violation is the
+one with the most such misses, of equals the last; all of its misses belong to it, also those
+before the outcome matters, since a memory carries them on.
+"""
 
 import itertools
 from collections.abc import Sequence
@@ -6,14 +12,48 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Count, Share, StepIndex
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import CERTAIN, RolloutBatch, ScoredRollouts
 
+CARRIED = 0.99
+"""The part of an estimate that its carrying rollouts make up together."""
 CHAINS = 10
+LOW, HIGH = 0.1, 0.9
+
+
+def contributions(log_weight: FloatArray, *, violated: BoolArray) -> FloatArray:
+    """The share ``[N]`` of the estimate that each rollout contributes.
+
+    Args:
+        log_weight: Log importance weights ``[N]`` [nats]; up to a constant that all share.
+        violated: Which rollouts violate, ``[N]``; the others contribute nothing.
+
+    Returns:
+        Shares that sum to 1, or to 0 if nothing violates.
+    """
+    share = np.zeros(violated.shape)
+    if violated.any():
+        failing = log_weight[violated]
+        share[violated] = np.exp(failing - log_sum(failing))
+    return share
+
+
+def carrying(share: FloatArray, *, part: float = CARRIED) -> BoolArray:
+    """The rollouts ``[N]`` of largest share that together contribute ``part`` of the estimate.
+
+    Rollouts of equal share are all among them or none is.
+
+    A violation that hardly ever happens, such as a pile-up of misses that an early proposal
+    drew, violates most but is not among them.
+    """
+    descending = np.sort(share)[::-1]
+    before = np.concatenate([[0.0], np.cumsum(descending)[:-1]])
+    needed = descending[(before < part) & (descending > 0.0)]
+    return share >= needed[-1] if needed.size else np.zeros(share.shape, dtype=np.bool_)
 
 
 @dataclass(frozen=True)
@@ -144,3 +184,145 @@ def likeliest_chains(failures: Failures, *, count: int = CHAINS) -> tuple[Chain,
         )
         for chain in order
     )
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How a figure differs among violations, weighted by how likely each is.
+
+    Attributes:
+        median: Half of the violations have less.
+        low: A tenth has less.
+        high: A tenth has more.
+    """
+
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Bursts:
+    """Bursts of a violation, over violations weighted by how likely each is.
+
+    Attributes:
+        dt_s: Time between two frames [s].
+        count: Bursts in a violation, on average.
+        misses: Misses in them, on average: ``count`` of them begin a burst.
+        frames: Misses of the decisive burst.
+        begins_s: Time of its first miss [s].
+        begins_gap_m: Gap there [m]; ``None`` where the scenario has no gap.
+        start: Probability of its first miss under the error model, geometric mean.
+        again: Probability of each further miss, geometric mean over them; ``None`` if no
+            decisive burst has a second miss.
+        whole: Probability of all its further misses together, geometric mean.
+    """
+
+    dt_s: AtLeastZero
+    count: AtLeastZero
+    misses: AtLeastZero
+    frames: Spread
+    begins_s: Spread
+    begins_gap_m: Spread | None
+    start: Share
+    again: Share | None
+    whole: Share
+
+
+def bursts_of(
+    failures: Failures,
+    *,
+    mattering: BoolArray,
+    dt_s: float,
+    gap: str | None = "gap",
+    turns: int = 1,
+) -> Bursts | None:
+    """Bursts of violations; ``None`` if no violation has a miss that matters.
+
+    Args:
+        failures: Weighted violations.
+        mattering: States at which the outcome matters to the scenario, ``[M, T-1]``.
+        dt_s: Time between two frames [s].
+        gap: The distance, if the scenario has one.
+        turns: Outcomes of a step: a burst is one slot's.
+    """
+    states = failures.rollouts.decision_states()
+    missed = _missed_alive(failures)
+    mattering, missed = (slot_after_slot(v, turns=turns) for v in (missed & mattering, missed))
+    of_step, sizes, useful = _runs(missed, mattering)
+    counted = useful > 0
+    share = np.where(counted.any(axis=1), failures.share, 0.0)
+    if not share.sum() > 0.0:
+        return None
+    share /= share.sum()
+    last = useful.shape[1] - 1
+    decisive = last - np.argmax(useful[:, ::-1], axis=1)
+    rows = np.arange(missed.shape[0])
+    inside = missed & (of_step == decisive[:, None])
+    first = np.argmax(inside, axis=1)
+    frames = sizes[rows, decisive]
+    log_p = np.where(inside, slot_after_slot(failures.rollouts.log_p, turns=turns), 0.0)
+    log_start = log_p[rows, first]
+    log_rest = row_sums(log_p) - log_start
+    further = float(share @ (frames - 1))
+    gaps = None if gap is None else slot_after_slot(states.signals[gap], turns=turns)
+    return Bursts(
+        dt_s=dt_s,
+        count=float(share @ counted.sum(axis=1)),
+        misses=float(share @ np.where(counted, sizes, 0).sum(axis=1)),
+        frames=weighted_spread(frames, share),
+        begins_s=weighted_spread(first % (missed.shape[1] // turns) * dt_s, share),
+        begins_gap_m=None if gaps is None else weighted_spread(gaps[rows, first], share),
+        start=_mean_power(share, log_start),
+        again=float(np.exp(float(share @ log_rest) / further)) if further > 0.0 else None,
+        whole=_mean_power(share, log_rest),
+    )
+
+
+def _missed_alive(failures: Failures) -> BoolArray:
+    """Misses before the violation, ``[M, T-1]``."""
+    rollouts = failures.rollouts
+    memory = rollouts.decision_states().memory
+    if VIOLATED not in memory:
+        return ~rollouts.detected
+    return ~rollouts.detected & ~np.asarray(memory[VIOLATED], dtype=np.bool_)
+
+
+def _runs(missed: BoolArray, useful: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Number of each step's run ``[M, K]``; misses and useful misses of runs ``[M, runs]``."""
+    begins = missed.copy()
+    begins[:, 1:] &= ~missed[:, :-1]
+    of_step = np.maximum(np.cumsum(begins, axis=1) - 1, 0)
+    most = int(of_step.max(initial=0)) + 1
+    cell = (np.arange(missed.shape[0])[:, None] * most + of_step).ravel()
+    size = missed.shape[0] * most
+
+    def totals(chosen: BoolArray) -> IntArray:
+        return np.bincount(cell[chosen.ravel()], minlength=size).reshape(-1, most)
+
+    return of_step, totals(missed), totals(useful)
+
+
+def slot_after_slot(values: AnyArray, *, turns: int) -> AnyArray:
+    """Values ``[M, K (T-1)]`` of K turns a step as ``[M, K T]``: slot after slot, 0 after each.
+
+    With one turn a step they are as they were.
+    """
+    if turns == 1:
+        return np.ascontiguousarray(values)
+    by_slot = np.ascontiguousarray(values).reshape(len(values), -1, turns).transpose(0, 2, 1)
+    between = np.zeros((*by_slot.shape[:2], 1), dtype=values.dtype)
+    return np.concatenate([by_slot, between], axis=2).reshape(len(values), -1)
+
+
+def _mean_power(share: FloatArray, log_values: FloatArray) -> float:
+    return min(float(np.exp(float(share @ log_values))), 1.0)
+
+
+def weighted_spread(values: AnyArray, share: FloatArray) -> Spread:
+    """Tenth, half and nine tenths of ``values [M]`` by their shares ``[M]``, which sum to 1."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(share[order])
+    places = np.searchsorted(below, np.array([0.5, LOW, HIGH]) * below[-1])
+    median, low, high = (float(values[order[min(p, order.size - 1)]]) for p in places)
+    return Spread(median=median, low=low, high=high)

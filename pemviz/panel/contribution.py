@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pemviz.analysis.contribution import contributions
+from pemviz.analysis.causes import contributions
 from pemviz.arrays import FloatArray
 from pemviz.panel.run_data import RunData
 from pemviz.panel.tables import final_violations

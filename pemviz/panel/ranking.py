@@ -1,7 +1,7 @@
 """The rollouts of a run ranked from what is stored; nothing is simulated.
 
 By robustness under any metric, or by what each contributes to the answer; all of them, or those
-that carry the answer (:mod:`pemviz.analysis.contribution`).
+that carry the answer (:mod:`pemviz.analysis.causes`).
 """
 
 import csv
@@ -12,7 +12,7 @@ from typing import Literal, cast
 import numpy as np
 
 from pemviz import stl
-from pemviz.analysis.contribution import carrying
+from pemviz.analysis.causes import carrying
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
 from pemviz.panel.contribution import shares

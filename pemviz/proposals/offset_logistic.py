@@ -1,20 +1,108 @@
-"""A generalised linear proposal: the error model's logit plus a polynomial of the state."""
+"""A generalised linear proposal: the error model's logit plus a polynomial of the state.
+
+At every outcome it is mixed with the error model (defensive mixture: Hesterberg 1995).
+"""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.proposals.defensive_share import defended
-from pemviz.proposals.latent_means import LatentMeans
+from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, Rows
+from pemviz.proposals.latent_moves import LatentMeans
 from pemviz.types import CERTAIN, Signal, StateBatch
 
+LARGEST_SHARE = 0.1
 STANDARD_RANGE = 3.0
 LARGEST_SHIFT = 12.0
+NOISE_DEGREE = 2
+"""Of the polynomial that gives means of noise."""
+MADE_AT_ONCE = 4_096
+"""Decisions: as many as a processor's cache holds with their monomials."""
+ROLLOUTS_AT_ONCE = 250
+"""Of many, whose decisions' monomials are made."""
+
+
+def share_for(*, drawn_steps: float, steps: int) -> float:
+    """The share with which ``drawn_steps`` of a rollout's ``steps`` come from the error model."""
+    return min(drawn_steps / steps, LARGEST_SHARE)
+
+
+def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
+    """The mixture of a proposal (weight 1 - share) and the error model, as logits ``[...]``.
+
+    Hesterberg's defensive mixture (1995), applied to every outcome: a single outcome's weight is
+    at most 1 / share, whatever the proposal.
+
+    Args:
+        logit: The proposal's.
+        pem_logit: The error model's.
+        share: Of the error model, in (0, 1).
+    """
+    log_share, log_rest = float(np.log(share)), float(np.log1p(-share))
+    detected = np.logaddexp(_log_hit(logit) + log_rest, _log_hit(pem_logit) + log_share)
+    missed = np.logaddexp(_log_miss(logit) + log_rest, _log_miss(pem_logit) + log_share)
+    return detected - missed
+
+
+@dataclass(frozen=True)
+class AgainstModel:
+    """How much likelier outcomes ``[M]`` are under mixtures with proposals than by the error model.
+
+    An outcome of logit a under the model and a + d under a proposal is (1 + e^-a) / (1 + e^-(a+d))
+    times as likely under the latter. With E = e^-|a| that is (1 + E) / (1 + E e^-d) where a > 0,
+    else (1 + E) / (E + e^-d): nothing overflows.
+
+    Attributes:
+        sign: 1 for a miss, -1 for a detection.
+        fixed: The denominator's term without the proposal.
+        moved: What e^-d is multiplied by there.
+        scale: 1 - share times the numerator.
+        share: Of the error model, in (0, 1).
+    """
+
+    sign: FloatArray
+    fixed: FloatArray
+    moved: FloatArray
+    scale: FloatArray
+    share: float
+
+    @classmethod
+    def of(cls, miss_logit: FloatArray, missed: BoolArray, *, share: float) -> Self:
+        """Of outcomes ``[M]`` and the error model's logits of a miss there."""
+        sign = np.where(missed, 1.0, -1.0)
+        model = sign * miss_logit
+        small = np.exp(-np.abs(model))
+        likely = model > 0.0
+        return cls(
+            sign=sign,
+            fixed=np.where(likely, 1.0, small),
+            moved=np.where(likely, small, 1.0),
+            scale=(1.0 - share) * (1.0 + small),
+            share=share,
+        )
+
+    def log_ratio(self, raised: FloatArray) -> FloatArray:
+        """Log q / p of each outcome, ``[M]``, under proposals that raise misses' logits ``[M]``."""
+        denominator = np.exp(-self.sign * raised)
+        denominator *= self.moved
+        denominator += self.fixed
+        ratio = np.divide(self.scale, denominator, out=denominator)
+        ratio += self.share
+        return np.log(ratio, out=ratio)
+
+
+def _log_hit(logit: FloatArray) -> FloatArray:
+    """Log of the probability of a detection, for logits of any shape."""
+    return _log_miss(-logit)
+
+
+def _log_miss(logit: FloatArray) -> FloatArray:
+    """Log of the probability of a miss."""
+    return -np.logaddexp(0.0, logit)
 
 
 class StateFeatures(Protocol):
@@ -168,3 +256,58 @@ def acting(
 def _filling(values: Any, shape: tuple[int, ...]) -> Any:
     """The values, broadcast where their shape is not yet ``shape``."""
     return values if values.shape == shape else np.broadcast_to(values, shape)
+
+
+@dataclass(frozen=True)
+class Monomials(Batch):
+    """Monomials ``[M, B]`` in the memory of the features that they are made of, a sixth of theirs.
+
+    Attributes:
+        features: ``[M, D]``.
+        basis: What they are monomials of.
+    """
+
+    features: FloatArray
+    basis: PolynomialBasis
+
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        """Those of some decisions, ``[m, B]``."""
+        features = self.features[rows]
+        found = np.empty((len(features), len(self.basis.exponents)))
+        for first in range(0, len(found), MADE_AT_ONCE):
+            some = slice(first, first + MADE_AT_ONCE)
+            found[some] = self.basis.evaluate(features[some])
+        return found
+
+    def joined(self, after: "Monomials") -> "Monomials":
+        """These decisions and more."""
+        return Monomials.concatenate([self, after])
+
+    @classmethod
+    def _beside_rows(cls, batches: Sequence[Any]) -> Mapping[str, Any]:
+        return {"basis": batches[0].basis}
+
+
+def some_at_once(count: int) -> list[int]:
+    """Edges of ``count`` rollouts in pieces that their monomials are made of."""
+    return [*range(0, max(count, 1), ROLLOUTS_AT_ONCE), count]
+
+
+def noise_basis(basis: PolynomialBasis) -> PolynomialBasis:
+    """Monomials for the means of noise, of what outcomes look at and of the outcome itself.
+
+    A step's noise is drawn after its outcomes: an error of a position may matter with a detection
+    alone.
+    """
+    return PolynomialBasis(
+        mean=np.append(basis.mean, 0.5),
+        spread=np.append(basis.spread, 0.5),
+        degree=min(basis.degree, NOISE_DEGREE),
+    )
+
+
+def noise_features(features: StateFeatures, states: StateBatch, detected: BoolArray) -> FloatArray:
+    """Features of states ``[...]`` and outcomes there, ``[..., D + 1]``."""
+    values = features.values(states)
+    values = np.broadcast_to(values, (*detected.shape, values.shape[-1]))
+    return np.concatenate([values, detected[..., None]], axis=-1, dtype=np.float64)

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterable, Mapping, Sequence
 
-from pemviz.analysis.contribution import CARRIED
+from pemviz.analysis.causes import CARRIED
 from pemviz.config.toml_files import config_text
 from pemviz.recording.latents import starts_table
 from pemviz.recording.learning import StageFigures

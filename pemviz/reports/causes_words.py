@@ -3,11 +3,9 @@
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from pemviz.analysis.bursts import Bursts, Spread
-from pemviz.analysis.causes import BandMisses, Chain
-from pemviz.analysis.explanation import Explanation
+from pemviz.analysis.causes import BandMisses, Bursts, Chain, Spread
+from pemviz.analysis.explanation import Explanation, SlotErrors
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
-from pemviz.analysis.slot_errors import SlotErrors
 from pemviz.reports.document import Strip, Table
 from pemviz.reports.numbers import share_text
 from pemviz.runs.result import RunResult

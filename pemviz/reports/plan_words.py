@@ -3,10 +3,8 @@
 import re
 from collections.abc import Sequence
 
-from pemviz.analysis.data_plan import DataPlan
+from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan
 from pemviz.analysis.label_plan import BandPlan, LabelPlan
-from pemviz.analysis.refit_plan import RefitBand
-from pemviz.analysis.sequence_plan import SequencePlan
 from pemviz.runs.result import RunResult
 
 PLAN_TITLE = "What to measure next"

@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from pemviz.analysis.band_models import BandOutcomes, band_outcomes
-from pemviz.analysis.data_plan import DataPlan
+from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan, refit_plan, sequence_plan
 from pemviz.analysis.label_plan import LARGEST_DRAWN, LabelPlan, label_plan, model_misses
-from pemviz.analysis.refit_plan import RefitBand, refit_plan
-from pemviz.analysis.sequence_plan import SequencePlan, sequence_plan
 from pemviz.errors import PemError
 from pemviz.pem import Pem, load_pem, support_of
 from pemviz.runs.experiment import Experiment

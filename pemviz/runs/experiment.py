@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pemviz import stl
-from pemviz.analysis.model_classes import model_classes_beside
+from pemviz.analysis.model_uncertainty import model_classes_beside
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.config.toml_files import with_own_rules
 from pemviz.errors import ConfigError

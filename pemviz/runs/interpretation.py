@@ -11,21 +11,19 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from pemviz.analysis.explanation import explain
-from pemviz.analysis.model_classes import (
+from pemviz.analysis.model_uncertainty import (
+    ENOUGH_FAILURES,
     MOST_VIOLATIONS,
     ModelClassRatios,
     SomeViolations,
     Violating,
-    model_class_answers,
-    model_class_ratios,
-    violating,
-)
-from pemviz.analysis.model_uncertainty import (
-    ENOUGH_FAILURES,
     data_bound,
     extrapolation_warnings,
     member_estimates,
+    model_class_answers,
+    model_class_ratios,
     model_interval,
+    violating,
 )
 from pemviz.analysis.robustness_tail import robustness_tail
 from pemviz.analysis.starts import Violations

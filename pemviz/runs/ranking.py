@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pemviz.analysis.contribution import carrying, contributions
+from pemviz.analysis.causes import carrying, contributions
 from pemviz.arrays import AnyArray, BoolArray, IntArray
 from pemviz.runs.result import StageSummary, weighty_stages
 from pemviz.runs.rollout_files import log_weights

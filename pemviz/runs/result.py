@@ -11,11 +11,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from pemviz.analysis.contribution import CARRIED, carrying, contributions
+from pemviz.analysis.causes import CARRIED, carrying, contributions
 from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
-from pemviz.analysis.model_classes import ModelClassAnswer
-from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
+from pemviz.analysis.model_uncertainty import DataBound, ModelClassAnswer, ModelInterval
 from pemviz.analysis.robustness_tail import RobustnessTail
 from pemviz.analysis.starts import DangerousStarts
 from pemviz.config import ExperimentConfig
@@ -93,7 +92,7 @@ class RankedRollout:
         log_weight: Its log importance weight [nats].
         misses: How many steps missed.
         share: What it contributes to its stage's estimate, if it is among the rollouts that carry
-            that (:mod:`pemviz.analysis.contribution`); ``None`` if it is not, or if the estimate
+            that (:mod:`pemviz.analysis.causes`); ``None`` if it is not, or if the estimate
             does not rest on its stage.
         broken: The rules that it breaks, by name, where there are rules.
     """

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import expit, logit
 
-from pemviz.analysis.bursts import bursts_of, weighted_spread
-from pemviz.analysis.causes import failures_of
+from pemviz.analysis.causes import bursts_of, failures_of, weighted_spread
 from pemviz.analysis.outcome_likelihood import IndependentOutcomes, RememberedOutcomes
 from pemviz.analysis.sensitivity import band_sensitivities, memory_sensitivity
 from pemviz.proposals.fixed import ConstantProposal

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.analysis.contribution import carrying, contributions
+from pemviz.analysis.causes import carrying, contributions
 
 weights = st.lists(st.floats(min_value=-80, max_value=0), min_size=1, max_size=40).map(np.array)
 

@@ -9,7 +9,7 @@ from scipy.special import expit
 from pemviz.analysis.detection_curves import detection_curves, gap_grid, mean_near_gaps, pem_curve
 from pemviz.config import ScenarioConfig
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
-from pemviz.proposals.gap_network_fit import initial_gap_network
+from pemviz.proposals.gap_network import initial_gap_network
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import RolloutBatch, StateBatch
 from tests.toy import FunctionPem

@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from pemviz.analysis.band_models import BANDS, BandOutcomes, band_model, band_outcomes
-from pemviz.analysis.label_plan import POWER, label_plan, labelled, visited_salient
+from pemviz.analysis.data_plan import labels_to_halve, refit_plan, sequences_for
+from pemviz.analysis.label_plan import (
+    POWER,
+    LabelledBand,
+    cheapest_requirement,
+    label_plan,
+    labelled,
+    visited_salient,
+)
 from pemviz.analysis.model_uncertainty import data_bound
-from pemviz.analysis.refit_plan import labels_to_halve, refit_plan
-from pemviz.analysis.requirements import LabelledBand, cheapest_requirement
-from pemviz.analysis.sequence_plan import sequences_for
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.pem import SupportSummary, data_bound_pem, support_of
 from pemviz.pem.data.support import SHAPE

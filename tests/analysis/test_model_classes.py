@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.analysis.model_classes import (
+from pemviz.analysis.model_uncertainty import (
     MOST_VIOLATIONS,
     ModelClassRatios,
     model_class_answers,

@@ -9,8 +9,7 @@ from scipy import stats
 
 import pemviz
 from pemviz import LatentCounts, Signal, StateBatch, figures, quantiles
-from pemviz.analysis.start_sample import WeightedStarts, all_starts, violating_starts
-from pemviz.analysis.starts import SHARES
+from pemviz.analysis.starts import SHARES, WeightedStarts, all_starts, violating_starts
 from pemviz.charts.svg import svg
 from pemviz.errors import InputError
 from pemviz.reports.charts import starts_chart

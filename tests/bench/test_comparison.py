@@ -18,8 +18,7 @@ from pemviz.config.toml_files import load_preset
 from pemviz.errors import RunError
 from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal
-from pemviz.proposals.gap_network import gap_network_from_arrays
-from pemviz.proposals.gap_network_fit import fit_gap_network
+from pemviz.proposals.gap_network import fit_gap_network, gap_network_from_arrays
 from pemviz.sampling.rollouts.draw import simulate
 from pemviz.simulators.braking.compiled import CompiledRollouts, Loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.analysis.model_classes import ModelClassAnswer
+from pemviz.analysis.model_uncertainty import ModelClassAnswer
 from pemviz.errors import InputError
 from pemviz.panel.contribution import shares
 from pemviz.panel.tabs.experiment import read_number

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.proposals.defensive_share import AgainstModel, defended
+from pemviz.proposals.offset_logistic import AgainstModel, defended
 
 LOGITS = st.lists(st.floats(-600.0, 600.0), min_size=1, max_size=30)
 

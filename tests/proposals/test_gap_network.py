@@ -5,13 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from safetensors.numpy import load_file
 
-from pemviz.proposals.gap_network import GapNetwork, gap_network_from_arrays
-from pemviz.proposals.gap_network_fit import (
+from pemviz.proposals.gap_network import (
+    GapLoss,
+    GapNetwork,
     OutcomeTable,
+    Parameters,
     fit_gap_network,
+    gap_network_from_arrays,
     initial_gap_network,
 )
-from pemviz.proposals.gap_network_gradient import GapLoss, Parameters
 from tests.pooled import pool_outcomes
 
 

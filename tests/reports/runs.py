@@ -3,11 +3,9 @@
 import math
 from dataclasses import replace
 
-from pemviz.analysis.data_plan import DataPlan
+from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan
 from pemviz.analysis.label_plan import BandPlan, LabelPlan
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
-from pemviz.analysis.refit_plan import RefitBand
-from pemviz.analysis.sequence_plan import SequencePlan
 from pemviz.config import ExperimentConfig
 from pemviz.runs.result import PemInfo, RankedRollout, RunResult
 from pemviz.sampling.zero_variance.reference import Reference

@@ -2,8 +2,7 @@
 
 from dataclasses import replace
 
-from pemviz.analysis.bursts import Bursts, Spread
-from pemviz.analysis.causes import BandMisses
+from pemviz.analysis.causes import BandMisses, Bursts, Spread
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.config import ExperimentConfig

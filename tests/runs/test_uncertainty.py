@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pemviz.analysis.model_classes import ModelClassAnswer
+from pemviz.analysis.model_uncertainty import ModelClassAnswer
 from pemviz.charts.svg import svg
 from pemviz.config import METHODS
 from pemviz.latents import LatentCounts

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import expit, ndtr, ndtri
 
 from pemviz.analysis.causes import Failures
-from pemviz.analysis.frail_likelihood import FrailOutcomes
+from pemviz.analysis.outcome_likelihood import FrailOutcomes
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import ConfigError

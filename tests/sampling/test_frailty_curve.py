@@ -21,7 +21,7 @@ from pemviz.sampling.bursts.curve import (
     frailty_curve,
     memory_curve,
 )
-from pemviz.sampling.bursts.likelihood import Outcomes, by_node
+from pemviz.sampling.bursts.reweighting import Outcomes, by_node
 from pemviz.sampling.problem import Problem
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
 

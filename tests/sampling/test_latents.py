@@ -10,12 +10,16 @@ from scipy.special import expit
 import pemviz
 from pemviz.errors import ConfigError
 from pemviz.latents import LatentCounts
+from pemviz.proposals.exploration import LatentFamily
 from pemviz.proposals.fixed import PemProposal
-from pemviz.proposals.latent_decisions import LatentDecisions
-from pemviz.proposals.latent_exploration import LatentFamily
-from pemviz.proposals.latent_means import LatentMeans, fit_means, scores
-from pemviz.proposals.single_moves import even_logit
-from pemviz.proposals.start_moves import StartMoves
+from pemviz.proposals.latent_moves import (
+    LatentDecisions,
+    LatentMeans,
+    StartMoves,
+    even_logit,
+    fit_means,
+    scores,
+)
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import latents_of, load_rollouts
 from pemviz.sampling.problem import sample

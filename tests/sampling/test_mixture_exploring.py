@@ -15,11 +15,11 @@ from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.proposals.offset_logistic_fit import WeightedOutcomes
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool
-from pemviz.sampling.mixture.drawing import components
 from pemviz.sampling.mixture.estimate import disagreements
 from pemviz.sampling.mixture.failure_modes import WeightedRollouts, failure_modes_of
 from pemviz.sampling.mixture.fit import guided_elites
 from pemviz.sampling.mixture.method import MixtureSampling
+from pemviz.sampling.mixture.stages import components
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.batches import BatchTask
 from pemviz.sampling.rollouts.draw import replay, simulate

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.proposals.latent_decisions import LatentDecisions
-from pemviz.proposals.latent_means import LatentMeans
-from pemviz.proposals.monomials import Monomials
-from pemviz.proposals.offset_logistic import PolynomialBasis
-from pemviz.proposals.start_moves import StartMoves
+from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans, StartMoves
+from pemviz.proposals.offset_logistic import Monomials, PolynomialBasis
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.balance_heuristic import latent_ratios
 from pemviz.sampling.mixture.method import MixtureSampling
@@ -27,7 +24,7 @@ def ends():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pemviz.sampling.mixture.pooling.FAILING_AT_ONCE", 7)
         patch.setattr("pemviz.sampling.mixture.balance_heuristic.ROWS_AT_ONCE", 5)
-        patch.setattr("pemviz.proposals.monomials.ROLLOUTS_AT_ONCE", 23)
+        patch.setattr("pemviz.proposals.offset_logistic.ROLLOUTS_AT_ONCE", 23)
         found["pieces"] = end(many=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MixtureSampling, "_planned", lambda *_, **__: None)
@@ -112,7 +109,7 @@ def test_latents_of_many_are_judged_in_pieces_alike(once, monkeypatch):
         once=once,
     )
     moves = [(means, None), (means, "deep")]
-    monkeypatch.setattr("pemviz.proposals.monomials.ROLLOUTS_AT_ONCE", 16)
+    monkeypatch.setattr("pemviz.proposals.offset_logistic.ROLLOUTS_AT_ONCE", 16)
     for under in (None, "touch"):
         found, expected = (
             latent_ratios(one, moves, rules=("touch", "deep"), under=under) for one in (kept, made)

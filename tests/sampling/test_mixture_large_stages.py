@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pemviz.sampling.mixture.balance_heuristic import balance_weights
-from pemviz.sampling.mixture.drawing import InParts, Joining
 from pemviz.sampling.mixture.estimate import disagreements
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.pooling import Terms, extended
+from pemviz.sampling.mixture.stages import InParts, Joining
 from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_recursion
 from tests.sampling.test_mixture_exploring import problem_of
 

@@ -8,11 +8,10 @@ from scipy.special import logsumexp
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.proposals.defensive_share import share_for
-from pemviz.proposals.offset_logistic import OffsetLogisticProposal
+from pemviz.proposals.offset_logistic import OffsetLogisticProposal, share_for
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION
-from pemviz.sampling.mixture.drawing import several_rules
+from pemviz.sampling.mixture.stages import several_rules
 from pemviz.simulators.check import check_simulator
 from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pemviz.drawn import numbers_of, place_of
 from pemviz.runs.result import LEAST_ROBUST
-from pemviz.sampling.adaptive.candidates import FromAll, FromElites
+from pemviz.sampling.adaptive.method import FromAll, FromElites
 from pemviz.sampling.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.rollouts.thinning import LISTED, Thinned, largest_held

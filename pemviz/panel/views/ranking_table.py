@@ -2,7 +2,7 @@
 
 from html import escape
 
-from pemviz.analysis.contribution import CARRIED
+from pemviz.analysis.causes import CARRIED
 from pemviz.colors import MISSED
 from pemviz.panel.ranking import RankedRow, Ranking, row
 from pemviz.panel.run_data import RunData

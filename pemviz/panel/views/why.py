@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.analysis.contribution import contributions
+from pemviz.analysis.causes import contributions
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.charts.plot import Axis, Plot
 from pemviz.colors import BLACK, VERMILLION

@@ -16,10 +16,10 @@ that it learns from. With n_k of all N rollouts drawn from proposal q_k::
     weight    w_i(m) = p_m(o_i) / sum_k (n_k / N) q_k(o_i)
     estimate  mu(m)  = 1 / N sum_i 1[i violates] w_i(m)
 
-with u integrated out of p_m (:mod:`pemviz.sampling.bursts.likelihood`). The weights are those of
+with u integrated out of p_m (:mod:`pemviz.sampling.bursts.reweighting`). The weights are those of
 the balance heuristic (Veach, Guibas 1995), over the outcomes before a violation: what comes after
 does not decide whether there is one. Where no m has a memory time they are over the outcomes that
-the scenario reacts to (:class:`pemviz.sampling.bursts.scenario.Scenario`): on one scenario that
+the scenario reacts to (:class:`pemviz.sampling.bursts.reweighting.Scenario`): on one scenario that
 divides errors by three. As in method ``mixture`` all rollouts count (adaptive multiple importance
 sampling: Cornuet, Marin, Mira, Robert 2012), and q_k of the rollouts that it was fitted to is
 lowered by how much the fit flatters them.
@@ -37,21 +37,19 @@ from pemviz.config.ranges import AtLeastZero
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.bursts.pool import (
+from pemviz.sampling.bursts.reweighting import (
+    Drawing,
     Drawn,
+    Given,
+    Scenario,
     described,
     first_basis,
     is_indifferent,
     joined,
-    seen_at,
-    with_drawing,
-)
-from pemviz.sampling.bursts.scenario import (
-    Drawing,
-    Given,
-    Scenario,
     sampled_by_exploration,
     sampled_by_fit,
+    seen_at,
+    with_drawing,
 )
 from pemviz.sampling.estimates.diagnostics import not_absorbing, weight_diagnostics
 from pemviz.sampling.estimates.estimate import log_normal_interval, log_stratified_error

@@ -18,11 +18,15 @@ from functools import cached_property
 import numpy as np
 
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, log_sum_exp
-from pemviz.proposals.defensive_share import AgainstModel
-from pemviz.proposals.latent_decisions import LatentDecisions
-from pemviz.proposals.latent_means import LatentMeans
-from pemviz.proposals.monomials import Monomials, some_at_once
-from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, shift
+from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans
+from pemviz.proposals.offset_logistic import (
+    AgainstModel,
+    Monomials,
+    PolynomialBasis,
+    StateFeatures,
+    shift,
+    some_at_once,
+)
 from pemviz.simulators.absorbing import violated_rule
 from pemviz.types import RolloutBatch
 

@@ -20,8 +20,8 @@ from scipy.linalg import block_diag, eigh
 from scipy.special import expit
 
 from pemviz.arrays import FloatArray, IntArray, log_sum_exp
-from pemviz.proposals.latent_decisions import LatentDecisions
-from pemviz.proposals.latent_means import (
+from pemviz.proposals.latent_moves import (
+    LatentDecisions,
     LatentMeans,
     information,
     next_round,

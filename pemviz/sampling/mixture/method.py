@@ -17,19 +17,19 @@ stages, while the weights do not tell the probability of a violation well, a qua
 one fitted to the lowest level of robustness whose probability they do tell
 (:mod:`pemviz.sampling.mixture.fit`). Another quarter comes from proposals for failure modes that
 the newest would hardly draw, in the second half only where they carry a thousandth of the estimate
-already (:mod:`pemviz.sampling.mixture.next_proposals`). With several rules each that was broken has
+already (:mod:`pemviz.sampling.mixture.fit`). With several rules each that was broken has
 proposals of its own, drawn from alike; a proposal and a rollout's likelihood go as far as the rule
 at hand is kept (:mod:`pemviz.sampling.mixture.balance_heuristic`).
 
 Latents, where the scenario takes any, are moved beside outcomes: exploration proposals move one at
-a time up or down (:mod:`pemviz.proposals.latent_exploration`), each fitted proposal has means of
-its own, fitted with the same weights (:mod:`pemviz.proposals.latent_means`), and q_k is the density
+a time up or down (:mod:`pemviz.proposals.exploration`), each fitted proposal has means of
+its own, fitted with the same weights (:mod:`pemviz.proposals.latent_moves`), and q_k is the density
 of both. Noise is moved at all steps, at some, or at one step of each rollout that nobody knows
-(:mod:`pemviz.proposals.single_moves`), whichever is likeliest. A quarter of the rollouts come from
+(:mod:`pemviz.proposals.latent_moves`), whichever is likeliest. A quarter of the rollouts come from
 a proposal that is fitted blind to the state, so that no step is left out where few are known.
 
 A stage of very many rollouts is over once enough of them violate
-(:mod:`pemviz.sampling.mixture.drawing`), and proposals are fitted to a bounded number of them
+(:mod:`pemviz.sampling.mixture.stages`), and proposals are fitted to a bounded number of them
 (:mod:`pemviz.sampling.mixture.failure_modes`).
 
 The share d is a defensive mixture (Hesterberg 1995), the weight the balance heuristic (Veach,
@@ -56,7 +56,10 @@ from pemviz.sampling.estimates.diagnostics import not_absorbing
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
-from pemviz.sampling.mixture.drawing import (
+from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
+from pemviz.sampling.mixture.fit import FitSettings, next_proposals
+from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
+from pemviz.sampling.mixture.stages import (
     InParts,
     Joining,
     MixtureState,
@@ -68,10 +71,6 @@ from pemviz.sampling.mixture.drawing import (
     several_rules,
     until_settled,
 )
-from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
-from pemviz.sampling.mixture.fit import FitSettings
-from pemviz.sampling.mixture.next_proposals import next_proposals
-from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
 from pemviz.simulators.latents import latent_counts

@@ -7,12 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
-from pemviz.proposals.exploration import ExplorationFamily
-from pemviz.proposals.latent_decisions import LatentDecisions
-from pemviz.proposals.latent_exploration import LatentFamily
-from pemviz.proposals.monomials import Monomials, noise_basis, noise_features
-from pemviz.proposals.offset_logistic import PolynomialBasis, StateFeatures, acting
-from pemviz.proposals.single_moves import even_logit
+from pemviz.proposals.exploration import ExplorationFamily, LatentFamily
+from pemviz.proposals.latent_moves import LatentDecisions, even_logit
+from pemviz.proposals.offset_logistic import (
+    Monomials,
+    PolynomialBasis,
+    StateFeatures,
+    acting,
+    noise_basis,
+    noise_features,
+)
 from pemviz.sampling.mixture.balance_heuristic import (
     Decisions,
     FailingWeights,
@@ -25,7 +29,7 @@ from pemviz.sampling.mixture.balance_heuristic import (
     log_ratios,
     still_open,
 )
-from pemviz.sampling.mixture.drawing import Joining
+from pemviz.sampling.mixture.stages import Joining
 from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
 

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved
-from pemviz.proposals.single_moves import log_waiting
+from pemviz.proposals.latent_moves import log_waiting
 from pemviz.types import MovesLatents, Proposal, StateBatch
 
 SPAWN_KEY, CHOICE_KEY = 2**32 - 1, 2**32 - 2

@@ -15,9 +15,8 @@ from scipy.special import log_expit
 
 from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.pem.models.frailty import VisibilityNodes, log_sums
-from pemviz.proposals.defensive_share import defended
-from pemviz.proposals.zero_variance import ZeroVarianceProposal
-from pemviz.proposals.zero_variance_cells import cell_keys
+from pemviz.proposals.offset_logistic import defended
+from pemviz.proposals.zero_variance import ZeroVarianceProposal, cell_keys
 from pemviz.sampling.state.visibility import NEXT
 from pemviz.sampling.zero_variance.reachable_states import UNSAFE_NODE
 from pemviz.types import StateBatch

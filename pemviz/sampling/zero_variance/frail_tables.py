@@ -8,8 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.proposals.zero_variance import ZeroVarianceProposal
-from pemviz.proposals.zero_variance_cells import cell_keys
+from pemviz.proposals.zero_variance import ZeroVarianceProposal, cell_keys
 from pemviz.sampling.state.composed import without_following
 from pemviz.sampling.zero_variance.frail import FrailModel, by_visibility
 from pemviz.sampling.zero_variance.frail_proposal import (

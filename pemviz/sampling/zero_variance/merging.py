@@ -6,7 +6,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.chunks import distinct
-from pemviz.proposals.zero_variance_cells import cell_keys
+from pemviz.proposals.zero_variance import cell_keys
 from pemviz.types import StateBatch
 
 Pause = Callable[[], None]

@@ -9,9 +9,13 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct
 from pemviz.pem.models.protocol import Pem
-from pemviz.proposals.defensive_share import share_for
-from pemviz.proposals.zero_variance import ZeroVarianceProposal, ZeroVarianceTables
-from pemviz.proposals.zero_variance_cells import CellTable, cell_keys
+from pemviz.proposals.offset_logistic import share_for
+from pemviz.proposals.zero_variance import (
+    CellTable,
+    ZeroVarianceProposal,
+    ZeroVarianceTables,
+    cell_keys,
+)
 from pemviz.sampling.zero_variance.left_out import left_out_share
 from pemviz.sampling.zero_variance.merging import (
     LARGEST_LAYER,

@@ -1,11 +1,18 @@
-"""Means of latents as a proposal moves them, and their fit by weighted least squares.
+"""How a proposal moves latents, and its fit by weighted least squares.
 
-Latents at the start get a constant mean each. Those of a step get, with a probability c, means
-that are a polynomial of the state, else none (:class:`pemviz.latents.Latents`): c near 1 moves
-every step a little, a small c few steps far. The logit of c is another such polynomial. Or one step
-is moved and then no other (:mod:`pemviz.proposals.single_moves`). Fitted by expectation and
-maximisation (Dempster, Laird, Rubin 1977) with r the probability that a step's noise was moved, a
-that it could be, mu the means, w weights:
+Latents at the start get a constant mean each, and spreads for half of the rollouts: a violation may
+need a start that is rare by itself, and the starts that it needs lie closer to each other than
+those of the model do. With z, m and s vectors,
+
+    q(z) = (N(z; m, 1) + N(z; m, s^2)) / 2
+
+so that half keeps the model's own spread, and no weight grows without bound where s is too small.
+
+Latents of a step get, with a probability c, means that are a polynomial of the state, else none
+(:class:`pemviz.latents.Latents`): c near 1 moves every step a little, a small c few steps far. The
+logit of c is another such polynomial. Fitted by expectation and maximisation (Dempster, Laird,
+Rubin 1977) with r the probability that a step's noise was moved, a that it could be, mu the means,
+w weights:
 
     minimise sum w r (z - mu)^2 / 2 + ridge . beta^2 / 2
     minimise -sum w (r log c + (a - r) log(1 - c)) + ridge . gamma^2 / 2, by a Newton step a round
@@ -13,24 +20,40 @@ that it could be, mu the means, w weights:
 Where each step is moved by itself, a = 1 and
 
     r = c N(z; mu, 1) / (c N(z; mu, 1) + (1 - c) N(z; 0, 1))
+
+Or one step of a rollout is moved and then no other; which one, nobody knows. Where a single error
+far out decides, the rollouts to draw have that error at one step and nothing else moved. Were each
+step moved by itself with a share c, their number would vary as a binomial does, and of the rollouts
+only those with one would count. With h_t the probability that step t is moved given none before it,
+l_t the log density of moved over unmoved noise there:
+
+    log q / p = log( sum_t h_t exp(l_t) prod_{s<t} (1 - h_s)  +  prod_t (1 - h_t) )
+
+Drawn step by step without knowing the sum: with a the probability, given the noise so far, that
+none was moved, step t is moved with the share a h_t, and then
+
+    a <- a (1 - h_t) / (1 - a h_t + a h_t exp(l_t))
+
+h may depend on the state; it has the logit 0 for all states alike where, of the steps left, each is
+as likely as the other (:func:`even_logit`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol, Self
 
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Rows, log_sum_exp
 from pemviz.latents import log_moved, log_share_moved, log_wide_and_narrow
-from pemviz.proposals.latent_decisions import LatentDecisions
-from pemviz.proposals.single_moves import (
-    log_ratio_of_one,
-    posterior_of_one,
-    share_of_one,
-)
-from pemviz.proposals.start_moves import StartMoves, fit_start, start_optimism
 
+NEVER = 0.03
+"""Of rollouts, with no step moved where all steps are as likely."""
+LEAST_SPREAD = 0.2
+START_SPREAD_RIDGE = 5.0
+"""So many starts of spread 1 count beside those that a spread is fitted to."""
 LARGEST_MEAN = 8.0
 LEAST_SPREAD = 0.2
 SPREAD_RIDGE = 0.5
@@ -40,6 +63,292 @@ LARGEST_STEP = 2.0
 """Of a coefficient of the choice in a round."""
 LARGEST_LOGIT = 5.0
 """Of the share of steps whose noise is moved, and of that drawn from the model, as a defence."""
+
+
+def even_logit(step: IntArray, *, steps: int) -> FloatArray:
+    """Logit of moving a step, given none before, by which all ``steps`` are as likely.
+
+    Args:
+        step: Zero-based, any shape.
+        steps: Of a rollout.
+    """
+    return -np.log(steps - 1.0 - step + steps * NEVER / (1.0 - NEVER))
+
+
+@dataclass(frozen=True)
+class StepsOfRollouts:
+    """Where L steps of N rollouts lie in a table, a rollout's steps beside each other.
+
+    Attributes:
+        rollout: Of each step, ascending, ``[L]``.
+        count: N.
+    """
+
+    rollout: IntArray
+    count: int
+
+    @cached_property
+    def place(self) -> IntArray:
+        """Of each step in its rollout, ``[L]``."""
+        number = np.bincount(self.rollout, minlength=self.count)
+        first = np.cumsum(number) - number
+        return np.arange(self.rollout.size) - first[self.rollout]
+
+    def table(self, values: FloatArray, *, empty: float) -> FloatArray:
+        """Values ``[L]`` as ``[N, largest number of steps]``."""
+        widest = int(self.place.max()) + 1 if self.place.size else 0
+        found = np.full((self.count, widest), empty)
+        found[self.rollout, self.place] = values
+        return found
+
+    def before(self, values: FloatArray) -> FloatArray:
+        """Sums over a rollout's earlier steps, ``[L]`` of ``[L]``."""
+        table = self.table(values, empty=0.0)
+        return (np.cumsum(table, axis=1) - table)[self.rollout, self.place]
+
+    def up_to(self, chosen: FloatArray) -> FloatArray:
+        """1 at the first step of each rollout that is ``chosen`` and at all before, else 0."""
+        return (self.before(chosen) == 0.0).astype(np.float64)
+
+
+def log_ratio_of_one(moved: FloatArray, logit: FloatArray, steps: StepsOfRollouts) -> FloatArray:
+    """Log q / p of the noise of N rollouts, ``[N]``.
+
+    Args:
+        moved: Log density of moved over unmoved noise, ``[L]``.
+        logit: Of moving a step, given none before, ``[L]``.
+        steps: Of which rollouts they are.
+    """
+    each, never = _log_joint(moved, logit, steps)
+    largest = steps.table(each, empty=-np.inf)
+    return np.asarray(log_sum_exp(np.hstack([largest, never[:, None]]), axis=1))
+
+
+def posterior_of_one(
+    moved: FloatArray, logit: FloatArray, steps: StepsOfRollouts
+) -> tuple[FloatArray, FloatArray]:
+    """How likely each step is to be the moved one, and that none before it is, ``[L]`` each."""
+    each, _ = _log_joint(moved, logit, steps)
+    part = np.exp(each - log_ratio_of_one(moved, logit, steps)[steps.rollout])
+    return part, np.maximum(1.0 - steps.before(part), part)
+
+
+def share_of_one(share: FloatArray, steps: StepsOfRollouts) -> FloatArray:
+    """Of draws, with each step moved, for shares ``[L]`` given none before."""
+    return share * np.exp(steps.before(np.log1p(-share)))
+
+
+def log_waiting(log_waits: FloatArray, share: FloatArray, moved: FloatArray) -> FloatArray:
+    """Log of the probability that no step was moved yet, after one more, ``[n]``.
+
+    Args:
+        log_waits: The same before it, ``[n]``.
+        share: Of moving it, given none before (h), ``[n]``.
+        moved: Log density of moved over unmoved noise, ``[n]``.
+    """
+    stays = log_waits + np.log1p(-share)
+    return stays - log_share_moved(moved, np.exp(log_waits) * share)
+
+
+def _log_joint(
+    moved: FloatArray, logit: FloatArray, steps: StepsOfRollouts
+) -> tuple[FloatArray, FloatArray]:
+    """Logs of the sum's terms: of each step ``[L]``, and of no step ``[N]``."""
+    stays = -np.logaddexp(0.0, logit)
+    each = steps.before(stays) + stays + logit + moved
+    never = np.bincount(steps.rollout, weights=stays, minlength=steps.count)
+    return each, never.astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class StartMoves:
+    """Means and spreads.
+
+    Attributes:
+        mean: ``[S]``; of N rollouts each its own, ``[N, S]``.
+        sd: Spreads of half of the rollouts, likewise; 1 is that of the model.
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+
+    @staticmethod
+    def none(starts: int) -> "StartMoves":
+        """Those of the model."""
+        return StartMoves(np.zeros(starts), np.ones(starts))
+
+    @staticmethod
+    def of_each(rollouts: Sequence["StartMoves"]) -> "StartMoves":
+        """Of N rollouts, each its own."""
+        return StartMoves(
+            np.stack([one.mean for one in rollouts]), np.stack([one.sd for one in rollouts])
+        )
+
+    def rows(self, rows: slice) -> "StartMoves":
+        """Of some of the rollouts."""
+        return StartMoves(self.mean[rows], self.sd[rows])
+
+    def log_ratio(self, start: FloatArray) -> FloatArray:
+        """Log q / p of starts ``[N, S]``, ``[N]`` [nats]."""
+        return log_moved(start, self.mean, self.sd)
+
+
+def fit_start(start: FloatArray, weight: FloatArray, *, ridge: float) -> StartMoves:
+    """The moves nearest to weighted starts.
+
+    Args:
+        start: ``[N, S]``.
+        weight: ``[N]``, not negative.
+        ridge: So many starts at 0 count beside those that means are fitted to, above 0.
+    """
+    total = float(weight.sum())
+    mean = weight @ start / (total + ridge)
+    return StartMoves(mean, _start_spread(weight @ (start - mean) ** 2, total))
+
+
+def start_optimism(
+    moves: StartMoves, start: FloatArray, weight: FloatArray, *, ridge: float
+) -> FloatArray:
+    """By how much each start is likelier than if the fit had been made without it, ``[N]`` [nats].
+
+    Args:
+        moves: Fitted by :func:`fit_start` with the other arguments.
+        start: ``[N, S]``.
+        weight: ``[N]``.
+        ridge: Of the means.
+    """
+    own = weight[:, None]
+    total = (float(weight.sum()) - own).clip(0.0)
+    sums, squares = weight @ start - own * start, weight @ start**2 - own * start**2
+    mean = sums / (total + ridge)
+    around_mean = (squares - 2.0 * mean * sums + total * mean**2).clip(0.0)
+    without = StartMoves(mean, _start_spread(around_mean, total))
+    return (moves.log_ratio(start) - without.log_ratio(start)).clip(0.0)
+
+
+def _start_spread(squares: FloatArray, total: FloatArray | float) -> FloatArray:
+    """Spreads from sums of weighted squares and of the weights."""
+    variance = (squares + START_SPREAD_RIDGE) / (total + START_SPREAD_RIDGE)
+    return np.sqrt(variance).clip(LEAST_SPREAD, 1.0)
+
+
+class MadeWhenAsked(Protocol):
+    """Monomials ``[L, B]`` of many steps, made of those alone that are asked for."""
+
+    def __getitem__(self, rows: Rows, /) -> FloatArray:
+        """Those of some steps, ``[l, B]``."""
+        ...
+
+    def take(self, rows: Rows) -> Self:
+        """Some of the steps, still not made."""
+        ...
+
+    def joined(self, after: Self) -> Self:
+        """These steps and more."""
+        ...
+
+
+@dataclass(frozen=True)
+class LatentDecisions:
+    """The latents of N rollouts, as proposals see them.
+
+    Attributes:
+        start: ``[N, S]``.
+        rollout: Of each step with noise that may be moved, ``[L]``, ascending.
+        monomials: Of the state there, ``[L, B]``; of many rollouts not at once.
+        noise: ``[L, M]``.
+        even: :func:`pemviz.proposals.latent_moves.even_logit` there, ``[L]``.
+        broken: Which rules are broken there, ``[L, R]``; ``None`` without several rules.
+    """
+
+    start: FloatArray
+    rollout: IntArray
+    monomials: FloatArray | MadeWhenAsked
+    noise: FloatArray
+    even: FloatArray
+    broken: BoolArray | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of rollouts N."""
+        return len(self.start)
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """The monomials themselves, ``[L, B]``."""
+        return self.monomials[:]
+
+    @property
+    def is_made(self) -> bool:
+        """Whether they are in memory; else ask of few rollouts at a time."""
+        return isinstance(self.monomials, np.ndarray)
+
+    def of(self, rollouts: IntArray) -> "LatentDecisions":
+        """Of the chosen rollouts, which are ascending."""
+        number = np.full(self.count, -1)
+        number[rollouts] = np.arange(rollouts.size)
+        kept = number[self.rollout] >= 0
+        return LatentDecisions(
+            self.start[rollouts],
+            number[self.rollout[kept]].astype(np.int64),
+            self.monomials[kept],
+            self.noise[kept],
+            self.even[kept],
+            None if self.broken is None else self.broken[kept],
+        )
+
+    def between(self, first: int, stop: int) -> "LatentDecisions":
+        """Of the rollouts from ``first`` on, before ``stop``; their monomials are made."""
+        steps = slice(*np.searchsorted(self.rollout, [first, stop]).tolist())
+        return LatentDecisions(
+            self.start[first:stop],
+            self.rollout[steps] - first,
+            self.monomials[steps],
+            self.noise[steps],
+            self.even[steps],
+            None if self.broken is None else self.broken[steps],
+        )
+
+    def where(self, kept: BoolArray | None) -> "LatentDecisions":
+        """Of some of the steps, ``[L]``; ``None``: of all."""
+        if kept is None or kept.all():
+            return self
+        known = self.monomials
+        some = known[kept] if isinstance(known, np.ndarray) else known.take(kept)
+        return LatentDecisions(
+            self.start, self.rollout[kept], some, self.noise[kept], self.even[kept]
+        )
+
+    def joined(self, after: "LatentDecisions") -> "LatentDecisions":
+        """These and those of more rollouts."""
+        return LatentDecisions(
+            np.concatenate([self.start, after.start]),
+            np.concatenate([self.rollout, after.rollout + self.count]),
+            _joined(self.monomials, after.monomials),
+            np.concatenate([self.noise, after.noise]),
+            np.concatenate([self.even, after.even]),
+            None
+            if self.broken is None or after.broken is None
+            else np.concatenate([self.broken, after.broken]),
+        )
+
+    @cached_property
+    def steps(self) -> StepsOfRollouts:
+        """Where they lie in a table of rollouts and steps."""
+        return StepsOfRollouts(self.rollout, self.count)
+
+    def by_rollout(self, values: FloatArray) -> FloatArray:
+        """Sums over each rollout's steps, ``[N]`` of ``[L]``."""
+        sums = np.bincount(self.rollout, weights=values, minlength=self.count)
+        return sums.astype(np.float64)
+
+
+def _joined(
+    first: FloatArray | MadeWhenAsked, second: FloatArray | MadeWhenAsked
+) -> FloatArray | MadeWhenAsked:
+    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
+        return np.concatenate([first[:], second[:]])
+    return first.joined(second)
 
 
 @dataclass(frozen=True, eq=False)

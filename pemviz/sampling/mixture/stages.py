@@ -26,24 +26,29 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.drawn import Drawn
 from pemviz.faults import counted_from
 from pemviz.latents import LatentCounts
-from pemviz.proposals.defensive_share import share_for
-from pemviz.proposals.exploration import ExplorationFamily, ExplorationProposal
-from pemviz.proposals.latent_exploration import LatentExploration, LatentFamily
-from pemviz.proposals.latent_means import (
+from pemviz.proposals.exploration import (
+    ExplorationFamily,
+    ExplorationProposal,
+    LatentExploration,
+    LatentFamily,
+)
+from pemviz.proposals.latent_moves import (
     LatentMeans,
+    StartMoves,
     choice_logit,
+    even_logit,
     noise_means,
     unmoved,
 )
-from pemviz.proposals.monomials import noise_basis, noise_features
 from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,
     PolynomialBasis,
     StateFeatures,
     acting,
+    noise_basis,
+    noise_features,
+    share_for,
 )
-from pemviz.proposals.single_moves import even_logit
-from pemviz.proposals.start_moves import StartMoves
 from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.mixture.balance_heuristic import (
     EXPLORATION,
