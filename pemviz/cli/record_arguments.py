@@ -9,9 +9,8 @@ import tyro
 
 from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.config import ExperimentConfig, StartChoice
-from pemviz.config.gate_limits import GateLimits, read_limits
 from pemviz.config.ranges import Range, check_value
-from pemviz.config.rule_words import read_rules, read_starts
+from pemviz.config.rule_words import GateLimits, read_limits, read_rules, read_starts
 from pemviz.config.toml_files import load_config, load_preset, with_own_rules
 from pemviz.errors import ConfigError
 from pemviz.sampling.registry import SHIPPED, ignored_note, ignored_settings

@@ -12,7 +12,7 @@ from pemviz.cli.progress import progress_observer
 from pemviz.cli.record_arguments import RecordArguments
 from pemviz.cli.workers import check_workers, with_workers
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO
-from pemviz.config.gate_limits import GateLimits
+from pemviz.config.rule_words import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
 from pemviz.reports.gate import decide_limits
 from pemviz.reports.terminal import print_summary

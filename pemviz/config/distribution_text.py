@@ -78,7 +78,6 @@ class Distribution:
         return np.clip(values, self.low, self.high)
 
     def __str__(self) -> str:
-        """As it is written: ``normal(25, 3) in [20, inf]``."""
         numbers = ", ".join(map(_number_text, self.parameters))
         text = numbers if self.fixed else f"{self.kind}({numbers})"
         if math.isinf(self.low) and math.isinf(self.high):
@@ -142,7 +141,6 @@ def read_distribution(text: str, *, name: str) -> Distribution:
 
 
 def _body(body: str, where: str) -> tuple[str, tuple[float, ...]]:
-    """Kind and numbers of what stands before ``in``."""
     call = CALL.fullmatch(body)
     if call is None:
         try:

@@ -1,14 +1,16 @@
-"""Allowed ranges of numbers, declared where the fields are declared."""
+"""What values a field may have, declared where it is: ranges of numbers, names of parts."""
 
+import difflib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
+from importlib import metadata
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
-from pemviz.config.entry_points import NamedPart
 from pemviz.errors import ConfigError
+from pemviz.faults import told
 
 
 @dataclass(frozen=True)
@@ -21,8 +23,11 @@ class Range:
     high_open: bool = False
 
     def contains(self, value: float) -> bool:
-        """Whether the finite number ``value`` lies in the interval."""
-        if not is_finite(value):
+        """Whether ``value`` is a finite float64 that lies in the interval."""
+        try:
+            if not math.isfinite(value):
+                return False
+        except OverflowError:  # a whole number that is too large for one
             return False
         if self.low is not None and (value < self.low or (self.low_open and value == self.low)):
             return False
@@ -52,12 +57,86 @@ Log10 = Annotated[float, Range(high=300.0)]
 """Decimal logarithm of what is a probability but for its error, so that its power is a float64."""
 
 
-def is_finite(value: float) -> bool:
-    """Whether ``value`` is a finite float64; a whole number may be too large for one."""
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False
+@dataclass(frozen=True)
+class NamedPart:
+    """A part of an experiment that is chosen by name: shipped, or registered by packages.
+
+    As an annotation of a text field it says which values the field may have. A package registers
+    one in its ``pyproject.toml``, for instance a method::
+
+        [project.entry-points."pemviz.methods"]
+        my-method = "my_package.method:DESCRIPTION"
+
+    Attributes:
+        kind: What it is, as messages and the configuration name it, e.g. ``method``.
+        group: The entry points' group: ``pemviz.`` and the kind in the plural.
+        shipped: Names that this package has; they go before registered ones of the same name.
+    """
+
+    kind: str
+    group: str
+    shipped: tuple[str, ...]
+
+    def names(self) -> tuple[str, ...]:
+        """All names: shipped ones first, then registered ones in alphabetical order."""
+        registered = {point.name for point in metadata.entry_points(group=self.group)}
+        return (*self.shipped, *sorted(registered - {*self.shipped}))
+
+    def complaint(self, name: object) -> str | None:
+        """What is wrong with a name, and which there are; ``None`` if it is one of them."""
+        if name in self.shipped:
+            return None
+        names = self.names()
+        if name in names:
+            return None
+        near = difflib.get_close_matches(name, names, n=1) if isinstance(name, str) else []
+        guess = f"did you mean {near[0]}? There" if near else "there"
+        return f"no such {self.kind}; {guess} are: {', '.join(names)}"
+
+    def registered(
+        self,
+        name: str,
+        *,
+        made: Callable[[Any], Any],
+        fits: Callable[[Any], bool],
+        complaint: str,
+    ) -> Any:
+        """What a package registers under ``name``.
+
+        Args:
+            name: Its name.
+            made: What the entry point names, to the part itself.
+            fits: Whether it is such a part.
+            complaint: What to say where it is not, ``{}`` standing for what it is instead.
+
+        Raises:
+            ConfigError: There is none, two packages register it, or it cannot be loaded, made
+                or used.
+        """
+        points = {
+            point.value: point for point in metadata.entry_points(group=self.group, name=name)
+        }
+        where = f"{self.kind} = {name!r}"
+        if not points:
+            raise ConfigError(f"{where}: {self.complaint(name)}")
+        if len(points) > 1:
+            raise ConfigError(f"{where}: registered more than once, as {' and '.join(points)}")
+        (point,) = points.values()
+        try:
+            part = made(point.load())
+            is_fit = fits(part)
+        except BaseException as error:  # code of another package may raise anything
+            raise ConfigError(f"{where}: {point.value} raises {told(error)}") from error
+        if not is_fit:
+            raise ConfigError(f"{where}: {point.value} {complaint.format(described(part))}")
+        return part
+
+
+def described(part: object) -> str:
+    """What something is, for a message that says that it should be something else."""
+    if isinstance(part, type):
+        return f"the class {part.__name__}"
+    return "nothing" if part is None else f"a value of type {type(part).__name__}"
 
 
 def allowed_text(annotation: object) -> str:
@@ -110,7 +189,7 @@ def _type_checker(annotation: object) -> Callable[[object], bool]:
     def fits(value: object) -> bool:
         if not isinstance(value, types) or (numeric and isinstance(value, bool)):
             return False
-        return limits is None or limits.contains(_number(value))
+        return limits is None or limits.contains(cast(float, value))
 
     return fits
 
@@ -124,9 +203,8 @@ def check_value(*, name: str, value: object, annotation: object) -> object:
     """
     complaint = checker(annotation)(value)
     if complaint is not None:
-        message = f"{name} = {shown(value)}: {complaint}"
-        raise ConfigError(message)
-    return float(_number(value)) if _unpack(annotation)[0] is float else value
+        raise ConfigError(f"{name} = {shown(value)}: {complaint}")
+    return float(cast(float, value)) if _unpack(annotation)[0] is float else value
 
 
 def check_fields(instance: Any, *, prefix: str = "") -> None:
@@ -135,23 +213,24 @@ def check_fields(instance: Any, *, prefix: str = "") -> None:
     Raises:
         ConfigError: Naming the first field that is out of range, with what is allowed.
     """
-    for name, value, annotation in _annotated_fields(instance):
+    hints = get_type_hints(type(instance), include_extras=True)
+    for field in fields(instance):
+        name, annotation = f"{prefix}{field.name}", hints[field.name]
+        value = getattr(instance, field.name)
         if is_dataclass(value):
-            check_fields(value, prefix=f"{prefix}{name}.")
+            check_fields(value, prefix=f"{name}.")
         elif get_origin(annotation) is tuple:
-            _check_records(value, name=f"{prefix}{name}", kind=get_args(annotation)[0])
+            _check_records(value, name=name, kind=get_args(annotation)[0])
         elif value is not None or not allows_none(annotation):
-            check_value(name=f"{prefix}{name}", value=value, annotation=optional_value(annotation))
+            check_value(name=name, value=value, annotation=optional_value(annotation))
 
 
 def _check_records(values: Any, *, name: str, kind: Any) -> None:
     if not isinstance(values, tuple):
-        message = f"{name} = {shown(values)}: must be a tuple"
-        raise ConfigError(message)
+        raise ConfigError(f"{name} = {shown(values)}: must be a tuple")
     for index, value in enumerate(cast(tuple[object, ...], values)):
         if not isinstance(value, kind):
-            message = f"{name}[{index}] = {shown(value)}: must be a {kind.__name__}"
-            raise ConfigError(message)
+            raise ConfigError(f"{name}[{index}] = {shown(value)}: must be a {kind.__name__}")
         check_fields(value, prefix=f"{name}[{index}].")
 
 
@@ -160,12 +239,6 @@ def optional_value(annotation: object) -> object:
     if not allows_none(annotation):
         return annotation
     return next(arm for arm in get_args(annotation) if arm is not type(None))
-
-
-def _annotated_fields(instance: Any) -> Iterator[tuple[str, object, object]]:
-    hints = get_type_hints(type(instance), include_extras=True)
-    for field in fields(instance):
-        yield field.name, getattr(instance, field.name), hints[field.name]
 
 
 def _unpack(annotation: object) -> tuple[Any, Range | None]:
@@ -190,10 +263,6 @@ def _is_text(value: object) -> bool:
     except UnicodeEncodeError:
         return False
     return True
-
-
-def _number(value: Any) -> float:
-    return value
 
 
 def shown(value: object) -> str:

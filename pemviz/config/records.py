@@ -2,7 +2,7 @@
 
 What a record may hold is stated once, by the annotations of its fields: ``bool``, ``int``,
 ``float``, ``str``, a ``Literal``, numbers with a :class:`~pemviz.config.ranges.Range`, names of
-a :class:`~pemviz.config.entry_points.NamedPart`, other records, ``tuple[X, ...]``,
+a :class:`~pemviz.config.ranges.NamedPart`, other records, ``tuple[X, ...]``,
 ``Mapping[str, X]``, and any of these ``| None``.
 """
 
@@ -66,13 +66,10 @@ def read_value(
     try:
         return _reader(annotation, ignore_unknown)(value)
     except _UnfitError as error:
-        complaint = error.inside(name) if name else error
-        raise ConfigError(f"{_short(complaint.name)}{complaint.words}") from None
-
-
-def _short(name: str) -> str:
-    """A name that a file gave, short enough to leave room for what is wrong with it."""
-    return name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..."
+        place = error.inside(name).name if name else error.name
+        if len(place) > LONGEST_NAME:  # given by a file
+            place = f"{place[:LONGEST_NAME]}..."
+        raise ConfigError(f"{place}{error.words}") from None
 
 
 @cache
@@ -81,8 +78,7 @@ def _reader(annotation: Any, ignore_unknown: bool) -> _Reader:
     origin = get_origin(annotation)
     if origin in (Union, UnionType):
         if not allows_none(annotation) or len(get_args(annotation)) > 2:
-            message = f"{annotation}: a field has one type, None aside"
-            raise TypeError(message)
+            raise TypeError(f"{annotation}: a field has one type, None aside")
         inner = _reader(optional_value(annotation), ignore_unknown)
         return lambda value: None if value is None else inner(value)
     if is_dataclass(annotation):
@@ -160,7 +156,10 @@ def _record_reader(kind: type[Any], ignore_unknown: bool) -> _Reader:
                 except _UnfitError as error:
                     raise error.inside(name) from None
             elif not ignore_unknown:
-                raise _UnfitError(_no_such_field(name, readers), name)
+                near = difflib.get_close_matches(name, readers, n=1)
+                known = f"allowed are {', '.join(sorted(readers))}"
+                hint = f"did you mean {near[0]}?" if near else known
+                raise _UnfitError(f": no such field; {hint}", name)
         for name in required:
             if name not in values:
                 raise _UnfitError(": is missing", name)
@@ -177,10 +176,3 @@ def _table(value: object) -> Mapping[str, object]:
 
 def _unfit(value: object, complaint: str) -> _UnfitError:
     return _UnfitError(f" = {shown(value)}: {complaint}")
-
-
-def _no_such_field(name: str, known: Mapping[str, object]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    if near:
-        return f": no such field; did you mean {near[0]}?"
-    return f": no such field; allowed are {', '.join(sorted(known))}"

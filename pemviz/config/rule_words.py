@@ -1,7 +1,10 @@
-"""Rules and start values as they are written on a command line: NAME=FORMULA, NAME=DISTRIBUTION."""
+"""What options name: rules NAME=FORMULA, start values NAME=DISTRIBUTION, gate limits NAME=P."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
 
+from pemviz.config.ranges import Range, check_value
 from pemviz.config.settings import Rule
 from pemviz.errors import ConfigError
 
@@ -12,7 +15,7 @@ def read_rules(words: Sequence[str]) -> Mapping[str, str]:
     Raises:
         ConfigError: One is not NAME=FORMULA, or a name stands twice.
     """
-    return _read_named(words, kind="rule", value="FORMULA", another="another rule")
+    return _read_named(words, kind="rule", value="FORMULA")
 
 
 def read_starts(words: Sequence[str]) -> Mapping[str, str]:
@@ -21,19 +24,18 @@ def read_starts(words: Sequence[str]) -> Mapping[str, str]:
     Raises:
         ConfigError: One is not NAME=DISTRIBUTION, or a name stands twice.
     """
-    return _read_named(words, kind="start", value="DISTRIBUTION", another="another start value")
+    return _read_named(words, kind="start", value="DISTRIBUTION")
 
 
-def _read_named(words: Sequence[str], *, kind: str, value: str, another: str) -> Mapping[str, str]:
+def _read_named(words: Sequence[str], *, kind: str, value: str) -> Mapping[str, str]:
     found: dict[str, str] = {}
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
         if not equals or not name or not text:
-            message = f"{kind} = {word!r}: must be NAME={value}"
-            raise ConfigError(message)
+            raise ConfigError(f"{kind} = {word!r}: must be NAME={value}")
         if name in found:
-            message = f"{kind} = {word!r}: {another} has this name"
-            raise ConfigError(message)
+            another = "rule" if kind == "rule" else "start value"
+            raise ConfigError(f"{kind} = {word!r}: another {another} has this name")
         found[name] = text
     return found
 
@@ -41,3 +43,39 @@ def _read_named(words: Sequence[str], *, kind: str, value: str, another: str) ->
 def rules_text(rules: Sequence[Rule]) -> str:
     """A line for each rule, as :func:`read_rules` takes them."""
     return "\n".join(f"{rule.name} = {rule.formula}" for rule in rules)
+
+
+@dataclass(frozen=True)
+class GateLimits:
+    """Probabilities that must not be exceeded.
+
+    Attributes:
+        overall: By the violation of the specification; ``None``: not asked.
+        rules: By that of single rules, by name.
+    """
+
+    overall: float | None = None
+    rules: Mapping[str, float] = field(default_factory=dict[str, float])
+
+
+def read_limits(words: Sequence[str], *, rules: Sequence[Rule]) -> GateLimits:
+    """What ``P`` and ``NAME=P`` ask for; of several for the same the last holds.
+
+    Raises:
+        ConfigError: Something is no probability, or names no rule.
+    """
+    names = [rule.name for rule in rules]
+    found: dict[str, float] = {}
+    for word in words:
+        name, equals, text = word.rpartition("=")
+        if equals and name not in names:
+            known = ", ".join(names) or "there are none"
+            raise ConfigError(f"fail-above = {word!r}: must name one of the rules ({known})")
+        try:
+            found[name] = float(text)
+        except ValueError as error:
+            message = f"fail-above = {text!r}: must be a number above 0 and at most 1"
+            raise ConfigError(message) from error
+        probability = Annotated[float, Range(low=0.0, low_open=True, high=1.0)]
+        check_value(name="fail-above", value=found[name], annotation=probability)
+    return GateLimits(found.pop("", None), found)

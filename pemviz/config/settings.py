@@ -5,11 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Self
 
-from pemviz.config.carla import read_address
-from pemviz.config.encounters import NO_LOGICAL_SCENARIO, EncounterConfig, StartChoice, start_values
-from pemviz.config.entry_points import NamedPart
-from pemviz.config.ranges import Range, check_fields, shown
-from pemviz.config.sumo import SumoConfig
+from pemviz.config.encounters import (
+    NO_LOGICAL_SCENARIO,
+    EncounterConfig,
+    Positive,
+    StartChoice,
+    start_values,
+)
+from pemviz.config.ranges import NamedPart, Range, check_fields, shown
 from pemviz.config.tracker_text import NO_TRACKER, read_tracker
 from pemviz.errors import ConfigError
 
@@ -29,10 +32,9 @@ BLACK_BOXES = ("merge",)
 CLIENTS = ("carla",)
 """Servers with a client of their own, on which the braking scenario is carried out."""
 
-Positive = Range(low=0.0, low_open=True, high=1e6)
 NotNegative = Range(low=0.0, high=1e6)
-
-
+DEFAULT_ADDRESS = "127.0.0.1:2000"
+"""CARLA's own port, on this machine."""
 RULE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 MOST_RULES = 20
 
@@ -100,6 +102,32 @@ class ScenarioConfig:
     def initial_speed_mps(self) -> float:
         """Speed of both cars at the start [m/s]."""
         return self.initial_speed_kmh / 3.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SumoConfig:
+    """With simulator sumo; ``pemviz.simulators.sumo`` tells exactly."""
+
+    model: Literal["idm", "krauss", "acc"] = "idm"
+    """Car-following model of SUMO's that the encounter's other cars drive by: idm (intelligent
+    driver model), krauss (SUMO's default) or acc (adaptive cruise control)."""
+    config: str | None = None
+    """Traffic of SUMO's own, in place of encounters: free-traffic, which is shipped, or a .sumocfg
+    file with the ego in it."""
+    ego: str = "ego"
+    """Which vehicle of that traffic is the ego: its id."""
+    warm_up_s: Annotated[float, Range(low=0.0, high=10_000.0)] = 10.0
+    """How long SUMO drives the ego in traffic, once it has entered, before a rollout begins [s]; 0
+    to 10000."""
+    step_s: Annotated[float, Range(low=0.001, high=1.0)] = 0.1
+    """Time step in traffic [s], in place of the file's; whole milliseconds, 0.001 to 1."""
+    states: Annotated[int, Range(low=2, high=100_000)] = 101
+    """States in a rollout in traffic (T); perception acts at all but the last; 2 to 100000."""
+
+    @property
+    def dt_s(self) -> float:
+        """Time step in traffic [s]."""
+        return self.step_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +235,12 @@ class ExperimentConfig:
     def is_braking_scenario(self) -> bool:
         """Whether it is about the one gap of the shipped braking scenario."""
         is_shipped = self.simulator in SHIPPED_SIMULATORS and not self.is_sumo_traffic
-        return self.encounter.logical_scenario == NO_LOGICAL_SCENARIO and is_shipped
+        return is_shipped and not self.is_encounter
+
+    @property
+    def is_encounter(self) -> bool:
+        """Whether it is about a logical scenario."""
+        return self.encounter.logical_scenario != NO_LOGICAL_SCENARIO
 
     @property
     def is_sumo_traffic(self) -> bool:
@@ -218,12 +251,11 @@ class ExperimentConfig:
     def other_scenario(self) -> str:
         """In words, of what is not the braking scenario."""
         if self.is_sumo_traffic:
-            return (
-                f"traffic of {self.sumo.config}, in SUMO, whose vehicle {self.sumo.ego} is the ego"
-            )
-        if self.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
-            return f"that of the simulator {self.simulator}"
-        return f"logical scenario {self.encounter.logical_scenario}, on {self.simulator}"
+            traffic = f"traffic of {self.sumo.config}, in SUMO"
+            return f"{traffic}, whose vehicle {self.sumo.ego} is the ego"
+        if self.is_encounter:
+            return f"logical scenario {self.encounter.logical_scenario}, on {self.simulator}"
+        return f"that of the simulator {self.simulator}"
 
     @property
     def dt_s(self) -> float:
@@ -239,18 +271,10 @@ class ExperimentConfig:
     def _timed(self) -> ScenarioConfig | EncounterConfig | SumoConfig:
         if self.is_sumo_traffic:
             return self.sumo
-        return (
-            self.scenario
-            if self.encounter.logical_scenario == NO_LOGICAL_SCENARIO
-            else self.encounter
-        )
+        return self.encounter if self.is_encounter else self.scenario
 
     def with_rules(self, rules: Mapping[str, str]) -> Self:
-        """The same with named rules instead of one specification; with none, as it is.
-
-        Args:
-            rules: Name to formula.
-        """
+        """The same with rules, formulas by name, instead of one specification; none: as it is."""
         if not rules:
             return self
         named = tuple(Rule(name, formula) for name, formula in rules.items())
@@ -269,8 +293,7 @@ class ExperimentConfig:
         self._validate_sumo()
         self._validate_carla()
         if not self.pem.strip():
-            message = "pem = '': must be the name of a shipped model or a file"
-            raise ConfigError(message)
+            raise ConfigError("pem = '': must be the name of a shipped model or a file")
         if not self.simulator.strip():
             message = f"simulator = '': must be {', '.join(SHIPPED_SIMULATORS)} or registered"
             raise ConfigError(message)
@@ -280,37 +303,31 @@ class ExperimentConfig:
         for name in names:
             if RULE_NAME.fullmatch(name) is None:
                 allowed = "a letter, then up to 39 letters, digits, _ or -"
-                message = f"rules: the name {shown(name)} must be {allowed}"
-                raise ConfigError(message)
+                raise ConfigError(f"rules: the name {shown(name)} must be {allowed}")
         if len(set(names)) < len(names) or len(names) > MOST_RULES:
             message = f"rules = {', '.join(names)}: must be at most {MOST_RULES}, each name once"
             raise ConfigError(message)
         if self.rules and self.spec != conjunction(self.rules):
-            message = f"spec = {self.spec!r}: must be left out where there are rules"
-            raise ConfigError(message)
+            raise ConfigError(f"spec = {self.spec!r}: must be left out where there are rules")
 
     def _validate_sumo(self) -> None:
         if self.sumo != SumoConfig() and (self.simulator != "sumo" or self.is_braking_scenario):
-            message = (
+            raise ConfigError(
                 "sumo: must be left out without simulator sumo and a logical scenario or "
                 "sumo.config"
             )
-            raise ConfigError(message)
         if not self.is_sumo_traffic:
             return
         if self.encounters_per_hour is not None:
-            message = (
+            raise ConfigError(
                 f"encounters_per_hour = {self.encounters_per_hour:g}: must be left out with "
                 "sumo.config, which is answered per kilometre"
             )
-            raise ConfigError(message)
-        if self.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
+        if self.is_encounter:
             where = f"sumo.config = {self.sumo.config!r}"
-            message = f"{where}: must be left out with {self._logical_scenario}"
-            raise ConfigError(message)
+            raise ConfigError(f"{where}: must be left out with {self._logical_scenario}")
         if abs(round(self.sumo.step_s * 1000) / 1000 - self.sumo.step_s) > 1e-12:
-            message = f"sumo.step_s = {self.sumo.step_s:g}: must be whole milliseconds"
-            raise ConfigError(message)
+            raise ConfigError(f"sumo.step_s = {self.sumo.step_s:g}: must be whole milliseconds")
 
     def _validate_carla(self) -> None:
         if self.carla is None:
@@ -321,33 +338,29 @@ class ExperimentConfig:
         read_address(self.carla)
 
     def _validate_encounter(self) -> None:
-        if self.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
+        if not self.is_encounter:
             if self.encounter != EncounterConfig() or self.start:
                 changed = "start" if self.start else "encounter"
                 message = f"{changed}: must be left out where encounter.logical_scenario is none"
                 raise ConfigError(message)
             return
         if self.scenario != ScenarioConfig(tracker=self.scenario.tracker):
-            message = (
+            raise ConfigError(
                 f"scenario: must be left out but for its tracker with {self._logical_scenario}"
             )
-            raise ConfigError(message)
         if self.simulator not in SHIPPED_SIMULATORS:
             allowed = ", ".join(SHIPPED_SIMULATORS)
-            message = (
+            raise ConfigError(
                 f"simulator = {self.simulator!r}: must be {allowed} with {self._logical_scenario}"
             )
-            raise ConfigError(message)
         known = [value.name for value in start_values(self.encounter)]
         names = [choice.name for choice in self.start]
         for name in names:
             if name not in known:
                 allowed = f"{', '.join(known)} with {self._logical_scenario}"
-                message = f"start = {shown(name)}: must be one of {allowed}"
-                raise ConfigError(message)
+                raise ConfigError(f"start = {shown(name)}: must be one of {allowed}")
         if len(set(names)) < len(names):
-            message = f"start = {', '.join(names)}: must be each name once"
-            raise ConfigError(message)
+            raise ConfigError(f"start = {', '.join(names)}: must be each name once")
         for choice in self.start:
             from pemviz.config.distribution_text import read_distribution  # noqa: PLC0415  numpy
 
@@ -361,3 +374,18 @@ class ExperimentConfig:
 def conjunction(rules: Sequence[Rule]) -> str:
     """The specification that all of at least one rule are kept."""
     return " and ".join(f"({rule.formula})" for rule in rules)
+
+
+def read_address(text: str) -> tuple[str, int]:
+    """Host and port of ``HOST:PORT``.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    host, _, port = text.rpartition(":")
+    is_number = port.isascii() and port.isdigit() and len(port) <= 5
+    if not host or not host.isprintable() or " " in host or not is_number:
+        raise ConfigError(f"carla = {text[:80]!r}: must be HOST:PORT, such as {DEFAULT_ADDRESS}")
+    if not 1 <= int(port) <= 65535:
+        raise ConfigError(f"carla = {text[:80]!r}: the port must be from 1 to 65535")
+    return host, int(port)

@@ -9,9 +9,9 @@ from typing import Any, cast
 import tomli_w
 
 from pemviz.config import BLACK_BOXES, ExperimentConfig
-from pemviz.config.encounters import LOGICAL_SCENARIOS, NO_LOGICAL_SCENARIO, StartChoice
+from pemviz.config.encounters import LOGICAL_SCENARIOS, StartChoice
 from pemviz.config.records import read_record, read_value
-from pemviz.config.sumo import SumoConfig
+from pemviz.config.settings import SumoConfig
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import ConfigError
 from pemviz.files.shipped import asset_path
@@ -21,9 +21,10 @@ LARGEST_BYTES = 1_000_000
 GONE = {"device": "cpu"}
 """Settings of earlier versions, with the one value that means what there is now."""
 DEEPEST_KEY = 200
+"""Dots in a key; tomllib's time grows with the square of their number."""
 FREE_TRAFFIC = "free-traffic"
 """The preset that has the rules of all traffic in SUMO."""
-"""Dots in a key; tomllib's time grows with the square of their number."""
+_TOO_DEEP = "nested too deeply"
 
 
 def preset_names(*, logical_scenarios: bool = True) -> tuple[str, ...]:
@@ -38,13 +39,12 @@ def preset_names(*, logical_scenarios: bool = True) -> tuple[str, ...]:
 
 
 def with_own_rules(config: ExperimentConfig) -> ExperimentConfig:
-    """A black box that is asked by the braking scenario's specification has its preset's rules."""
-    is_asked = config.rules or config.spec != ExperimentConfig().spec
+    """A black box without rules or a specification of its own has its preset's rules."""
+    is_specified = config.rules or config.spec != ExperimentConfig().spec
     preset = FREE_TRAFFIC if config.is_sumo_traffic else config.simulator
-    if preset not in (*BLACK_BOXES, FREE_TRAFFIC) or is_asked:
+    if preset not in (*BLACK_BOXES, FREE_TRAFFIC) or is_specified:
         return config
-    rules = {rule.name: rule.formula for rule in load_preset(preset).rules}
-    return config.with_rules(rules)
+    return config.with_rules({rule.name: rule.formula for rule in load_preset(preset).rules})
 
 
 def load_preset(name: str) -> ExperimentConfig:
@@ -54,8 +54,7 @@ def load_preset(name: str) -> ExperimentConfig:
         ConfigError: There is no such preset.
     """
     if name not in preset_names():
-        message = f"preset = {name!r}: must be one of {', '.join(preset_names())}"
-        raise ConfigError(message)
+        raise ConfigError(f"preset = {name!r}: must be one of {', '.join(preset_names())}")
     return load_config(asset_path("presets", f"{name}.toml"))
 
 
@@ -70,38 +69,27 @@ def load_config(path: Path) -> ExperimentConfig:
         config = config_from_table(_read_table(path))
         config.validate()
     except ConfigError as error:
-        message = f"config {path}: {error}"
-        raise ConfigError(message) from error
+        raise ConfigError(f"config {path}: {error}") from error
     return config
 
 
 def _read_table(path: Path) -> dict[str, Any]:
-    """The file's values.
-
-    Raises:
-        ConfigError: It cannot be read, or is not TOML; the message does not name it.
-    """
+    """The file's values; messages do not name the file."""
     try:
         with path.open("rb") as stream:
             content = stream.read(LARGEST_BYTES + 1)
         if len(content) > LARGEST_BYTES:
-            message = f"must be a configuration of at most {LARGEST_BYTES} bytes"
-            raise ConfigError(message)
+            raise ConfigError(f"must be a configuration of at most {LARGEST_BYTES} bytes")
         text = content.decode("utf-8").replace("\r\n", "\n")
         if any(line.partition("=")[0].count(".") > DEEPEST_KEY for line in text.split("\n")):
             raise ConfigError(_TOO_DEEP)
         return tomllib.loads(text)
     except OSError as error:
-        message = f"cannot be read ({error.strerror or error})"
-        raise ConfigError(message) from error
+        raise ConfigError(f"cannot be read ({error.strerror or error})") from error
     except ValueError as error:  # also of numbers with more digits than Python reads
-        message = f"not valid TOML ({error})"
-        raise ConfigError(message) from error
+        raise ConfigError(f"not valid TOML ({error})") from error
     except RecursionError as error:
         raise ConfigError(_TOO_DEEP) from error
-
-
-_TOO_DEEP = "nested too deeply"
 
 
 def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
@@ -128,11 +116,7 @@ def config_from_table(table: object, *, name: str = "") -> ExperimentConfig:
 
 
 def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
-    """A table of texts by name; empty where it is left out.
-
-    Raises:
-        ConfigError: It is none, or is there without a name.
-    """
+    """A table of texts by name; empty where it is left out."""
     if given is None:
         return {}
     place = f"{name}.{key}" if name else key
@@ -142,8 +126,7 @@ def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
     texts: Mapping[str, str] = read_value(Mapping[str, str], given, name=place)
     if not texts:
         one = "rule" if key == "rules" else "start value"
-        message = f"{place} = {{}}: must name one {one} at least"
-        raise ConfigError(message)
+        raise ConfigError(f"{place} = {{}}: must name one {one} at least")
     return texts
 
 
@@ -154,20 +137,17 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
     an hour where there are none, and without ``keep`` where all is kept.
     """
     table = every_setting(config)
+    for name in ("position_errors", "carla", "encounters_per_hour"):
+        if table[name] is None:
+            del table[name]
     if config.scenario.tracker == NO_TRACKER:
         del table["scenario"]["tracker"]
-    if config.position_errors is None:
-        del table["position_errors"]
-    if config.carla is None:
-        del table["carla"]
-    if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
+    if not config.is_encounter:
         del table["encounter"]
     elif config.scenario.tracker == NO_TRACKER:
         del table["scenario"]
     else:
         table["scenario"] = {"tracker": config.scenario.tracker}
-    if config.encounters_per_hour is None:
-        del table["encounters_per_hour"]
     if config.keep == "all":
         del table["keep"]
     is_used = config.simulator == "sumo" and not config.is_braking_scenario

@@ -61,16 +61,14 @@ def read_tracker(text: str) -> TrackerSettings | None:
     where = f"tracker = {shown(text)}"
     hits, slash, window = words[0].partition("/")
     if not (slash and hits.isascii() and hits.isdecimal() and window.isascii()):
-        message = f"{where}: must be none, or M/N for M hits of N outcomes, then options"
-        raise ConfigError(message)
+        raise ConfigError(f"{where}: must be none, or M/N for M hits of N outcomes, then options")
     given: dict[str, str] = {}
     for word in words[1:]:
         name, equals, value = (part.strip() for part in word.partition("="))
         name = name.replace("-", "_")
         if not equals or name not in OPTIONS or name in given:
             allowed = ", ".join(option.replace("_", "-") for option in OPTIONS)
-            message = f"{where}: {shown(word)} must be NAME=VALUE, each once, of {allowed}"
-            raise ConfigError(message)
+            raise ConfigError(f"{where}: {shown(word)} must be NAME=VALUE, each once, of {allowed}")
         given[name] = value
     values = {"hits": hits, "window": window, **given}
     settings = TrackerSettings(**{name: _value(name, word) for name, word in values.items()})
@@ -106,10 +104,9 @@ def _check_together(settings: TrackerSettings, where: str) -> None:
     for names in OF_FILTER.values():
         for name in names:
             if getattr(settings, name) is not None and name not in OF_FILTER[settings.filter]:
-                message = (
+                raise ConfigError(
                     f"{where}: {name.replace('_', '-')} is no option of filter {settings.filter}"
                 )
-                raise ConfigError(message)
 
 
 def check_stable(alpha: float, beta: float | None) -> None:

@@ -1,10 +1,16 @@
-"""Files that are either whole or not there."""
+"""Files that are either whole or not there, that one process holds, that a digest tells apart."""
 
+import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
+
+from filelock import FileLock, Timeout
+
+from pemviz.errors import InputError
 
 
 def is_file(path: Path) -> bool:
@@ -67,3 +73,51 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
         ValueError: The document holds NaN or an infinity.
     """
     write_text(path, json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file of any size.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def document_digest(document: Mapping[str, Any]) -> str:
+    """SHA-256 of a document in JSON whatever its spacing and order: keys sorted, ASCII.
+
+    Raises:
+        ValueError: The document holds NaN or an infinity.
+    """
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+@contextmanager
+def held(path: Path, *, busy: str, unusable: str) -> Generator[None, None, None]:
+    """Hold the lock file ``path``, or fail at once; a process that dies gives it back.
+
+    Args:
+        path: Made if it is not there; it stays.
+        busy: What to say if another process holds it.
+        unusable: What to say if it cannot be made; the reason follows.
+
+    Raises:
+        InputError: It cannot be held.
+    """
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        raise InputError(busy) from error
+    except OSError as error:
+        raise InputError(f"{unusable} ({error.strerror or error})") from error
+    try:
+        yield
+    finally:
+        lock.release()

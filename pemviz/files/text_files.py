@@ -49,11 +49,11 @@ def read_numbers(
     """Read a text table of numbers, shape [rows, picked columns]; lines with # are comments.
 
     Args:
-        path: the file.
-        separator: between columns; None for white space.
-        columns: names of all columns, in order.
-        picked: which columns to read, all if None.
-        skip_lines: how many header lines to pass over.
+        path: The file.
+        separator: Between columns; ``None`` for white space.
+        columns: Names of all columns, in order.
+        picked: Which columns to read; ``None``: all.
+        skip_lines: Header lines that are passed over.
 
     Raises:
         PemError: naming file, line and column of the first malformed value.
@@ -69,22 +69,14 @@ def read_numbers(
                 raise PemError(
                     f"{path}:{number}: {len(cells)} columns where {len(columns)} are needed"
                 )
-            try:
-                values.append([float(cells[index]) for index in picked])
-            except ValueError:
-                raise _bad_cell(path, number, cells, columns, picked) from None
+            row: list[float] = []
+            for index in picked:
+                try:
+                    row.append(float(cells[index]))
+                except ValueError:
+                    raise PemError(
+                        f"{path}:{number}: column {index + 1} ({columns[index]}) is "
+                        f"{cells[index]!r}, not a number"
+                    ) from None
+            values.append(row)
     return np.asarray(values, dtype=np.float64).reshape(-1, len(picked))
-
-
-def _bad_cell(
-    path: Path, number: int, cells: list[str], columns: tuple[str, ...], picked: tuple[int, ...]
-) -> PemError:
-    for index in picked:
-        try:
-            float(cells[index])
-        except ValueError:
-            return PemError(
-                f"{path}:{number}: column {index + 1} ({columns[index]}) is {cells[index]!r}, "
-                "not a number"
-            )
-    return PemError(f"{path}:{number}: malformed")

@@ -15,8 +15,7 @@ from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.config import ExperimentConfig
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.errors import InputError
-from pemviz.files.array_files import load_tensors
-from pemviz.files.mapped_arrays import LARGEST_READ_BYTES, map_arrays
+from pemviz.files.array_files import LARGEST_READ_BYTES, load_tensors, map_arrays
 from pemviz.panel.run_data import ProposalCurve, RunData, detection_probability, own_scenario
 from pemviz.panel.tables import check_table, checked_rows, numbered, thinned
 from pemviz.pem import load_pem

@@ -7,7 +7,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, IntArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
-from pemviz.files.mapped_arrays import let_go
+from pemviz.files.array_files import let_go
 from pemviz.runs.result import StageSummary
 from pemviz.runs.rollout_files import BROKEN, LATENTS, ROLLOUT, latents_of, log_weights
 from pemviz.runs.slot_outcomes import slots_of

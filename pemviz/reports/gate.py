@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from pemviz.config.gate_limits import GateLimits
+from pemviz.config.rule_words import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_UNDECIDED
 from pemviz.reports.estimate_words import bound_text
 from pemviz.runs.result import RunResult

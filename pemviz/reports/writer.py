@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from pemviz.config.gate_limits import GateLimits
+from pemviz.config.rule_words import GateLimits
 from pemviz.errors import ConfigError, RunError
 from pemviz.files.atomic import is_folder, write_text
 from pemviz.reports.gate import decide_limits

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
-from pemviz.files.digests import file_digest
+from pemviz.files.atomic import file_digest
 from pemviz.runs.coherence import complaints
 from pemviz.runs.recount import ROLLOUTS, recount
 from pemviz.runs.result import RunResult

@@ -9,7 +9,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError, InputError
-from pemviz.files.mapped_arrays import map_arrays
+from pemviz.files.array_files import map_arrays
 from pemviz.runs.coherence import differences
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import BROKEN, COLUMN, LATENTS, log_weights

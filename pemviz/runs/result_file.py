@@ -25,7 +25,7 @@ What a result.json may hold (schema 2):
 - Null for the robustness of a rollout where it is infinite.
 - ``files``, SHA-256 of files of the run folder by name: of ``config.toml``, and once the run is
   done of all that it left there.
-- Last ``digest``, SHA-256 of everything before it (:func:`pemviz.files.digests.document_digest`).
+- Last ``digest``, SHA-256 of everything before it (:func:`pemviz.files.atomic.document_digest`).
   It finds what was changed; whoever means to forge a result can compute it too.
 
 Schema 1 is the same without these two: what older versions write, and ``record --json`` prints.
@@ -47,8 +47,7 @@ from pemviz.config.ranges import shown
 from pemviz.config.records import read_record, read_value
 from pemviz.config.toml_files import config_from_table, config_table
 from pemviz.errors import InputError
-from pemviz.files.atomic import write_json
-from pemviz.files.digests import document_digest, file_digest
+from pemviz.files.atomic import document_digest, file_digest, write_json
 from pemviz.files.json_text import parse_json
 from pemviz.runs.estimate_tables import (
     Table,

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from pemviz.errors import InputError
-from pemviz.files.locks import held
+from pemviz.files.atomic import held
 from pemviz.runs.engine import run, versions
 from pemviz.runs.events import Event, Observer, RunDone, notify_all
 from pemviz.runs.experiment import Experiment

@@ -12,8 +12,7 @@ from numpy.lib import format as npy
 
 from pemviz.arrays import LARGEST_NUMBER, AnyArray, FloatArray, IntArray, row_sums
 from pemviz.errors import InputError
-from pemviz.files.array_digests import DIGEST, append_digest, read_digested
-from pemviz.files.array_files import read_arrays
+from pemviz.files.array_files import DIGEST, append_digest, read_arrays, read_digested
 from pemviz.files.atomic import write_atomically
 from pemviz.latents import Latents
 from pemviz.runs.drawn_arrays import ALL, ROLLOUT, drawn_arrays, drawn_of

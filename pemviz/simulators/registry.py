@@ -21,9 +21,8 @@ from pemviz.config import (
     ExperimentConfig,
     ScenarioConfig,
 )
-from pemviz.config.carla import DEFAULT_ADDRESS
-from pemviz.config.entry_points import NamedPart
-from pemviz.config.sumo import SumoConfig
+from pemviz.config.ranges import NamedPart
+from pemviz.config.settings import DEFAULT_ADDRESS, SumoConfig
 from pemviz.errors import ConfigError
 from pemviz.simulators.braking.measured_gap import RangeErrors
 from pemviz.types import Simulator

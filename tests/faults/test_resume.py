@@ -9,7 +9,7 @@ import pytest
 
 from pemviz.cli import record
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.config.gate_limits import GateLimits
+from pemviz.config.rule_words import GateLimits
 from pemviz.config.toml_files import config_text, load_preset
 from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError, RunError
 from pemviz.reports.writer import ReportWriter

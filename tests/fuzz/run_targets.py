@@ -14,7 +14,7 @@ from safetensors.numpy import load
 
 from pemviz.cli.record_run import gate_exit_code
 from pemviz.config import ExperimentConfig
-from pemviz.config.gate_limits import GateLimits
+from pemviz.config.rule_words import GateLimits
 from pemviz.config.toml_files import load_config
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import rank, ranking_csv, row

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from pemviz.errors import InputError
-from pemviz.files.array_files import read_arrays
-from pemviz.files.mapped_arrays import map_arrays
+from pemviz.files.array_files import map_arrays, read_arrays
 from pemviz.panel import run_observer, scans
 from pemviz.panel.browser import Browser
 from pemviz.panel.loading import LoadedRuns, load_run

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pemviz.cli.main import main
 from pemviz.errors import PemError
-from pemviz.files.json_rows import CHUNK, json_rows
+from pemviz.files.json_text import CHUNK, json_rows
 from pemviz.pem.data.collect_nuscenes import collect_nuscenes
 from pemviz.pem.data.position_errors import load_error_csv, sight_errors
 from pemviz.pem.data.table import load_table

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 
 from pemviz.config import METHODS
-from pemviz.config.gate_limits import GateLimits
+from pemviz.config.rule_words import GateLimits
 from pemviz.reports.gate import EXIT_CODES, decide_gate, decide_limits, decide_run
 from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.description import MethodDescription

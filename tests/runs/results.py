@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from pemviz.analysis.explanation import Explanation
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.encounters import EncounterConfig
-from pemviz.config.entry_points import NamedPart
-from pemviz.config.ranges import Range
-from pemviz.config.settings import RULE_NAME
-from pemviz.config.sumo import SumoConfig
+from pemviz.config.ranges import NamedPart, Range
+from pemviz.config.settings import RULE_NAME, SumoConfig
 from pemviz.runs.result import RankedRollout, RunResult
 
 TEXTS = st.text(max_size=8)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import pemviz
 from pemviz.cli.main import main
 from pemviz.errors import InputError
-from pemviz.files.digests import document_digest, file_digest
+from pemviz.files.atomic import document_digest, file_digest
 from pemviz.panel.loading import load_run
 from pemviz.panel.recordings import RecordingsFolder
 from pemviz.runs.experiment import build_experiment

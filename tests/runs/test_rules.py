@@ -9,7 +9,7 @@ import pytest
 
 from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig, Rule
-from pemviz.config.gate_limits import GateLimits, read_limits
+from pemviz.config.rule_words import GateLimits, read_limits
 from pemviz.config.toml_files import config_from_table, config_text, load_config
 from pemviz.errors import ConfigError
 from pemviz.recording.text import answer_text

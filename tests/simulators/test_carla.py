@@ -15,7 +15,7 @@ import pytest
 
 from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.config.carla import read_address
+from pemviz.config.settings import read_address
 from pemviz.config.toml_files import config_text
 from pemviz.errors import ConfigError, RunError
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pemviz.config import EncounterConfig, ExperimentConfig, ScenarioConfig, StartChoice
-from pemviz.config.sumo import SumoConfig
+from pemviz.config.settings import SumoConfig
 from pemviz.config.toml_files import config_table
 from pemviz.errors import ConfigError, RunError
 from pemviz.runs.experiment import build_experiment

@@ -8,7 +8,7 @@ import pytest
 
 from pemviz.cli.record_arguments import parse
 from pemviz.config import ExperimentConfig
-from pemviz.config.sumo import SumoConfig
+from pemviz.config.settings import SumoConfig
 from pemviz.config.toml_files import config_from_table, config_table, load_preset, with_own_rules
 from pemviz.errors import ConfigError, RunError
 from pemviz.files.shipped import asset_path

@@ -18,7 +18,7 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
-from pemviz.files.json_rows import json_rows
+from pemviz.files.json_text import json_rows
 from pemviz.pem.data.kitti_labels import UNKNOWN_OCCLUSION, OnBadLine
 
 SENSOR = "LIDAR_TOP"

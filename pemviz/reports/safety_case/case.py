@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import InputError
-from pemviz.files.digests import file_digest
+from pemviz.files.atomic import file_digest
 from pemviz.pem import PemCard, load_pem
 from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result import RunResult

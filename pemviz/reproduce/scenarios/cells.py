@@ -17,8 +17,7 @@ from pemviz.config.ranges import AtLeastZero
 from pemviz.config.records import read_record
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
-from pemviz.files.atomic import write_json
-from pemviz.files.digests import document_digest
+from pemviz.files.atomic import document_digest, write_json
 from pemviz.files.json_text import parse_json
 from pemviz.runs.coherence import disorders
 from pemviz.runs.experiment import build_experiment

@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.config import ScenarioConfig
-from pemviz.config.carla import read_address
+from pemviz.config.settings import read_address
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.config.sumo import SumoConfig
+from pemviz.config.settings import SumoConfig
 from pemviz.simulators.encounters.arrival import Left, Moved
 from pemviz.simulators.encounters.cars import LARGEST_SINE, lateral_places
 from pemviz.simulators.encounters.names import (

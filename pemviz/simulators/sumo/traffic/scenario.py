@@ -9,7 +9,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import EncounterConfig, ScenarioConfig
-from pemviz.config.sumo import SumoConfig
+from pemviz.config.settings import SumoConfig
 from pemviz.errors import ConfigError, RunError
 from pemviz.files.shipped import asset_path
 from pemviz.latents import LatentCounts
