@@ -4,9 +4,13 @@ Values stand as they are, also on logarithmic axes: an engine puts what is at or
 small for the axis, at the axis' end.
 """
 
+import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 from pemviz.arrays import FloatArray
+
+Number = TypeVar("Number", float, FloatArray)
 
 DASHED, DOTTED, SOLID = "5 3", "1.5 2.5", ""
 """Lengths drawn and left out [px]."""
@@ -17,18 +21,22 @@ class Axis:
     """An axis.
 
     Attributes:
-        label: With unit.
         low: Value at its start.
         high: Value at its end.
+        label: With unit.
         log10: Whether equal steps are powers of ten.
         ticks: Where ticks are; chosen by the engine if ``None``.
     """
 
-    label: str
     low: float
     high: float
+    label: str
     log10: bool = False
     ticks: tuple[float, ...] | None = None
+
+    def share(self, value: Number) -> Number:
+        """How far along the axis values lie: 0 at its start, 1 at its end."""
+        return (value - self.low) / (self.high - self.low)
 
 
 @dataclass(frozen=True)
@@ -219,3 +227,41 @@ class PlaneChart:
 
 
 Chart = IntervalChart | PlaneChart
+
+FARTHEST = -40.0
+"""Decades below which nothing is drawn."""
+
+
+def decade(value: float, *, low: float = -math.inf, high: float = math.inf) -> float:
+    """The decimal logarithm of a value, within the axis; of one at or below 0 its lower end."""
+    if math.isnan(value):
+        return value
+    found = math.log10(value) if value > 0.0 else -math.inf
+    return min(max(found, low, FARTHEST), high)
+
+
+def axis_decades(chart: IntervalChart) -> tuple[float, float]:
+    """Whole decades that hold all rows and rules, and one more below."""
+    ends = [end for row in chart.rows for end in (row.low, row.high, *row.values)]
+    ends += [rule.at for rule in chart.rules]
+    found = [decade(end) for end in ends if end is not None and 0.0 < end < math.inf]
+    if not found:
+        return -20.0, 0.0
+    high = math.ceil(max(found) - 1e-9) if chart.up_to is None else math.log10(chart.up_to)
+    low = max(math.floor(min(found)) - 1.0, FARTHEST)
+    return low, float(max(high, low + 2.0))
+
+
+def nice_ticks(low: float, high: float, *, count: int, whole: bool = False) -> list[float]:
+    """Round tick positions in ``[low, high]``, about so many."""
+    span = high - low
+    if not span > 0.0 or not math.isfinite(span):
+        return [low]
+    raw = span / max(count, 1)
+    unit = 10.0 ** math.floor(math.log10(raw))
+    step = next(unit * m for m in (1, 2, 5, 10) if unit * m >= raw * 0.999)
+    if whole:
+        step = max(1.0, round(step))
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return [0.0 if index == 0 else index * step for index in range(first, last + 1)]

@@ -7,24 +7,17 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from pemviz.charts import chart as marks
 from pemviz.charts.chart import (
     DASHED,
     DOTTED,
     SOLID,
     Axis,
-    Bars,
-    Box,
-    Cells,
     Chart,
     IntervalChart,
-    Line,
-    Mark,
     PlaneChart,
-    Points,
-    Rule,
-    Whiskers,
+    axis_decades,
 )
-from pemviz.charts.decades import axis_decades
 from pemviz.colors import BLACK, GREY
 
 WIDTH_IN = 7.0
@@ -55,7 +48,13 @@ def drawing(chart: Chart) -> RunFigure:
     if isinstance(chart, IntervalChart):
         return _intervals(chart)
     figure, axes = empty_figure(WIDTH_IN * chart.height / chart.width)
-    draw_plane(axes, chart)
+    for mark in chart.marks:
+        _draw(axes, chart, mark)
+    for axis, name in ((chart.x, "x"), (chart.y, "y")):
+        _set(axes, axis, name)
+    axes.set_title(chart.title, loc="left")
+    if any(not isinstance(m, marks.Cells | marks.Rule) and m.label for m in chart.marks):
+        axes.legend(frameon=False, fontsize=8)
     return figure
 
 
@@ -90,17 +89,6 @@ def _intervals(chart: IntervalChart) -> RunFigure:
     return figure
 
 
-def draw_plane(axes: Any, chart: PlaneChart) -> None:
-    """Marks over two axes, on axes of a figure."""
-    for mark in chart.marks:
-        _draw(axes, chart, mark)
-    for axis, name in ((chart.x, "x"), (chart.y, "y")):
-        _set(axes, axis, name)
-    axes.set_title(chart.title, loc="left")
-    if any(not isinstance(m, Cells | Rule) and m.label for m in chart.marks):
-        axes.legend(frameon=False, fontsize=8)
-
-
 def _set(axes: Any, axis: Axis, name: str) -> None:
     scale = {f"{name}scale": "log"} if axis.log10 else {}
     axes.set(**scale, **{f"{name}lim": (axis.low, axis.high), f"{name}label": axis.label})
@@ -108,43 +96,43 @@ def _set(axes: Any, axis: Axis, name: str) -> None:
         (axes.set_xticks if name == "x" else axes.set_yticks)(list(axis.ticks))
 
 
-def _draw(axes: Any, chart: PlaneChart, mark: Mark) -> None:
+def _draw(axes: Any, chart: PlaneChart, mark: marks.Mark) -> None:
     match mark:
-        case Line():
+        case marks.Line():
             axes.plot(
                 mark.x, mark.y, color=mark.color, linewidth=mark.width, alpha=mark.opacity,
                 linestyle=STYLES.get(mark.dash, "--"), label=mark.label or None,
             )  # fmt: skip
-        case Points():
+        case marks.Points():
             axes.plot(
                 mark.x, mark.y, "o", color=mark.color, markersize=1.6 * mark.radius,
                 label=mark.label or None,
             )  # fmt: skip
-        case Whiskers():
+        case marks.Whiskers():
             ends = zip(mark.x, mark.low, mark.high, mark.holds, strict=True)
             for place, (x, low, high, holds) in enumerate(ends):
                 axes.plot(
                     [x] * 2, [low, high], color=mark.color, linestyle="-" if holds else ":",
                     marker="_", label=mark.label or None if place == 0 else None,
                 )  # fmt: skip
-        case Bars():
+        case marks.Bars():
             axes.bar(
                 mark.edges[:-1], mark.heights, width=np.diff(mark.edges), align="edge",
                 color=mark.color, edgecolor="white", label=mark.label or None,
             )  # fmt: skip
-        case Cells():
+        case marks.Cells():
             _shade(axes, chart, mark)
-        case Box():
+        case marks.Box():
             axes.plot(
                 [mark.low_x, mark.high_x, mark.high_x, mark.low_x, mark.low_x],
                 [mark.low_y, mark.low_y, mark.high_y, mark.high_y, mark.low_y],
                 color=mark.color, linestyle="--", linewidth=1.0, label=mark.label or None,
             )  # fmt: skip
-        case Rule():
+        case marks.Rule():
             _rule(axes, mark)
 
 
-def _rule(axes: Any, mark: Rule) -> None:
+def _rule(axes: Any, mark: marks.Rule) -> None:
     across = axes.axvline if mark.upright else axes.axhline
     across(mark.at, color=mark.color, linewidth=1.0, linestyle=STYLES.get(mark.dash, "--"))
     if mark.upright:
@@ -159,7 +147,7 @@ def _rule(axes: Any, mark: Rule) -> None:
         )  # fmt: skip
 
 
-def _shade(axes: Any, chart: PlaneChart, mark: Cells) -> None:
+def _shade(axes: Any, chart: PlaneChart, mark: marks.Cells) -> None:
     """A level a colour, with a bar that names them."""
     levels = np.full(mark.values.shape, np.nan)
     known = np.isfinite(mark.values)

@@ -1,58 +1,311 @@
 """Charts as SVG within pages: readable at any width, with what pointers and clicks need.
 
-Drawn by hand, by :mod:`pemviz.charts.plot`, and not by matplotlib: the panel redraws charts while
-a person waits and adds a cursor at every step that is played; a chart here takes 1 ms.
+Drawn by hand and not by matplotlib: the panel redraws charts while a person waits and adds a
+cursor at every step that is played; a chart here takes 1 ms. :func:`svg` draws a chart;
+:class:`Plot` is for what no chart describes, piece by piece.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from html import escape
 from itertools import pairwise
 
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.charts import plot
+from pemviz.charts import chart as marks
 from pemviz.charts.chart import (
-    DASHED,
-    DOTTED,
     Axis,
-    Bars,
-    Box,
-    Cells,
     Chart,
     IntervalChart,
-    Line,
-    Mark,
     PlaneChart,
-    Points,
-    Row,
-    Rule,
-    Whiskers,
+    axis_decades,
+    decade,
+    nice_ticks,
 )
-from pemviz.charts.decades import axis_decades, decade
-from pemviz.charts.plot import FAINT, GRID, INK, Plot, text
 
+INK = "#1f2933"
+FAINT = "#5f6b7a"
+GRID = "#e4e7eb"
+FONT = "font-family='system-ui, sans-serif'"
 INTERVAL_PX, ROW_PX, TOP_PX, BOTTOM_PX, EDGE_PX = 360, 26, 18, 32, 4
 LEGEND_ROW_PX, LEVELS_PX = 14, 128
 CHARACTER_PX = 5.4
 """How wide a character of a legend is, on average."""
 
-Clickable = Callable[[str], str]
-"""Attributes of what holds points with a ``data-number`` each, by the element id clicks go to."""
+Entry = tuple[str, str, str]
+"""Of a legend: label, colour, dash."""
 
 
-def svg(chart: Chart, *, target: str = "", clickable: Clickable | None = None) -> str:
+def svg(chart: Chart, *, act: str = "") -> str:
     """A chart as one SVG element.
 
     Args:
         chart: What to draw.
-        target: Element id of the input that a click on a point writes its number into.
-        clickable: What makes clicks do so.
+        act: Attributes of what holds points with a ``data-number`` each, for clicks on them.
     """
-    if isinstance(chart, IntervalChart):
-        return _intervals(chart)
-    return _plane(chart, act=clickable(target) if clickable is not None and target else "")
+    return _intervals(chart) if isinstance(chart, IntervalChart) else _plane(chart, act=act)
+
+
+class Plot:
+    """A plot under construction; ``text`` gives the SVG.
+
+    Values, and the ends of axes, are decimal logarithms where an axis says ``log10``.
+    """
+
+    def __init__(
+        self,
+        *,
+        x: Axis,
+        y: Axis,
+        width: int = 400,
+        height: int = 180,
+        title: str = "",
+        left: int = 46,
+        right: int = 10,
+        top: int = 24,
+        bottom: int = 34,
+        title_at: int | None = None,
+    ) -> None:
+        self.x, self.y = x, y
+        self.width, self.height = width, height
+        self.left, self.right = left, width - right
+        self.top, self.bottom = top, height - bottom
+        self._title = title
+        self._title_at = left if title_at is None else title_at
+        self._parts: list[str] = []
+        self._over: list[str] = []
+
+    def px(self, value: float) -> float:
+        """Horizontal pixel of a value."""
+        return self.left + self.x.share(value) * (self.right - self.left)
+
+    def py(self, value: float) -> float:
+        """Vertical pixel of a value."""
+        return self.bottom - self.y.share(value) * (self.bottom - self.top)
+
+    def line(
+        self,
+        x: FloatArray,
+        y: FloatArray,
+        *,
+        color: str,
+        width: float = 1.6,
+        opacity: float = 1.0,
+        dash: str = "",
+        tip: str = "",
+    ) -> None:
+        """A line through points ``[N]``; NaN breaks it."""
+        pieces: list[str] = []
+        pen_up = True
+        # limited, so that what is infinitely far up or down has a place too
+        shares = np.clip(self.y.share(np.asarray(y, dtype=np.float64)), -10.0, 10.0)
+        ys = (self.bottom - shares * (self.bottom - self.top)).tolist()
+        for px, py in zip(self._xs(x), ys, strict=True):
+            if not (math.isfinite(px) and math.isfinite(py)):
+                pen_up = True
+                continue
+            pieces.append(f"{'M' if pen_up else 'L'}{px:.1f} {py:.1f}")
+            pen_up = False
+        self._parts.append(
+            f"<g clip-path='url(#clip)'><path d='{''.join(pieces)}' fill='none' stroke='{color}'"
+            f" stroke-width='{width}' stroke-opacity='{opacity:.2f}' stroke-linejoin='round'"
+            f"{_dash(dash)}>{_tip(tip)}</path></g>"
+        )
+
+    def points(
+        self,
+        x: Sequence[float],
+        y: Sequence[float],
+        *,
+        color: str,
+        radius: float = 3.0,
+        tips: Sequence[str] = (),
+    ) -> None:
+        """Discs; those above or below the plot lie on its edge."""
+        for place, (vx, vy) in enumerate(zip(x, y, strict=True)):
+            px, py = self.px(vx), self.py(min(max(vy, self.y.low), self.y.high))
+            tip = _tip(tips[place]) if tips else ""
+            spot = f"<circle cx='{px:.1f}' cy='{py:.1f}' r='{radius}' fill='{color}'>"
+            self._parts.append(f"{spot}{tip}</circle>")
+
+    def ticks_at(self, x: FloatArray, *, y_px: tuple[float, float], color: str) -> None:
+        """Short vertical strokes at values ``[N]``, between two pixel rows."""
+        path = "".join(f"M{px:.1f} {y_px[0]}V{y_px[1]}" for px in self._xs(x))
+        self._parts.append(f"<path d='{path}' stroke='{color}' stroke-width='2'/>")
+
+    def whisker(self, x: float, low: float, high: float, *, color: str, dash: str = "") -> None:
+        """A vertical interval."""
+        px, top, bottom = self.px(x), self.py(min(high, self.y.high)), self.py(max(low, self.y.low))
+        self._parts.append(
+            f"<path d='M{px:.1f} {top:.1f}V{bottom:.1f}M{px - 4:.1f} {top:.1f}h8"
+            f"M{px - 4:.1f} {bottom:.1f}h8' stroke='{color}' stroke-width='1.6' fill='none'"
+            f"{_dash(dash)}/>"
+        )
+
+    def hline(
+        self, y: float, *, color: str, label: str = "", dash: str = "4 3", at_left: bool = False
+    ) -> None:
+        """A horizontal line, labelled at its right end, or at its left."""
+        if not self.y.low <= y <= self.y.high:
+            return
+        py = self.py(y)
+        line = f"<path d='M{self.left} {py:.1f}H{self.right}' stroke='{color}'{_dash(dash)}/>"
+        self._parts.append(line)
+        if label:
+            x, anchor = (self.left + 3, "start") if at_left else (self.right - 3, "end")
+            self._over.append(text(label, x, py - 3, anchor=anchor, color=color))
+
+    def vline(
+        self, x: float, *, color: str, label: str = "", dash: str = "4 3", above: int = 0
+    ) -> None:
+        """A vertical line, labelled at its lower end, ``above`` so many other labels."""
+        if not self.x.low <= x <= self.x.high:
+            return
+        px = self.px(x)
+        line = f"<path d='M{px:.1f} {self.top}V{self.bottom}' stroke='{color}'{_dash(dash)}/>"
+        self._parts.append(line)
+        if label:
+            room = self.right - px > 6.0 * len(label)
+            at, anchor = (px + 4, "start") if room else (px - 4, "end")
+            up = self.bottom - 5 - 12 * above
+            self._over.append(text(label, at, up, anchor=anchor, color=color))
+
+    def veil(self, x: float, *, label: str = "") -> None:
+        """What lies beyond a value of x, made faint; the value is marked, and labelled below."""
+        px = min(max(self.px(x), self.left), self.right)
+        self._parts.append(
+            f"<rect x='{px:.1f}' width='{self.right - px:.1f}' y='{self.top}'"
+            f" height='{self.bottom - self.top}' fill='#ffffff' fill-opacity='0.72'/>"
+        )
+        self._over.append(
+            f"<path d='M{px:.1f} {self.top}V{self.bottom}' stroke='{INK}' stroke-dasharray='2 2'/>"
+        )
+        if label:
+            room = self.right - px > 7.0 * len(label) / 1.2
+            at, anchor = (px + 4, "start") if room else (px - 4, "end")
+            self._over.append(text(label, at, self.bottom - 5, anchor=anchor, color=INK))
+
+    def bars(
+        self, edges: FloatArray, heights: FloatArray, *, color: str, tips: Sequence[str] = ()
+    ) -> None:
+        """Bars between edges ``[N+1]`` up to heights ``[N]``; NaN leaves one out."""
+        for place, height in enumerate(heights.tolist()):
+            if not math.isfinite(height):
+                continue
+            left, right = self.px(float(edges[place])), self.px(float(edges[place + 1]))
+            top = self.py(min(height, self.y.high))
+            self._parts.append(
+                f"<rect x='{left + 0.5:.1f}' width='{max(right - left - 1, 0.5):.1f}' y='{top:.1f}'"
+                f" height='{max(self.bottom - top, 0):.1f}' fill='{color}'"
+                f" fill-opacity='0.85'>{_tip(tips[place]) if tips else ''}</rect>"
+            )
+
+    def legend(self, entries: Sequence[Entry], *, x: float, y: float) -> None:
+        """Lines of (label, colour, dash), from pixel (x, y) downwards."""
+        for place, (label, color, dash) in enumerate(entries):
+            row = y + 13 * place
+            self._over.append(
+                f"<path d='M{x} {row - 3.5}h16' stroke='{color}' stroke-width='2'{_dash(dash)}/>"
+            )
+            self._over.append(text(label, x + 20, row, color=INK))
+
+    def note(self, words: str, x: float, y: float, *, anchor: str = "start") -> None:
+        """Words at a pixel position."""
+        self._over.append(text(words, x, y, anchor=anchor, color=FAINT))
+
+    def group(self) -> str:
+        """The plot as an SVG group."""
+        clip = f"c{self.left}-{self.right}-{self.top}-{self.bottom}"
+        body = "".join(self._parts).replace("url(#clip)", f"url(#{clip})")
+        return (
+            f"<g transform='translate(0.0 0.0)'><clipPath id='{clip}'><rect x='{self.left}'"
+            f" y='{self.top}' width='{self.right - self.left}' height='{self.bottom - self.top}'/>"
+            f"</clipPath>{self._frame()}{body}{''.join(self._over)}</g>"
+        )
+
+    def text(self, *, extra: str = "") -> str:
+        """The plot as one SVG document, with more SVG over it."""
+        body = self.group() + extra
+        return svg_element(body, width=self.width, height=self.height, title=self._title)
+
+    def _frame(self) -> str:
+        parts = [
+            text(self._title, self._title_at, self.top - 9, color=INK, weight="600", size=11.5),
+            f"<path d='M{self.left} {self.bottom}H{self.right}' stroke='{FAINT}'/>",
+        ]
+        for value, words in _ticks(self.y, count=max(3, (self.bottom - self.top) // 30)):
+            py = self.py(value)
+            parts.append(f"<path d='M{self.left} {py:.1f}H{self.right}' stroke='{GRID}'/>")
+            parts.append(text(words, self.left - 5, py + 3.5, anchor="end", raw=True))
+        for value, words in _ticks(self.x, count=max(2, (self.right - self.left) // 55)):
+            px = self.px(value)
+            parts.append(f"<path d='M{px:.1f} {self.bottom}v3' stroke='{FAINT}'/>")
+            parts.append(text(words, px, self.bottom + 13, anchor="middle", raw=True))
+        middle = (self.left + self.right) / 2
+        parts.append(text(self.x.label, middle, self.bottom + 26, anchor="middle"))
+        parts.append(
+            f"<g transform='translate(11 {(self.top + self.bottom) / 2:.1f}) rotate(-90)'>"
+            f"{text(self.y.label, 0, 0, anchor='middle')}</g>"
+        )
+        return "".join(parts)
+
+    def _xs(self, values: FloatArray) -> list[float]:
+        share = self.x.share(np.asarray(values, dtype=np.float64))
+        return (self.left + share * (self.right - self.left)).tolist()
+
+
+def _ticks(axis: Axis, *, count: int) -> list[tuple[float, str]]:
+    """Values of about ``count`` ticks, with their labels as SVG text."""
+    values = axis.ticks
+    if values is None:
+        values = nice_ticks(axis.low, axis.high, count=count, whole=axis.log10)
+    return [(value, _power(value) if axis.log10 else _signed(value)) for value in values]
+
+
+def _signed(value: float) -> str:
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}")
+
+
+def _power(exponent: float) -> str:
+    """A power of ten, as SVG text."""
+    return f"10<tspan dy='-4' font-size='8'>{_signed(exponent)}</tspan>"
+
+
+def text(
+    words: str,
+    x: float,
+    y: float,
+    *,
+    anchor: str = "start",
+    color: str = FAINT,
+    size: float = 10.5,
+    weight: str = "400",
+    raw: bool = False,
+) -> str:
+    """A piece of text; ``raw`` text is SVG already."""
+    return (
+        f"<text x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}' fill='{color}' font-size='{size}'"
+        f" font-weight='{weight}'>{words if raw else escape(words)}</text>"
+    )
+
+
+def svg_element(body: str, *, width: int, height: int, title: str) -> str:
+    """An SVG document that fills the width it is given."""
+    return (
+        f"<svg viewBox='0 0 {width} {height}' width='100%' role='img'"
+        f" aria-label='{escape(title, quote=True)}' xmlns='http://www.w3.org/2000/svg' {FONT}"
+        f" style='display:block;max-width:{1.3 * width:.0f}px'>{body}</svg>"
+    )
+
+
+def _dash(dash: str) -> str:
+    return f" stroke-dasharray='{dash}'" if dash else ""
+
+
+def _tip(words: str) -> str:
+    return f"<title>{escape(words)}</title>" if words else ""
 
 
 def _intervals(chart: IntervalChart) -> str:
@@ -67,41 +320,39 @@ def _intervals(chart: IntervalChart) -> str:
 
     bottom = height - BOTTOM_PX + 2
     parts = [text(chart.title, 0, 11, color=INK, size=11, weight="600")]
-    for tick in plot.nice_ticks(low, high, count=5, whole=True):
+    for tick in nice_ticks(low, high, count=5, whole=True):
         x = px(10.0**tick)
         anchor = "start" if x < 3 * EDGE_PX else "end" if x > right - 3 * EDGE_PX else "middle"
         parts.append(f"<path d='M{x:.1f} {TOP_PX}V{bottom}' stroke='{GRID}'/>")
-        parts.append(text(plot.power(tick), x, bottom + 12, anchor=anchor, size=9, raw=True))
+        parts.append(text(_power(tick), x, bottom + 12, anchor=anchor, size=9, raw=True))
     parts.append(text(chart.label, (EDGE_PX + right) / 2, height - 4, anchor="middle", size=9.5))
     for rule in chart.rules:
         line = f"<path d='M{px(rule.at):.1f} {TOP_PX}V{bottom}' stroke='{rule.color}'"
         parts.append(f"{line} stroke-dasharray='{rule.dash}'>{_tip(rule.label)}</path>")
     for place, row in enumerate(chart.rows):
         parts.append(_row(row, TOP_PX + ROW_PX * place, px, right))
-    return plot.svg("".join(parts), width=INTERVAL_PX, height=height, title=chart.title)
+    return svg_element("".join(parts), width=INTERVAL_PX, height=height, title=chart.title)
 
 
-def _row(row: Row, top: float, px: Callable[[float], float], right: float) -> str:
+def _row(row: marks.Row, top: float, px: Callable[[float], float], right: float) -> str:
     middle = top + 19.0
     words = text(row.name, 0, top + 11, color=INK) + text(
         row.figures, right, top + 11, anchor="end"
     )
     parts = [f"<g stroke='#ffffff' stroke-width='3' style='paint-order:stroke'>{words}</g>"]
-    if row.low is None or row.high is None:
-        known = bool(row.values)
-        if not known:
-            line = f"<path d='M{EDGE_PX} {middle}H{right}' stroke='{row.color}'"
-            parts.append(f"{line} stroke-width='1.5' stroke-dasharray='2 4'/>")
-    elif row.holds:
+    if row.low is not None and row.high is not None:
         start, end = px(row.low), px(row.high)
-        parts.append(
-            f"<rect x='{start:.1f}' y='{middle - 3:.1f}' width='{max(end - start, 3.0):.1f}' "
-            f"height='6' rx='2' fill='{row.color}' fill-opacity='0.8'/>"
-        )
-    else:
-        start, end = px(row.low), px(row.high)
-        line = f"<path d='M{start:.1f} {middle}H{max(end, start + 3.0):.1f}' stroke='{row.color}'"
-        parts.append(f"{line} stroke-width='4' stroke-dasharray='3 3'/>")
+        if row.holds:
+            parts.append(
+                f"<rect x='{start:.1f}' y='{middle - 3:.1f}' width='{max(end - start, 3.0):.1f}' "
+                f"height='6' rx='2' fill='{row.color}' fill-opacity='0.8'/>"
+            )
+        else:
+            line = f"<path d='M{start:.1f} {middle}H{max(end, start + 3.0):.1f}'"
+            parts.append(f"{line} stroke='{row.color}' stroke-width='4' stroke-dasharray='3 3'/>")
+    elif not row.values:
+        line = f"<path d='M{EDGE_PX} {middle}H{right}' stroke='{row.color}'"
+        parts.append(f"{line} stroke-width='1.5' stroke-dasharray='2 4'/>")
     for value in row.values:
         spot = f"<circle cx='{px(value):.1f}' cy='{middle}' r='3.4' fill='{row.color}'"
         parts.append(f"{spot} stroke='#ffffff'/>")
@@ -110,16 +361,16 @@ def _row(row: Row, top: float, px: Callable[[float], float], right: float) -> st
 
 def _plane(chart: PlaneChart, *, act: str) -> str:
     entries = [
-        (mark.label, mark.color, _dash(mark))
+        (mark.label, mark.color, _legend_dash(mark))
         for mark in chart.marks
-        if not isinstance(mark, Cells | Rule) and mark.label
+        if not isinstance(mark, marks.Cells | marks.Rule) and mark.label
     ]
-    cells = next((mark for mark in chart.marks if isinstance(mark, Cells)), None)
+    cells = next((mark for mark in chart.marks if isinstance(mark, marks.Cells)), None)
     rows = _legend_rows(entries, chart.width - 60)
     drawn = Plot(
         title=chart.title,
-        x=_axis(chart.x),
-        y=_axis(chart.y),
+        x=_in_places(chart.x),
+        y=_in_places(chart.y),
         width=chart.width,
         height=chart.height + LEGEND_ROW_PX * len(rows),
         left=52,
@@ -137,60 +388,59 @@ def _plane(chart: PlaneChart, *, act: str) -> str:
     return drawn.text(extra=over)
 
 
-def _axis(axis: Axis) -> plot.Axis:
-    low, high = (_place(axis, end) for end in (axis.low, axis.high))
-    ticks = None if axis.ticks is None else tuple(_place(axis, tick) for tick in axis.ticks)
-    return plot.Axis(low, high, axis.label, log10=axis.log10, ticks=ticks)
-
-
-def _place(axis: Axis, value: float) -> float:
-    return decade(value) if axis.log10 else value
+def _in_places(axis: Axis) -> Axis:
+    """An axis as a plot takes it."""
+    if not axis.log10:
+        return axis
+    ticks = None if axis.ticks is None else tuple(map(decade, axis.ticks))
+    return replace(axis, low=decade(axis.low), high=decade(axis.high), ticks=ticks)
 
 
 def _places(axis: Axis, values: FloatArray) -> FloatArray:
-    return np.array([_place(axis, value) for value in np.asarray(values).tolist()])
+    return np.array([decade(v) for v in np.asarray(values).tolist()]) if axis.log10 else values
 
 
-def _draw(drawn: Plot, chart: PlaneChart, mark: Mark, *, act: str) -> str:
+def _draw(drawn: Plot, chart: PlaneChart, mark: marks.Mark, *, act: str) -> str:
     """Put a mark on the plot; what has to lie over it comes back."""
     x, y = chart.x, chart.y
     match mark:
-        case Line():
+        case marks.Line():
             drawn.line(
                 _places(x, mark.x), _places(y, mark.y), color=mark.color, width=mark.width,
                 dash=mark.dash, opacity=mark.opacity, tip=mark.tip,
             )  # fmt: skip
-        case Points():
+        case marks.Points():
             return _points(drawn, _places(x, mark.x), _places(y, mark.y), mark, act=act)
-        case Whiskers():
+        case marks.Whiskers():
             at, low, high = _places(x, mark.x), _places(y, mark.low), _places(y, mark.high)
             for place, holds in enumerate(mark.holds):
-                dash = "" if holds else DOTTED
+                dash = "" if holds else marks.DOTTED
                 drawn.whisker(at[place], low[place], high[place], color=mark.color, dash=dash)
-        case Bars():
+        case marks.Bars():
             drawn.bars(_places(x, mark.edges), mark.heights, color=mark.color, tips=mark.tips)
-        case Rule() if mark.upright:
-            upright = [one for one in chart.marks if isinstance(one, Rule) and one.upright]
+        case marks.Rule():
+            axis = x if mark.upright else y
+            at = decade(mark.at) if axis.log10 else mark.at
+            if not mark.upright:
+                drawn.hline(at, color=mark.color, label=mark.label, dash=mark.dash)
+                return ""
+            upright = [m for m in chart.marks if isinstance(m, marks.Rule) and m.upright]
             above = len(upright) - 1 - upright.index(mark)
-            drawn.vline(
-                _place(x, mark.at), color=mark.color, label=mark.label, dash=mark.dash, above=above
-            )
-        case Rule():
-            drawn.hline(_place(y, mark.at), color=mark.color, label=mark.label, dash=mark.dash)
-        case Cells():
+            drawn.vline(at, color=mark.color, label=mark.label, dash=mark.dash, above=above)
+        case marks.Cells():
             return _shades(drawn, mark)
-        case Box():
+        case marks.Box():
             left, right = drawn.px(mark.low_x), drawn.px(mark.high_x)
             bottom, top = drawn.py(mark.low_y), drawn.py(mark.high_y)
             return (
                 f"<rect x='{left:.1f}' y='{top:.1f}' width='{right - left:.1f}' "
                 f"height='{bottom - top:.1f}' fill='none' stroke='{mark.color}' "
-                f"stroke-dasharray='{DASHED}'/>"
+                f"stroke-dasharray='{marks.DASHED}'/>"
             )
     return ""
 
 
-def _points(drawn: Plot, x: FloatArray, y: FloatArray, mark: Points, *, act: str) -> str:
+def _points(drawn: Plot, x: FloatArray, y: FloatArray, mark: marks.Points, *, act: str) -> str:
     """Discs over all else, with a wider ring that a pointer finds; none beyond the axes."""
     tips = mark.tips or ("",) * x.size
     shapes: list[str] = []
@@ -208,7 +458,7 @@ def _points(drawn: Plot, x: FloatArray, y: FloatArray, mark: Points, *, act: str
     return f"<g{clicks}>{''.join(shapes)}</g>"
 
 
-def _shades(drawn: Plot, mark: Cells) -> str:
+def _shades(drawn: Plot, mark: marks.Cells) -> str:
     """Neighbours of a row with the same level as one rectangle."""
     shapes: list[str] = []
     rows, columns = mark.values.shape
@@ -226,22 +476,19 @@ def _shades(drawn: Plot, mark: Cells) -> str:
     return "".join(shapes)
 
 
-def _shade(mark: Cells, value: float) -> str:
+def _shade(mark: marks.Cells, value: float) -> str:
     if not math.isfinite(value):
         return mark.unknown
     found = (level.color for level in mark.levels if value >= level.low)
     return next(found, mark.levels[-1].color)
 
 
-def _levels(drawn: Plot, cells: Cells) -> str:
+def _levels(drawn: Plot, cells: marks.Cells) -> str:
     """A swatch a level beside the plot, the highest on top, and what is not known."""
     x, y = drawn.right + 10, drawn.top + 4
     parts = [text(cells.title, x, y + 4, color=INK, weight="600", size=10)]
-    entries = [
-        *((level.words, level.color) for level in cells.levels),
-        ("not known", cells.unknown),
-    ]
-    for place, (words, color) in enumerate(entries):
+    entries = [(level.words, level.color) for level in cells.levels]
+    for place, (words, color) in enumerate([*entries, ("not known", cells.unknown)]):
         top = y + 13 + 17 * place
         swatch = f"<rect x='{x}' y='{top}' width='13' height='13' fill='{color}'"
         parts.append(f"{swatch} stroke='{FAINT}' stroke-width='0.5'/>")
@@ -249,19 +496,23 @@ def _levels(drawn: Plot, cells: Cells) -> str:
     return "".join(parts)
 
 
-def _dash(mark: Mark) -> str:
-    if isinstance(mark, Line):
-        return mark.dash
-    if isinstance(mark, Whiskers) and not all(mark.holds):
-        return DOTTED
-    return DASHED if isinstance(mark, Box) else "2 2" if isinstance(mark, Points) else ""
+def _legend_dash(mark: marks.Mark) -> str:
+    match mark:
+        case marks.Line():
+            return mark.dash
+        case marks.Whiskers():
+            return "" if all(mark.holds) else marks.DOTTED
+        case marks.Box():
+            return marks.DASHED
+        case marks.Points():
+            return "2 2"
+        case _:
+            return ""
 
 
-def _legend_rows(
-    entries: list[tuple[str, str, str]], room_px: float
-) -> list[list[tuple[str, str, str]]]:
+def _legend_rows(entries: list[Entry], room_px: float) -> list[list[Entry]]:
     """Entries in as few rows as they fit into."""
-    rows: list[list[tuple[str, str, str]]] = []
+    rows: list[list[Entry]] = []
     left_px = 0.0
     for entry in entries:
         if not rows or left_px < _entry_px(entry):
@@ -272,9 +523,5 @@ def _legend_rows(
     return rows
 
 
-def _entry_px(entry: tuple[str, str, str]) -> float:
+def _entry_px(entry: Entry) -> float:
     return 30.0 + CHARACTER_PX * len(entry[0])
-
-
-def _tip(words: str) -> str:
-    return f"<title>{escape(words)}</title>" if words else ""

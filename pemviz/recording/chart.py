@@ -3,8 +3,7 @@
 import numpy as np
 import rerun as rr
 
-from pemviz.charts.chart import IntervalChart, Row
-from pemviz.charts.decades import axis_decades, decade
+from pemviz.charts.chart import IntervalChart, Row, axis_decades, decade
 from pemviz.colors import WHITE, rgba
 from pemviz.recording import paths
 from pemviz.recording.plot import ROWS, Axis, Frame, Log, decade_axis, log_axes, ui, written

@@ -8,24 +8,8 @@ import numpy as np
 from pemviz.analysis.label_plan import BandPlan, LabelPlan
 from pemviz.analysis.starts import DangerousStarts, StartMap, StartValue
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.charts.chart import (
-    DASHED,
-    DOTTED,
-    SOLID,
-    Axis,
-    Bars,
-    Box,
-    Cells,
-    IntervalChart,
-    Level,
-    Line,
-    Mark,
-    PlaneChart,
-    Points,
-    Row,
-    Rule,
-    Whiskers,
-)
+from pemviz.charts import chart as marks
+from pemviz.charts.chart import Axis, IntervalChart, PlaneChart, Row
 from pemviz.colors import (
     BLACK,
     BLUE,
@@ -74,7 +58,9 @@ def uncertainty_chart(result: RunResult) -> IntervalChart | None:
     estimate = result.estimate
     if not rows or estimate is None:
         return None
-    answer = (Rule(estimate.probability, "the answer", GREEN, SOLID),) * (estimate.probability > 0)
+    answer = (marks.Rule(estimate.probability, "the answer", GREEN, marks.SOLID),) * (
+        estimate.probability > 0
+    )
     return IntervalChart(UNCERTAINTY_TITLE, rows, PROBABILITY, rules=answer, up_to=1.0)
 
 
@@ -140,7 +126,7 @@ def runs_chart(
             rows.append(_answer(name, estimate, caveats=caveats, color=color))
     if not any(row.high or row.values for row in rows):
         return None
-    rules = () if limit is None else (Rule(limit, f"{limit:g}", BLACK),)
+    rules = () if limit is None else (marks.Rule(limit, f"{limit:g}", BLACK),)
     return IntervalChart("Answers side by side", tuple(rows), PROBABILITY, rules=rules)
 
 
@@ -173,20 +159,20 @@ def memory_chart(memory: RunMemory, axis: CurveAxis) -> PlaneChart | None:
     )
     holds = tuple(not point.caveats for point in points)
     kind = "95 % intervals" if all(holds) else "intervals; dotted: not a 95 % one"
-    measured = [
-        Rule(place, f"{place:.2g}{axis.unit}: {name.split(',')[0]}, on video", PEM, SOLID)
+    names = {
+        place: f"{place:.2g}{axis.unit}: {name.split(',')[0]}, on video"
         for place, name in sorted(measured_names(memory, axis).items())
-    ]
+    }
     unit = f" [{axis.unit.strip()}]" if axis.unit else ""
     floor = 10.0 ** math.floor(math.log10(low.min()) - 0.5)
     return PlaneChart(
         title=axis.title.partition(", by")[0],
-        x=Axis(f"{axis.head}{unit}", 0.0, 1.02 * max(float(places.max()), 1e-9)),
-        y=Axis("P(violation)", floor, 1.5, log10=True),
+        x=Axis(0.0, 1.02 * max(float(places.max()), 1e-9), f"{axis.head}{unit}"),
+        y=Axis(floor, 1.5, "P(violation)", log10=True),
         marks=(
-            *measured,
-            Line(places, probability, PROPOSAL, width=2.0, tip="failure probability"),
-            Whiskers(places, low, high, PROPOSAL, holds, label=kind),
+            *(marks.Rule(at, name, PEM, marks.SOLID) for at, name in names.items()),
+            marks.Line(places, probability, PROPOSAL, width=2.0, tip="failure probability"),
+            marks.Whiskers(places, low, high, PROPOSAL, holds, label=kind),
         ),
     )
 
@@ -209,40 +195,33 @@ def starts_chart(found: DangerousStarts) -> PlaneChart | None:
     )
     half_across = (plane.across_high - plane.across_low) / (shades.shape[1] - 1) / 2.0
     half_up = (plane.up_high - plane.up_low) / (shades.shape[0] - 1) / 2.0
-    whose = "" if found.rule is None else f" of {found.rule}"
-    usual = Box(
+    usual = marks.Box(
         across.all_starts[0], across.all_starts[-1], up.all_starts[0], up.all_starts[-1], BLACK,
         label="80 % of all, each way",
     )  # fmt: skip
-    marks: list[Mark] = [Cells(shades, _levels(plane), UNKNOWN, "P(violation)"), usual]
-    if found.points:
-        marks.append(_dots(found))
-    return PlaneChart(
-        title=f"P(violation{whose}) by start",
-        x=Axis(_start_label(across), plane.across_low - half_across,
-               plane.across_high + half_across),
-        y=Axis(_start_label(up), plane.up_low - half_up, plane.up_high + half_up),
-        marks=tuple(marks),
-        width=440,
-        height=300,
-    )  # fmt: skip
-
-
-def _dots(found: DangerousStarts) -> Points:
-    names = ("", "") if found.plane is None else (found.plane.across, found.plane.up)
-    return Points(
+    dots = marks.Points(
         np.array([one.across for one in found.points]),
         np.array([one.up for one in found.points]),
         BLACK,
         label="a violation drawn",
         radius=1.7,
         tips=tuple(
-            f"stage {one.stage}, rollout {one.rollout}: {names[0]} {one.across:.4g}, "
-            f"{names[1]} {one.up:.4g}"
+            f"stage {one.stage}, rollout {one.rollout}: {plane.across} {one.across:.4g}, "
+            f"{plane.up} {one.up:.4g}"
             for one in found.points
         ),
         clickable=True,
     )
+    cells = marks.Cells(shades, _levels(plane), UNKNOWN, "P(violation)")
+    return PlaneChart(
+        title=f"P(violation{'' if found.rule is None else f' of {found.rule}'}) by start",
+        x=Axis(plane.across_low - half_across, plane.across_high + half_across,
+               _start_label(across)),
+        y=Axis(plane.up_low - half_up, plane.up_high + half_up, _start_label(up)),
+        marks=(cells, usual, dots) if found.points else (cells, usual),
+        width=440,
+        height=300,
+    )  # fmt: skip
 
 
 def _start_label(value: StartValue) -> str:
@@ -250,7 +229,7 @@ def _start_label(value: StartValue) -> str:
     return f"{name} at the start [{value.unit}]" if value.unit else f"{name} at the start"
 
 
-def _levels(plane: StartMap) -> tuple[Level, ...]:
+def _levels(plane: StartMap) -> tuple[marks.Level, ...]:
     """Shades of the plane, the likeliest first."""
     ends = level_ends(plane)
     words = [f"{_power(end)} and more" for end in ends[:1]]
@@ -258,7 +237,7 @@ def _levels(plane: StartMap) -> tuple[Level, ...]:
     if len(ends) == len(LEVELS):
         words[-1] = f"below {_power(ends[-2])}"
     named = zip(ends, words, LEVELS, strict=False)
-    return tuple(Level(end, word, color) for end, word, color in named)
+    return tuple(marks.Level(end, word, color) for end, word, color in named)
 
 
 def level_ends(plane: StartMap) -> tuple[float, ...]:
@@ -282,9 +261,9 @@ def _power(log10: float) -> str:
 
 
 REQUIREMENT_LINES = (
-    ("labels so far allow", PURPLE, DASHED),
-    ("required", VERMILLION, SOLID),
-    ("error model", BLACK, DOTTED),
+    ("labels so far allow", PURPLE, marks.DASHED),
+    ("required", VERMILLION, marks.SOLID),
+    ("error model", BLACK, marks.DOTTED),
 )
 """What is drawn in every band, from the top as a rule."""
 MARGIN_M = 2.0
@@ -300,7 +279,7 @@ def requirement_chart(labels: LabelPlan) -> PlaneChart | None:
     lowest = min(min(band.required, band.model) for band in labels.bands)
     floor = math.floor(math.log10(max(lowest, LEAST)) - 0.2)
     lines = [
-        Line(
+        marks.Line(
             np.array([low + 0.06, high - 0.06]),
             np.full(2, max(value, LEAST)),
             color,
@@ -316,8 +295,8 @@ def requirement_chart(labels: LabelPlan) -> PlaneChart | None:
     ]
     return PlaneChart(
         title=f"P(missed): required for {labels.target:.2g}, and now",
-        x=Axis("z, camera to the obstacle's centre [m]", ends[0][0] - 0.3, ends[-1][1] + 0.3),
-        y=Axis("P(missed)", 10.0**floor, 1.4, log10=True,
+        x=Axis(ends[0][0] - 0.3, ends[-1][1] + 0.3, "z, camera to the obstacle's centre [m]"),
+        y=Axis(10.0**floor, 1.4, "P(missed)", log10=True,
                ticks=tuple(10.0**power for power in range(floor, 1))),
         marks=tuple(lines),
     )  # fmt: skip
@@ -342,18 +321,20 @@ def gap_chart(
     """
     time_s = np.arange(gap_m.shape[1]) * dt_s
     lines = [
-        Line(
+        marks.Line(
             time_s, gaps, BLUE, opacity=0.25 + 0.6 * min(part / float(share[0]), 1.0),
             tip=f"{part:.0%} of the weight",
         )
         for gaps, part in zip(gap_m[::-1], share[::-1].tolist(), strict=True)
     ]  # fmt: skip
     steps = np.flatnonzero(missed[0])
-    dots = Points(time_s[steps], gap_m[0][steps], MISSED, "missed, in the likeliest", radius=2.6)
+    dots = marks.Points(
+        time_s[steps], gap_m[0][steps], MISSED, "missed, in the likeliest", radius=2.6
+    )
     return PlaneChart(
         title="Gap in the likeliest violations",
-        x=Axis("time [s]", 0.0, float(time_s[-1])),
-        y=Axis("gap [m]", min(0.0, float(gap_m.min())) - 0.5, float(gap_m.max()) + 0.5),
+        x=Axis(0.0, float(time_s[-1]), "time [s]"),
+        y=Axis(min(0.0, float(gap_m.min())) - 0.5, float(gap_m.max()) + 0.5, "gap [m]"),
         marks=(*lines, dots),
         width=460,
         height=210,
@@ -366,9 +347,9 @@ def miss_chart(probability: Sequence[float], *, dt_s: float) -> PlaneChart:
     edges = dt_s * np.arange(values.size + 1, dtype=np.float64)
     return PlaneChart(
         title="Misses that matter, given a violation",
-        x=Axis("time [s]", 0.0, float(edges[-1])),
-        y=Axis("missed [%]", 0.0, 100.0, ticks=(0.0, 25.0, 50.0, 75.0, 100.0)),
-        marks=(Bars(edges, values, MISSED),),
+        x=Axis(0.0, float(edges[-1]), "time [s]"),
+        y=Axis(0.0, 100.0, "missed [%]", ticks=(0.0, 25.0, 50.0, 75.0, 100.0)),
+        marks=(marks.Bars(edges, values, MISSED),),
         width=460,
         height=210,
     )

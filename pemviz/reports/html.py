@@ -120,7 +120,8 @@ def _block(block: Block, targets: Targets) -> str:  # noqa: PLR0911  one a kind
         case Table():
             return table(block, targets)
         case Figure():
-            chart = svg(block.chart, target=targets.get(block.target, ""), clickable=clicks_to)
+            target = targets.get(block.target, "")
+            chart = svg(block.chart, act=clicks_to(target) if target else "")
             caption = f"<figcaption>{words(block.caption)}</figcaption>" if block.caption else ""
             return f"<figure>{chart}{caption}</figure>"
         case Folded():

@@ -65,8 +65,8 @@ def _signal_chart(rollout: Rollout, name: str) -> PlaneChart:
     below = np.full(missed_s.size, low - 0.7 * room)
     return PlaneChart(
         title=name.replace("_", " "),
-        x=Axis("time [s]", 0.0, float(rollout.time_s[-1]) or 1.0),
-        y=Axis("", low - room, high + room),
+        x=Axis(0.0, float(rollout.time_s[-1]) or 1.0, "time [s]"),
+        y=Axis(low - room, high + room, ""),
         marks=(
             Line(rollout.time_s, values, BLUE, width=2.0),
             Points(missed_s, below, MISSED, label="missed", radius=2.0),

@@ -157,7 +157,7 @@ def test_each_rule_has_its_own_and_a_file_keeps_them():
     assert result_from_document(document).starts == result.starts
     assert svg(starts_chart(wide)).startswith("<svg")
     first = result.starts[0]
-    picture = svg(starts_chart(first), target="number", clickable=clicks_to)
+    picture = svg(starts_chart(first), act=clicks_to("number"))
     assert picture.count("data-number=") > 0.9 * len(first.points)
     assert "data-target='number'" in picture
     point = first.points[0]

@@ -11,7 +11,7 @@ import pytest
 from pemviz.analysis.causes import BandMisses, Chain
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
-from pemviz.charts.plot import Axis, Plot, nice_ticks
+from pemviz.charts.svg import Axis, Plot, nice_ticks
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.panel.controller import PanelState

@@ -7,7 +7,7 @@ from typing import cast, get_args
 import numpy as np
 
 from pemviz.arrays import BoolArray
-from pemviz.charts.plot import Axis, Plot
+from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import BLACK, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
 from pemviz.config.toml_files import every_setting

@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz import stl
 from pemviz.arrays import FloatArray
-from pemviz.charts.plot import Axis, Plot
+from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import MISSED
 from pemviz.latents import Latents
 from pemviz.panel.ranking import RankedRow

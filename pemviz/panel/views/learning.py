@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pemviz.charts.plot import Axis, Plot
+from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
 from pemviz.panel.run_data import ProposalCurve, RunData
 from pemviz.panel.views.curves import Curves, Line, over_common

@@ -7,7 +7,7 @@ import numpy as np
 
 from pemviz import stl
 from pemviz.arrays import FloatArray
-from pemviz.charts.plot import Axis, Plot, svg, text
+from pemviz.charts.svg import Axis, Plot, svg_element, text
 from pemviz.colors import (
     BLUE,
     DETECTED,
@@ -152,7 +152,7 @@ def track_plots(chosen: Track) -> tuple[str, ...]:
     """The plots, each without its end, where :func:`with_cursor` puts a cursor."""
     names = (chosen.title, "Speeds", "Perception")
     return tuple(
-        svg(plot.group() + "@@", width=PLOT_WIDTH, height=HEIGHT, title=name).split("@@")[0]
+        svg_element(plot.group() + "@@", width=PLOT_WIDTH, height=HEIGHT, title=name).split("@@")[0]
         for plot, name in zip(_plots(chosen), names, strict=True)
     )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.charts.plot import Axis, Plot, text
+from pemviz.charts.svg import Axis, Plot, text
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
 from pemviz.panel.contribution import shares
 from pemviz.panel.run_data import RunData

@@ -7,7 +7,7 @@ import numpy as np
 
 from pemviz.analysis.causes import contributions
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.charts.plot import Axis, Plot
+from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import BLACK, VERMILLION
 from pemviz.panel.contribution import log_contributions
 from pemviz.panel.run_data import RunData
