@@ -32,7 +32,7 @@ from pemviz.pem.models.network import NetworkPem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.simulators.braking.compiled import CompiledRollouts, compiled_loops
 from pemviz.simulators.braking.highway import HighwaySimulator
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

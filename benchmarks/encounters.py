@@ -9,7 +9,7 @@ from benchmarks.figures import Figure, median_ratio
 from benchmarks.simulators import elapsed_s
 from pemviz.config import LOGICAL_SCENARIOS, EncounterConfig
 from pemviz.config.encounters import LogicalScenarioName
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.encounters.highway import HighwayEncounters
 from pemviz.simulators.encounters.scenario import LogicalScenario
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters

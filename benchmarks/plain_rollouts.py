@@ -11,7 +11,7 @@ from benchmarks.simulators import elapsed_s
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal
-from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.simulators.braking.compiled import CompiledRollouts, compiled_loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, median_ratio
 from pemviz.config import ScenarioConfig
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.braking.highway import HighwaySimulator
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import Simulator

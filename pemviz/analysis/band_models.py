@@ -22,9 +22,8 @@ from pemviz.pem.judging.support_check import BEHIND_M
 from pemviz.pem.models.tabulated import TabulatedPem
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
-from pemviz.sampling.finished import nothing_finished
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.rollouts.batches import run_here
 from pemviz.types import Estimate, ScoredRollouts
 

@@ -40,9 +40,9 @@ from pemviz.pem.judging.support_check import kinds_and_bands
 from pemviz.pem.models.pieces import logit_along
 from pemviz.pem.models.protocol import as_rows
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.estimates.meanings import SMALL_ESS
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 
 GRID = 60
 SMALLEST = 1e-6

@@ -21,8 +21,8 @@ from pemviz.panel.scans import AT_ONCE, Progress, Report, Scan, row_parts
 from pemviz.panel.tables import latent_names, verdicts
 from pemviz.runs.slot_outcomes import slots_of
 from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
-from pemviz.sampling.elite_threshold import elite_threshold
-from pemviz.sampling.elite_threshold import elites as elites_of_stage
+from pemviz.sampling.method import elite_threshold
+from pemviz.sampling.method import elites as elites_of_stage
 from pemviz.types import Simulator
 
 Among = Literal["carrying", "all"]
@@ -188,7 +188,7 @@ def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:
     """Which rollouts ``[N]`` their stage would learn from under the ranking's metric.
 
     Every stage has a level gamma_kappa of its own, never below 0; see
-    :mod:`pemviz.sampling.elite_threshold`.
+    :mod:`pemviz.sampling.method`.
     """
     chosen = np.zeros(ranking.robustness.size, dtype=np.bool_)
     repetition, stage = (run.rollouts[name] for name in ("repetition", "stage"))

@@ -39,7 +39,7 @@ from pemviz.recording.plot import (
 )
 from pemviz.recording.stream import RecordingFile
 from pemviz.recording.views import shown_stages
-from pemviz.sampling.estimates.stage_interval import stage_interval
+from pemviz.sampling.estimates.trust import stage_interval
 from pemviz.sampling.registry import by_name
 from pemviz.types import StageResult
 

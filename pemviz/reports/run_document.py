@@ -105,7 +105,7 @@ from pemviz.reports.uncertainty_words import (
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
-from pemviz.sampling.estimates.meanings import RELIABLE_PARETO_K, SMALL_ESS
+from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.estimates.trust import interval_caveats, remedy
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate

@@ -8,13 +8,12 @@ from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.errors import ConfigError
 from pemviz.pem import PositionErrorModel, load_position_errors
 from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
-from pemviz.sampling.back_end import GAP, BackEnd
+from pemviz.sampling.back_end import GAP, BackEnd, SlotFeatures, StepFeatures, TrackFeatures
 from pemviz.sampling.description import Need
 from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.sampling.registry import by_name
-from pemviz.sampling.rollouts.final_batch import largest_part
-from pemviz.sampling.slots import SlotFeatures, StepFeatures, turns_of
-from pemviz.sampling.tracks import TrackFeatures
+from pemviz.sampling.rollouts.large_stages import largest_part
+from pemviz.sampling.slots import turns_of
 from pemviz.simulators.braking.features import BrakingFeatures
 from pemviz.simulators.braking.scenario import BrakingScenario
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

@@ -14,7 +14,7 @@ from pemviz.pem import Pem, load_pem, support_of
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.memory import own_memory
 from pemviz.runs.result import RunResult
-from pemviz.sampling.estimates.meanings import SMALL_ESS
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.state.composed import hidden_in, own_pem
 
 EXAMPLE = "rrc"

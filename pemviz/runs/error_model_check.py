@@ -6,7 +6,7 @@ from pemviz.arrays import FloatArray
 from pemviz.errors import ConfigError
 from pemviz.faults import told
 from pemviz.pem import Pem
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.types import Simulator
 
 

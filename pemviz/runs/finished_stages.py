@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pemviz.errors import InputError
 from pemviz.runs.rollout_files import finished_stage, part_path
-from pemviz.sampling.finished import FinishedStage
+from pemviz.sampling.problem import FinishedStage
 from pemviz.types import Signal
 
 LOG = logging.getLogger(__name__)

@@ -47,8 +47,8 @@ from pemviz.sampling.bursts.curve import (
     frailty_curve,
     memory_curve,
 )
-from pemviz.sampling.finished import nothing_finished
 from pemviz.sampling.method import PoolsStages
+from pemviz.sampling.problem import nothing_finished
 from pemviz.sampling.rollouts.batches import run_here
 from pemviz.sampling.state.composed import ComposedSimulator, memory_of_pem, own_pem
 from pemviz.sampling.zero_variance.reference import reference, reference_of_few_states

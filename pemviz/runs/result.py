@@ -25,7 +25,7 @@ from pemviz.latents import LatentCounts
 from pemviz.pem import PositionErrorModel
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.rules import RuleAnswer
-from pemviz.sampling.rollouts.likelihoods import log_p_of
+from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate, StageKind, StageResult
 

@@ -18,8 +18,7 @@ from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import has_result
 from pemviz.runs.same_run import run_differs
 from pemviz.runs.store import RunStore
-from pemviz.sampling.finished import FinishedStage
-from pemviz.sampling.problem import Problem, rule_scores
+from pemviz.sampling.problem import FinishedStage, Problem, rule_scores
 
 LOG = logging.getLogger(__name__)
 LOCK, RECORDING = ".lock", "run.rrd"

@@ -16,7 +16,7 @@ from pemviz.files.array_files import DIGEST, append_digest, read_arrays, read_di
 from pemviz.files.atomic import write_atomically
 from pemviz.latents import Latents
 from pemviz.runs.drawn_arrays import ALL, ROLLOUT, drawn_arrays, drawn_of
-from pemviz.sampling.finished import FinishedStage
+from pemviz.sampling.problem import FinishedStage
 from pemviz.types import (
     RolloutBatch,
     ScoredRollouts,

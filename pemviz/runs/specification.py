@@ -14,8 +14,8 @@ from pemviz.pem import Pem
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.folding import Folding, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.problem import Problem, ScoredRule
-from pemviz.sampling.rollouts.compiled import CompiledRunner
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.batches import CompiledRunner
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.simulators.absorbing import Monitor

@@ -1,13 +1,82 @@
-"""The simulator of an experiment with what methods and views may know about it."""
+"""The simulator of an experiment, and what proposals see of its states."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem import PositionErrorModel
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.simulators.latents import begun
-from pemviz.types import Simulator
+from pemviz.simulators.slots import ERROR, UnrolledSimulator
+from pemviz.simulators.tracking.tracker import Tracker
+from pemviz.types import Simulator, StateBatch
+
+
+@dataclass(frozen=True)
+class SlotFeatures:
+    """What proposals look at in a slot's turn; slots share a proposal's coefficients.
+
+    These are the signals that are no slot's, the slot's own, its number, how many slots before it
+    erred in this step, and the step.
+
+    Attributes:
+        simulator: The scenario.
+    """
+
+    simulator: UnrolledSimulator
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """Numbers ``[..., D]``."""
+        turns, signals = self.simulator.turns, states.signals
+        slot = self.simulator.slot_of(signals)
+        columns: list[FloatArray] = [signals[name] for name in self._shared]
+        for place in zip(*(slot.signals for slot in self.simulator.slots), strict=True):
+            of_all = np.stack([signals[name] for name in place], axis=-1)
+            columns.append(np.take_along_axis(of_all, slot[..., None], axis=-1)[..., 0])
+        if turns > 1:
+            errors = [states.memory[f"{ERROR}{before}"] for before in range(turns - 1)]
+            columns.append(slot.astype(np.float64))
+            columns.append(np.stack(errors, axis=-1).sum(axis=-1, dtype=np.float64))
+        step = np.asarray(states.step // turns, dtype=np.float64)
+        columns.append(np.broadcast_to(step, slot.shape))
+        return np.stack(columns, axis=-1)
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """Where the scenario says that it reacts to the slot's outcome, ``[...]``."""
+        return self.simulator.reacts_at(states)
+
+    @property
+    def _shared(self) -> Sequence[str]:
+        owned = {name for slot in self.simulator.slots for name in slot.signals}
+        names = [signal.name for signal in self.simulator.scenario.signals]
+        return [name for name in names if name not in owned]
+
+
+@dataclass(frozen=True)
+class StepFeatures:
+    """Features of the user's own, which count steps as the scenario does.
+
+    Attributes:
+        features: They are asked in every slot's turn, ``slot`` is among the signals.
+        turns: Outcomes of a step.
+    """
+
+    features: StateFeatures
+    turns: int
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """The user's own, ``[..., D]``."""
+        return self.features.values(self._in_steps(states))
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """The user's own, ``[...]``."""
+        return self.features.reacts(self._in_steps(states))
+
+    def _in_steps(self, states: StateBatch) -> StateBatch:
+        return replace(states, step=states.step // self.turns)
+
 
 GAP = "gap"
 
@@ -45,3 +114,34 @@ class BackEnd:
         if all(signal.name != GAP for signal in self.simulator.signals):
             return None
         return float(np.max(begun(self.simulator, count=1).signals[GAP]))
+
+
+@dataclass(frozen=True)
+class TrackFeatures:
+    """What the scenario's states offer to look at, and the tracks; of a slot in its turn, its own.
+
+    Attributes:
+        features: The scenario's own.
+        tracker: The tracker, whose state lies in the states' memory.
+        unrolled: The scenario, if it has slots.
+    """
+
+    features: StateFeatures
+    tracker: Tracker
+    unrolled: UnrolledSimulator | None = None
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """The scenario's features and :meth:`Tracker.numbers`, ``[..., D]``."""
+        own = self.features.values(states)
+        if self.unrolled is None:
+            numbers = self.tracker.numbers(self.tracker.state(states.memory))
+        else:
+            slot = self.unrolled.slot_of(states.signals)[..., None]
+            tracks = self.tracker.state(states.memory, slots=self.unrolled.turns)
+            of_all = self.tracker.numbers(tracks)
+            numbers = [np.take_along_axis(one, slot, axis=-1)[..., 0] for one in of_all]
+        return np.concatenate((own, np.stack(numbers, -1)), -1)
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """Where the scenario may react to what is tracked, ``[...]``."""
+        return self.features.reacts(states)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.sampling.finished import FinishedStage
+from pemviz.sampling.problem import FinishedStage
 from pemviz.sampling.slots import unrolled
 from pemviz.simulators.absorbing import Monitor
 from pemviz.simulators.slots import ERROR, SLOT, UnrolledSimulator

@@ -8,19 +8,18 @@ from typing import TypedDict, TypeVar
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.drawn import Drawn
 from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
-from pemviz.sampling.finished import FinishedStage, nothing_finished
 from pemviz.sampling.rollouts.batches import (
     BatchRunner,
     BatchTask,
+    call_within,
     check_numbers,
     run_here,
 )
-from pemviz.sampling.rollouts.draw import of_rows
-from pemviz.sampling.rollouts.latent_draws import NormalSource
-from pemviz.sampling.rollouts.time_limit import call_within
+from pemviz.sampling.rollouts.simulate import NormalSource, of_rows
 from pemviz.sampling.state.composed import (
     ChainModel,
     ComposedSimulator,
@@ -36,6 +35,27 @@ from pemviz.types import (
     Simulator,
     StateBatch,
 )
+
+
+@dataclass(frozen=True)
+class FinishedStage:
+    """What an interrupted run left of one stage.
+
+    Attributes:
+        scored: Its rollouts.
+        kept: See :class:`pemviz.types.StageResult`.
+        drawn: Likewise.
+    """
+
+    scored: ScoredRollouts
+    kept: Mapping[str, AnyArray]
+    drawn: Drawn | None = None
+
+
+def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
+    """Every stage is carried out."""
+    return None
+
 
 Signals = Mapping[str, FloatArray]
 Result = TypeVar("Result")

@@ -7,7 +7,7 @@ offers to look at. :mod:`pemviz.sampling.folding` leads back to the scenario's o
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,10 +15,9 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, PemError, as_pem
 from pemviz.pem.models.protocol import Refits
-from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.simulators.latents import within
-from pemviz.simulators.slots import ERROR, BringsSlotModels, Slot, UnrolledSimulator
-from pemviz.types import Simulator, StateBatch
+from pemviz.simulators.slots import BringsSlotModels, Slot, UnrolledSimulator
+from pemviz.types import Simulator
 
 CERTAIN_LOGIT = 1000.0
 """Of the nominal outcome of an absent slot: its probability is 1 and its log 0 to the last bit."""
@@ -91,70 +90,6 @@ class SlotPem:
             )
             raise PemError(message)
         return logit
-
-
-@dataclass(frozen=True)
-class SlotFeatures:
-    """What proposals look at in a slot's turn; slots share a proposal's coefficients.
-
-    These are the signals that are no slot's, the slot's own, its number, how many slots before it
-    erred in this step, and the step.
-
-    Attributes:
-        simulator: The scenario.
-    """
-
-    simulator: UnrolledSimulator
-
-    def values(self, states: StateBatch) -> FloatArray:
-        """Numbers ``[..., D]``."""
-        turns, signals = self.simulator.turns, states.signals
-        slot = self.simulator.slot_of(signals)
-        columns: list[FloatArray] = [signals[name] for name in self._shared]
-        for place in zip(*(slot.signals for slot in self.simulator.slots), strict=True):
-            of_all = np.stack([signals[name] for name in place], axis=-1)
-            columns.append(np.take_along_axis(of_all, slot[..., None], axis=-1)[..., 0])
-        if turns > 1:
-            errors = [states.memory[f"{ERROR}{before}"] for before in range(turns - 1)]
-            columns.append(slot.astype(np.float64))
-            columns.append(np.stack(errors, axis=-1).sum(axis=-1, dtype=np.float64))
-        step = np.asarray(states.step // turns, dtype=np.float64)
-        columns.append(np.broadcast_to(step, slot.shape))
-        return np.stack(columns, axis=-1)
-
-    def reacts(self, states: StateBatch) -> BoolArray:
-        """Where the scenario says that it reacts to the slot's outcome, ``[...]``."""
-        return self.simulator.reacts_at(states)
-
-    @property
-    def _shared(self) -> Sequence[str]:
-        owned = {name for slot in self.simulator.slots for name in slot.signals}
-        names = [signal.name for signal in self.simulator.scenario.signals]
-        return [name for name in names if name not in owned]
-
-
-@dataclass(frozen=True)
-class StepFeatures:
-    """Features of the user's own, which count steps as the scenario does.
-
-    Attributes:
-        features: They are asked in every slot's turn, ``slot`` is among the signals.
-        turns: Outcomes of a step.
-    """
-
-    features: StateFeatures
-    turns: int
-
-    def values(self, states: StateBatch) -> FloatArray:
-        """The user's own, ``[..., D]``."""
-        return self.features.values(self._in_steps(states))
-
-    def reacts(self, states: StateBatch) -> BoolArray:
-        """The user's own, ``[...]``."""
-        return self.features.reacts(self._in_steps(states))
-
-    def _in_steps(self, states: StateBatch) -> StateBatch:
-        return replace(states, step=states.step // self.turns)
 
 
 def unrolled(simulator: object) -> UnrolledSimulator | None:

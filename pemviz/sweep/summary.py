@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pemviz.reports.escape import markdown_table, markdown_text
-from pemviz.sampling.estimates.meanings import SMALL_ESS
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.fields import Setting

@@ -12,7 +12,7 @@ from pemviz.analysis.causes import bursts_of, failures_of, weighted_spread
 from pemviz.analysis.outcome_likelihood import IndependentOutcomes, RememberedOutcomes
 from pemviz.analysis.sensitivity import band_sensitivities, memory_sensitivity
 from pemviz.proposals.fixed import ConstantProposal
-from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.sampling.state.composed import ComposedPem, with_last_outcome
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.simulators.absorbing import VIOLATED

@@ -19,7 +19,7 @@ from pemviz.errors import RunError
 from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import fit_gap_network, gap_network_from_arrays
-from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.simulators.braking.compiled import CompiledRollouts, Loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from tests.pooled import pool_outcomes

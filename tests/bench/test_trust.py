@@ -27,7 +27,7 @@ from benchmarks.trust_truth import (
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.pem import as_pem
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from tests.conftest import shared
 from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_enumeration
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pemviz
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from tests.examples.highway_twin import saving_twin
 

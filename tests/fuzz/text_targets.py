@@ -18,7 +18,7 @@ from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE, SalientTable, load_table
 from pemviz.runs.experiment import build_simulator
 from pemviz.runs.specification import build_formula, build_metric
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.stl import parse
 from tests.fuzz.harness import Case, Target
 from tests.fuzz.mutate import WORDS, as_json, damage_bytes, damage_text, damage_tree, text_bytes

@@ -24,7 +24,7 @@ from pemviz.sampling.estimates.diagnostics import (
 )
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.registry import by_name
-from pemviz.sampling.splitting.diagnostics import (
+from pemviz.sampling.splitting.estimate import (
     FEW_RUNS,
     LARGE_COMMON_ANCESTRY,
     LARGE_MEAN_ERROR,

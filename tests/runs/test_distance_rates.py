@@ -21,7 +21,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.rates import distance_rates, violation_rates
 from pemviz.runs.result import DrivenDistance
 from pemviz.runs.result_file import result_document, result_from_document
-from pemviz.sampling.rollouts.latent_draws import NormalSource
+from pemviz.sampling.rollouts.simulate import NormalSource
 from pemviz.types import Signal, StateBatch
 from tests.reports.runs import estimate
 from tests.reports.runs import result as made_up

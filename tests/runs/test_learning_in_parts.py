@@ -41,10 +41,10 @@ def runs(tmp_path_factory):
     """By what is kept, folder and stages; that of few, stopped after each stage and resumed."""
     root, found = tmp_path_factory.mktemp("parts"), {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pemviz.sampling.rollouts.final_batch.LARGEST_PART", 60)
+        patch.setattr("pemviz.sampling.rollouts.large_stages.LARGEST_PART", 60)
         patch.setattr("pemviz.analysis.model_uncertainty.DATA_BOUND_ROLLOUTS", 200)
         for name, value in (("HELD", HELD), ("EVEN", EVEN), ("LISTED", LISTED)):
-            patch.setattr(f"pemviz.sampling.rollouts.thinning.{name}", value)
+            patch.setattr(f"pemviz.sampling.rollouts.large_stages.{name}", value)
         for name, keep in (("all", "all"), ("few", "violations"), ("resumed", "violations")):
             folder, stages, least = folder_of(root, name), Stages(), LeastRobust()
             experiment = build_experiment(replace(ALL, keep=keep), batch_rollouts=100)

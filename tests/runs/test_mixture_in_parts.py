@@ -42,10 +42,10 @@ def runs(request, tmp_path_factory):
     """By what is kept, folder and stages; that of few, stopped after each stage and resumed."""
     root, found = tmp_path_factory.mktemp("parts"), {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pemviz.sampling.rollouts.final_batch.LARGEST_PART", 2 * ENOUGH)
+        patch.setattr("pemviz.sampling.rollouts.large_stages.LARGEST_PART", 2 * ENOUGH)
         patch.setattr("pemviz.analysis.model_uncertainty.DATA_BOUND_ROLLOUTS", 200)
         for name, value in (("EVEN", EVEN), ("LISTED", LISTED)):
-            patch.setattr(f"pemviz.sampling.rollouts.thinning.{name}", value)
+            patch.setattr(f"pemviz.sampling.rollouts.large_stages.{name}", value)
         for name, keep in (("all", "all"), ("few", "violations"), ("resumed", "violations")):
             folder, stages = folder_of(root, name), Stages()
             experiment = request.param(keep)

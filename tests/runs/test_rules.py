@@ -24,7 +24,7 @@ from pemviz.runs.result_file import result_document, result_from_document
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts, stage_files
 from pemviz.runs.store import create_run_folder
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator
 

@@ -9,7 +9,7 @@ from pemviz.pem import load_pem
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.sampling.adaptive.method import AdaptiveSampling
-from pemviz.sampling.elite_threshold import elite_threshold
+from pemviz.sampling.method import elite_threshold
 from pemviz.sampling.problem import Problem
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from tests.toy import MissCounter, constant_pem, exact_failure_probability

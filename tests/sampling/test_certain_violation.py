@@ -13,11 +13,10 @@ from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.zero_variance.certain import certain_violation
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from pemviz.sampling.zero_variance.reachable_states import explore
-from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
+from pemviz.sampling.zero_variance.unsafe_states import certain_violation, unsafe_states
 from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import StateBatch, outcome_log_likelihood

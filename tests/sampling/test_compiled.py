@@ -14,9 +14,8 @@ from pemviz.pem import as_pem, load_pem
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.batches import BatchTask, run_here
-from pemviz.sampling.rollouts.compiled import CompiledRunner
-from pemviz.sampling.rollouts.draw import simulate
+from pemviz.sampling.rollouts.batches import BatchTask, CompiledRunner, run_here
+from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.simulators.braking import compiled, vectorized
 from pemviz.simulators.braking.compiled import CompiledRollouts, Loops, compiled_loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

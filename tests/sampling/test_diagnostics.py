@@ -33,12 +33,8 @@ from pemviz.sampling.estimates.diagnostics import (
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.estimates.importance_weights import WeightFigures
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
-from pemviz.sampling.rollouts.final_batch import WeighedRollouts
-from pemviz.sampling.splitting.diagnostics import (
-    died_out,
-    spread_diagnostics,
-    width_diagnostics,
-)
+from pemviz.sampling.rollouts.large_stages import WeighedRollouts
+from pemviz.sampling.splitting.estimate import died_out, spread_diagnostics, width_diagnostics
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.types import DiagnosticKind
 

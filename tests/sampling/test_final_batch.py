@@ -13,12 +13,7 @@ from pemviz.sampling.adaptive.method import AdaptiveSampling
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate, monte_carlo_estimate
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.rollouts.final_batch import (
-    WeighedRollouts,
-    largest_part,
-    part_sizes,
-    weighed,
-)
+from pemviz.sampling.rollouts.large_stages import WeighedRollouts, largest_part, part_sizes, weighed
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from pemviz.types import RolloutBatch, ScoredRollouts
 from tests.toy import exact_failure_probability

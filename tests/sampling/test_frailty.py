@@ -27,16 +27,15 @@ from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.state import visibility
 from pemviz.sampling.state.composed import ComposedSimulator, as_member, proposal_features
 from pemviz.sampling.state.visibility import NEXT, Visibility
-from pemviz.sampling.zero_variance.frail import FrailModel
-from pemviz.sampling.zero_variance.frail_tables import build_frail_proposal
+from pemviz.sampling.zero_variance.frail import FrailModel, build_frail_proposal
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
+from pemviz.sampling.zero_variance.proposal import with_defence
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
-from pemviz.sampling.zero_variance.tables import with_defence
 from pemviz.types import RolloutBatch, outcome_log_likelihood
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated

@@ -23,7 +23,7 @@ from pemviz.reports.terminal import plain_lines
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.state.composed import ComposedPem, as_member
 from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.types import outcome_log_likelihood

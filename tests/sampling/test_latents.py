@@ -23,8 +23,8 @@ from pemviz.proposals.latent_moves import (
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import latents_of, load_rollouts
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.rollouts.worker_batches import PooledRunner
+from pemviz.sampling.rollouts.batches import PooledRunner
+from pemviz.sampling.rollouts.simulate import replay
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.latent_toys import (
     Drift,

@@ -22,7 +22,7 @@ from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.stages import components
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.batches import BatchTask
-from pemviz.sampling.rollouts.draw import replay, simulate
+from pemviz.sampling.rollouts.simulate import replay, simulate
 from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import RolloutBatch, outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated

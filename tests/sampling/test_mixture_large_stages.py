@@ -30,8 +30,8 @@ def ended(problem, *, seed, enough, rollouts=400, repetition=0):
 @pytest.fixture
 def few_others(monkeypatch):
     """Of rollouts that hold few are held, so that most of a stage is told by its number alone."""
-    monkeypatch.setattr("pemviz.sampling.rollouts.thinning.EVEN", 20)
-    monkeypatch.setattr("pemviz.sampling.rollouts.thinning.LISTED", 3)
+    monkeypatch.setattr("pemviz.sampling.rollouts.large_stages.EVEN", 20)
+    monkeypatch.setattr("pemviz.sampling.rollouts.large_stages.LISTED", 3)
 
 
 def test_a_stage_is_over_with_the_part_that_brings_enough(few_others):

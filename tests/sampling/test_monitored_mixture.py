@@ -11,7 +11,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.simulators.absorbing import (
     VIOLATED,

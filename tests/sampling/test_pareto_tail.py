@@ -6,8 +6,7 @@ from arviz_stats.base.array import array_stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pemviz.sampling.estimates.importance_weights import pareto_k_hat
-from pemviz.sampling.estimates.pareto_tail import fitted_shape, tail_shape
+from pemviz.sampling.estimates.importance_weights import fitted_shape, pareto_k_hat, tail_shape
 
 
 def by_arviz(log_weight):

@@ -13,7 +13,7 @@ from pemviz.faults import SimulationError
 from pemviz.processes import ProcessPool
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.worker_batches import PooledRunner
+from pemviz.sampling.rollouts.batches import PooledRunner
 from tests.toy import ConstantPem
 
 HALF = ConstantProposal(detection_probability=0.5)

@@ -25,7 +25,7 @@ from dataclasses import replace
 
 import pemviz
 from pemviz.proposals.fixed import ConstantProposal
-from pemviz.sampling.budgets import final_budget, with_final_budget
+from pemviz.sampling.description import final_budget, with_final_budget
 from pemviz.sampling.direct.method import DirectSampling
 
 

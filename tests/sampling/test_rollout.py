@@ -10,7 +10,7 @@ from pemviz.pem import load_pem
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.draw import replay, simulate
+from pemviz.sampling.rollouts.simulate import replay, simulate
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import outcome_log_likelihood
 

@@ -13,9 +13,8 @@ from pemviz.errors import ConfigError
 from pemviz.faults import SimulationError
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.draw import replay
-from pemviz.sampling.splitting.evaluated_states import MOST_EVALUATIONS
-from pemviz.sampling.splitting.importance import OUT_OF_REACH, importance
+from pemviz.sampling.rollouts.simulate import replay
+from pemviz.sampling.splitting.importance import MOST_EVALUATIONS, OUT_OF_REACH, importance
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.splitting.particles import beginning, continued, restart
 from pemviz.sampling.splitting.run import split

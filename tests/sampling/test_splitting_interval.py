@@ -9,13 +9,13 @@ from scipy import stats
 from pemviz.reports.gate import decide_gate
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.splitting.diagnostics import (
+from pemviz.sampling.splitting.estimate import (
     FEW_RUNS,
     LARGE_COMMON_ANCESTRY,
+    estimate_of_runs,
+    interval_between_runs,
     largest_spread,
 )
-from pemviz.sampling.splitting.estimate import estimate_of_runs
-from pemviz.sampling.splitting.interval import interval_between_runs
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.splitting.run import SplittingRun, split
 from pemviz.types import RolloutBatch, ScoredRollouts

@@ -12,7 +12,7 @@ from scipy import stats
 from pemviz.latents import LatentCounts
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.latent_moves import StartMoves, fit_start, start_optimism
-from pemviz.sampling.rollouts.latent_draws import LatentTrack, NormalSource, ShapesLatents
+from pemviz.sampling.rollouts.simulate import LatentTrack, NormalSource, ShapesLatents
 
 MOVES = StartMoves(np.array([2.5, -0.5, 0.0]), np.array([0.4, 1.0, 0.7]))
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from pemviz.drawn import numbers_of, place_of
 from pemviz.runs.result import LEAST_ROBUST
 from pemviz.sampling.adaptive.method import FromAll, FromElites
-from pemviz.sampling.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
-from pemviz.sampling.rollouts.thinning import LISTED, Thinned, largest_held
+from pemviz.sampling.method import elite_threshold, elites
+from pemviz.sampling.rollouts.large_stages import LISTED, Thinned, largest_held
 from pemviz.types import RolloutBatch, ScoredRollouts
 from tests.pooled import pool_outcomes
 
@@ -75,8 +75,8 @@ def test_what_stays_does_not_depend_on_batches(seed, cuts, most, level):
 
 def test_rows_that_wait_are_bounded(monkeypatch):
     """However many violate: those that stay, as many that wait, and a batch."""
-    monkeypatch.setattr("pemviz.sampling.rollouts.thinning.LISTED", 3)
-    monkeypatch.setattr("pemviz.sampling.rollouts.thinning.EVEN", 10)
+    monkeypatch.setattr("pemviz.sampling.rollouts.large_stages.LISTED", 3)
+    monkeypatch.setattr("pemviz.sampling.rollouts.large_stages.EVEN", 10)
     so_far, most = Thinned(count=100 * COUNT, most=50), 0
     for seed in range(100):
         so_far = so_far.extended(stage(seed, level=-12.0))

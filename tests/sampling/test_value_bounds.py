@@ -13,10 +13,11 @@ from pemviz.pem import load_pem
 from pemviz.sampling.state.composed import ComposedPem, with_last_outcome
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.zero_variance import reachable_states
-from pemviz.sampling.zero_variance.merging import Merger, TooManyStates
 from pemviz.sampling.zero_variance.reachable_states import (
     SAFE_NODE,
     UNSAFE_NODE,
+    Merger,
+    TooManyStates,
     explore,
 )
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states

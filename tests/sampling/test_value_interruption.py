@@ -6,8 +6,8 @@ import pytest
 from pemviz.proposals.zero_variance import ZeroVarianceProposal
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.proposal import build_zero_variance_proposal
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
-from pemviz.sampling.zero_variance.tables import build_zero_variance_proposal
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,

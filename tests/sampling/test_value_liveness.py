@@ -12,9 +12,10 @@ from scipy.special import logsumexp
 
 from pemviz import stl
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.zero_variance.left_out import left_out_share
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.proposal import build_zero_variance_proposal, with_defence
 from pemviz.sampling.zero_variance.reachable_states import (
     SAFE_NODE,
     UNSAFE_NODE,
@@ -22,7 +23,6 @@ from pemviz.sampling.zero_variance.reachable_states import (
     explore,
 )
 from pemviz.sampling.zero_variance.reference import exact_log_probability
-from pemviz.sampling.zero_variance.tables import build_zero_variance_proposal, with_defence
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.absorbing import AbsorbingSimulator

@@ -15,13 +15,13 @@ from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import run_here
 from pemviz.sampling.zero_variance import reference as reference_module
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.proposal import averaged
 from pemviz.sampling.zero_variance.reference import (
     Reference,
     exact_log_probability,
     reference,
     reference_of_few_states,
 )
-from pemviz.sampling.zero_variance.tables import averaged
 from pemviz.sampling.zero_variance.values import both_log_likelihoods
 from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import (

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pemviz.sampling.elite_threshold import elite_threshold, elites
 from pemviz.sampling.estimates.importance_weights import (
     effective_sample_size,
     largest_share,
@@ -14,6 +13,7 @@ from pemviz.sampling.estimates.importance_weights import (
     log_std_error,
     smoothed_weights,
 )
+from pemviz.sampling.method import elite_threshold, elites
 
 logs = arrays(np.float64, st.integers(2, 30), elements=st.floats(-30, 30))
 

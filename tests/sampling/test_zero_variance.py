@@ -14,10 +14,10 @@ from pemviz.errors import InputError
 from pemviz.proposals.offset_logistic import defended
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
+from pemviz.sampling.zero_variance.proposal import build_zero_variance_proposal
 from pemviz.sampling.zero_variance.reachable_states import explore
-from pemviz.sampling.zero_variance.tables import build_zero_variance_proposal
 from pemviz.sampling.zero_variance.unsafe_states import UnsafeStates, unsafe_states
 from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

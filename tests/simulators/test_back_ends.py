@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pemviz.arrays import BoolArray, read_only
 from pemviz.config import ScenarioConfig
 from pemviz.config.toml_files import load_preset
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.braking.highway import HighwaySimulator
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED, SPEED_ERROR_INTEGRAL
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pemviz
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.kept_steps import TRIED, KeptSteps
 from tests.lattice_walk import (
     ToyPem,

@@ -11,7 +11,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from benchmarks.simulators import plain_road
 from pemviz.config import ScenarioConfig
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.braking import highway_env_scenario
 from pemviz.simulators.braking.highway import HighwaySimulator, frames
 from pemviz.simulators.braking.highway_env_scenario import (

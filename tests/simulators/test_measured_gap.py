@@ -12,7 +12,7 @@ from pemviz.config.toml_files import load_preset
 from pemviz.errors import ConfigError, InputError
 from pemviz.pem import NoiseMemory, constant_errors, load_position_errors, save_position_errors
 from pemviz.pem.judging.position_error_report import straight_ahead
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.braking.highway import HighwaySimulator
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

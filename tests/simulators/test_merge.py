@@ -9,7 +9,7 @@ from scipy.stats import norm
 from pemviz.cli.record_arguments import parse
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import load_preset, with_own_rules
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.merge.facts import CARS, LANES
 from pemviz.simulators.merge.highway_env_merge import CONFIG

@@ -10,7 +10,7 @@ from pemviz.config.settings import SumoConfig
 from pemviz.config.toml_files import config_table
 from pemviz.errors import ConfigError, RunError
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 from pemviz.simulators.sumo import engine

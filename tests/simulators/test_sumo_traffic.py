@@ -13,7 +13,7 @@ from pemviz.config.toml_files import config_from_table, config_table, load_prese
 from pemviz.errors import ConfigError, RunError
 from pemviz.files.shipped import asset_path
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.episodic import SideBySide
 from pemviz.simulators.sumo.traffic.client import TrafficEpisodes
 from pemviz.simulators.sumo.traffic.facts import NOBODY_M, SLOTS, TrafficSettings

@@ -14,7 +14,7 @@ from pemviz.config.toml_files import config_from_table, config_table
 from pemviz.errors import ConfigError
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.simulators.braking.highway_env_scenario import BrakingEnv
 from pemviz.simulators.braking.vectorized import VectorizedSimulator

@@ -13,7 +13,7 @@ from pemviz.panel.views.elements import number, quiet
 from pemviz.panel.views.page import cell, page, wide
 from pemviz.runs.result import StageSummary
 from pemviz.runs.trust import run_interval_caveats
-from pemviz.sampling.estimates.meanings import SMALL_ESS
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 

@@ -16,8 +16,7 @@ from pemviz.reproduce.scenarios.settings import (
     tracker_words,
 )
 from pemviz.reproduce.scenarios.table import CellAnswer, details
-from pemviz.sampling.estimates.diagnostics import undermining
-from pemviz.sampling.estimates.meanings import MEANINGS
+from pemviz.sampling.estimates.diagnostics import MEANINGS, undermining
 
 SHOWN = ("no-collision", ANY)
 """Rules that tables and picture show; all are in the details and in the file."""

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.budgets import learning_budget, with_learning_budget
-from pemviz.sampling.description import MethodDescription
-from pemviz.sampling.recount import averaged
+from pemviz.sampling.description import (
+    MethodDescription,
+    averaged,
+    learning_budget,
+    with_learning_budget,
+)
 
 if TYPE_CHECKING:
     from pemviz.sampling.adaptive.method import AdaptiveSampling
@@ -18,7 +21,7 @@ PAPER_ALPHA = 0.1
 
 def _build(config: ExperimentConfig, back_end: BackEnd) -> AdaptiveSampling:
     from pemviz.sampling.adaptive.method import AdaptiveSampling  # noqa: PLC0415  slow to import
-    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+    from pemviz.sampling.rollouts.large_stages import largest_part  # noqa: PLC0415  as above
 
     return AdaptiveSampling(
         learning_stages=config.stages,

@@ -32,19 +32,26 @@ from pemviz.proposals.gap_network import (
     initial_gap_network,
     table_of,
 )
-from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD, elite_threshold, elites
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
-from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.method import (
+    VIOLATION_THRESHOLD,
+    elite_threshold,
+    elites,
     importance_stage_figures,
     network_seed,
     sample_stage,
     stage_seeds,
 )
-from pemviz.sampling.problem import Problem, sample_batches
-from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
-from pemviz.sampling.rollouts.thinning import Thinned, Whole, largest_held
+from pemviz.sampling.problem import FinishedStage, Problem, sample_batches
+from pemviz.sampling.rollouts.large_stages import (
+    LARGEST_PART,
+    FinalBatch,
+    Thinned,
+    Whole,
+    largest_held,
+    part_sizes,
+)
 from pemviz.types import Estimate, Proposal, ScoredRollouts, StageKind, StageResult
 
 LOSS = "loss"

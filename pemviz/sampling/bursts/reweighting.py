@@ -29,7 +29,7 @@ from pemviz.proposals.offset_logistic import (
 )
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool, balance_weights
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.state.composed import ComposedFeatures, ComposedPem
 from pemviz.sampling.state.hidden import HiddenProperty
 from pemviz.sampling.state.last_outcome import LastOutcome

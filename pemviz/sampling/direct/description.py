@@ -5,9 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.budgets import final_budget, with_final_budget
-from pemviz.sampling.description import MethodDescription
-from pemviz.sampling.recount import averaged, counted
+from pemviz.sampling.description import (
+    MethodDescription,
+    averaged,
+    counted,
+    final_budget,
+    with_final_budget,
+)
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
@@ -17,7 +21,7 @@ if TYPE_CHECKING:
 def _build_monte_carlo(config: ExperimentConfig, back_end: BackEnd) -> DirectSampling:
     from pemviz.proposals.fixed import PemProposal  # noqa: PLC0415  slow to import
     from pemviz.sampling.direct.method import DirectSampling  # noqa: PLC0415  as above
-    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+    from pemviz.sampling.rollouts.large_stages import largest_part  # noqa: PLC0415  as above
 
     return DirectSampling(
         name=MONTE_CARLO.name,
@@ -31,7 +35,7 @@ def _build_monte_carlo(config: ExperimentConfig, back_end: BackEnd) -> DirectSam
 def _build_naive(config: ExperimentConfig, back_end: BackEnd) -> DirectSampling:
     from pemviz.proposals.fixed import ConstantProposal  # noqa: PLC0415  slow to import
     from pemviz.sampling.direct.method import DirectSampling  # noqa: PLC0415  as above
-    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+    from pemviz.sampling.rollouts.large_stages import largest_part  # noqa: PLC0415  as above
 
     return DirectSampling(
         name=NAIVE.name,

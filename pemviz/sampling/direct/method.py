@@ -13,7 +13,7 @@ from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate, monte_carlo_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.rollouts.large_stages import LARGEST_PART, FinalBatch, part_sizes
 from pemviz.types import Estimate, StageResult
 
 

@@ -16,7 +16,7 @@ from pemviz.sampling.estimates.importance_weights import (
     log_sum,
     weight_figures,
 )
-from pemviz.sampling.rollouts.final_batch import WeighedRollouts
+from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.types import Diagnostic, Estimate
 
 CONFIDENCE = 0.95

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.budgets import learning_budget, with_learning_budget
-from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.description import MethodDescription, learning_budget, with_learning_budget
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     from pemviz.sampling.mixture.fit import FitSettings  # noqa: PLC0415  as above
     from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  as above
-    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  as above
+    from pemviz.sampling.rollouts.large_stages import largest_part  # noqa: PLC0415  as above
     from pemviz.sampling.state.composed import proposal_features  # noqa: PLC0415  slow to import
 
     largest = largest_part(states=back_end.simulator.states)

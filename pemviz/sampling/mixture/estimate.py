@@ -23,7 +23,7 @@ from pemviz.sampling.estimates.estimate import (
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
 from pemviz.sampling.kept import COUNTS, KeptRepetition, Recounted
 from pemviz.sampling.mixture.balance_heuristic import Judged, Pool
-from pemviz.sampling.rollouts.final_batch import WeighedRollouts
+from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.types import Diagnostic, Estimate
 
 COMPONENT, LOG_WEIGHT, FINAL_LOG_WEIGHT = "component", "log_weight", "final_log_weight"

@@ -22,12 +22,12 @@ from pemviz.proposals.offset_logistic_fit import (
     fit_offset_logistic,
     leave_one_out_loss,
 )
-from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
 from pemviz.sampling.estimates.importance_weights import (
     effective_sample_size,
     log_sum,
     smoothed_weights,
 )
+from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_ratios
 from pemviz.sampling.mixture.failure_modes import (
     SAMPLE,

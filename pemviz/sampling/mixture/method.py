@@ -72,7 +72,7 @@ from pemviz.sampling.mixture.stages import (
     until_settled,
 )
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.final_batch import LARGEST_PART, part_sizes
+from pemviz.sampling.rollouts.large_stages import LARGEST_PART, part_sizes
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 

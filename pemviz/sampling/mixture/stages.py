@@ -49,16 +49,14 @@ from pemviz.proposals.offset_logistic import (
     noise_features,
     share_for,
 )
-from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.mixture.balance_heuristic import (
     EXPLORATION,
     Pool,
     TargetRules,
 )
 from pemviz.sampling.mixture.fit import Fit
-from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.final_batch import part_sizes
-from pemviz.sampling.rollouts.thinning import Thinned, Whole, least_robust
+from pemviz.sampling.problem import FinishedStage, Problem, sample
+from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.simulators.absorbing import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.budgets import particle_budget, with_particle_budget
-from pemviz.sampling.description import MethodDescription
+from pemviz.sampling.description import MethodDescription, particle_budget, with_particle_budget
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
@@ -21,7 +20,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> SplittingSampling:  #
 
 
 def _recounted(kept: KeptRepetition) -> Recounted:
-    from pemviz.sampling.splitting.recount import recounted  # noqa: PLC0415  slow to import
+    from pemviz.sampling.splitting.estimate import recounted  # noqa: PLC0415  slow to import
 
     return recounted(kept)
 

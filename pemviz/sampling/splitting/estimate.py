@@ -1,23 +1,130 @@
-"""What independent runs of splitting say together."""
+"""What independent runs of splitting say together: estimate, interval, and what is wrong with it.
+
+As levels and particles grow together, the logarithm of an unbiased particle estimate of p tends
+to a normal with mean log p - s^2 / 2 and variance s^2 (Berard, Del Moral, Doucet 2014). Most runs
+then find too little and a few very much: an interval around the runs' mean by its own standard
+error misses p whenever those few are not among them. Here both parts of log p = E log + s^2 / 2
+have intervals of their own, which the method of variance estimates recovery puts together
+(Zou, Taleban, Huo 2009).
+"""
 
 import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import chdtri, ndtri, stdtrit
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import AnyArray, FloatArray
 from pemviz.binomial import exact_interval
 from pemviz.sampling.estimates.diagnostics import count_diagnostics, undermining
 from pemviz.sampling.estimates.estimate import CONFIDENCE, negative_log_likelihood
 from pemviz.sampling.estimates.importance_weights import log_sum
-from pemviz.sampling.splitting.diagnostics import (
-    died_out,
-    spread_diagnostics,
-    width_diagnostics,
-)
-from pemviz.sampling.splitting.interval import interval_between_runs
-from pemviz.sampling.splitting.run import RunFigures
+from pemviz.sampling.kept import EVERY, FIGURES, KeptRepetition, Recounted
+from pemviz.sampling.splitting.run import RunFigures, SplittingRun
 from pemviz.types import Diagnostic, Estimate
+
+
+def interval_between_runs(
+    log_probability: FloatArray, *, least_variance: float
+) -> tuple[float, float]:
+    """Interval of the probability that independent runs estimate without bias.
+
+    Args:
+        log_probability: Logarithms of the runs' estimates, ``[R]``, R at least 2, all finite.
+        least_variance: The variance of such a logarithm is at least this, above 0: the
+            spread of few runs may be smaller by chance.
+
+    Returns:
+        Lower and upper end at 95 % confidence; the upper is at most 1.
+    """
+    runs, freedom = log_probability.size, log_probability.size - 1
+    level = 0.5 + CONFIDENCE / 2.0
+    seen = float(np.var(log_probability, ddof=1))
+    half = max(
+        float(stdtrit(freedom, level)) * math.sqrt(seen),
+        float(ndtri(level)) * math.sqrt(least_variance),
+    ) / math.sqrt(runs)
+    least, most = (
+        max(seen * freedom / float(chdtri(freedom, above)), least_variance)
+        for above in (1.0 - level, level)
+    )
+    variance = max(seen, least_variance)
+    centre = float(np.mean(log_probability)) + variance / 2.0
+    low = centre - math.hypot(half, (variance - least) / 2.0)
+    high = centre + math.hypot(half, (most - variance) / 2.0)
+    return math.exp(low), math.exp(min(high, 0.0))
+
+
+FEW_RUNS = 5
+"""Fewer independent runs tell next to nothing of their spread."""
+LARGE_SPREAD = 1.0
+"""Standard deviation of the logarithms of independent runs [nats]. Above it a log-normal's mean is
+more than half a nat above its median: what is added for that outweighs what was seen."""
+LARGE_MEAN_ERROR = 0.25
+"""Relative standard error of the runs' mean, if they are as log-normal as their spread says. Above
+it the mean of few runs is off by more than a factor of 2 too often."""
+LARGE_COMMON_ANCESTRY = 0.6
+"""Share of pairs of violating particles; two thirds go with a spread of about one nat."""
+WIDE_FACTOR = 2.0
+
+
+def died_out(*, died: int, runs: int) -> Diagnostic:
+    """Of independent runs of splitting, in some of which all particles died out."""
+    text = f"in {died} of {runs} runs no particle reached a violation: ask for more particles"
+    return Diagnostic("died-out", float(died), 0.0, text)
+
+
+def largest_spread(runs: int) -> float:
+    """Standard deviation of the logarithms of so many runs up to which their mean is shown [nats].
+
+    A log-normal with standard deviation s of its logarithm has the relative variance exp(s^2) - 1.
+    """
+    return min(LARGE_SPREAD, math.sqrt(math.log1p(runs * LARGE_MEAN_ERROR**2)))
+
+
+def spread_diagnostics(
+    *, runs: int, spread_nats: float | None, common_ancestry: float
+) -> tuple[Diagnostic, ...]:
+    """Of independent runs of splitting that all reached a violation: why there is no interval.
+
+    Args:
+        runs: How many.
+        spread_nats: Standard deviation of the logarithms of their estimates; ``None`` for one.
+        common_ancestry: Of two violating particles of a run, how often both descend from one
+            particle at its start; the mean over runs.
+    """
+    found: list[Diagnostic] = []
+    limit = largest_spread(runs)
+    if spread_nats is not None and spread_nats > limit:
+        text = (
+            "the runs differ too much for an interval (by a factor of "
+            f"{math.exp(spread_nats):.2g}, {runs} are reliable up to {math.exp(limit):.2g}): most "
+            "such runs find too little; ask for more particles"
+        )
+        found.append(Diagnostic("runs-differ", spread_nats, limit, text))
+    if common_ancestry > LARGE_COMMON_ANCESTRY:
+        text = (
+            f"{common_ancestry:.0%} of the pairs of violating particles have a common ancestor "
+            f"(reliable up to {LARGE_COMMON_ANCESTRY:.0%}): ask for more particles"
+        )
+        found.append(Diagnostic("few-ancestors", common_ancestry, LARGE_COMMON_ANCESTRY, text))
+    if runs < FEW_RUNS:
+        text = f"{runs} runs of splitting are too few for an interval: ask for at least {FEW_RUNS}"
+        found.append(Diagnostic("few-runs", float(runs), float(FEW_RUNS), text))
+    return tuple(found)
+
+
+def width_diagnostics(*, probability: float, low: float, high: float) -> tuple[Diagnostic, ...]:
+    """Of an interval between independent runs that reaches far from the estimate."""
+    factor = max(high / probability, probability / low)
+    if factor <= WIDE_FACTOR:
+        return ()
+    text = (
+        f"the interval reaches a factor of {factor:.1f} from the estimate: it tells only the order "
+        "of magnitude"
+    )
+    return (Diagnostic("wide-interval", factor, WIDE_FACTOR, text),)
+
 
 Error = tuple[float | None, float | None, float | None]
 """Standard error, lower and upper end of the interval."""
@@ -88,3 +195,48 @@ def _of_count(runs: Sequence[RunFigures]) -> tuple[Error, tuple[Diagnostic, ...]
     std_error = math.sqrt(share * (1.0 - share) / count)
     found = count_diagnostics(failures=failures, rollouts=count, upper=high, confidence=CONFIDENCE)
     return (std_error, low, high), found
+
+
+SHARED = ("least_variance", "common_ancestry", "simulated", "levels")
+"""Fields of a run that all of its particles have alike."""
+UNKNOWN = {"least_variance": 1.0, "common_ancestry": 0.0, "simulated": 0, "levels": 1}
+"""In place of them where nothing violates, or they were not kept."""
+
+
+def columns_of(runs: Sequence[SplittingRun]) -> dict[str, AnyArray]:
+    """Of each particle ``[N]``: what its run's are alike in, common ancestry by each rule too."""
+    counts = [run.scored.rollouts.count for run in runs]
+    values = {name: [getattr(run, name) for run in runs] for name in SHARED}
+    for rule in runs[0].rule_ancestry:
+        values[f"common_ancestry.{rule}"] = [run.rule_ancestry[rule] for run in runs]
+    return {name: np.repeat(each, counts) for name, each in values.items()}
+
+
+def recounted(kept: KeptRepetition) -> Recounted:
+    """The mean over the runs; no error where a run's figures were not kept."""
+    runs = [_run(kept, stage) for stage in range(len(kept.stages))]
+    found = estimate_of_runs(runs, method=kept.method)
+    is_whole = all(kept.column(name) is not None for name in SHARED)
+    return Recounted(found, EVERY if is_whole else FIGURES)
+
+
+def _run(kept: KeptRepetition, number: int) -> RunFigures:
+    stage, own = kept.stages[number], kept.stage == number
+    shared: dict[str, float] = dict(UNKNOWN)
+    for name in SHARED:
+        values = kept.column(name)
+        if values is not None and own.any():
+            shared[name] = values[own][0].item()
+    run = RunFigures(
+        log_probability=stage.log_probability,
+        least_variance=shared["least_variance"],
+        common_ancestry=shared["common_ancestry"],
+        simulated=int(shared["simulated"]),
+        levels=int(shared["levels"]),
+        count=stage.rollouts,
+        log_p=kept.log_p[own],
+    )
+    if kept.rule is None or not stage.failures:
+        return run
+    share = np.count_nonzero(own) / stage.rollouts
+    return run.of_share(share, before=stage.failures / stage.rollouts)

@@ -5,16 +5,176 @@ violates; the nearer it is to a decreasing function of the probability of a viol
 the smaller is the variance (Garvels, Van Ommeren, Kroese 2002; Cerou, Guyader, Rousset 2019).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import log_expit
 
-from pemviz.arrays import FloatArray, IntArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct_rows
-from pemviz.sampling.problem import Problem
-from pemviz.sampling.splitting.prefixes import Prefixes
-from pemviz.types import RolloutBatch
+from pemviz.sampling.problem import Problem, ranked
+from pemviz.sampling.state.composed import dynamics_of, kept_with_rollouts
+from pemviz.simulators.latents import stepped
+from pemviz.types import CERTAIN, RolloutBatch, Simulator, StateBatch
+
+
+def states_at(rollouts: RolloutBatch, step: int, active: int) -> StateBatch:
+    """The kept states of the first ``active`` rollouts."""
+    return StateBatch(
+        step=np.array(step, dtype=np.int64),
+        signals={name: values[:active, step] for name, values in rollouts.signals.items()},
+        memory={name: values[:active, step] for name, values in rollouts.memory.items()},
+    )
+
+
+def is_last_of_step(rollouts: RolloutBatch, outcome: int, *, turns: int) -> bool:
+    """Whether there is noise in the scenario, and an outcome is followed by it."""
+    latents = rollouts.latents
+    return latents is not None and latents.noise.shape[2] > 0 and (outcome + 1) % turns == 0
+
+
+MOST_EVALUATIONS = 64
+"""States of one rollout at which the importance function is computed at most, so that what a
+rollout costs grows with its length and not with its square; half of them may be at its start,
+the rest come evenly over the steps."""
+EVALUATION_COUNT = np.int16
+"""Of their numbers."""
+
+
+def evaluated_at(
+    problem: Problem, rollouts: RolloutBatch, *, cut: IntArray, evaluations: AnyArray
+) -> BoolArray:
+    """At which states ``[N, T]`` after ``cut [N]``, ascending, it is computed.
+
+    That is where an outcome that was not the likelier one has just led elsewhere than the
+    other would have: outcomes that change nothing, and those that were to be expected, bring
+    a rollout no nearer. So may a step's noise, always. The last states are not among them, since
+    nothing follows.
+
+    Args:
+        problem: The scenario.
+        rollouts: N, whole.
+        cut: The last state of each that was evaluated before, or passed over.
+        evaluations: ``[N, T]``: how often it was computed so far; overwritten after ``cut``.
+    """
+    count, steps = rollouts.detected.shape
+    to_evaluate = np.zeros((count, steps + 1), dtype=np.bool_, order="F")
+    pending = np.zeros(count, dtype=np.bool_)
+    for step in range(int(cut[0]), steps):
+        active = int(np.searchsorted(cut, step, side="right"))
+        detected = rollouts.detected[:active, step]
+        if is_last_of_step(rollouts, step, turns=problem.turns):
+            pending[:active] = True
+        else:
+            unlikely = np.flatnonzero(detected != (rollouts.pem_logit[:active, step] >= 0.0))
+            if unlikely.size:
+                pending[unlikely] |= _mattered(problem.simulator, rollouts, step, unlikely)
+        # where the outcome is certain, the state's logit says nothing about the way to a violation
+        certain = (
+            rollouts.memory[CERTAIN][:active, step + 1] if CERTAIN in rollouts.memory else False
+        )
+        ready = pending[:active] & ~np.asarray(certain)
+        pending[:active] &= ~_marked(to_evaluate, evaluations, ready, step + 1)
+    return to_evaluate
+
+
+def _marked(
+    to_evaluate: BoolArray, evaluations: AnyArray, ready: BoolArray, step: int
+) -> BoolArray:
+    """Decide and tell which of the first particles, ``ready [M]``, are evaluated at ``step``."""
+    last, active = evaluations.shape[1] - 1, ready.size
+    allowed = MOST_EVALUATIONS * (last + step) // (2 * last) if step < last else 0
+    before = evaluations[:active, step - 1]
+    chosen = ready & (before < allowed)
+    to_evaluate[:active, step] = chosen
+    evaluations[:active, step] = before + chosen
+    return chosen
+
+
+def _mattered(simulator: Simulator, rollouts: RolloutBatch, step: int, rows: IntArray) -> BoolArray:
+    """Whether the other outcome at ``step`` would have led the ``rows [M]`` elsewhere."""
+    before, after = (_rows_at(rollouts, moment, rows) for moment in (step, step + 1))
+    other = stepped(dynamics_of(simulator), before, ~rollouts.detected[rows, step])
+    differs = np.zeros(rows.size, dtype=np.bool_)
+    for reached, instead in ((after.signals, other.signals), (after.memory, other.memory)):
+        for name, values in instead.items():
+            differs |= np.asarray(reached[name] != values, dtype=np.bool_)
+    return differs
+
+
+def _rows_at(rollouts: RolloutBatch, step: int, rows: IntArray) -> StateBatch:
+    return states_at(rollouts, step, rollouts.count).take(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Prefixes:
+    """M prefixes, each to a state, in the order of the states' steps.
+
+    Attributes:
+        rollouts: Whose prefixes they are.
+        row: Which rollout, ``[M]``.
+        step: To which of its states, ``[M]``, ascending.
+    """
+
+    rollouts: RolloutBatch
+    row: IntArray
+    step: IntArray
+
+    def take(self, chosen: IntArray) -> "Prefixes":
+        """Some of them, in their order."""
+        return Prefixes(self.rollouts, self.row[chosen], self.step[chosen])
+
+    def carried_on(self, problem: Problem, *, others: IntArray, then: BoolArray) -> FloatArray:
+        """Robustness ``[M]``, `ranked`, of rollouts that go on to their ends with given outcomes.
+
+        Args:
+            problem: The scenario and the metric.
+            others: How many of the next outcomes are not ``then``, ``[M]``.
+            then: All later outcomes, ``[M]``.
+        """
+        simulator, until = dynamics_of(problem.simulator), self.step + others
+        self._go_on(simulator, until, then)
+        return ranked(problem, self._signals)
+
+    @cached_property
+    def _signals(self) -> Mapping[str, FloatArray]:
+        """By name, ``[M, T]``; what lies after the states is overwritten by each going on."""
+        # neighbours in memory are the rollouts of one step, which is written at a time
+        return {
+            name: np.asfortranarray(values.T.take(self.row, axis=-1).T)
+            for name, values in self.rollouts.signals.items()
+        }
+
+    def _go_on(self, simulator: Simulator, until: IntArray, then: BoolArray) -> None:
+        """Overwrite the signals after the states."""
+        states = self._at(slice(0, 0), moment=0)
+        for moment in range(int(self.step[0]), simulator.states - 1):
+            before = states.shape[0]
+            active = int(np.searchsorted(self.step, moment, side="right"))
+            if active > before:
+                arriving = self._at(slice(before, active), moment=moment)
+                states = StateBatch.concatenate([replace(states, step=arriving.step), arriving])
+            reached = stepped(simulator, states, then[:active] ^ (moment < until[:active]))
+            for name, values in reached.signals.items():
+                self._signals[name][:active, moment + 1] = values
+            states = replace(
+                reached,
+                signals={**states.signals, **reached.signals},
+                memory={**states.memory, **reached.memory},
+            )
+
+    def _at(self, prefixes: slice, *, moment: int) -> StateBatch:
+        """The states that some of the prefixes lead to, all of the step ``moment``."""
+        row, step = self.row[prefixes], self.step[prefixes]
+        kept = kept_with_rollouts(self.rollouts.memory)
+        return StateBatch(
+            step=np.array(moment, dtype=np.int64),
+            signals={name: values[row, step] for name, values in self.rollouts.signals.items()},
+            memory={name: values[row, step] for name, values in kept.items()},
+        )
+
 
 OUT_OF_REACH = 1e9
 """Added where neither extreme continuation violates: above what any other state has."""

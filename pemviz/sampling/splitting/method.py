@@ -21,11 +21,9 @@ import numpy as np
 
 from pemviz.arrays import AnyArray
 from pemviz.proposals.fixed import PemProposal
-from pemviz.sampling.finished import FinishedStage
 from pemviz.sampling.method import final_stage, stage_seeds
-from pemviz.sampling.problem import Problem
-from pemviz.sampling.splitting.estimate import estimate_of_runs
-from pemviz.sampling.splitting.recount import columns_of
+from pemviz.sampling.problem import FinishedStage, Problem
+from pemviz.sampling.splitting.estimate import columns_of, estimate_of_runs
 from pemviz.sampling.splitting.run import SplittingRun, split
 from pemviz.types import Estimate, StageResult
 

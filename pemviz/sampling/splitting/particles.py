@@ -1,4 +1,4 @@
-"""Particles of multilevel splitting: rollouts that can be cut and continued.
+"""Particles of multilevel splitting: rollouts that can be cut and moved on under the error model.
 
 A particle keeps its states at all steps, so that it goes on from any of them without being
 replayed. N particles of T states take about N T (8 (signals + memory) + 19) bytes, and up to
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from scipy.special import expit
 
 from pemviz.arrays import AnyArray, Batch, FloatArray, IntArray
 from pemviz.errors import ConfigError
@@ -16,13 +17,76 @@ from pemviz.faults import of_no_rollouts, reordered
 from pemviz.latents import Latents
 from pemviz.sampling.problem import Problem, ranked
 from pemviz.sampling.rollouts.batches import check_numbers
-from pemviz.sampling.splitting.evaluated_states import EVALUATION_COUNT, evaluated_at
-from pemviz.sampling.splitting.importance import importance, importance_at_end
-from pemviz.sampling.splitting.moving import CutRollouts, moved_on
-from pemviz.sampling.state.composed import kept_with_rollouts
-from pemviz.simulators.latents import begun, latent_counts
+from pemviz.sampling.rollouts.simulate import logit_of
+from pemviz.sampling.slots import unrolled
+from pemviz.sampling.splitting.importance import (
+    EVALUATION_COUNT,
+    evaluated_at,
+    importance,
+    importance_at_end,
+    is_last_of_step,
+    states_at,
+)
+from pemviz.sampling.state.composed import carried_at, kept_with_rollouts
+from pemviz.simulators.latents import begun, latent_counts, salient_of, stepped
 from pemviz.simulators.slots import SeenStates
 from pemviz.types import RolloutBatch, Simulator, StateBatch
+
+
+@dataclass(frozen=True, eq=False)
+class CutRollouts:
+    """M rollouts that are to go on, each from one of its states.
+
+    Attributes:
+        rollouts: With all that is known of them; overwritten after ``cut``.
+        cut: The last state that each keeps, ``[M]``, ascending.
+        uniforms: ``[T-1, M]`` draws from [0, 1) for the outcomes after it.
+        noise: Latents of all steps, ``[M, T-1, ...]``, of which those after it count.
+    """
+
+    rollouts: RolloutBatch
+    cut: IntArray
+    uniforms: FloatArray
+    noise: FloatArray
+
+
+def moved_on(problem: Problem, started: CutRollouts) -> RolloutBatch:
+    """The rollouts to their ends, under the error model; the given ones are overwritten."""
+    simulator, rollouts, cut = problem.simulator, started.rollouts, started.cut
+    slots = unrolled(simulator)
+    arriving = carried_at(simulator, rollouts, step=cut)
+    carried = {name: values[:0] for name, values in arriving.items()}
+    for step in range(int(cut[0]), rollouts.detected.shape[1]):
+        problem.pause()
+        active = int(np.searchsorted(cut, step, side="right"))
+        before = states_at(rollouts, step, active)
+        carried = {
+            name: np.concatenate([values, arriving[name][len(values) : active]])
+            for name, values in carried.items()
+        }
+        before = replace(before, memory={**before.memory, **carried})
+        before = before if slots is None else slots.seen(before)
+        salient = salient_of(simulator, before)
+        logit = logit_of(problem.pem, salient, step=step // problem.turns)
+        detected = started.uniforms[step, :active] >= expit(-logit)
+        noise = _drawn_noise(started, step, active, turns=problem.turns)
+        after = stepped(simulator, before, detected, noise)
+        rollouts.pem_logit[:active, step] = logit
+        rollouts.detected[:active, step] = detected
+        carried = {name: v for name, v in after.memory.items() if name not in rollouts.memory}
+        for kept, reached in ((rollouts.signals, after.signals), (rollouts.memory, after.memory)):
+            for name in kept:
+                kept[name][:active, step + 1] = reached[name]
+    return replace(rollouts, proposal_logit=rollouts.pem_logit)
+
+
+def _drawn_noise(started: CutRollouts, step: int, active: int, *, turns: int) -> FloatArray | None:
+    """The noise ``[active, M]`` of the step that an outcome belongs to, written to the rollouts."""
+    latents = started.rollouts.latents
+    if latents is None or not is_last_of_step(started.rollouts, step, turns=turns):
+        return None
+    latents.noise[:active, step // turns] = started.noise[:active, step // turns]
+    return latents.noise[:active, step // turns]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.faults import SimulationError
-from pemviz.sampling.elite_threshold import VIOLATION_THRESHOLD
+from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.splitting.particles import (
     Continuation,

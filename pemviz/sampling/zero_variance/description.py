@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.budgets import final_budget, with_final_budget
-from pemviz.sampling.description import MethodDescription
-from pemviz.sampling.recount import averaged
+from pemviz.sampling.description import MethodDescription, averaged, final_budget, with_final_budget
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
@@ -15,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def _build(config: ExperimentConfig, back_end: BackEnd) -> ZeroVarianceSampling:
-    from pemviz.sampling.rollouts.final_batch import largest_part  # noqa: PLC0415  slow to import
+    from pemviz.sampling.rollouts.large_stages import largest_part  # noqa: PLC0415  slow to import
     from pemviz.sampling.zero_variance.method import ZeroVarianceSampling  # noqa: PLC0415  as above
 
     assert back_end.twin is not None  # noqa: S101  it is among the needs

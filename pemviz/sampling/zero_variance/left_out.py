@@ -15,9 +15,14 @@ from scipy.special import expit, logsumexp
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
 from pemviz.faults import of_no_rollouts
 from pemviz.pem.models.own_detector import DetectorModel
-from pemviz.sampling.rollouts.draw import logit_of
-from pemviz.sampling.zero_variance.merging import Pause, no_pause
-from pemviz.sampling.zero_variance.reachable_states import SAFE_NODE, StateGraph, Unsafe
+from pemviz.sampling.rollouts.simulate import logit_of
+from pemviz.sampling.zero_variance.reachable_states import (
+    SAFE_NODE,
+    Pause,
+    StateGraph,
+    Unsafe,
+    no_pause,
+)
 from pemviz.sampling.zero_variance.values import Values
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.quantised import start_cells

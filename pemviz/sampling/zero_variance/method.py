@@ -21,16 +21,14 @@ from pemviz.sampling.estimates.diagnostics import called_safe
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.final_batch import LARGEST_PART, FinalBatch, part_sizes
-from pemviz.sampling.zero_variance.frail import FrailModel
-from pemviz.sampling.zero_variance.frail_tables import build_frail_proposal
-from pemviz.sampling.zero_variance.merging import LARGEST_LAYER, Pause
-from pemviz.sampling.zero_variance.reachable_states import Unsafe
-from pemviz.sampling.zero_variance.tables import (
+from pemviz.sampling.rollouts.large_stages import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.zero_variance.frail import FrailModel, build_frail_proposal
+from pemviz.sampling.zero_variance.proposal import (
     DEFENSIVE_STEPS,
     build_zero_variance_proposal,
     with_defence,
 )
+from pemviz.sampling.zero_variance.reachable_states import LARGEST_LAYER, Pause, Unsafe
 from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
 from pemviz.types import Estimate, Simulator, StageResult
 

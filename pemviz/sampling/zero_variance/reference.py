@@ -5,14 +5,12 @@ from dataclasses import dataclass, replace
 
 from pemviz.config.ranges import AtLeastZero, Log10
 from pemviz.sampling.estimates.diagnostics import reason, undermining
-from pemviz.sampling.finished import nothing_finished
-from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.final_batch import largest_part
+from pemviz.sampling.problem import Problem, nothing_finished
+from pemviz.sampling.rollouts.large_stages import largest_part
 from pemviz.sampling.state.composed import without_following
 from pemviz.sampling.zero_variance.frail import FrailModel, frail_log_probability
-from pemviz.sampling.zero_variance.merging import TooManyStates
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling, require_unsafe
-from pemviz.sampling.zero_variance.reachable_states import explore
+from pemviz.sampling.zero_variance.reachable_states import TooManyStates, explore
 from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.quantised import start_cells
 from pemviz.types import Simulator

@@ -10,13 +10,13 @@ import numpy as np
 
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.simulators.bounds import SignalBounds
+from pemviz.simulators.bounds import SignalBounds, signals_reached, tells_reached
 from pemviz.stl.expressions import Constant, Predicate, Signal
 from pemviz.stl.formulas import And, Formula, Or
 from pemviz.stl.semantics import evaluate
 from pemviz.stl.temporal import Always
 from pemviz.stl.verdict import BooleanSemantics
-from pemviz.types import StateBatch
+from pemviz.types import Simulator, StateBatch
 
 
 @dataclass(frozen=True)
@@ -182,4 +182,37 @@ def _rules(formula: Formula) -> tuple[StateRule, ...] | None:
             StateRule(formula.first + rule.first, formula.last + rule.last, rule.predicate)
             for rule in inner
         )
+    return None
+
+
+@dataclass(frozen=True)
+class CertainViolation:
+    """Which states violate later for certain, as far as a twin tells.
+
+    Attributes:
+        twin: What tells how far its signals go at least.
+        unsafe: What violates the specification.
+    """
+
+    twin: Simulator
+    unsafe: UnsafeStates
+
+    def __call__(self, states: StateBatch) -> BoolArray:
+        """Whether all sequences of outcomes lead from states ``[N]`` of one step to unsafe ones.
+
+        False where that is not known.
+        """
+        after = int(states.step)
+
+        def reached(steps: int) -> SignalBounds:
+            left = self.twin.states - 1 - after
+            return signals_reached(self.twin, states, steps=min(steps, left))
+
+        return np.broadcast_to(self.unsafe.certain(reached, after=after), states.shape)
+
+
+def certain_violation(twin: Simulator, unsafe: object) -> CertainViolation | None:
+    """What tells it; ``None`` where nothing is known."""
+    if isinstance(unsafe, UnsafeStates) and tells_reached(twin):
+        return CertainViolation(twin, unsafe)
     return None

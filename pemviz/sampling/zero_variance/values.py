@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.sampling.zero_variance.merging import Pause, no_pause
-from pemviz.sampling.zero_variance.reachable_states import Layer, StateGraph
+from pemviz.sampling.zero_variance.reachable_states import Layer, Pause, StateGraph, no_pause
 
 
 @dataclass(frozen=True)

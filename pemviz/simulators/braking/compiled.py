@@ -79,7 +79,7 @@ class CompiledRollouts:
         self._answers = _answers(places)
 
     def simulate(self, uniforms: FloatArray) -> RolloutBatch:
-        """As :func:`pemviz.sampling.rollouts.draw.simulate`, for ``uniforms [N, T-1]``."""
+        """As :func:`pemviz.sampling.rollouts.simulate.simulate`, for ``uniforms [N, T-1]``."""
         count, steps = uniforms.shape
         (gap_m, ego_mps, lead_mps), tracks = self.begun(count)
         waiting = np.arange(count)

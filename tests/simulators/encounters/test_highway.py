@@ -8,7 +8,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from pemviz.config import LOGICAL_SCENARIOS, EncounterConfig, StartChoice
 from pemviz.pem import load_position_errors
-from pemviz.sampling.rollouts.draw import replay
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.encounters.highway import HighwayEncounters, encounter_frames
 from pemviz.simulators.encounters.highway_env_encounters import EncounterEnv
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters

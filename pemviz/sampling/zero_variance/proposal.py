@@ -1,10 +1,17 @@
-"""From the reachable states' values to the tables that the proposal looks up."""
+"""From the reachable states' values to the proposal: tables of outcomes, and starts to begin from.
+
+With the starts k of a quantised twin, their probabilities p_k, their values V_k and a defensive
+share d, one is chosen with q_k; within its cell the start has its distribution under the model::
+
+    q_k = (1 - d) p_k V_k / sum_j p_j V_j + d p_k
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from typing import overload
 
 import numpy as np
+from scipy.special import ndtr
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct
@@ -17,16 +24,18 @@ from pemviz.proposals.zero_variance import (
     cell_keys,
 )
 from pemviz.sampling.zero_variance.left_out import left_out_share
-from pemviz.sampling.zero_variance.merging import (
+from pemviz.sampling.zero_variance.reachable_states import (
     LARGEST_LAYER,
     MERGE_DISTANCE,
+    Layer,
     Pause,
+    StateGraph,
+    Unsafe,
+    explore,
     no_pause,
     state_columns,
     state_names,
 )
-from pemviz.sampling.zero_variance.reachable_states import Layer, StateGraph, Unsafe, explore
-from pemviz.sampling.zero_variance.starts import with_starts
 from pemviz.sampling.zero_variance.values import (
     Values,
     both_log_likelihoods,
@@ -35,8 +44,51 @@ from pemviz.sampling.zero_variance.values import (
 )
 from pemviz.simulators.absorbing import VIOLATED
 from pemviz.simulators.latents import begun
-from pemviz.simulators.quantised import start_cells
+from pemviz.simulators.quantised import StartCells, start_cells
 from pemviz.types import Signal, Simulator
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StartZeroVarianceProposal(ZeroVarianceProposal):
+    """A zero-variance proposal that chooses where rollouts start, too.
+
+    Attributes:
+        cells: The twin's.
+        log_start_value: Log of the failure probability from each of its starts, ``[K]``.
+    """
+
+    cells: StartCells
+    log_start_value: FloatArray
+
+    def chosen_start(self, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Latents ``[N, S]`` made of standard normals ``[N, S]``, and log p - log q, ``[N]``."""
+        share = self._shares()
+        bounds = np.cumsum(share)
+        uniform = ndtr(normals)
+        drawn = uniform[:, 0] * bounds[-1]
+        cell = np.minimum(np.searchsorted(bounds, drawn, side="right"), share.size - 1)
+        # what is left of the first draw within its cell is uniform again
+        place = uniform.copy()
+        place[:, 0] = np.clip((drawn - bounds[cell]) / share[cell] + 1.0, 0.0, 1.0)
+        log_q = np.log(share[cell]) - np.log(bounds[-1])
+        return self.cells.within(cell, place), self.cells.log_p[cell] - log_q
+
+    def _shares(self) -> FloatArray:
+        """q_k, ``[K]``."""
+        under_model = np.exp(self.cells.log_p)
+        if not np.isfinite(self.log_probability):
+            return under_model
+        given = np.exp(self.cells.log_p + self.log_start_value - self.log_probability)
+        return (1.0 - self.defensive) * given + self.defensive * under_model
+
+
+def with_starts(
+    proposal: ZeroVarianceProposal, *, cells: StartCells, values: Values
+) -> StartZeroVarianceProposal:
+    """A proposal for the states of a twin with a quantised start, and for its starts."""
+    plain = {part.name: getattr(proposal, part.name) for part in fields(ZeroVarianceProposal)}
+    return StartZeroVarianceProposal(**plain, cells=cells, log_start_value=values.log_start_value)
+
 
 COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
 NEGLIGIBLE_SHARE = 1e-12
