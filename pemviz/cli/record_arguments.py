@@ -119,8 +119,7 @@ def parse(words: Sequence[str]) -> RecordArguments:
     ):
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
-    arguments = _with_sumo_config(_with_rules(arguments, start.experiment))
-    arguments = _with_starts(_with_tracker(arguments))
+    arguments = _with_shorthands(_with_rules(arguments, start.experiment))
     if source.resume is not None and arguments.experiment != start.experiment:
         message = (
             f"resume = {source.resume}: the run goes on with its own configuration; leave out "
@@ -142,25 +141,13 @@ def ignored_notes(config: ExperimentConfig, *, start: ExperimentConfig) -> tuple
     )
 
 
-def _with_tracker(arguments: RecordArguments) -> RecordArguments:
-    if arguments.tracker is None:
-        return arguments
+def _with_shorthands(arguments: RecordArguments) -> RecordArguments:
+    """With the options that stand for a setting of a table: of the scenario, of SUMO, of starts."""
     config = arguments.experiment
-    scenario = replace(config.scenario, tracker=arguments.tracker)
-    return replace(arguments, experiment=replace(config, scenario=scenario))
-
-
-def _with_sumo_config(arguments: RecordArguments) -> RecordArguments:
-    if arguments.sumo_config is None:
-        return arguments
-    config = arguments.experiment
-    sumo = replace(config.sumo, config=arguments.sumo_config)
-    return replace(arguments, experiment=replace(config, sumo=sumo))
-
-
-def _with_starts(arguments: RecordArguments) -> RecordArguments:
-    """With the start values that were given, beside those of preset or file."""
-    config = arguments.experiment
+    if arguments.tracker is not None:
+        config = replace(config, scenario=replace(config.scenario, tracker=arguments.tracker))
+    if arguments.sumo_config is not None:
+        config = replace(config, sumo=replace(config.sumo, config=arguments.sumo_config))
     given = read_starts(arguments.start)
     kept = [choice for choice in config.start if choice.name not in given]
     start = (*kept, *(StartChoice(*choice) for choice in given.items()))

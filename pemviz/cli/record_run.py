@@ -36,10 +36,9 @@ def record(arguments: RecordArguments) -> int:
     reports = ReportWriter(
         summary=arguments.summary, junit=arguments.junit, limits=arguments.limits
     )
-    if arguments.source.resume is not None:
-        done = _done_before(arguments.source.resume)
-        if done is not None:
-            return _tell_done(arguments, done, reports=reports)
+    left = None if arguments.source.resume is None else result_left(arguments.source.resume)
+    if left is not None and left.status == "done":
+        return _report_done(arguments, left, reports=reports)
     experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
     for note in arguments.notes:
@@ -64,7 +63,7 @@ def record(arguments: RecordArguments) -> int:
     if result.status != "done":
         print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
         return EXIT_FAILED
-    return _gate(arguments, result)
+    return gate_exit_code(result, limits=arguments.limits)
 
 
 def _carry_out(
@@ -161,17 +160,7 @@ class _Replacing:
             self.written.replace(self.path)
 
 
-def _done_before(folder: Path) -> RunResult | None:
-    """The result of a run that is done already; ``None`` if it is not.
-
-    Raises:
-        InputError: The folder's files are damaged, or do not belong together.
-    """
-    result = result_left(folder)
-    return result if result is not None and result.status == "done" else None
-
-
-def _tell_done(arguments: RecordArguments, result: RunResult, *, reports: ReportWriter) -> int:
+def _report_done(arguments: RecordArguments, result: RunResult, *, reports: ReportWriter) -> int:
     """Report a run that is done already and return its exit code; nothing is computed."""
     print(
         f"pemviz: {arguments.source.resume} is done already; nothing was computed", file=sys.stderr
@@ -179,11 +168,6 @@ def _tell_done(arguments: RecordArguments, result: RunResult, *, reports: Report
     reports.write(result)
     if arguments.json:
         print(json.dumps(result_document(result), allow_nan=False))
-    return _gate(arguments, result)
-
-
-def _gate(arguments: RecordArguments, result: RunResult) -> int:
-    """The exit code of a run that is done."""
     return gate_exit_code(result, limits=arguments.limits)
 
 

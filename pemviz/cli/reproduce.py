@@ -1,7 +1,7 @@
-"""``pemviz reproduce``: the paper's tables and figures beside the published numbers, and more."""
+"""``pemviz reproduce``: the paper's tables and figures beside the published numbers."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -10,21 +10,18 @@ import tyro
 
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import parse_arguments
-from pemviz.cli.reproduce_progress import make_folder, reproduction_progress
-from pemviz.cli.reproduce_scenarios import run as reproduce_scenarios
-from pemviz.errors import EXIT_DONE, RunError
+from pemviz.cli.progress import jobs_progress
+from pemviz.errors import EXIT_DONE, ConfigError, RunError
 from pemviz.files.atomic import write_bytes
-from pemviz.reproduce.carry_out import Reproduction, reproduce
+from pemviz.reproduce.carry_out import reproduce
 from pemviz.reproduce.settings import PARTS, Part, Settings
 
 Chosen = Literal["table1", "table2", "table3", "figures", "all"]
 
 DESCRIPTION = (
     "Compute the paper's tables and figures anew and set them beside the published numbers: "
-    "markdown, CSV, PNG and one recording. 'pemviz reproduce scenarios' is a study of its own, "
-    "what memory and tracker are worth in each logical scenario: see its --help."
+    "markdown, CSV, PNG and one recording."
 )
-SCENARIOS_WORD = "scenarios"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,14 +49,12 @@ class ReproduceArguments:
 
 
 def run(words: Sequence[str]) -> int:
-    """Carry out the command; of the paper all files are written at its end, or none.
+    """Carry out the command; all files are written at its end, or none.
 
     Raises:
         InputError: The arguments are wrong.
         RunError: Interrupted, or a file cannot be written.
     """
-    if words and words[0] == SCENARIOS_WORD:
-        return reproduce_scenarios(words[1:])
     arguments = parse_arguments(
         ReproduceArguments,
         words,
@@ -69,9 +64,13 @@ def run(words: Sequence[str]) -> int:
     )
     settings = _settings(arguments)
     make_folder(arguments.out)
-    with stop_on_signals() as should_stop, reproduction_progress() as on_progress:
+    with stop_on_signals() as should_stop, jobs_progress() as on_progress:
         made = reproduce(settings, on_progress=on_progress, should_stop=should_stop)
-    _write(made, arguments.out, recording=not arguments.no_recording)
+    write_files(made.files(), arguments.out)
+    if not arguments.no_recording:
+        from pemviz.reproduce.recording import write_recording  # noqa: PLC0415  rerun is slow
+
+        write_recording(made, arguments.out / "reproduction.rrd")
     print(made.page)
     print(f"pemviz: written to {arguments.out}", file=sys.stderr)
     return EXIT_DONE
@@ -90,14 +89,28 @@ def _settings(arguments: ReproduceArguments) -> Settings:
     )
 
 
-def _write(made: Reproduction, out: Path, *, recording: bool) -> None:
-    try:
-        for name, content in made.files().items():
-            write_bytes(out / name, content)
-        if recording:
-            from pemviz.reproduce.recording import write_recording  # noqa: PLC0415  rerun is slow
+def make_folder(out: Path) -> None:
+    """Make the folder that files are written to, if need be.
 
-            write_recording(made, out / "reproduction.rrd")
+    Raises:
+        ConfigError: It cannot be.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"out = {out}: no folder can be made there ({error.strerror or error})"
+        raise ConfigError(message) from error
+
+
+def write_files(contents: Mapping[str, bytes], out: Path) -> None:
+    """Write files by name to a folder, each whole or not at all.
+
+    Raises:
+        RunError: One cannot be written.
+    """
+    try:
+        for name, content in contents.items():
+            write_bytes(out / name, content)
     except OSError as error:
         message = f"out = {out}: cannot be written ({error})"
         raise RunError(message) from error

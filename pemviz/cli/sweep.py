@@ -1,17 +1,20 @@
 """``pemviz sweep``: many experiments, every combination of settings with every seed."""
 
+import contextlib
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, TextColumn
 
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import Processes, parse_arguments
-from pemviz.cli.sweep_progress import sweep_progress, tell_done_before
+from pemviz.cli.progress import bar
 from pemviz.cli.workers import check_one_kind
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import Range, check_value
@@ -19,8 +22,9 @@ from pemviz.config.toml_files import load_config, load_preset
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, ConfigError, RunError
 from pemviz.files.atomic import write_bytes, write_text
 from pemviz.processes import usable_cpus
+from pemviz.reports.escape import printable_line
 from pemviz.sampling.registry import ignored_note, ignored_settings
-from pemviz.sweep.carry_out import RunState, carry_out_runs, finished_before
+from pemviz.sweep.carry_out import OnReport, RunReport, RunState, carry_out_runs, finished_before
 from pemviz.sweep.cluster import ClusterWorkers
 from pemviz.sweep.fields import parse_variation
 from pemviz.sweep.folders import sweep_folder
@@ -190,39 +194,28 @@ def _carry_out(
     waiting: list[PlannedRun] = [state.planned for state in before if state.status != "done"]
     total, done = len(before), len(before) - len(waiting)
     if done:
-        tell_done_before(done, total)
+        _say(Console(stderr=True), f"{done} of {total} runs are done already")
     lost = None
     if waiting:
         with (
             stop_on_signals() as should_stop,
-            sweep_progress(total, done=done, quiet=quiet) as on_report,
+            _sweep_progress(total, done=done, quiet=quiet) as on_report,
             workers,
         ):
-
-            def keep_state(state: RunState) -> None:
-                states[state.planned.name] = state
-
-            lost = _until_lost(
-                lambda: carry_out_runs(
+            try:
+                carry_out_runs(
                     runs,
                     waiting,
                     workers,
                     models=models,
                     keep=keep,
                     on_report=on_report,
-                    on_end=keep_state,
+                    on_end=lambda state: states.update({state.planned.name: state}),
                     should_stop=should_stop,
                 )
-            )
+            except RunError as error:
+                lost = str(error)
     return [states[state.planned.name] for state in before], lost
-
-
-def _until_lost(carry_out: Callable[[], None]) -> str | None:
-    try:
-        carry_out()
-    except RunError as error:
-        return str(error)
-    return None
 
 
 def _print(arguments: SweepArguments, out: Path, plan: Plan, states: Sequence[RunState]) -> None:
@@ -246,3 +239,61 @@ def _judge(states: Sequence[RunState], *, out: Path, lost: str | None) -> int:
         file=sys.stderr,
     )
     return EXIT_FAILED
+
+
+@contextlib.contextmanager
+def _sweep_progress(total: int, *, done: int, quiet: bool) -> Generator[OnReport, None, None]:
+    """Yield what is to be called with every report; failures are told however quiet it is.
+
+    Args:
+        total: Runs of the sweep.
+        done: Of these, done before.
+        quiet: Leave out the lines of runs that are done, where there is no terminal.
+    """
+    console = Console(stderr=True)
+    if console.is_terminal:
+        with _bar(console, total=total, done=done) as on_report:
+            yield on_report
+        return
+    ended = done
+
+    def say(report: RunReport) -> None:
+        nonlocal ended
+        ended += not report.again
+        if report.state.status == "failed":
+            _say(console, _failure_line(report))
+        elif not quiet:
+            _say(console, f"{ended} of {total}: {_done_text(report)}")
+
+    yield say
+
+
+@contextlib.contextmanager
+def _bar(console: Console, *, total: int, done: int) -> Generator[OnReport, None, None]:
+    with bar(console, MofNCompleteColumn(), TextColumn("runs,")) as progress:
+        task = progress.add_task("starting", total=total, completed=done)
+
+        def show(report: RunReport) -> None:
+            if report.state.status == "failed":
+                _say(progress.console, _failure_line(report))
+            if not report.again:
+                progress.update(task, advance=1, description=report.state.planned.label)
+
+        yield show
+
+
+def _done_text(report: RunReport) -> str:
+    """A run that is done, with what it found."""
+    estimate = report.state.estimate
+    answer = "" if estimate is None else f": probability {estimate.probability:.3g}"
+    return f"{report.state.planned.label}{answer}"
+
+
+def _failure_line(report: RunReport) -> str:
+    """Which run failed, why, and what follows."""
+    then = "; it is tried once more" if report.again else ""
+    return f"failed: {report.state.planned.label}: {report.state.message}{then}"
+
+
+def _say(console: Console, text: str) -> None:
+    console.print(printable_line(text), highlight=False, markup=False, soft_wrap=True)

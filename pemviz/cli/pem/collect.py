@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, cast, get_args
 
-from pemviz.cli.pem.progress import progress_bar
+from pemviz.cli.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
 from pemviz.pem.data.collect_mot import collect_mot

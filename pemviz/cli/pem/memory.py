@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pemviz.cli.pem.progress import progress_bar
+from pemviz.cli.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.tracks import load_tracks

@@ -14,6 +14,8 @@ from pemviz.pem import load_pem
 
 WEIGHTED, PLAIN = METHODS = ("mixture", "monte-carlo")
 """What every cell is answered by."""
+ANY = "any rule"
+"""What breaks at least one of the rules."""
 EXPLORATION_SHARE = 20
 """One of so many rollouts is in a stage of mixture, as in the logical scenarios' presets."""
 MOST_CELLS = 1000

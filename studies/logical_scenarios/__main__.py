@@ -1,4 +1,4 @@
-"""``pemviz reproduce scenarios``: what memory and tracker are worth in each logical scenario."""
+"""``python -m studies.logical_scenarios``: what memory and tracker change in each of them."""
 
 import sys
 from collections.abc import Sequence
@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pemviz.cli.interrupt import stop_on_signals
+from pemviz.cli.main import carry_out
 from pemviz.cli.parsing import Processes, parse_arguments
-from pemviz.cli.reproduce_progress import make_folder, reproduction_progress
-from pemviz.errors import EXIT_DONE, RunError
-from pemviz.files.atomic import write_bytes
-from pemviz.reproduce.scenarios import ScenarioStudySettings, study_scenarios
+from pemviz.cli.progress import jobs_progress
+from pemviz.cli.reproduce import make_folder, write_files
+from pemviz.errors import EXIT_DONE
+from studies.logical_scenarios import ScenarioStudySettings, study_scenarios
 
 DESCRIPTION = (
     "Run every logical scenario with every memory time and every tracker, by mixture and by "
@@ -22,7 +23,7 @@ CELLS = "cells"
 
 @dataclass(frozen=True, kw_only=True)
 class ScenariosArguments:
-    """Options of ``pemviz reproduce scenarios``."""
+    """Options of ``python -m studies.logical_scenarios``."""
 
     out: Path = Path("scenarios")
     """Folder for the files; made if need be, files of the same name are replaced."""
@@ -44,6 +45,12 @@ class ScenariosArguments:
     """Processes; the results do not depend on it; 1 to 1024."""
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out the command line and return its exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    return carry_out("studies.logical_scenarios", run, words)
+
+
 def run(words: Sequence[str]) -> int:
     """Carry out the command.
 
@@ -54,7 +61,8 @@ def run(words: Sequence[str]) -> int:
     arguments = parse_arguments(
         ScenariosArguments,
         words,
-        command="reproduce scenarios",
+        command="studies.logical_scenarios",
+        program="python -m",
         default=ScenariosArguments(),
         description=DESCRIPTION,
     )
@@ -71,16 +79,15 @@ def run(words: Sequence[str]) -> int:
     settings.validate()
     out = arguments.out
     make_folder(out / CELLS)
-    with stop_on_signals() as should_stop, reproduction_progress() as on_progress:
+    with stop_on_signals() as should_stop, jobs_progress() as on_progress:
         made = study_scenarios(
             settings, out / CELLS, on_progress=on_progress, should_stop=should_stop
         )
-    try:
-        for name, content in made.files().items():
-            write_bytes(out / name, content)
-    except OSError as error:
-        message = f"out = {out}: cannot be written ({error})"
-        raise RunError(message) from error
+    write_files(made.files(), out)
     print(made.page)
     print(f"pemviz: written to {out}", file=sys.stderr)
     return EXIT_DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

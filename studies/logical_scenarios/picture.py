@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
-from pemviz.reproduce.scenarios.answers import Answer
-from pemviz.reproduce.scenarios.page import SHOWN, TITLES
-from pemviz.reproduce.scenarios.settings import Cell, ScenarioStudySettings, tracker_words
-from pemviz.reproduce.scenarios.table import CellAnswer
+from studies.logical_scenarios.answers import Answer
+from studies.logical_scenarios.page import SHOWN, TITLES, CellAnswer
+from studies.logical_scenarios.settings import Cell, ScenarioStudySettings, tracker_words
 
 COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
 MARKERS = ("o", "s", "D", "^", "P", "X", "*")

@@ -1,10 +1,10 @@
-"""One cell by one method: carried out, and kept in a file that the same command finds again."""
+"""A study of logical scenarios: cells by both methods, kept in files, then page, table, picture."""
 
 import hashlib
 import logging
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,23 @@ from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
 from pemviz.files.atomic import document_digest, write_json
 from pemviz.files.json_text import parse_json
+from pemviz.pem import load_pem
+from pemviz.reproduce.workers import Job, OnProgress, no_progress, run_jobs
 from pemviz.runs.coherence import disorders
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.rules import estimates_by_rule
 from pemviz.types import Estimate
+from studies.logical_scenarios.page import all_answers, csv_of, page_markdown
+from studies.logical_scenarios.picture import picture_png
+from studies.logical_scenarios.settings import (
+    ANY,
+    METHODS,
+    PLAIN,
+    WEIGHTED,
+    Cell,
+    ScenarioStudySettings,
+)
 
-ANY = "any rule"
-"""What breaks at least one of the rules."""
 HASH_DIGITS = 16
 WHOLE = "whole"
 """The entry with the digest of all others."""
@@ -133,3 +143,78 @@ def _finite(table: Mapping[str, Any]) -> dict[str, Any]:
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in table.items()
     }
+
+
+KEPT = "what is done is kept, the same command goes on from there"
+
+
+@dataclass(frozen=True)
+class ScenarioStudy:
+    """What was computed.
+
+    Attributes:
+        estimates: By cell and method.
+        page: Markdown.
+        csv: Every answer with every digit.
+        png: The answers as a picture.
+    """
+
+    estimates: Mapping[tuple[Cell, str], CellEstimates]
+    page: str
+    csv: str
+    png: bytes
+
+    def files(self) -> dict[str, bytes]:
+        """Contents by file name, the page last."""
+        return {
+            "scenarios.csv": self.csv.encode(),
+            "scenarios.png": self.png,
+            "scenarios.md": self.page.encode(),
+        }
+
+
+def study_scenarios(
+    settings: ScenarioStudySettings,
+    folder: Path,
+    *,
+    on_progress: OnProgress = no_progress,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> ScenarioStudy:
+    """Compute what ``settings`` ask.
+
+    Args:
+        settings: Which cells, and with what effort.
+        folder: Exists, and keeps a file for each cell and method as soon as that is done; what is
+            there from an earlier call with the same settings is not computed again.
+        on_progress: Told (jobs done, jobs in all, the last one's label).
+        should_stop: Asked between jobs, with several processes several times a second.
+
+    Raises:
+        InputError: A setting is wrong.
+        RunError: Stopped, or a process died.
+    """
+    settings.validate()
+    pem = load_pem(settings.pem)
+    jobs: dict[tuple[Cell, str], Job] = {}
+    for cell in settings.cells:
+        for method in METHODS:
+            config = settings.config(cell, method)
+            digest = cell_digest(config, pem.digest)
+            arguments = (config, cell_path(folder, config, digest), digest)
+            jobs[cell, method] = Job(f"{cell.label}, {method}", cell_estimates, arguments)
+    estimates = run_jobs(
+        jobs,
+        workers=settings.workers,
+        on_progress=on_progress,
+        should_stop=should_stop,
+        when_stopped=KEPT,
+    )
+    answers = all_answers(
+        {
+            cell: (estimates[cell, WEIGHTED].by_rule, estimates[cell, PLAIN].by_rule)
+            for cell in settings.cells
+        }
+    )
+    cpu_s = {m: sum(estimates[cell, m].cpu_s for cell in settings.cells) for m in METHODS}
+    page = page_markdown(settings, answers, pem=pem, cpu_s=cpu_s)
+    return ScenarioStudy(estimates, page, csv_of(answers), picture_png(settings, answers))

@@ -8,12 +8,12 @@ import pytest
 from markdown_it import MarkdownIt
 from scipy import stats
 
-from pemviz.cli.main import main
-from pemviz.reproduce.scenarios import ScenarioStudySettings, study_scenarios
-from pemviz.reproduce.scenarios.answers import Answer, answer, factor, factor_words, why_not, words
-from pemviz.reproduce.scenarios.settings import PLAIN, WEIGHTED
 from pemviz.runs.engine import run_experiment
 from pemviz.types import Diagnostic, Estimate
+from studies.logical_scenarios import ScenarioStudySettings, study_scenarios
+from studies.logical_scenarios.__main__ import main
+from studies.logical_scenarios.answers import Answer, answer, factor, factor_words, why_not, words
+from studies.logical_scenarios.settings import PLAIN, WEIGHTED
 
 SMALL = ["--logical-scenarios", "braking", "--memories-s", "0.25", "--trackers", "none",
          "--rollouts", "200", "--plain-rollouts", "1000", "--workers", "1"]  # fmt: skip
@@ -106,7 +106,7 @@ def test_bounds_give_one_sided_factors():
 
 
 def test_the_command_writes_everything_and_goes_on_from_what_is_done(tmp_path, capsys):
-    assert main(["reproduce", "scenarios", *SMALL, "--out", str(tmp_path)]) == 0
+    assert main([*SMALL, "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr()
     page = (tmp_path / "scenarios.md").read_text()
     assert shown.out == page + "\n"
@@ -161,7 +161,7 @@ def test_budgets_and_questions_of_cells():
 )
 def test_wrong_settings_are_one_line(given, complaint, tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["reproduce", "scenarios", *given, "--out", str(out)]) == 2
+    assert main([*given, "--out", str(out)]) == 2
     shown = capsys.readouterr().err
     assert complaint in shown
     assert shown.count("\n") == 1
