@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.simulators.braking.compiled import CompiledRollouts
-from pemviz.simulators.braking.loops import BLOCK
+from pemviz.simulators.braking.compiled import BLOCK, CompiledRollouts
 
 
 @dataclass(frozen=True)

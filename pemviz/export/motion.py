@@ -19,7 +19,6 @@ from pemviz.sampling.state.visibility import SEEN_LOGIT, VISIBILITY
 from pemviz.simulators.braking.contact import (
     CAMERA_TO_BUMPER_M,
     Contact,
-    contact_text,
     first_contact,
 )
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M, EGO_SPEED, GAP, LEAD_SPEED
@@ -130,7 +129,7 @@ def braking_motion(rollout: RankedRollout, *, form: str) -> BrakingMotion:
 def description(rollout: RankedRollout, motion: BrakingMotion) -> str:
     """The rollout in one line: which it is, its verdict, contact, misses."""
     verdict = "violates" if rollout.violated else "holds"
-    contact = "no contact" if motion.contact is None else contact_text(motion.contact)
+    contact = "no contact" if motion.contact is None else str(motion.contact)
     return (
         f"pemviz run {rollout.result.run_id}, rank {rollout.rank} (repetition "
         f"{rollout.repetition}, stage {rollout.stage}, rollout {rollout.rollout}): {verdict} "

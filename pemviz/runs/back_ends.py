@@ -14,8 +14,7 @@ from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.large_stages import largest_part
 from pemviz.sampling.slots import turns_of
-from pemviz.simulators.braking.features import BrakingFeatures
-from pemviz.simulators.braking.scenario import BrakingScenario
+from pemviz.simulators.braking.scenario import BrakingFeatures, BrakingScenario
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.encounters.features import EncounterFeatures
@@ -68,7 +67,7 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
     if errors is not None and isinstance(simulator, BrakingScenario):
         return BackEnd(
             simulator=simulator,
-            features=BrakingFeatures(config.scenario, simulator),
+            features=BrakingFeatures(config.scenario, errors),
             twin=None,
             batch_rollouts=batch_rollouts(config),
             position_errors=errors,

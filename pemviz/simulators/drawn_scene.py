@@ -3,7 +3,7 @@
 from typing import Any
 
 from pemviz.config import ScenarioConfig
-from pemviz.simulators.braking.drawing import DRAWN_SIGNALS, FollowedCar
+from pemviz.simulators.braking.contact import DRAWN_SIGNALS, FollowedCar
 from pemviz.simulators.scene import DrawsScene, DrawsTracks
 from pemviz.simulators.slots import SlotSimulator
 

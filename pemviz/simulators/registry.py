@@ -24,7 +24,7 @@ from pemviz.config import (
 from pemviz.config.ranges import NamedPart
 from pemviz.config.settings import DEFAULT_ADDRESS, SumoConfig
 from pemviz.errors import ConfigError
-from pemviz.simulators.braking.measured_gap import RangeErrors
+from pemviz.simulators.measurement_errors import RangeErrors
 from pemviz.types import Simulator
 
 if TYPE_CHECKING:

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M, first_contact
-from pemviz.simulators.braking.drawing import FollowedCar
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M, FollowedCar, first_contact
 
 DT_S = 0.1
 # closing at 5 m/s from 3.2 m: 3.2, 2.7, 2.2, 1.7, ... m

@@ -57,13 +57,9 @@ def test_without_a_tracker_the_gap_to_a_missed_car_is_not_measured(tracker, monk
     detected, noise = draws["detected"][:, 0], draws["noise"][:, 0]
     told = simulator.perceived(states, detected, noise)
     assert asked == [detected.sum() if tracker == "none" else 40]
-    every, kept = simulator.perceived_gap(states, noise)
-    np.testing.assert_array_equal(every, states.signals[GAP] + 0.5)
     if tracker == "none":
-        expected = np.where(detected, every, states.signals[GAP])
-        np.testing.assert_array_equal(told.gap_m, expected)
-    for name, values in kept.items():
-        np.testing.assert_array_equal(told.memory[name], values)
+        np.testing.assert_array_equal(told.gap_m, states.signals[GAP] + 0.5 * detected)
+    np.testing.assert_array_equal(told.memory["forgetful_noise"], noise[:, 0])
 
 
 @pytest.mark.parametrize("tracker", ["none", "2/3"])

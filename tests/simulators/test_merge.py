@@ -11,7 +11,7 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import load_preset, with_own_rules
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.merge.facts import CARS, LANES
+from pemviz.simulators.merge import CARS, LANES
 from pemviz.simulators.merge.highway_env_merge import CONFIG
 from pemviz.simulators.merge.scenario import (
     FASTER,

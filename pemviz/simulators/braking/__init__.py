@@ -15,7 +15,7 @@ go below 0.
 **One step**, from s_t and the outcome at s_t to s_{t+1}:
 
 1. *Perception.* detected ~ Bernoulli(p), p the error model's for the salient variables at s_t.
-2. *Emergency braking rule* (``emergency_braking.py``). Emergency, if detected and gap <
+2. *Emergency braking rule* (``scenario.py``). Emergency, if detected and gap <
    ``emergency_gap_m`` (10 m).
 3. *Ego's acceleration.* In an emergency -``emergency_deceleration_mps2`` (8 m/s^2), and I is held.
    Otherwise a PI controller (PID with K_d = 0) drives to v_0: e = v_0 - ego_speed; first I grows
@@ -28,12 +28,12 @@ go below 0.
 6. *Speeds:* each grows by its acceleration times dt, and is 0 if that is negative: a car that
    would reverse stands.
 
-**Position errors** (``measured_gap.py``; none unless asked for). In rule 2 the gap is then the one
-that perception measures: gap + e, e the error along the line of sight of the lead car's centre, a
-function of its salient variables and a standard normal u_t. With the error model's share c and
-memory time tau, u_t = sqrt(c) s + sqrt(1 - c) a_t; s is drawn once, a_0 = z_0, and
-a_t = rho a_{t-1} + sqrt(1 - rho^2) z_t with rho = exp(-dt/tau). s and the z_t are the rollout's
-latents.
+**Position errors** (``pemviz/simulators/measurement_errors.py``; none unless asked for). In rule 2
+the gap is then the one that perception measures: gap + e, e the error along the line of sight of
+the lead car's centre, a function of its salient variables and a standard normal u_t. With the error
+model's share c and memory time tau, u_t = sqrt(c) s + sqrt(1 - c) a_t; s is sampled once, a_0 =
+z_0, and a_t = rho a_{t-1} + sqrt(1 - rho^2) z_t with rho = exp(-dt/tau). s and the z_t are the
+rollout's latents.
 
 **Salient variables** of the lead car at a state, as KITTI would label it, in the order of
 ``pemviz.pem.SALIENT_COLUMNS``: class Car, truncation 0, occlusion 0 (none), alpha -pi/2, height

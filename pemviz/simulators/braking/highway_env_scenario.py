@@ -29,17 +29,15 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pemviz.arrays import FloatArray
 from pemviz.colors import EGO, LEAD, rgb
-from pemviz.config import ScenarioConfig
+from pemviz.config import EncounterConfig, ScenarioConfig
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
-from pemviz.simulators.braking.emergency_braking import brakes
-from pemviz.simulators.braking.scenario import CAR_WIDTH_M, EGO_LENGTH_M, scenario_tracker
+from pemviz.simulators.braking.scenario import CAR_WIDTH_M, EGO_LENGTH_M, brakes, scenario_tracker
 
 ENVIRONMENT_ID = "pemviz-braking-v0"
-
 SDL_DRIVER_VARIABLE = "SDL_VIDEODRIVER"
-
-FRAME_WIDTH_PX = 640
-FRAME_HEIGHT_PX = 160
+FRAME_WIDTH_PX, FRAME_HEIGHT_PX = 640, 160
+EGO_SHARE = 0.1
+"""Of a frame's width, at which the ego stays."""
 EGO_RGB, LEAD_RGB = rgb(EGO), rgb(LEAD)
 
 
@@ -61,20 +59,24 @@ class BrakingState(NamedTuple):
     speed_error_integral_m: float
 
 
-class ScenarioCar(Vehicle):
-    """A car on a straight road that stands rather than reverses and ignores contact."""
+class ScriptedCar(Vehicle):
+    """A car that goes where it heads and stands rather than reverses; contact is not its own."""
 
     # highway-env would override accelerations beyond these speeds.
     MAX_SPEED = math.inf
     MIN_SPEED = -math.inf
-    WIDTH = CAR_WIDTH_M
 
-    def __init__(self, road: Road, *, length_m: float, color: tuple[int, int, int]) -> None:
-        self.LENGTH = length_m
+    def __init__(
+        self, road: Road, *, length_m: float, width_m: float, color: tuple[int, int, int]
+    ) -> None:
+        self.LENGTH, self.WIDTH = length_m, width_m
         super().__init__(road, position=[0.0, 0.0])
         self.color = color
-        self.collidable = False
-        self.check_collisions = False
+        self.collidable = self.check_collisions = False
+
+    def accelerate(self, acceleration_mps2: float) -> None:
+        """Keep this acceleration over the next step; the wheel is straight."""
+        self.action = {"steering": 0.0, "acceleration": acceleration_mps2}
 
     def step(self, dt: float) -> None:
         """Advance by ``dt`` [s]: position with the old speed, then speed."""
@@ -82,70 +84,64 @@ class ScenarioCar(Vehicle):
         self.speed = max(self.speed, 0.0)
 
 
-class LeadCar(ScenarioCar):
-    """Brakes from a given time on until it stands."""
+class ScriptedEnv(AbstractEnv):
+    """A scenario stepped with perception's outcomes; a subclass adds ``_reset`` and ``_simulate``.
 
-    def __init__(self, road: Road, scenario: ScenarioConfig) -> None:
-        super().__init__(road, length_m=scenario.lead_length_m, color=LEAD_RGB)
-        self.scenario = scenario
-        self.step_index = 0
+    The reward is always 0: specifications judge whole rollouts. Contact ends nothing; an episode
+    is truncated at its last state.
+    """
 
-    def act(self, action: Any = None) -> None:  # noqa: ARG002
-        """Choose the acceleration; ``action`` is highway-env's and not used."""
-        scenario = self.scenario
-        braking = self.step_index * scenario.dt_s >= scenario.lead_brake_time_s
-        acceleration_mps2 = -scenario.lead_deceleration_mps2 if braking else 0.0
-        self.action = {"steering": 0.0, "acceleration": acceleration_mps2}
+    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012  declared so by gymnasium
+    viewer: EnvViewer | None
 
-    def step(self, dt: float) -> None:
-        """Advance by ``dt`` [s]."""
-        super().step(dt)
-        self.step_index += 1
+    def __init__(
+        self, scenario: ScenarioConfig | EncounterConfig, *, shown_m: float, render_mode: str | None
+    ) -> None:
+        """Make the environment, in its initial state.
 
+        Args:
+            scenario: Its parameters.
+            shown_m: How much of the road ahead of the ego a frame shows [m].
+            render_mode: ``rgb_array`` to render frames ``[160, 640, 3]`` without a display.
+        """
+        self.dt_s, self.last_step = scenario.dt_s, scenario.states - 1
+        view = {
+            "screen_width": FRAME_WIDTH_PX,
+            "screen_height": FRAME_HEIGHT_PX,
+            "centering_position": [EGO_SHARE, 0.5],
+            "offscreen_rendering": True,
+            "scaling": float(np.clip(FRAME_WIDTH_PX * (1 - EGO_SHARE) / shown_m, 2.0, 20.0)),
+            "simulation_frequency": 1 / scenario.dt_s,
+            "policy_frequency": 1 / scenario.dt_s,
+        }
+        super().__init__(config=view, render_mode=render_mode)
 
-class EgoCar(ScenarioCar):
-    """Holds its speed by a PI controller, and brakes hard for a close lead car that it detects."""
+    def update_metadata(self, video_real_time_ratio: float = 1) -> None:
+        """Set the frame rate at which a film runs in real time."""
+        # The library writes into the dict that all environments of a class share.
+        self.metadata = {**self.metadata, "render_fps": video_real_time_ratio / self.dt_s}
 
-    def __init__(self, road: Road, scenario: ScenarioConfig, lead: LeadCar) -> None:
-        super().__init__(road, length_m=EGO_LENGTH_M, color=EGO_RGB)
-        self.scenario = scenario
-        self.lead = lead
-        self.lead_present = False
-        self.told_gap_m = math.inf
-        self.speed_error_integral_m = 0.0
-        self.centre_to_camera_m = self.LENGTH / 2 - CAMERA_TO_BUMPER_M
-        self.centre_to_zero_gap_m = self.centre_to_camera_m + lead.LENGTH / 2
+    def set_spaces(self, observation: ObservationType, action: ActionType) -> None:
+        """Set our own observation and action types."""
+        self.observation_type, self.action_type = observation, action
+        self.observation_space, self.action_space = observation.space(), action.space()
 
-    @property
-    def gap_m(self) -> float:
-        """Windscreen camera to the rear of the lead car [m]; negative beyond contact."""
-        zero_gap_x_m = self.position[0] + self.centre_to_zero_gap_m
-        return float(self.lead.position[0] - zero_gap_x_m)
+    def render(self) -> Any:
+        """A frame, uint8 ``[160, 640, 3]``; ``None`` if no render mode was chosen."""
+        if self.viewer is None and self.render_mode is not None:
+            with no_display():
+                self.viewer = EnvViewer(self)
+            self.viewer.enabled = True  # with the dummy driver it leaves frames black
+        return super().render()
 
-    @property
-    def emergency(self) -> bool:
-        """Whether the ego is told of a close lead car."""
-        return brakes(self.lead_present, self.told_gap_m, self.scenario)
+    def _reward(self, action: Any) -> float:  # noqa: ARG002
+        return 0.0
 
-    def act(self, action: Any = None) -> None:  # noqa: ARG002
-        """Choose the acceleration; ``action`` is highway-env's and not used."""
-        if self.emergency:
-            acceleration_mps2 = -self.scenario.emergency_deceleration_mps2
-        else:
-            acceleration_mps2 = self._cruise_acceleration()
-        self.action = {"steering": 0.0, "acceleration": acceleration_mps2}
+    def _is_terminated(self) -> bool:
+        return False
 
-    def _cruise_acceleration(self) -> float:
-        """The speed controller's output [m/s^2]; its integral grows."""
-        scenario = self.scenario
-        error_mps = scenario.initial_speed_mps - self.speed
-        self.speed_error_integral_m += error_mps * scenario.dt_s
-        wanted_mps2 = (
-            scenario.speed_gain_per_s * error_mps
-            + scenario.speed_integral_gain_per_s2 * self.speed_error_integral_m
-        )
-        limited_mps2 = max(wanted_mps2, -scenario.maximum_deceleration_mps2)
-        return min(limited_mps2, scenario.maximum_acceleration_mps2)
+    def _is_truncated(self) -> bool:
+        return self.steps >= self.last_step
 
 
 class GapObservation(ObservationType):
@@ -167,8 +163,7 @@ class GapObservation(ObservationType):
 
     def observe(self) -> FloatArray:
         """The current state's signals ``[3]``."""
-        state = self.env.state
-        return np.array([state.gap_m, state.ego_speed_mps, state.lead_speed_mps])
+        return np.array(self.env.state[1:4])
 
 
 class PerceptionOutcome(ActionType):
@@ -184,16 +179,11 @@ class PerceptionOutcome(ActionType):
         """Nothing: the environment tells the ego as it moves on."""
 
 
-class BrakingEnv(AbstractEnv):
+class BrakingEnv(ScriptedEnv):
     """The scenario of ``pemviz.simulators.braking``, stepped with perception's outcomes.
 
-    Observations are :class:`GapObservation`, actions :class:`PerceptionOutcome`. The reward is
-    always 0: specifications judge whole rollouts. Contact ends nothing; an episode is
-    truncated at its last state.
+    Observations are :class:`GapObservation`, actions :class:`PerceptionOutcome`.
     """
-
-    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012  declared so by gymnasium
-    viewer: EnvViewer | None
 
     def __init__(
         self, scenario: ScenarioConfig | None = None, render_mode: str | None = None
@@ -204,102 +194,89 @@ class BrakingEnv(AbstractEnv):
             scenario: Parameters; the defaults are the paper's.
             render_mode: ``rgb_array`` to render frames ``[160, 640, 3]`` without a display.
         """
-        self.scenario = ScenarioConfig() if scenario is None else scenario
-        self.tracker = scenario_tracker(self.scenario)
-        super().__init__(config=_view(self.scenario), render_mode=render_mode)
-
-    def update_metadata(self, video_real_time_ratio: float = 1) -> None:
-        """Set the frame rate at which a film runs in real time."""
-        # The library writes into the dict that all environments of a class share.
-        frames_per_s = video_real_time_ratio / self.scenario.dt_s
-        self.metadata = {**self.metadata, "render_fps": frames_per_s}
+        self.scenario = scenario = ScenarioConfig() if scenario is None else scenario
+        self.tracker = scenario_tracker(scenario)
+        self.centre_to_zero_gap_m = (
+            EGO_LENGTH_M / 2 - CAMERA_TO_BUMPER_M + scenario.lead_length_m / 2
+        )
+        shown_m = scenario.gap_bound_m + scenario.lead_length_m + EGO_LENGTH_M
+        super().__init__(scenario, shown_m=shown_m, render_mode=render_mode)
 
     def define_spaces(self) -> None:
         """Set our own observation and action types."""
-        self.observation_type = GapObservation(self)
-        self.action_type = PerceptionOutcome(self)
-        self.observation_space = self.observation_type.space()
-        self.action_space = self.action_type.space()
+        self.set_spaces(GapObservation(self), PerceptionOutcome(self))
+
+    @property
+    def gap_m(self) -> float:
+        """Windscreen camera to the rear of the lead car [m]; negative beyond contact."""
+        zero_gap_x_m = self.ego.position[0] + self.centre_to_zero_gap_m
+        return float(self.lead.position[0] - zero_gap_x_m)
 
     @property
     def state(self) -> BrakingState:
         """The current state, from which :meth:`load` can restart."""
-        return BrakingState(
-            step=self.lead.step_index,
-            gap_m=self.ego.gap_m,
-            ego_speed_mps=self.ego.speed,
-            lead_speed_mps=self.lead.speed,
-            speed_error_integral_m=self.ego.speed_error_integral_m,
-        )
+        speeds_mps = (self.ego.speed, self.lead.speed)
+        return BrakingState(self.steps, self.gap_m, *speeds_mps, self.speed_error_integral_m)
 
     def load(self, state: BrakingState) -> None:
         """Put the scene into ``state``; its tracks stay."""
-        ego, lead = self.ego, self.lead
         # With the zero of the gap at x = 0 the gap is read back to the last digit.
-        ego.position[0] = -ego.centre_to_zero_gap_m
-        lead.position[0] = state.gap_m
-        ego.speed = state.ego_speed_mps
-        lead.speed = state.lead_speed_mps
-        ego.speed_error_integral_m = state.speed_error_integral_m
-        lead.step_index = self.steps = state.step
+        self.ego.position[0] = -self.centre_to_zero_gap_m
+        self.steps, self.lead.position[0], self.ego.speed, self.lead.speed = state[:4]
+        self.speed_error_integral_m = state.speed_error_integral_m
 
     def advance(self, *, detected: bool) -> None:
         """Move one time step on, without the costs of observing, on the true gap."""
-        present, gap_m = detected, self.ego.gap_m
+        present, gap_m = detected, self.gap_m
         if self.tracker is not None:
-            self.tracks = self.tracker.update(
-                self.tracks, np.array([detected]), np.array([self.ego.gap_m])
-            )
+            hit = np.array([detected])
+            self.tracks = self.tracker.update(self.tracks, hit, np.array([gap_m]))
             present, gap_m = bool(self.tracks.confirmed[0]), float(self.tracks.position_m[0, 0])
         self.move(present=present, gap_m=gap_m)
 
     def move(self, *, present: bool, gap_m: float) -> None:
         """Move one time step on, with the ego told of a lead car there."""
-        self.ego.lead_present, self.ego.told_gap_m = present, gap_m
-        self.road.act()
-        self.road.step(self.scenario.dt_s)
+        scenario = self.scenario
+        braking = self.steps * scenario.dt_s >= scenario.lead_brake_time_s
+        self.lead.accelerate(-scenario.lead_deceleration_mps2 if braking else 0.0)
+        if brakes(present, gap_m, scenario):
+            self.ego.accelerate(-scenario.emergency_deceleration_mps2)
+        else:
+            self.ego.accelerate(self._cruise_acceleration())
+        self.road.step(scenario.dt_s)
         self.steps += 1
 
-    def render(self) -> Any:
-        """A frame, uint8 ``[160, 640, 3]``; ``None`` if no render mode was chosen."""
-        if self.viewer is None and self.render_mode is not None:
-            with no_display():
-                self.viewer = EnvViewer(self)
-            self.viewer.enabled = True  # with the dummy driver it leaves frames black
-        return super().render()
+    def _cruise_acceleration(self) -> float:
+        """The speed controller's output [m/s^2]; its integral grows."""
+        scenario = self.scenario
+        error_mps = scenario.initial_speed_mps - self.ego.speed
+        self.speed_error_integral_m += error_mps * scenario.dt_s
+        wanted_mps2 = (
+            scenario.speed_gain_per_s * error_mps
+            + scenario.speed_integral_gain_per_s2 * self.speed_error_integral_m
+        )
+        limited_mps2 = max(wanted_mps2, -scenario.maximum_deceleration_mps2)
+        return min(limited_mps2, scenario.maximum_acceleration_mps2)
 
     def _reset(self) -> None:
+        scenario = self.scenario
         if self.tracker is not None:
             self.tracks = self.tracker.start(1)
-        self.road = straight_road(self.scenario)
-        self.lead = LeadCar(self.road, self.scenario)
-        self.ego = EgoCar(self.road, self.scenario, self.lead)
+        self.road = straight_road(scenario)
+        self.ego, self.lead = (
+            ScriptedCar(self.road, length_m=length_m, width_m=CAR_WIDTH_M, color=color)
+            for length_m, color in ((EGO_LENGTH_M, EGO_RGB), (scenario.lead_length_m, LEAD_RGB))
+        )
         self.road.vehicles.extend((self.ego, self.lead))
         self.controlled_vehicles = [self.ego]
-        self.load(
-            BrakingState(
-                step=0,
-                gap_m=self.scenario.initial_gap_m,
-                ego_speed_mps=self.scenario.initial_speed_mps,
-                lead_speed_mps=self.scenario.initial_speed_mps,
-                speed_error_integral_m=0.0,
-            )
-        )
+        speed_mps = scenario.initial_speed_mps
+        self.load(BrakingState(0, scenario.initial_gap_m, speed_mps, speed_mps, 0.0))
 
     def _simulate(self, action: Any = None) -> None:
         self.advance(detected=bool(action))
 
-    def _reward(self, action: Any) -> float:  # noqa: ARG002
-        return 0.0
-
-    def _is_terminated(self) -> bool:
-        return False
-
-    def _is_truncated(self) -> bool:
-        return self.steps >= self.scenario.states - 1
-
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:  # noqa: ARG002
-        return {"speed_error_integral_m": self.ego.speed_error_integral_m}
+        return {"speed_error_integral_m": self.speed_error_integral_m}
 
 
 def straight_road(scenario: ScenarioConfig) -> Road:
@@ -316,22 +293,6 @@ def straight_road(scenario: ScenarioConfig) -> Road:
     network = RoadNetwork()
     network.add_lane("start", "end", lane)
     return Road(network=network)
-
-
-def _view(scenario: ScenarioConfig) -> dict[str, Any]:
-    """Show gaps up to the declared bound; the ego stays near the left edge."""
-    ego_share = 0.1
-    span_m = scenario.gap_bound_m + scenario.lead_length_m + EGO_LENGTH_M
-    scale_px_per_m = FRAME_WIDTH_PX * (1 - ego_share) / span_m
-    return {
-        "screen_width": FRAME_WIDTH_PX,
-        "screen_height": FRAME_HEIGHT_PX,
-        "centering_position": [ego_share, 0.5],
-        "offscreen_rendering": True,
-        "scaling": float(np.clip(scale_px_per_m, 2.0, 20.0)),
-        "simulation_frequency": 1 / scenario.dt_s,
-        "policy_frequency": 1 / scenario.dt_s,
-    }
 
 
 @contextmanager

@@ -1,17 +1,17 @@
-"""What both back ends of the braking scenario share: all but how they step."""
+"""What the back ends of the braking scenario share, all but how they step; what proposals see."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.latents import NO_LATENTS, LatentCounts
-from pemviz.simulators.braking.measured_gap import MeasuredGap, RangeErrors
-from pemviz.simulators.tracking.named import tracker_of_text
-from pemviz.simulators.tracking.tracker import Tracker
+from pemviz.simulators.measurement_errors import MeasurementNoise, RangeErrors
+from pemviz.simulators.tracking.tracker import Tracker, tracker_of_text
 from pemviz.types import Signal, StateBatch
 
 GAP = "gap"
@@ -26,6 +26,23 @@ HEADING_AWAY_RAD = -np.pi / 2
 CAR_HEIGHT_M = 1.53
 CAR_WIDTH_M = 1.63
 EGO_LENGTH_M = 5.0
+REACH = 3.0
+"""Noise up to which a measured gap is expected to be too small: detections matter as far as that.
+"""
+
+
+class Perceived(NamedTuple):
+    """What the controller is told of the lead car, arrays ``[N]``.
+
+    Attributes:
+        present: Whether it is there: detected, or tracked.
+        gap_m: The gap to it [m], where it is there.
+        memory: What the next states remember of it.
+    """
+
+    present: BoolArray
+    gap_m: FloatArray
+    memory: Mapping[str, AnyArray]
 
 
 @dataclass(frozen=True)
@@ -41,10 +58,15 @@ class BrakingScenario:
     config: ScenarioConfig
     errors: RangeErrors | None = None
 
+    @cached_property
+    def noise(self) -> MeasurementNoise | None:
+        """Of the measured gap's errors; ``None`` without any."""
+        return None if self.errors is None else gap_noise(self.config, self.errors)
+
     @property
     def latents(self) -> LatentCounts:
         """Standard normals that a rollout takes: none without errors."""
-        return NO_LATENTS if self.errors is None else self._measured.latents
+        return NO_LATENTS if self.noise is None else self.noise.latents
 
     @property
     def states(self) -> int:
@@ -61,6 +83,11 @@ class BrakingScenario:
         """Gap [m], ego speed and lead speed [m/s]."""
         return scenario_signals(self.config)
 
+    @cached_property
+    def tracker(self) -> Tracker | None:
+        """Between perception and controller; ``None``: the ego reacts to single detections."""
+        return scenario_tracker(self.config)
+
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """Both cars at the initial speed, arrays ``[count]``.
 
@@ -68,7 +95,7 @@ class BrakingScenario:
             count: Number of rollouts N.
             start: With errors whose noise lasts, standard normals ``[N, 1]``.
         """
-        noises = {} if self.errors is None else self._measured.begin(count, start)
+        noise, tracker = self.noise, self.tracker
         speed_mps = np.full(count, self.config.initial_speed_mps)
         return StateBatch(
             step=np.zeros((), dtype=np.int64),
@@ -77,61 +104,35 @@ class BrakingScenario:
                 EGO_SPEED: speed_mps,
                 LEAD_SPEED: speed_mps,
             },
-            memory={SPEED_ERROR_INTEGRAL: np.zeros(count), **noises, **self._no_tracks(count)},
+            memory={
+                SPEED_ERROR_INTEGRAL: np.zeros(count),
+                **({} if noise is None else noise.begin(count, start)),
+                **({} if tracker is None else tracker.memory(tracker.start(count))),
+            },
         )
-
-    @cached_property
-    def tracker(self) -> Tracker | None:
-        """Between perception and controller; ``None``: the ego reacts to single detections."""
-        return scenario_tracker(self.config)
-
-    def _no_tracks(self, count: int) -> dict[str, AnyArray]:
-        tracker = self.tracker
-        return {} if tracker is None else tracker.memory(tracker.start(count))
 
     def perceived(
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None
-    ) -> "Perceived":
-        """What the controller is told at ``states`` ``[N]``.
+    ) -> Perceived:
+        """What the controller is told at ``states [N]``.
 
         Args:
             states: ``[N]``.
             detected: Perception's outcomes ``[N]``.
-            noise: As in :meth:`perceived_gap`.
-        """
-        tracker = self.tracker
-        if tracker is None:
-            gap_m, noises = self.perceived_gap(states, noise, asked=detected)
-            return Perceived(detected, gap_m, noises)
-        gap_m, noises = self.perceived_gap(states, noise)
-        tracks = tracker.update(tracker.state(states.memory), detected, gap_m)
-        memory = {**noises, **tracker.memory(tracks)}
-        return Perceived(tracks.confirmed, tracks.position_m[..., 0], memory)
-
-    def perceived_gap(
-        self, states: StateBatch, noise: FloatArray | None, *, asked: BoolArray | None = None
-    ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """The gap ``[N]`` [m] that perception measures, and what states keep of its noise.
-
-        Args:
-            states: ``[N]``.
             noise: With errors, standard normals ``[N, 1]``; ``None``: 0.
-            asked: Whose measured gap is needed, ``[N]``, the others get the true one; ``None``:
-                that of all.
         """
-        gap_m = states.signals[GAP]
-        if self.errors is None:
-            return gap_m, {}
-        given = np.zeros((len(gap_m), 1)) if noise is None else noise
-        kept = self._measured.remembered(states, given)
-        if asked is None:
-            salient = self.salient(states.signals)
-            return gap_m + self._measured.error_m(salient, kept), kept
-        rows, measured_m = np.flatnonzero(asked), gap_m.copy()
-        here = {name: values[rows] for name, values in kept.items()}
-        salient = self.salient({GAP: gap_m[rows]})
-        measured_m[rows] += self._measured.error_m(salient, here)
-        return measured_m, kept
+        tracker, gap_m = self.tracker, states.signals[GAP]
+        noises = {} if self.noise is None else self.noise.renewed(states, noise)
+        if tracker is not None:
+            measured_m = gap_m + self._error_m(gap_m, noises) if noises else gap_m
+            tracks = tracker.update(tracker.state(states.memory), detected, measured_m)
+            memory = {**noises, **tracker.memory(tracks)}
+            return Perceived(tracks.confirmed, tracks.position_m[..., 0], memory)
+        if noises:  # of a car that is missed nothing is measured
+            rows, gap_m = np.flatnonzero(detected), gap_m.copy()
+            here = {name: values[rows] for name, values in noises.items()}
+            gap_m[rows] += self._error_m(gap_m[rows], here)
+        return Perceived(detected, gap_m, noises)
 
     def told_errors(
         self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
@@ -139,14 +140,14 @@ class BrakingScenario:
         """Error of the measured gap at each step ``[T-1]`` of a rollout ``[T]`` [m]."""
         if self.errors is None:
             return {}
-        salient = self.salient({name: values[:-1] for name, values in signals.items()})
         after = {name: values[1:] for name, values in memory.items()}
-        return {"measured gap": self._measured.error_m(salient, after)}
+        return {"measured gap": self._error_m(signals[GAP][:-1], after)}
 
-    @property
-    def _measured(self) -> MeasuredGap:
+    def _error_m(self, gap_m: FloatArray, memory: Mapping[str, AnyArray]) -> FloatArray:
+        """Measured minus true gaps ``[N]`` [m], by the noise of a step in the memory after it."""
         assert self.errors is not None  # noqa: S101  asked for with errors alone
-        return MeasuredGap(self.config, self.errors)
+        assert self.noise is not None  # noqa: S101
+        return self.errors.range_error(self.salient({GAP: gap_m}), *self.noise.values(memory))
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The lead car's salient variables ``[..., 11]``."""
@@ -154,18 +155,73 @@ class BrakingScenario:
 
 
 @dataclass(frozen=True)
-class Perceived:
-    """What the controller is told of the lead car, arrays ``[N]``.
+class BrakingFeatures:
+    """What a proposal sees of states: gap, closing speed and time, and the tracks.
 
     Attributes:
-        present: Whether it is there: detected, or tracked.
-        gap_m: The gap to it [m], where it is there.
-        memory: What the next states remember of it.
+        config: The scenario's parameters.
+        errors: Of the measured gap; ``None``: there are none.
     """
 
-    present: BoolArray
-    gap_m: FloatArray
-    memory: Mapping[str, AnyArray]
+    config: ScenarioConfig
+    errors: RangeErrors | None = None
+
+    @cached_property
+    def tracker(self) -> Tracker | None:
+        """What stands between perception and controller."""
+        return scenario_tracker(self.config)
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """Gap [m], closing speed [m/s] and time [s] of states ``[...]``, as ``[..., 3]``.
+
+        With errors of the measured gap the noise that the states carry is a fourth; with a tracker
+        there is also what :meth:`Tracker.numbers` gives.
+        """
+        gap_m = states.signals[GAP]
+        columns = [gap_m, states.signals[EGO_SPEED] - states.signals[LEAD_SPEED]]
+        columns.append(np.asarray(states.step * self.config.dt_s, dtype=np.float64))
+        if self.errors is not None:
+            columns += gap_noise(self.config, self.errors).values(states.memory)
+        if self.tracker is not None:
+            columns += self.tracker.numbers(self.tracker.state(states.memory))
+        shape = (*gap_m.shape, len(columns))
+        values = np.empty(shape, dtype=np.float64)
+        for place, column in enumerate(columns):
+            values[..., place] = column
+        return values
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """Whether a detection at states ``[...]`` would trigger the emergency brake.
+
+        With a tracker: or may do so later, while the tracker still knows of it.
+        """
+        gap_m, config = states.signals[GAP], self.config
+        if self.tracker is not None:
+            known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * config.dt_s
+            closing_mps = states.signals[EGO_SPEED] - states.signals[LEAD_SPEED]
+            closing_mps2 = config.lead_deceleration_mps2 + config.maximum_acceleration_mps2
+            gap_m = gap_m - (closing_mps * known_s + 0.5 * closing_mps2 * known_s**2).clip(0.0)
+        if self.errors is not None:
+            salient = lead_car_salient(config, states.signals)
+            nearest = self.errors.range_error(salient, np.full(np.shape(gap_m), -REACH))
+            gap_m = gap_m + nearest.clip(max=0.0)
+        return gap_m < config.emergency_gap_m
+
+
+def brakes(detected: Any, gap_m: Any, config: ScenarioConfig) -> Any:
+    """The emergency braking rule: whether the ego brakes at ``emergency_deceleration_mps2``.
+
+    Args:
+        detected: Perception's outcomes ``[...]``, an array or one bool.
+        gap_m: Gaps ``[...]`` [m].
+        config: The scenario.
+    """
+    return detected & (gap_m < config.emergency_gap_m)
+
+
+def gap_noise(config: ScenarioConfig, errors: RangeErrors) -> MeasurementNoise:
+    """The noise of the measured gap, in states' memory as ``lasting_noise, forgetful_noise``."""
+    return MeasurementNoise({"noise": errors.range_memory}, config.dt_s)
 
 
 def scenario_tracker(config: ScenarioConfig) -> Tracker | None:
@@ -208,9 +264,37 @@ def lead_car_salient(config: ScenarioConfig, signals: Mapping[str, FloatArray]) 
         0.0,
         HEADING_AWAY_RAD,
     )
-    shape = (len(fixed), *gap_m.shape)
-    salient = np.empty(shape, dtype=np.float64)
-    values = np.asarray(fixed, dtype=np.float64)
-    salient[...] = values.reshape(-1, *[1] * gap_m.ndim)
+    salient = np.empty((len(fixed), *gap_m.shape), dtype=np.float64)
+    salient[...] = np.reshape(fixed, (-1, *[1] * gap_m.ndim))
     salient[9] = gap_m + config.lead_length_m / 2
     return salient.T if gap_m.ndim == 1 else np.moveaxis(salient, 0, -1)
+
+
+def car_salient(
+    *,
+    x_m: FloatArray,
+    y_m: float,
+    z_m: FloatArray,
+    heading_rad: FloatArray,
+    size_m: tuple[float, float, float],
+    truncated: FloatArray | float = NOT_TRUNCATED,
+    occlusion: FloatArray | float = NOT_OCCLUDED,
+) -> FloatArray:
+    """Cars as KITTI would label them, ``[..., 11]``, ordered as ``pemviz.pem.SALIENT_COLUMNS``.
+
+    Args:
+        x_m: Centre to the right of the camera, ``[...]`` [m].
+        y_m: Of the road below the camera [m].
+        z_m: Centre ahead of the camera, ``[...]`` [m].
+        heading_rad: ``[...]``, counterclockwise from the camera's direction [rad].
+        size_m: Height, width and length [m].
+        truncated: Share beyond the image ``[...]``.
+        occlusion: KITTI's level ``[...]``.
+    """
+    rotation_rad = HEADING_AWAY_RAD - heading_rad
+    alpha_rad = rotation_rad - np.arctan2(x_m, z_m)
+    columns = (CAR_CLASS, truncated, occlusion, alpha_rad, *size_m, x_m, y_m, z_m, rotation_rad)
+    salient = np.empty((*np.shape(heading_rad), len(columns)))
+    for place, column in enumerate(columns):
+        salient[..., place] = column
+    return salient

@@ -9,7 +9,6 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.simulators.bounds import SignalBounds
 from pemviz.simulators.braking.compiled import CompiledRollouts, compiled_loops
-from pemviz.simulators.braking.emergency_braking import brakes
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
     GAP,
@@ -17,6 +16,7 @@ from pemviz.simulators.braking.scenario import (
     SPEED_ERROR_INTEGRAL,
     BrakingScenario,
     Perceived,
+    brakes,
 )
 from pemviz.types import RolloutBatch, StateBatch
 
@@ -41,20 +41,21 @@ class VectorizedSimulator(BrakingScenario):
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
     ) -> StateBatch:
         """The states one time step on, for outcomes ``[N]`` and, with errors, noise ``[N, 1]``."""
-        dt_s = self.config.dt_s
-        ego_mps = states.signals[EGO_SPEED]
-        lead_mps = states.signals[LEAD_SPEED]
+        config, dt_s = self.config, self.config.dt_s
+        ego_mps, lead_mps = states.signals[EGO_SPEED], states.signals[LEAD_SPEED]
         gap_m = lead_mps - ego_mps
         gap_m *= dt_s
         gap_m += states.signals[GAP]
         told = self.perceived(states, detected, noise)
         ego_mps2, integral_m = self._ego_acceleration(states, told)
+        braking = states.step * dt_s >= config.lead_brake_time_s
+        lead_mps2 = np.where(braking, -config.lead_deceleration_mps2, 0.0)
         return StateBatch(
             step=states.step + 1,
-            signals={
+            signals={  # a car that would reverse stands instead
                 GAP: gap_m,
-                EGO_SPEED: _advance_speed(ego_mps, ego_mps2, dt_s),
-                LEAD_SPEED: _advance_speed(lead_mps, self._lead_acceleration(states), dt_s),
+                EGO_SPEED: (ego_mps + ego_mps2 * dt_s).clip(0.0),
+                LEAD_SPEED: (lead_mps + lead_mps2 * dt_s).clip(0.0),
             },
             memory={SPEED_ERROR_INTEGRAL: integral_m, **told.memory},
         )
@@ -158,13 +159,3 @@ class VectorizedSimulator(BrakingScenario):
             np.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),
             np.where(emergency, held_m, grown_m),
         )
-
-    def _lead_acceleration(self, states: StateBatch) -> FloatArray:
-        """The lead car's acceleration [m/s^2], broadcasting to ``[N]``."""
-        braking = states.step * self.config.dt_s >= self.config.lead_brake_time_s
-        return np.where(braking, -self.config.lead_deceleration_mps2, 0.0)
-
-
-def _advance_speed(speed_mps: FloatArray, wanted_mps2: FloatArray, dt_s: float) -> FloatArray:
-    """Speeds after one step; a car that would reverse stands instead."""
-    return (speed_mps + wanted_mps2 * dt_s).clip(0.0)

@@ -37,7 +37,7 @@ from pemviz.simulators.encounters.highway_start import (
     drawn,
     encounter_distributions,
 )
-from pemviz.simulators.tracking.named import tracker_of_text
+from pemviz.simulators.tracking.tracker import tracker_of_text
 
 ENCOUNTERS = {
     "pemviz-braking-encounter-v0": EncounterConfig(logical_scenario="braking"),

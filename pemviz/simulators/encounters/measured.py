@@ -13,7 +13,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config import EncounterConfig
 from pemviz.latents import LatentCounts
-from pemviz.simulators.braking.measured_gap import ErrorMemory
+from pemviz.simulators.measurement_errors import ErrorMemory
 from pemviz.types import StateBatch
 
 KINDS = ("range", "cross_range")

@@ -38,8 +38,7 @@ from pemviz.simulators.encounters.names import (
 )
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import SeenStates, Slot
-from pemviz.simulators.tracking.named import tracker_of_text
-from pemviz.simulators.tracking.tracker import Tracker
+from pemviz.simulators.tracking.tracker import Tracker, tracker_of_text
 from pemviz.types import Signal, StateBatch
 
 

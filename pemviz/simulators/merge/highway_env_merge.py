@@ -8,17 +8,7 @@ from scipy.special import ndtr
 
 from pemviz.arrays import FloatArray
 from pemviz.latents import LatentCounts
-from pemviz.simulators.merge.facts import (
-    BESIDE_M,
-    CAR_LENGTH_M,
-    CAR_WIDTH_ROAD_M,
-    CARS,
-    DT_S,
-    LANES,
-    LATENTS,
-    STATES,
-    merge_signals,
-)
+from pemviz.simulators import merge
 
 CONFIG = {
     "policy_frequency": 5,
@@ -36,10 +26,10 @@ DRIVEN_INTO_M = -0.01
 
 
 class FromNormals:
-    """What merge-v0 draws at its start: given lanes, and all else from standard normals."""
+    """What merge-v0 samples at its start: given lanes, and all else from standard normals."""
 
     def __init__(self, normals: FloatArray) -> None:
-        self.shares, self.lanes = iter(ndtr(normals).tolist()), iter(LANES)
+        self.shares, self.lanes = iter(ndtr(normals).tolist()), iter(merge.LANES)
 
     def integers(self, count: int) -> int:
         """One of 0 to ``count`` - 1: a lane of the road, unless there is one choice alone."""
@@ -54,17 +44,16 @@ class MergeEpisodes:
     """One environment as a :class:`pemviz.EpisodicSimulator`, told the ego's actions."""
 
     name = "merge"
-    states = STATES
-    dt_s = DT_S
-    signals = merge_signals()
-    latents = LatentCounts(start=LATENTS)
+    states = merge.STATES
+    dt_s = merge.DT_S
+    signals = merge.merge_signals()
+    latents = LatentCounts(start=merge.LATENTS)
 
     def __init__(self) -> None:
-        """Make the environment."""
         self.environment = MergeEnv(config=CONFIG)
 
     def reset(self, *given: Any) -> Mapping[str, float]:
-        """Begin with what merge-v0 draws, for standard normals ``[6]``."""
+        """Begin with what merge-v0 samples, for standard normals ``[6]``."""
         draws: Any = FromNormals(given[0])
         self.environment.np_random = draws
         self.environment.reset()
@@ -92,28 +81,26 @@ class MergeEpisodes:
         aside_m = [y_m - y for _, y in places]  # highway-env's y grows to the right
         speeds = [float(car.speed) for car in cars]
         apart_m = [
-            max(abs(along) - CAR_LENGTH_M, abs(across) - CAR_WIDTH_ROAD_M)
+            max(abs(along) - merge.CAR_LENGTH_M, abs(across) - merge.CAR_WIDTH_ROAD_M)
             for along, across in zip(ahead_m, aside_m, strict=True)
         ]
         clearance_m = min(*apart_m, DRIVEN_INTO_M) if ego.crashed else min(apart_m)
         facts = list(zip(ahead_m, aside_m, speeds, strict=True))
+        path_m = [x for x, y, _ in facts if x > 0.0 and abs(y) < merge.BESIDE_M + 1.0]
         values = {
             "ego_x": x_m,
             "ego_speed": float(ego.speed),
-            "ego_acceleration": (ego.speed - before_mps) / DT_S,
+            "ego_acceleration": (ego.speed - before_mps) / merge.DT_S,
             "clearance": clearance_m,
             "safety_margin": _safety_margin(float(ego.speed), facts),
-            "path_gap": min(
-                [x - CAR_LENGTH_M for x, y, _ in facts if x > 0.0 and abs(y) < BESIDE_M + 1.0]
-                + [NOBODY_M]
-            ),
+            "path_gap": min([x - merge.CAR_LENGTH_M for x in path_m] + [NOBODY_M]),
             "collided": float(ego.crashed),
         }
-        for car, (along_m, across_m, speed_mps) in zip(CARS, facts, strict=True):
-            values[f"gap_{car}"] = along_m - CAR_LENGTH_M
+        for car, (along_m, across_m, speed_mps) in zip(merge.CARS, facts, strict=True):
+            values[f"gap_{car}"] = along_m - merge.CAR_LENGTH_M
             values[f"aside_{car}"] = across_m
             values[f"speed_{car}"] = speed_mps
-        for car, vehicle in zip(CARS, cars, strict=True):
+        for car, vehicle in zip(merge.CARS, cars, strict=True):
             values[f"heading_{car}"] = -float(vehicle.heading)
         return values
 
@@ -122,16 +109,16 @@ def _safety_margin(ego_mps: float, cars: list[tuple[float, float, float]]) -> fl
     """Gap to the nearest car in front less the safe distance [m] (Maierhofer et al. 2020, R_G1).
 
     The safe distance is what the ego drives in its reaction time, and until it stands, less what
-    the car in front drives until it stands, both braking alike.
+    the car in front drives until it stands, both braking equally.
 
     Args:
         ego_mps: The ego's speed [m/s].
         cars: Distance of centres along the road [m], to the left [m], and speed [m/s].
     """
     in_lane = [
-        (along_m - CAR_LENGTH_M, speed_mps)
+        (along_m - merge.CAR_LENGTH_M, speed_mps)
         for along_m, across_m, speed_mps in cars
-        if along_m > 0.0 and abs(across_m) < CAR_WIDTH_ROAD_M
+        if along_m > 0.0 and abs(across_m) < merge.CAR_WIDTH_ROAD_M
     ]
     gap_m, lead_mps = min(in_lane, default=(NOBODY_M, ego_mps))
     braking_m = (ego_mps**2 - lead_mps**2) / (2.0 * BRAKING_MPS2)

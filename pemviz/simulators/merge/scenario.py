@@ -4,7 +4,7 @@ highway-env is imported when an environment is made.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,32 +14,18 @@ from scipy.special import ndtr
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import ScenarioConfig
 from pemviz.latents import LatentCounts
-from pemviz.simulators.braking.scenario import (
-    CAR_CLASS,
-    CAR_HEIGHT_M,
-    CAR_WIDTH_M,
-    HEADING_AWAY_RAD,
-    NOT_OCCLUDED,
-    NOT_TRUNCATED,
-)
+from pemviz.simulators import merge
+from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, car_salient
 from pemviz.simulators.episodic import SideBySide
-from pemviz.simulators.merge.facts import (
-    BESIDE_M,
-    CAR_LENGTH_M,
-    CAR_WIDTH_ROAD_M,
-    CARS,
-    DT_S,
-    LATENTS,
-    OWN_SIGNALS,
-    STATES,
-    merge_signals,
-    merge_starts,
-)
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot
 from pemviz.simulators.tracked_cars import SlotSignals
-from pemviz.simulators.tracking.named import tracker_of_text
-from pemviz.simulators.tracking.tracker import Tracker
+from pemviz.simulators.tracking.tracker import (
+    Tracker,
+    TrackerState,
+    scene_tracks,
+    tracker_of_text,
+)
 from pemviz.types import Signal, StateBatch
 
 if TYPE_CHECKING:
@@ -80,13 +66,14 @@ class MergeSimulator:
         default_factory=lambda: SideBySide(make=make_environment, count=ENVIRONMENTS)
     )
     name: str = "merge"
-    states: int = STATES
-    dt_s: float = DT_S
-    signals: tuple[Signal, ...] = field(default_factory=merge_signals)
+    states: int = merge.STATES
+    dt_s: float = merge.DT_S
+    signals: tuple[Signal, ...] = field(default_factory=merge.merge_signals)
     slots: tuple[Slot, ...] = tuple(
-        Slot(car, signals=tuple(f"{name}_{car}" for name in OWN_SIGNALS)) for car in CARS
+        Slot(car, signals=tuple(f"{name}_{car}" for name in merge.OWN_SIGNALS))
+        for car in merge.CARS
     )
-    latents: LatentCounts = field(default_factory=lambda: LatentCounts(start=LATENTS))
+    latents: LatentCounts = field(default_factory=lambda: LatentCounts(start=merge.LATENTS))
 
     @cached_property
     def tracker(self) -> Tracker:
@@ -97,7 +84,7 @@ class MergeSimulator:
     @property
     def starts(self) -> tuple[Signal, ...]:
         """Gaps and speeds of the cars on the road."""
-        return merge_starts()
+        return merge.merge_starts()
 
     @property
     def start_plane(self) -> tuple[str, str]:
@@ -114,62 +101,64 @@ class MergeSimulator:
 
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The environments' own starts for standard normals ``[count, 6]``; no tracks."""
-        given = np.zeros((count, LATENTS)) if start is None else start
+        given = np.zeros((count, merge.LATENTS)) if start is None else start
         states = self.scenario.initial(count=count, start=given)
-        return self._with(states, self.tracker.start(count, slots=len(CARS)))
+        return self._with(states, self.tracker.start(count, slots=len(merge.CARS)))
 
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
         """One environment step each, with the ego acting on what it tracks after ``[N, 4]``."""
         signals = states.signals
         hits = detected & self.present(signals)
-        gap_m, aside_m, _, _ = own_signals(signals)
-        before = self.tracker.state(states.memory, slots=len(CARS))
+        gap_m, aside_m, _, _ = self.of_slots(signals)
+        before = self.tracker.state(states.memory, slots=len(merge.CARS))
         tracks = self.tracker.update(before, hits, np.stack([gap_m, aside_m], axis=-1))
         action = ego_action(
             tracks.confirmed, tracks.position_m, tracks.speed_mps, signals["ego_speed"]
         )
         return self._with(self.scenario.step(states, cast(Any, action)), tracks)
 
-    def _with(self, states: StateBatch, tracks: Any) -> StateBatch:
-        memory = {**states.memory, **self.tracker.memory(tracks)}
-        return StateBatch(step=states.step, signals=states.signals, memory=memory)
+    def _with(self, states: StateBatch, tracks: TrackerState) -> StateBatch:
+        return replace(states, memory={**states.memory, **self.tracker.memory(tracks)})
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """Each car as KITTI would label it, all unoccluded, ``[..., 4, 11]``."""
-        gap_m, aside_m, _, heading_rad = own_signals(signals)
-        x_m, z_m = -aside_m, gap_m + CAR_LENGTH_M / 2
-        rotation_rad = HEADING_AWAY_RAD - heading_rad
-        columns = (
-            *(CAR_CLASS, NOT_TRUNCATED, NOT_OCCLUDED, rotation_rad - np.arctan2(x_m, z_m)),
-            *(CAR_HEIGHT_M, CAR_WIDTH_M, CAR_LENGTH_M),
-            *(x_m, self.config.camera_height_m, z_m, rotation_rad),
+        gap_m, aside_m, _, heading_rad = self.of_slots(signals)
+        return car_salient(
+            x_m=-aside_m,
+            y_m=self.config.camera_height_m,
+            z_m=gap_m + merge.CAR_LENGTH_M / 2,
+            heading_rad=heading_rad,
+            size_m=(CAR_HEIGHT_M, CAR_WIDTH_M, merge.CAR_LENGTH_M),
         )
-        return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
     def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Where a car is in the camera's view, ``[..., 4]``."""
-        gap_m, aside_m, _, _ = own_signals(signals)
-        seen_m = VIEW_SLOPE * (gap_m + CAR_LENGTH_M / 2)
+        gap_m, aside_m, _, _ = self.of_slots(signals)
+        seen_m = VIEW_SLOPE * (gap_m + merge.CAR_LENGTH_M / 2)
         return (gap_m > 0.0) & (gap_m < SIGHT_M) & (np.abs(aside_m) < seen_m)
 
     def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Where a detection may matter, at once or while the tracker knows of it, ``[..., 4]``."""
-        gap_m, aside_m, _, _ = own_signals(signals)
+        gap_m, aside_m, _, _ = self.of_slots(signals)
         known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * self.dt_s
         ego_mps = signals["ego_speed"][..., None]
         near = gap_m < STANDSTILL_M + (KEEP_S + known_s) * ego_mps
-        beside = np.abs(aside_m) < BESIDE_M + SIDEWAYS_MPS * (known_s + (known_s > 0.0))
+        beside = np.abs(aside_m) < merge.BESIDE_M + SIDEWAYS_MPS * (known_s + (known_s > 0.0))
         return self.present(signals) & near & beside & (signals["collided"][..., None] < 0.5)
 
     def of_slots(self, signals: Mapping[str, FloatArray]) -> SlotSignals:
         """Gaps, offsets to the left [m], speeds [m/s] and headings [rad], ``[..., 4]``."""
-        return own_signals(signals)
+        gap_m, aside_m, speed_mps, heading_rad = (
+            np.stack([signals[f"{name}_{car}"] for car in merge.CARS], axis=-1)
+            for name in merge.OWN_SIGNALS
+        )
+        return gap_m, aside_m, speed_mps, heading_rad
 
     @property
     def scene_cars(self) -> tuple[SceneCar, ...]:
         """The ego and the other cars, all of highway-env's size."""
-        size = (CAR_LENGTH_M, CAR_WIDTH_ROAD_M)
-        return (SceneCar("ego", *size), *(SceneCar(car, *size, slot=car) for car in CARS))
+        size = (merge.CAR_LENGTH_M, merge.CAR_WIDTH_ROAD_M)
+        return (SceneCar("ego", *size), *(SceneCar(car, *size, slot=car) for car in merge.CARS))
 
     @property
     def road(self) -> Road:
@@ -178,10 +167,10 @@ class MergeSimulator:
 
     def scene(self, signals: Mapping[str, FloatArray]) -> SceneStates:
         """Where the cars are, for signals ``[...]``; the ego keeps its lane."""
-        gap_m, aside_m, speed_mps, heading_rad = own_signals(signals)
+        gap_m, aside_m, speed_mps, heading_rad = self.of_slots(signals)
         ego_m, ego_mps = signals["ego_x"][..., None], signals["ego_speed"][..., None]
         none = np.zeros_like(ego_m)
-        x_m = np.concatenate([ego_m, ego_m + gap_m + CAR_LENGTH_M], axis=-1)
+        x_m = np.concatenate([ego_m, ego_m + gap_m + merge.CAR_LENGTH_M], axis=-1)
         return SceneStates(
             x_m=x_m,
             y_m=np.concatenate([none, aside_m], axis=-1) + EGO_LANE_M,
@@ -193,26 +182,11 @@ class MergeSimulator:
 
     def scene_tracks(self, states: StateBatch) -> SceneTracks:
         """Where the ego believes the cars to be, predicted to states ``[...]``."""
-        tracks = self.tracker.state(states.memory, slots=len(CARS))
-        motion = self.tracker.filter.predicted(tracks.motion, dt_s=self.dt_s)
-        sd_m = np.sqrt(motion.variances[..., 0])
-        return SceneTracks(
-            x_m=states.signals["ego_x"][..., None] + CAR_LENGTH_M + motion.position_m[..., 0],
-            y_m=motion.position_m[..., 1] + EGO_LANE_M,
-            x_sd_m=sd_m,
-            y_sd_m=sd_m,
-            confirmed=tracks.confirmed,
+        ego_m, length_m = states.signals["ego_x"], merge.CAR_LENGTH_M
+        tracks = scene_tracks(
+            self.tracker, states, slots=len(merge.CARS), ego_m=ego_m, length_m=length_m
         )
-
-
-def own_signals(
-    signals: Mapping[str, FloatArray],
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Gaps, offsets to the left [m], speeds [m/s] and headings [rad] of the cars, ``[..., 4]``."""
-    gap_m, aside_m, speed_mps, heading_rad = (
-        np.stack([signals[f"{name}_{car}"] for car in CARS], axis=-1) for name in OWN_SIGNALS
-    )
-    return gap_m, aside_m, speed_mps, heading_rad
+        return replace(tracks, y_m=tracks.y_m + EGO_LANE_M)
 
 
 def ego_action(
@@ -228,7 +202,7 @@ def ego_action(
     """
     gap_m, aside_m = position_m[..., 0], position_m[..., 1]
     later_m = aside_m + ANTICIPATION_S * speed_mps[..., 1]
-    in_path = tracked & (np.minimum(np.abs(aside_m), np.abs(later_m)) < BESIDE_M)
+    in_path = tracked & (np.minimum(np.abs(aside_m), np.abs(later_m)) < merge.BESIDE_M)
     ego_mps = ego_speed_mps[..., None]
     brakes = np.any(in_path & (gap_m < STANDSTILL_M + BRAKE_S * ego_mps), axis=-1)
     keeps = np.any(in_path & (gap_m < STANDSTILL_M + KEEP_S * ego_mps), axis=-1)

@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.slots import Slot, SlotSimulator
-from pemviz.simulators.tracking.tracker import Tracker
+from pemviz.simulators.tracking.tracker import Tracker, TrackerState
 from pemviz.types import Simulator, StateBatch
 
 
@@ -26,24 +26,26 @@ class TrackedSimulator(WrappedSimulator):
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The scenario's initial states, without tracks."""
         states = begun(self.scenario, count=count, start=start)
-        return self._with(states, self.tracker.memory(self.tracker.start(count)))
+        return self._with(states, self.tracker.start(count, slots=self._count))
 
     def step(
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
     ) -> StateBatch:
         """The scenario's next states, given what is tracked after outcomes ``[N]``."""
-        tracks = self.tracker.update(self.tracker.state(states.memory), detected)
-        after = stepped(self.scenario, self._own(states), tracks.confirmed, noise)
-        return self._with(after, self.tracker.memory(tracks))
-
-    def _with(self, states: StateBatch, tracks: Mapping[str, AnyArray]) -> StateBatch:
-        return replace(states, memory={**states.memory, **tracks})
-
-    def _own(self, states: StateBatch) -> StateBatch:
-        """What the scenario knows of its states."""
         begins = f"{self.tracker.name}_"
         own = {name: v for name, v in states.memory.items() if not name.startswith(begins)}
-        return replace(states, memory=own)
+        before = self.tracker.state(states.memory, slots=self._count)
+        tracks = self.tracker.update(before, detected)
+        after = stepped(self.scenario, replace(states, memory=own), tracks.confirmed, noise)
+        return self._with(after, tracks)
+
+    def _with(self, states: StateBatch, tracks: TrackerState) -> StateBatch:
+        return replace(states, memory={**states.memory, **self.tracker.memory(tracks)})
+
+    @property
+    def _count(self) -> int | None:
+        """Of slots."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -61,20 +63,15 @@ class TrackedSlots(TrackedSimulator):
         """Where perception has something to report, ``[..., K]``."""
         return self.scenario.present(signals)
 
-    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
-        """The scenario's initial states, without tracks."""
-        states = begun(self.scenario, count=count, start=start)
-        tracks = self.tracker.start(count, slots=len(self.slots))
-        return self._with(states, self.tracker.memory(tracks))
-
     def step(
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
     ) -> StateBatch:
         """The scenario's next states, given what is tracked after outcomes ``[N, K]``."""
-        before = self.tracker.state(states.memory, slots=len(self.slots))
-        tracks = self.tracker.update(before, detected & self.present(states.signals))
-        after = stepped(self.scenario, self._own(states), tracks.confirmed, noise)
-        return self._with(after, self.tracker.memory(tracks))
+        return super().step(states, detected & self.present(states.signals), noise)
+
+    @property
+    def _count(self) -> int:
+        return len(self.slots)
 
 
 def tracked(simulator: Simulator | SlotSimulator, tracker: Tracker) -> TrackedSimulator:

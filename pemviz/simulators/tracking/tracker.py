@@ -4,21 +4,36 @@ A tracker is a pure function of its state, and the state is a few arrays that li
 own: what a method does with states (keep, branch, take equal ones for one) it does with tracks.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.config.tracker_text import read_tracker
 from pemviz.errors import ConfigError
-from pemviz.simulators.tracking.filters import LastPosition, Motion, TrackFilter, at_rest
+from pemviz.simulators.scene import SceneTracks
+from pemviz.simulators.tracking.filters import (
+    AlphaBeta,
+    Kalman,
+    LastPosition,
+    Motion,
+    TrackFilter,
+    at_rest,
+)
+from pemviz.types import StateBatch
 
 LONGEST_WINDOW = 30
 MOST_AXES = 2
 VARIANCES = 3
 ROUNDING = 1e-9
 """Of a step: a coasting time of so little less than a whole number of steps is one."""
+FILTERS: Mapping[str, Callable[..., TrackFilter]] = {
+    "none": LastPosition,
+    "alpha-beta": AlphaBeta,
+    "kalman": Kalman,
+}
 
 
 @dataclass(frozen=True)
@@ -112,6 +127,11 @@ class Tracker:
                 raise ConfigError(message)
 
     @property
+    def has_speeds(self) -> bool:
+        """Whether it tells how fast what it tracks moves."""
+        return "speed_mps" in self.filter.keeps
+
+    @property
     def coast_steps(self) -> int:
         """Misses in a row that a confirmed track outlives."""
         return int(np.floor(self.coast_s / self.dt_s + ROUNDING))
@@ -153,7 +173,11 @@ class Tracker:
             position_m = np.where(detected[..., None], measured_m, state.position_m)
             motion = at_rest(np.where(confirmed[..., None], position_m, 0.0))
         else:
-            motion = self._moved(state, detected, measured_m)
+            had_track = state.confirmed | (state.window != 0)
+            predicted = self.filter.predicted(state.motion, dt_s=self.dt_s)
+            corrected = self.filter.corrected(predicted, measured_m, dt_s=self.dt_s)
+            after_hit = _chosen(had_track, corrected, self.filter.first(measured_m))
+            motion = _chosen(detected, after_hit, predicted)
             none = at_rest(np.zeros_like(measured_m))
             motion = _chosen(confirmed | (window != 0), motion, none)
         return TrackerState(
@@ -185,7 +209,7 @@ class Tracker:
         like = state.motion.variances[..., 0]
         facts = (self.hits_seen(state), self.steps_since_hit(state))
         numbers = [np.ones_like(like) * fact for fact in facts]
-        if "speed_mps" in self.filter.keeps:
+        if self.has_speeds:
             for axis in range(self.axes):
                 numbers += [state.position_m[..., axis], state.speed_mps[..., axis]]
         return numbers
@@ -195,8 +219,9 @@ class Tracker:
         parts: dict[str, AnyArray] = {
             "window": state.window, "misses": state.misses, "confirmed": state.confirmed
         }  # fmt: skip
-        for field, place in self._places:
-            parts[f"{field}_{place}"] = getattr(state.motion, field)[..., place]
+        for field, places in self._places.items():
+            for place in places:
+                parts[f"{field}_{place}"] = getattr(state.motion, field)[..., place]
         named: dict[str, AnyArray] = {}
         for part, values in parts.items():
             name = f"{self.name}_{part}"
@@ -219,8 +244,8 @@ class Tracker:
         shape = (*window.shape, self.axes)
         motion = at_rest(np.zeros(shape, dtype=np.float64))
         kept = {
-            field: np.stack([part(f"{f}_{place}") for f, place in self._places if f == field], -1)
-            for field in dict.fromkeys(field for field, _ in self._places)
+            field: np.stack([part(f"{field}_{place}") for place in places], -1)
+            for field, places in self._places.items()
         }
         return TrackerState(
             window=window,
@@ -230,26 +255,16 @@ class Tracker:
         )
 
     @property
-    def _places(self) -> list[tuple[str, int]]:
+    def _places(self) -> dict[str, range]:
         """Fields of the motion that a memory holds, and their places in the last axis."""
-        if self.axes == 0:
-            return []
-        return [
-            (field, place)
-            for field in self.filter.keeps
-            for place in range(VARIANCES if field == "variances" else self.axes)
-        ]
+        kept = self.filter.keeps if self.axes else ()
+        return {f: range(VARIANCES if f == "variances" else self.axes) for f in kept}
 
     def _count(self, window: IntArray) -> Any:
         """Bits that are set ``[...]``."""
         return sum((window >> bit) & 1 for bit in range(self.window))
 
     def _measured(self, detected: BoolArray, position_m: FloatArray | None) -> FloatArray:
-        """Measured positions ``[..., A]``.
-
-        Raises:
-            ValueError: They do not fit.
-        """
         shape = (*detected.shape, self.axes)
         if self.axes == 0 and position_m is None:
             return np.zeros(shape, dtype=np.float64)
@@ -260,14 +275,6 @@ class Tracker:
             message = f"tracker: {given} for {self.axes} axes: must be of shape {shape}"
             raise ValueError(message)
         return position_m
-
-    def _moved(self, state: TrackerState, detected: BoolArray, measured_m: FloatArray) -> Motion:
-        """Motion after the outcome, wherever there is still a track."""
-        had_track = state.confirmed | (state.window != 0)
-        predicted = self.filter.predicted(state.motion, dt_s=self.dt_s)
-        corrected = self.filter.corrected(predicted, measured_m, dt_s=self.dt_s)
-        after_hit = _chosen(had_track, corrected, self.filter.first(measured_m))
-        return _chosen(detected, after_hit, predicted)
 
 
 def _chosen(condition: BoolArray, one: Motion, other: Motion) -> Motion:
@@ -280,6 +287,38 @@ def _chosen(condition: BoolArray, one: Motion, other: Motion) -> Motion:
     )
 
 
+def tracker_of_text(text: str, *, dt_s: float, axes: int) -> Tracker | None:
+    """The tracker that a text spells out; ``None`` for ``none``.
+
+    Args:
+        text: As ``pemviz.config.tracker_text`` reads it.
+        dt_s: Time between two outcomes [s].
+        axes: Along how many axes positions are measured.
+
+    Raises:
+        ConfigError: One line: what is wrong, and what is allowed.
+    """
+    settings = read_tracker(text)
+    if settings is None:
+        return None
+    options = {
+        "alpha": settings.alpha,
+        "beta": settings.beta,
+        "position_sd_m": settings.position_sd,
+        "acceleration_sd_mps2": settings.acceleration_sd,
+        "first_speed_sd_mps": settings.speed_sd,
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    return Tracker(
+        dt_s=dt_s,
+        hits=settings.hits,
+        window=settings.window,
+        coast_s=settings.coast,
+        axes=axes,
+        filter=FILTERS[settings.filter](**given),
+    )
+
+
 def tracker_of(simulator: object) -> Tracker | None:
     """The tracker that a simulator says it holds, as its attribute ``tracker``.
 
@@ -288,3 +327,33 @@ def tracker_of(simulator: object) -> Tracker | None:
     """
     found = getattr(simulator, "tracker", None)
     return found if isinstance(found, Tracker) else None
+
+
+def scene_tracks(
+    tracker: Tracker | None, states: StateBatch, *, slots: int, ego_m: FloatArray, length_m: float
+) -> SceneTracks:
+    """Where the controller believes cars to be, ``[..., K]``, of which it tracks gap and offset.
+
+    States hold the tracks after the outcomes of the step that led to them: where a filter knows
+    speeds, they are where it predicts cars to be. Without a tracker there are none.
+
+    Args:
+        tracker: Between perception and controller.
+        states: ``[...]``.
+        slots: How many cars K it may track.
+        ego_m: The ego's centre along the road ``[...]`` [m].
+        length_m: Of the cars.
+    """
+    if tracker is None:
+        none = np.zeros((*np.shape(ego_m), slots))
+        return SceneTracks(none, none, none, none, none > 0.0)
+    tracks = tracker.state(states.memory, slots=slots)
+    motion = tracker.filter.predicted(tracks.motion, dt_s=tracker.dt_s)
+    sd_m = np.sqrt(motion.variances[..., 0])
+    return SceneTracks(
+        x_m=np.asarray(ego_m)[..., None] + length_m + motion.position_m[..., 0],
+        y_m=motion.position_m[..., 1],
+        x_sd_m=sd_m,
+        y_sd_m=sd_m,
+        confirmed=tracks.confirmed,
+    )

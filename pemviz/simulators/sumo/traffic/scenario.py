@@ -34,8 +34,7 @@ from pemviz.simulators.sumo.traffic.facts import (
 )
 from pemviz.simulators.sumo.traffic.signals import traffic_signals
 from pemviz.simulators.tracked_cars import SlotSignals
-from pemviz.simulators.tracking.named import tracker_of_text
-from pemviz.simulators.tracking.tracker import Tracker
+from pemviz.simulators.tracking.tracker import Tracker, tracker_of_text
 from pemviz.types import Signal, StateBatch
 
 SHIPPED_TRAFFIC = "free-traffic"
