@@ -21,7 +21,6 @@ from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.simulators.absorbing import Monitor
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.tracking.tracker import tracker_of
-from pemviz.stl.monitor import FormulaMonitor
 from pemviz.types import Signal, Simulator
 
 
@@ -47,7 +46,7 @@ def build_problem(
         )
 
     def monitored(watched: stl.Formula) -> Monitor:
-        monitor = FormulaMonitor(watched)
+        monitor = stl.FormulaMonitor(watched)
         return monitor if folding is None else StepMonitor(monitor, turns)
 
     whole = scored(formula)

@@ -3,7 +3,7 @@
 Minimum for and/always, maximum for or/eventually; in the unit of the predicates.
 """
 
-# ruff: noqa: D102 (the operators are described by the Semantics protocol)
+# ruff: noqa: D102 (the operators are described by Metric)
 
 from __future__ import annotations
 
@@ -15,30 +15,19 @@ from functools import reduce
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.stl.expressions import Predicate
-from pemviz.stl.numbers import NumberSemantics
-from pemviz.stl.windows import fold, sliding_idempotent
+from pemviz.stl.formulas import Predicate
+from pemviz.stl.metric import Metric, Parts, elementwise, fold, sliding_idempotent
 
 
 @dataclass(frozen=True)
-class Classical:
+class Classical(Metric):
     """The metric by which violations are decided; ``true`` is +inf."""
 
-
-class ClassicalSemantics(NumberSemantics):
-    """Classical robustness of every operator."""
-
-    def opposite(self) -> ClassicalSemantics:
-        return self
-
-    def truth(self, like: FloatArray, steps: int) -> FloatArray:
-        return self.constant(math.inf, like, steps)
+    def truth(self) -> float:
+        return math.inf
 
     def predicate(self, predicate: Predicate, margin: FloatArray) -> FloatArray:  # noqa: ARG002
         return margin
-
-    def negate(self, value: FloatArray) -> FloatArray:
-        return -value
 
     def conjunction(self, values: Sequence[FloatArray]) -> FloatArray:
         return reduce(np.minimum, values)
@@ -49,15 +38,12 @@ class ClassicalSemantics(NumberSemantics):
     def always(self, value: FloatArray, width: int) -> FloatArray:
         if len(value) == width:
             return fold(np.minimum, value)
-        return sliding_idempotent(_minimum, (value,), width)[0]
-
-    def always_predicate(self, predicate: Predicate, margin: FloatArray, width: int) -> FloatArray:
-        return self.always(self.predicate(predicate, margin), width)
+        return sliding_idempotent(elementwise(np.minimum), (value,), width)[0]
 
     def eventually(self, value: FloatArray, width: int) -> FloatArray:
         if len(value) == width:
             return fold(np.maximum, value)
-        return sliding_idempotent(_maximum, (value,), width)[0]
+        return sliding_idempotent(elementwise(np.maximum), (value,), width)[0]
 
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
         width = last - first + 1
@@ -69,17 +55,7 @@ class ClassicalSemantics(NumberSemantics):
         return reached if first == 0 else np.minimum(self.always(left[:-width], first), reached)
 
 
-def _minimum(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> tuple[FloatArray]:
-    return (np.minimum(earlier[0], later[0]),)
-
-
-def _maximum(earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]) -> tuple[FloatArray]:
-    return (np.maximum(earlier[0], later[0]),)
-
-
-def _then(
-    earlier: tuple[FloatArray, ...], later: tuple[FloatArray, ...]
-) -> tuple[FloatArray, FloatArray]:
+def _then(earlier: Parts, later: Parts) -> Parts:
     """Two stretches of time after one another: (left held throughout, right reached)."""
     held, reached = earlier
     return np.minimum(held, later[0]), np.maximum(reached, np.minimum(held, later[1]))

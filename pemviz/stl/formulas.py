@@ -1,24 +1,235 @@
-"""Formulas of Signal Temporal Logic over discrete steps, and the connectives between them.
+"""Signal Temporal Logic over discrete steps: formulas, and the numbers over signals they compare.
 
-The language is that of Innes & Ramamoorthy (arXiv 2209.09674): true, not, and, or, implies stand
-here; predicates in ``expressions.py``; always, eventually, until over closed intervals of steps in
-``temporal.py``. ``str(formula)`` is text that parses back to an equal formula.
+The language is that of Innes & Ramamoorthy (arXiv 2209.09674): true, order comparisons, not, and,
+or, implies, and always, eventually, until over closed intervals of steps from the present one.
+``str(formula)`` is text that parses back to an equal formula. Depth and number of parts are
+limited, so that no text can exhaust stack or memory.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, NoReturn
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, TypeAlias
 
-from pemviz.stl.errors import FormulaError, shorten
-from pemviz.stl.nodes import Node
+from pemviz.errors import InputError
+
+MAX_DEPTH = 100
+"""Most levels of nesting a formula may have."""
+MAX_NODES = 10_000
+"""Most parts (operators, signals, numbers) a formula may have."""
+MAX_BOUND = 1_000_000_000
+"""Largest interval bound in steps."""
+Comparison: TypeAlias = Literal[">=", ">", "<=", "<"]
+
+
+class FormulaError(InputError):
+    """A formula is malformed, ill-typed, or does not fit the signals it is evaluated on.
+
+    Attributes:
+        line: Line of the mistake, counted from 1; ``None`` without a text.
+        column: Column of the mistake, counted from 1; ``None`` without a text.
+    """
+
+    def __init__(self, message: str, *, line: int | None = None, column: int | None = None) -> None:
+        where = "" if line is None else f"formula, line {line}, column {column}: "
+        super().__init__(where + message)
+        self.line = line
+        self.column = column
+
+
+def shorten(text: object, length: int = 40) -> str:
+    """``text`` cut to ``length`` characters."""
+    whole = str(text)
+    return whole if len(whole) <= length else whole[: length - 3] + "..."
+
+
+@dataclass(frozen=True)
+class Node(ABC):
+    """What formulas and numbers share: parts, and limits on how many."""
+
+    strength: ClassVar[int]  # how tightly the text form binds, see the grammar
+    _depth: int = field(init=False, repr=False, compare=False)
+    _nodes: int = field(init=False, repr=False, compare=False)
+
+    @abstractmethod
+    def __str__(self) -> str:
+        """The text form."""
+
+    def children(self) -> tuple[Node, ...]:
+        """The direct parts, left to right."""
+        return ()
+
+    def __post_init__(self) -> None:
+        parts = self.children()
+        depth = 1 + max((part._depth for part in parts), default=0)
+        nodes = 1 + sum(part._nodes for part in parts)
+        if depth > MAX_DEPTH:
+            raise FormulaError(f"formula is nested too deeply; at most {MAX_DEPTH} levels")
+        if nodes > MAX_NODES:
+            raise FormulaError(f"formula is too long; at most {MAX_NODES} parts")
+        object.__setattr__(self, "_depth", depth)
+        object.__setattr__(self, "_nodes", nodes)
+
+    def walk(self) -> Iterator[Node]:
+        """This node and everything below it, parents first, left to right."""
+        pending: list[Node] = [self]
+        while pending:
+            node = pending.pop()
+            yield node
+            pending.extend(reversed(node.children()))
+
+    def signals(self) -> frozenset[str]:
+        """Names of all signals used."""
+        return frozenset(node.name for node in self.walk() if isinstance(node, Signal))
+
+    def _text(self, operand: Node, strength: int) -> str:
+        """An operand's text, in parentheses if it binds less tightly than ``strength``."""
+        return str(operand) if operand.strength >= strength else f"({operand})"
+
+
+@dataclass(frozen=True)
+class Expression(Node):
+    """A number at every step of a rollout."""
+
+    strength: ClassVar[int] = 4
+
+
+@dataclass(frozen=True)
+class Constant(Expression):
+    """A finite number."""
+
+    value: float
+
+    def __str__(self) -> str:
+        return repr(self.value)
+
+
+@dataclass(frozen=True)
+class Signal(Expression):
+    """A signal, by name."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True)
+class _Binary(Expression):
+    left: Expression
+    right: Expression
+
+    symbol: ClassVar[str]
+
+    def children(self) -> tuple[Node, ...]:
+        return self.left, self.right
+
+    def __str__(self) -> str:
+        # The text form groups from the left, so an equally strong right side needs parentheses.
+        left = self._text(self.left, self.strength)
+        return f"{left} {self.symbol} {self._text(self.right, self.strength + 1)}"
+
+
+@dataclass(frozen=True)
+class Sum(_Binary):
+    """``left + right``."""
+
+    symbol: ClassVar[str] = "+"
+    strength: ClassVar[int] = 1
+
+
+@dataclass(frozen=True)
+class Difference(_Binary):
+    """``left - right``."""
+
+    symbol: ClassVar[str] = "-"
+    strength: ClassVar[int] = 1
+
+
+@dataclass(frozen=True)
+class Product(_Binary):
+    """``left * right``."""
+
+    symbol: ClassVar[str] = "*"
+    strength: ClassVar[int] = 2
+
+
+@dataclass(frozen=True)
+class Quotient(_Binary):
+    """``left / right``."""
+
+    symbol: ClassVar[str] = "/"
+    strength: ClassVar[int] = 2
+
+
+@dataclass(frozen=True)
+class Negative(Expression):
+    """``-operand``."""
+
+    operand: Expression
+
+    strength: ClassVar[int] = 3
+
+    def children(self) -> tuple[Node, ...]:  # noqa: D102
+        return (self.operand,)
+
+    def __str__(self) -> str:
+        # "-2.0" is a number of its own: the minus of a number stays outside parentheses.
+        if isinstance(self.operand, Constant):
+            return f"-({self.operand})"
+        return f"-{self._text(self.operand, self.strength)}"
+
+
+@dataclass(frozen=True)
+class Absolute(Expression):
+    """``abs(operand)``."""
+
+    operand: Expression
+
+    def children(self) -> tuple[Node, ...]:  # noqa: D102
+        return (self.operand,)
+
+    def __str__(self) -> str:
+        return f"abs({self.operand})"
+
+
+@dataclass(frozen=True)
+class _Extreme(Expression):
+    operands: tuple[Expression, ...]
+
+    word: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.operands) < 2:
+            raise FormulaError(f"{self.word} takes two or more numbers, separated by commas")
+
+    def children(self) -> tuple[Node, ...]:
+        return self.operands
+
+    def __str__(self) -> str:
+        return f"{self.word}({', '.join(str(operand) for operand in self.operands)})"
+
+
+@dataclass(frozen=True)
+class Minimum(_Extreme):
+    """``min(a, b, ...)``, step by step."""
+
+    word: ClassVar[str] = "min"
+
+
+@dataclass(frozen=True)
+class Maximum(_Extreme):
+    """``max(a, b, ...)``, step by step."""
+
+    word: ClassVar[str] = "max"
 
 
 @dataclass(frozen=True)
 class Formula(Node):
     """Something that holds or fails at every step of a rollout."""
-
-    strength: ClassVar[int]  # how tightly the text form binds, see the grammar
 
     def horizon_steps(self) -> int:
         """How many steps past step t decide the formula at t.
@@ -26,33 +237,11 @@ class Formula(Node):
         A rollout needs ``horizon_steps() + 1`` states for the formula to have a
         value at step 0.
         """
-        return max(
-            (part.horizon_steps() for part in self.children() if isinstance(part, Formula)),
-            default=0,
-        )
+        return max((part.horizon_steps() for part in self.formulas()), default=0)
 
-    def __and__(self, other: Formula) -> And:
-        """``a & b & c`` is the text's ``a and b and c``: one conjunction of three parts."""
-        parts = self.parts if isinstance(self, And) else (self,)
-        return And((*parts, other))
-
-    def __or__(self, other: Formula) -> Or:
-        """``a | b | c`` is the text's ``a or b or c``: one disjunction of three parts."""
-        parts = self.parts if isinstance(self, Or) else (self,)
-        return Or((*parts, other))
-
-    def __invert__(self) -> Not:
-        return Not(self)
-
-    def implies(self, other: Formula) -> Implies:
-        """``self -> other``."""
-        return Implies(self, other)
-
-    def __bool__(self) -> NoReturn:
-        raise FormulaError(
-            f"formula ({shorten(self)}) has no truth value in Python: combine formulas with & | ~,"
-            " and write 1 < x < 3 as (1 < x) & (x < 3)"
-        )
+    def formulas(self) -> tuple[Formula, ...]:
+        """Its direct parts that are formulas."""
+        return tuple(part for part in self.children() if isinstance(part, Formula))
 
 
 @dataclass(frozen=True)
@@ -66,6 +255,33 @@ class Truth(Formula):
 
 
 @dataclass(frozen=True)
+class Predicate(Formula):
+    """``left >= right`` and its kin: an order comparison of two numbers."""
+
+    left: Expression
+    comparison: Comparison
+    right: Expression
+
+    strength: ClassVar[int] = 6
+
+    def children(self) -> tuple[Node, ...]:  # noqa: D102
+        return self.left, self.right
+
+    @property
+    def is_lower_bound(self) -> bool:
+        """Whether more of ``left`` is better (``>=``, ``>``)."""
+        return self.comparison in (">=", ">")
+
+    @property
+    def is_strict(self) -> bool:
+        """Whether it fails where both sides are equal (``>``, ``<``)."""
+        return self.comparison in (">", "<")
+
+    def __str__(self) -> str:
+        return f"{self.left} {self.comparison} {self.right}"
+
+
+@dataclass(frozen=True)
 class Not(Formula):
     """``not operand``."""
 
@@ -74,10 +290,10 @@ class Not(Formula):
     strength: ClassVar[int] = 5
 
     def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (as_formula(self.operand),)
+        return (self.operand,)
 
     def __str__(self) -> str:
-        return f"not {_text(self.operand, Truth.strength)}"
+        return f"not {self._text(self.operand, Truth.strength)}"
 
 
 @dataclass(frozen=True)
@@ -86,17 +302,11 @@ class _Junction(Formula):
 
     word: ClassVar[str]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "parts", tuple(self.parts))
-        if len(self.parts) < 2:
-            raise FormulaError(f"'{self.word}' takes two or more formulas")
-        super().__post_init__()
-
     def children(self) -> tuple[Node, ...]:
-        return tuple(as_formula(part) for part in self.parts)
+        return self.parts
 
     def __str__(self) -> str:
-        return f" {self.word} ".join(_text(part, self.strength + 1) for part in self.parts)
+        return f" {self.word} ".join(self._text(part, self.strength + 1) for part in self.parts)
 
 
 @dataclass(frozen=True)
@@ -125,29 +335,84 @@ class Implies(Formula):
     strength: ClassVar[int] = 1
 
     def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (as_formula(self.premise), as_formula(self.conclusion))
+        return self.premise, self.conclusion
 
     def __str__(self) -> str:
-        return f"{_text(self.premise, 2)} -> {_text(self.conclusion, 2)}"
+        return f"{self._text(self.premise, 2)} -> {self._text(self.conclusion, 2)}"
 
 
-def negates(formula: Formula, index: int) -> bool:
-    """Whether ``formula`` holds sooner where its child of that index does not."""
-    return isinstance(formula, Not) or (isinstance(formula, Implies) and index == 0)
+@dataclass(frozen=True)
+class _Timed(Formula):
+    first: int
+    last: int
+
+    word: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        if self.first > self.last:
+            raise FormulaError(
+                f"interval [{self.first},{self.last}] of '{self.word}' is reversed; did you mean"
+                f" [{self.last},{self.first}]?"
+            )
+        super().__post_init__()
+
+    @property
+    def width(self) -> int:
+        """Number of steps in the interval."""
+        return self.last - self.first + 1
+
+    @property
+    def head(self) -> str:
+        """The operator with its interval, as in ``always[0,99]``."""
+        return f"{self.word}[{self.first},{self.last}]"
+
+    def horizon_steps(self) -> int:
+        return self.last + super().horizon_steps()
 
 
-def as_formula(value: object) -> Formula:
-    """``value`` itself.
+@dataclass(frozen=True)
+class _Window(_Timed):
+    operand: Formula
 
-    Raises:
-        FormulaError: ``value`` is no formula.
+    strength: ClassVar[int] = 5
+
+    def children(self) -> tuple[Node, ...]:
+        return (self.operand,)
+
+    def __str__(self) -> str:
+        return f"{self.head} ({self.operand})"
+
+
+@dataclass(frozen=True)
+class Always(_Window):
+    """``always[first,last] (operand)``."""
+
+    word: ClassVar[str] = "always"
+
+
+@dataclass(frozen=True)
+class Eventually(_Window):
+    """``eventually[first,last] (operand)``."""
+
+    word: ClassVar[str] = "eventually"
+
+
+@dataclass(frozen=True)
+class Until(_Timed):
+    """``(left) until[first,last] (right)``, inclusive.
+
+    At t: ``right`` holds at some t' in [t + first, t + last], and ``left`` at every
+    step of [t, t'], both ends included.
     """
-    if isinstance(value, Formula):
-        return value
-    raise FormulaError(
-        f"{shorten(value)} is no formula; compare it with something, as in (gap >= 2.0)"
-    )
 
+    left: Formula
+    right: Formula
 
-def _text(operand: Formula, strength: int) -> str:
-    return str(operand) if operand.strength >= strength else f"({operand})"
+    word: ClassVar[str] = "until"
+    strength: ClassVar[int] = 4
+
+    def children(self) -> tuple[Node, ...]:  # noqa: D102
+        return self.left, self.right
+
+    def __str__(self) -> str:
+        return f"({self.left}) {self.head} ({self.right})"

@@ -19,7 +19,7 @@ from pemviz.simulators.absorbing import (
     MonitoredSimulator,
     MonitoredStates,
 )
-from pemviz.stl.monitor import FormulaMonitor
+from pemviz.stl import FormulaMonitor
 from pemviz.types import StateBatch, outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator
 

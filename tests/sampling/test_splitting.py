@@ -19,8 +19,7 @@ from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.splitting.particles import beginning, continued, restart
 from pemviz.sampling.splitting.run import split
 from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
-from pemviz.stl import parse
-from pemviz.stl.monitor import FormulaMonitor
+from pemviz.stl import FormulaMonitor, parse
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,

@@ -8,32 +8,30 @@ import math
 import operator
 from functools import cache
 
-from pemviz.stl import expressions as ex
 from pemviz.stl import formulas as fo
-from pemviz.stl import temporal as te
 
 
 def number(node, signals, t):
     match node:
-        case ex.Constant(value=value):
+        case fo.Constant(value=value):
             return value
-        case ex.Signal(name=name):
+        case fo.Signal(name=name):
             return signals[name][t]
-        case ex.Sum(left=a, right=b):
+        case fo.Sum(left=a, right=b):
             return number(a, signals, t) + number(b, signals, t)
-        case ex.Difference(left=a, right=b):
+        case fo.Difference(left=a, right=b):
             return number(a, signals, t) - number(b, signals, t)
-        case ex.Product(left=a, right=b):
+        case fo.Product(left=a, right=b):
             return number(a, signals, t) * number(b, signals, t)
-        case ex.Quotient(left=a, right=b):
+        case fo.Quotient(left=a, right=b):
             return number(a, signals, t) / number(b, signals, t)
-        case ex.Negative(operand=a):
+        case fo.Negative(operand=a):
             return -number(a, signals, t)
-        case ex.Absolute(operand=a):
+        case fo.Absolute(operand=a):
             return abs(number(a, signals, t))
-        case ex.Minimum(operands=operands):
+        case fo.Minimum(operands=operands):
             return min(number(a, signals, t) for a in operands)
-        case ex.Maximum(operands=operands):
+        case fo.Maximum(operands=operands):
             return max(number(a, signals, t) for a in operands)
     raise AssertionError(node)
 
@@ -49,7 +47,7 @@ def classical(formula, signals, t=0):
         match f:
             case fo.Truth():
                 return math.inf
-            case ex.Predicate():
+            case fo.Predicate():
                 return predicate_margin(f, signals, t)
             case fo.Not(operand=a):
                 return -r(a, t)
@@ -59,11 +57,11 @@ def classical(formula, signals, t=0):
                 return max(r(a, t) for a in parts)
             case fo.Implies(premise=a, conclusion=b):
                 return max(-r(a, t), r(b, t))
-            case te.Always(first=first, last=last, operand=a):
+            case fo.Always(first=first, last=last, operand=a):
                 return min(r(a, u) for u in range(t + first, t + last + 1))
-            case te.Eventually(first=first, last=last, operand=a):
+            case fo.Eventually(first=first, last=last, operand=a):
                 return max(r(a, u) for u in range(t + first, t + last + 1))
-            case te.Until(first=first, last=last, left=a, right=b):
+            case fo.Until(first=first, last=last, left=a, right=b):
                 return max(
                     min(r(b, u), *(r(a, v) for v in range(t, u + 1)))
                     for u in range(t + first, t + last + 1)
@@ -81,7 +79,7 @@ def holds(formula, signals, t=0):
     match formula:
         case fo.Truth():
             return True
-        case ex.Predicate(left=a, right=b, comparison=comparison):
+        case fo.Predicate(left=a, right=b, comparison=comparison):
             return COMPARED[comparison](number(a, signals, t), number(b, signals, t))
         case fo.Not(operand=a):
             return not holds(a, signals, t)
@@ -91,11 +89,11 @@ def holds(formula, signals, t=0):
             return any(holds(a, signals, t) for a in parts)
         case fo.Implies(premise=a, conclusion=b):
             return not holds(a, signals, t) or holds(b, signals, t)
-        case te.Always(first=first, last=last, operand=a):
+        case fo.Always(first=first, last=last, operand=a):
             return all(holds(a, signals, u) for u in range(t + first, t + last + 1))
-        case te.Eventually(first=first, last=last, operand=a):
+        case fo.Eventually(first=first, last=last, operand=a):
             return any(holds(a, signals, u) for u in range(t + first, t + last + 1))
-        case te.Until(first=first, last=last, left=a, right=b):
+        case fo.Until(first=first, last=last, left=a, right=b):
             return any(
                 holds(b, signals, u) and all(holds(a, signals, v) for v in range(t, u + 1))
                 for u in range(t + first, t + last + 1)
@@ -106,32 +104,32 @@ def holds(formula, signals, t=0):
 def interval(node, bounds):
     """Least and greatest value: the extremes over the corners and the kinks."""
     match node:
-        case ex.Constant(value=value):
+        case fo.Constant(value=value):
             return value, value
-        case ex.Signal(name=name):
+        case fo.Signal(name=name):
             return bounds[name]
-        case ex.Negative(operand=a):
+        case fo.Negative(operand=a):
             low, high = interval(a, bounds)
             return -high, -low
-        case ex.Absolute(operand=a):
+        case fo.Absolute(operand=a):
             low, high = interval(a, bounds)
             corners = [abs(low), abs(high)]
             return (0.0 if low <= 0.0 <= high else min(corners)), max(corners)
-        case ex.Minimum(operands=operands):
+        case fo.Minimum(operands=operands):
             ranges = [interval(a, bounds) for a in operands]
             return min(low for low, _ in ranges), min(high for _, high in ranges)
-        case ex.Maximum(operands=operands):
+        case fo.Maximum(operands=operands):
             ranges = [interval(a, bounds) for a in operands]
             return max(low for low, _ in ranges), max(high for _, high in ranges)
     (a, b), (c, d) = interval(node.left, bounds), interval(node.right, bounds)
     match node:
-        case ex.Sum():
+        case fo.Sum():
             corners = [a + c, b + d]
-        case ex.Difference():
+        case fo.Difference():
             corners = [a - d, b - c]
-        case ex.Product():
+        case fo.Product():
             corners = [a * c, a * d, b * c, b * d]
-        case ex.Quotient():
+        case fo.Quotient():
             corners = [a / c, a / d, b / c, b / d]
     return min(corners), max(corners)
 
@@ -156,7 +154,7 @@ def agm(formula, signals, bounds, t=0):
         match f:
             case fo.Truth():
                 return 1.0
-            case ex.Predicate():
+            case fo.Predicate():
                 (a, b), (c, d) = interval(f.left, bounds), interval(f.right, bounds)
                 width = (b - a) + (d - c)
                 margin = predicate_margin(f, signals, t)
@@ -171,11 +169,11 @@ def agm(formula, signals, bounds, t=0):
                 return agm_or([r(a, t) for a in parts])
             case fo.Implies(premise=a, conclusion=b):
                 return agm_or([-r(a, t), r(b, t)])
-            case te.Always(first=first, last=last, operand=a):
+            case fo.Always(first=first, last=last, operand=a):
                 return agm_and([r(a, u) for u in range(t + first, t + last + 1)])
-            case te.Eventually(first=first, last=last, operand=a):
+            case fo.Eventually(first=first, last=last, operand=a):
                 return agm_or([r(a, u) for u in range(t + first, t + last + 1)])
-            case te.Until(first=first, last=last, left=a, right=b):
+            case fo.Until(first=first, last=last, left=a, right=b):
                 return agm_or(
                     [
                         agm_and([r(b, u), agm_and([r(a, v) for v in range(t, u + 1)])])
@@ -212,7 +210,7 @@ def smooth(formula, signals, beta, positive, t=0):
         match f:
             case fo.Truth():
                 return math.inf if positive else 0.0
-            case ex.Predicate():
+            case fo.Predicate():
                 scaled = beta * predicate_margin(f, signals, t)
                 return log1p_exp(scaled) / beta if positive else -log1p_exp(-scaled) / beta
             case fo.Not(operand=a):
@@ -223,13 +221,13 @@ def smooth(formula, signals, beta, positive, t=0):
                 return soft_max([r(a, t, positive) for a in parts], beta)
             case fo.Implies(premise=a, conclusion=b):
                 return soft_max([-r(a, t, not positive), r(b, t, positive)], beta)
-            case te.Always(first=first, last=last, operand=a):
+            case fo.Always(first=first, last=last, operand=a):
                 window = range(t + first, t + last + 1)
                 return soft_min([r(a, u, positive) for u in window], beta)
-            case te.Eventually(first=first, last=last, operand=a):
+            case fo.Eventually(first=first, last=last, operand=a):
                 window = range(t + first, t + last + 1)
                 return sum(r(a, u, positive) for u in window)
-            case te.Until(first=first, last=last, left=a, right=b):
+            case fo.Until(first=first, last=last, left=a, right=b):
                 return sum(
                     soft_min(
                         [

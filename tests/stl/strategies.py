@@ -1,42 +1,44 @@
 """Random formulas, and rollouts that fit them."""
 
 import numpy as np
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from pemviz.stl import expressions as ex
 from pemviz.stl import formulas as fo
-from pemviz.stl import temporal as te
 
+lawful = settings(
+    max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
+)
 NAMES = ("gap", "ego_speed", "x_1")
 BOUNDS = {"gap": (-25.0, 25.0), "ego_speed": (0.0, 40.0), "x_1": (-3.0, 8.0)}
 
 constants = st.one_of(
     st.integers(-25, 40).map(float),
     st.floats(-25.0, 40.0).map(lambda value: round(value, 3)),
-).map(ex.Constant)
-signals = st.sampled_from(NAMES).map(ex.Signal)
+).map(fo.Constant)
+signals = st.sampled_from(NAMES).map(fo.Signal)
 
 
 def _larger(parts):
     pair = st.tuples(parts, parts)
     few = st.lists(parts, min_size=2, max_size=3).map(tuple)
     return st.one_of(
-        pair.map(lambda p: ex.Sum(*p)),
-        pair.map(lambda p: ex.Difference(*p)),
-        pair.map(lambda p: ex.Product(*p)),
-        parts.map(lambda p: ex.Quotient(p, ex.Constant(-4.0))),
-        parts.map(ex.Negative),
-        parts.map(ex.Absolute),
-        few.map(ex.Minimum),
-        few.map(ex.Maximum),
+        pair.map(lambda p: fo.Sum(*p)),
+        pair.map(lambda p: fo.Difference(*p)),
+        pair.map(lambda p: fo.Product(*p)),
+        parts.map(lambda p: fo.Quotient(p, fo.Constant(-4.0))),
+        parts.map(fo.Negative),
+        parts.map(fo.Absolute),
+        few.map(fo.Minimum),
+        few.map(fo.Maximum),
     )
 
 
 expressions = st.one_of(signals, signals, _larger(st.one_of(constants, signals)))
 deep_expressions = st.recursive(st.one_of(constants, signals), _larger, max_leaves=8)
 comparisons = st.sampled_from((">=", ">", "<=", "<"))
-predicates = st.builds(ex.Predicate, expressions, comparisons, st.one_of(constants, expressions))
-deep_predicates = st.builds(ex.Predicate, deep_expressions, comparisons, deep_expressions)
+predicates = st.builds(fo.Predicate, expressions, comparisons, st.one_of(constants, expressions))
+deep_predicates = st.builds(fo.Predicate, deep_expressions, comparisons, deep_expressions)
 
 
 @st.composite
@@ -54,9 +56,9 @@ def formulas(depth=4, atoms=predicates, *, truth=True):
     few = st.lists(parts, min_size=2, max_size=3).map(tuple)
     timed = st.tuples(intervals(), parts)
     return st.one_of(
-        timed.map(lambda p: te.Always(*p[0], p[1])),
-        timed.map(lambda p: te.Eventually(*p[0], p[1])),
-        st.tuples(intervals(), parts, parts).map(lambda p: te.Until(*p[0], p[1], p[2])),
+        timed.map(lambda p: fo.Always(*p[0], p[1])),
+        timed.map(lambda p: fo.Eventually(*p[0], p[1])),
+        st.tuples(intervals(), parts, parts).map(lambda p: fo.Until(*p[0], p[1], p[2])),
         few.map(fo.And),
         few.map(fo.Or),
         st.builds(fo.Implies, parts, parts),
@@ -89,17 +91,17 @@ def row(batch, index):
     return {name: [float(v) for v in values[index]] for name, values in batch.items()}
 
 
-whole_numbers = st.integers(-2, 2).map(float).map(ex.Constant)
+whole_numbers = st.integers(-2, 2).map(float).map(fo.Constant)
 tied_terms = st.one_of(
     signals,
     signals,
     whole_numbers,
-    st.builds(ex.Difference, signals, signals),
-    signals.map(ex.Absolute),
-    st.lists(st.one_of(signals, whole_numbers), min_size=2, max_size=3).map(tuple).map(ex.Minimum),
+    st.builds(fo.Difference, signals, signals),
+    signals.map(fo.Absolute),
+    st.lists(st.one_of(signals, whole_numbers), min_size=2, max_size=3).map(tuple).map(fo.Minimum),
 )
 tied_predicates = st.builds(
-    ex.Predicate, tied_terms, comparisons, st.one_of(whole_numbers, signals)
+    fo.Predicate, tied_terms, comparisons, st.one_of(whole_numbers, signals)
 )
 
 

@@ -2,28 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pemviz.stl import (
-    Agm,
-    Classical,
-    SmoothCumulative,
-    parse,
-    robustness,
-    robustness_trace,
-    subformula_traces,
-)
+from pemviz.stl import Agm, Classical, SmoothCumulative, parse, robustness, robustness_trace
 
 from . import naive
-from .strategies import BOUNDS, formula_and_rollouts, row
+from .strategies import BOUNDS, formula_and_rollouts, lawful, row
 
-exhaustive = settings(
-    max_examples=500,
-    derandomize=True,
-    deadline=None,
-    suppress_health_check=list(HealthCheck),
-)
+exhaustive = settings(lawful, max_examples=500)
 
 
 def expected_trace(reference, formula, batch, *args):
@@ -68,23 +55,6 @@ def test_smooth_cumulative(case, beta, positive):
     formula, batch = case
     metric = SmoothCumulative(beta=beta, part="positive" if positive else "negative")
     assert_agrees(formula, batch, metric, naive.smooth, beta, positive)
-
-
-@settings(exhaustive, max_examples=50)
-@given(
-    formula_and_rollouts(count=4), st.sampled_from((Classical(), Agm(BOUNDS), SmoothCumulative()))
-)
-def test_subformula_traces_are_those_of_the_parts(case, metric):
-    formula, batch = case
-    traces = subformula_traces(formula, batch, metric)
-    assert traces[0].path == ()
-    np.testing.assert_array_equal(traces[0].values, robustness_trace(formula, batch, metric))
-    for trace in traces:
-        part = formula
-        for index in trace.path:
-            part = part.children()[index]
-        assert trace.formula == part
-        np.testing.assert_array_equal(trace.values, robustness_trace(part, batch, trace.metric))
 
 
 @pytest.mark.parametrize("states", [1, 2, 3, 7, 16, 17, 100, 333])

@@ -13,15 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from pemviz.stl import Classical, robustness
-from pemviz.stl import expressions as ex
 from pemviz.stl import formulas as fo
-from pemviz.stl import temporal as te
 
-from .strategies import formulas, rollouts, row
+from .strategies import formulas, lawful, rollouts, row
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = 500
@@ -43,8 +41,8 @@ def dialect(formula, library):
     tidystl's until is the inclusive one. rtamt's and sentil's ask the left side only
     before t', so their right side must ask for both.
     """
-    word = {"tidystl": {te.Always: "G", te.Eventually: "F"}}.get(
-        library, {te.Always: "always", te.Eventually: "eventually"}
+    word = {"tidystl": {fo.Always: "G", fo.Eventually: "F"}}.get(
+        library, {fo.Always: "always", fo.Eventually: "eventually"}
     )
 
     def interval(node):
@@ -52,7 +50,7 @@ def dialect(formula, library):
 
     def text(node):
         match node:
-            case ex.Predicate(left=left, right=right, comparison=comparison):
+            case fo.Predicate(left=left, right=right, comparison=comparison):
                 return f"({left} {comparison} {right})"
             case fo.Not(operand=a):
                 return f"(not {text(a)})"
@@ -60,9 +58,9 @@ def dialect(formula, library):
                 return f"({f' {node.word} '.join(text(part) for part in parts)})"
             case fo.Implies(premise=a, conclusion=b):
                 return f"((not {text(a)}) or {text(b)})"
-            case te.Always(operand=a) | te.Eventually(operand=a):
+            case fo.Always(operand=a) | fo.Eventually(operand=a):
                 return f"({word[type(node)]}{interval(node)} {text(a)})"
-            case te.Until(left=a, right=b):
+            case fo.Until(left=a, right=b):
                 a, b = text(a), text(b)
                 if library == "tidystl":
                     return f"({a} U{interval(node)} {b})"
@@ -72,15 +70,15 @@ def dialect(formula, library):
     return text(formula)
 
 
-signals = st.sampled_from(("gap", "ego_speed")).map(ex.Signal)
+signals = st.sampled_from(("gap", "ego_speed")).map(fo.Signal)
 simple = st.one_of(
     signals,
-    st.builds(ex.Sum, signals, signals),
-    st.builds(ex.Difference, signals, signals),
-    signals.map(ex.Absolute),
+    st.builds(fo.Sum, signals, signals),
+    st.builds(fo.Difference, signals, signals),
+    signals.map(fo.Absolute),
 )
-positive = st.integers(1, 80).map(lambda value: ex.Constant(value / 4))
-atoms = st.builds(ex.Predicate, simple, st.sampled_from((">=", ">", "<=", "<")), positive)
+positive = st.integers(1, 80).map(lambda value: fo.Constant(value / 4))
+atoms = st.builds(fo.Predicate, simple, st.sampled_from((">=", ">", "<=", "<")), positive)
 
 
 @pytest.fixture(scope="module")
@@ -88,14 +86,7 @@ def cases():
     """Formulas with one rollout each (rtamt wants two states at least)."""
     cases = []
 
-    @settings(
-        max_examples=CASES,
-        derandomize=True,
-        deadline=None,
-        database=None,
-        phases=[Phase.generate],
-        suppress_health_check=list(HealthCheck),
-    )
+    @settings(lawful, max_examples=CASES, database=None, phases=[Phase.generate])
     @given(formulas(3, atoms, truth=False), st.integers(0, 2**32 - 1))
     def collect(formula, seed):
         cases.append((formula, rollouts(seed, formula.horizon_steps() + 2, 1)))

@@ -1,42 +1,29 @@
-"""The text form, the builder, and errors that a person can act on."""
+"""The text form, and errors that a person can act on."""
 
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 
 from pemviz.errors import InputError
 from pemviz.stl import (
-    TRUE,
     Agm,
     Classical,
     FormulaError,
     SmoothCumulative,
-    always,
-    check_horizon,
-    eventually,
-    maximum,
-    minimum,
     parse,
     robustness,
-    signal,
-    until,
     violated,
 )
-from pemviz.stl import expressions as ex
 from pemviz.stl import formulas as fo
 from pemviz.stl.parsing import MAX_TEXT
 
-from .strategies import deep_predicates, formulas
-
-gap, v = signal("gap"), signal("v")
+from .strategies import deep_predicates, formulas, lawful
 
 
-@settings(
-    max_examples=500, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
-)
+@settings(lawful, max_examples=500)
 @given(formulas(4, deep_predicates))
 def test_print_parses_back(formula):
     text = str(formula)
@@ -46,37 +33,67 @@ def test_print_parses_back(formula):
     assert hash(again) == hash(formula)
 
 
+def tree(node):
+    """A formula as nested tuples: operator and parts; signals and numbers as they are."""
+    parts = tuple(tree(part) for part in node.children())
+    match node:
+        case fo.Signal(name=leaf) | fo.Constant(value=leaf):
+            return leaf
+        case fo.Predicate(comparison=sign):
+            return parts[0], sign, parts[1]
+        case fo.Always() | fo.Eventually() | fo.Until():
+            return node.word, node.first, node.last, *parts
+    return type(node).__name__, *parts
+
+
+TRUE, GAP, V = ("Truth",), ("gap", ">", 1.0), ("v", ">", 1.0)
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("always[0,99] (gap >= 2.0)", always(0, 99, gap >= 2.0)),
-        ("G[0:99] gap>=2", always(0, 99, gap >= 2)),
-        ("F[3,4](gap < -2)", eventually(3, 4, gap < -2)),
-        ("(gap > 1) U[0,5] (v <= 3)", until(gap > 1, 0, 5, v <= 3)),
-        ("!gap > 1 && v > 2 || true", (~(gap > 1) & (v > 2)) | TRUE),
-        ("not gap > 1 and v > 2 or true", (~(gap > 1) & (v > 2)) | TRUE),
-        ("gap>1 -> v>1 -> true", (gap > 1).implies((v > 1).implies(TRUE))),
-        ("gap>1 or v>1 -> true", ((gap > 1) | (v > 1)).implies(TRUE)),
-        ("gap>1 or v>1 and true", (gap > 1) | ((v > 1) & TRUE)),
-        ("gap>1 and v>1 until[0,1] true", (gap > 1) & until(v > 1, 0, 1, TRUE)),
-        ("not gap>1 until[0,1] true", until(~(gap > 1), 0, 1, TRUE)),
-        ("always[0,1] gap>1 until[0,1] true", until(always(0, 1, gap > 1), 0, 1, TRUE)),
-        ("gap>1 and v>1 and true", fo.And((gap > 1, v > 1, TRUE))),
-        ("(gap>1 and v>1) and true", fo.And((fo.And((gap > 1, v > 1)), TRUE))),
-        ("gap - v - 1 > 2 * gap / v", (gap - v - 1) > (2 * gap / v)),
-        ("gap - (v - 1) > -gap", (gap - (v - 1)) > -gap),
-        ("abs(gap - v) <= 1e-3", abs(gap - v) <= 1e-3),
-        ("min(gap, v, 3) > max(1, v)", minimum(gap, v, 3) > maximum(1, v)),
-        ("2 < gap", ex.Predicate(ex.Constant(2), "<", gap)),
-        ("false", fo.Not(TRUE)),
-        ("orbit > 1 and nothing < 2", (signal("orbit") > 1) & (signal("nothing") < 2)),
-        (" \n gap\t>= .5", gap >= 0.5),
-        ("((((gap))) > (2))", gap > 2),
+        ("always[0,99] (gap >= 2.0)", ("always", 0, 99, ("gap", ">=", 2.0))),
+        ("G[0:99] gap>=2", ("always", 0, 99, ("gap", ">=", 2.0))),
+        ("F[3,4](gap < -2)", ("eventually", 3, 4, ("gap", "<", -2.0))),
+        ("(gap > 1) U[0,5] (v <= 3)", ("until", 0, 5, GAP, ("v", "<=", 3.0))),
+        ("!gap > 1 && v > 1 || true", ("Or", ("And", ("Not", GAP), V), TRUE)),
+        ("not gap > 1 and v > 1 or true", ("Or", ("And", ("Not", GAP), V), TRUE)),
+        ("gap>1 -> v>1 -> true", ("Implies", GAP, ("Implies", V, TRUE))),
+        ("gap>1 or v>1 -> true", ("Implies", ("Or", GAP, V), TRUE)),
+        ("gap>1 or v>1 and true", ("Or", GAP, ("And", V, TRUE))),
+        ("gap>1 and v>1 until[0,1] true", ("And", GAP, ("until", 0, 1, V, TRUE))),
+        ("not gap>1 until[0,1] true", ("until", 0, 1, ("Not", GAP), TRUE)),
+        ("always[0,1] gap>1 until[0,1] true", ("until", 0, 1, ("always", 0, 1, GAP), TRUE)),
+        ("gap>1 and v>1 and true", ("And", GAP, V, TRUE)),
+        ("(gap>1 and v>1) and true", ("And", ("And", GAP, V), TRUE)),
+        (
+            "gap - v - 1 > 2 * gap / v",
+            (
+                ("Difference", ("Difference", "gap", "v"), 1.0),
+                ">",
+                ("Quotient", ("Product", 2.0, "gap"), "v"),
+            ),
+        ),
+        (
+            "gap - (v - 1) > -gap",
+            (("Difference", "gap", ("Difference", "v", 1.0)), ">", ("Negative", "gap")),
+        ),
+        ("abs(gap - v) <= 1e-3", (("Absolute", ("Difference", "gap", "v")), "<=", 1e-3)),
+        (
+            "min(gap, v, 3) > max(1, v)",
+            (("Minimum", "gap", "v", 3.0), ">", ("Maximum", 1.0, "v")),
+        ),
+        ("gap + v > 1", (("Sum", "gap", "v"), ">", 1.0)),
+        ("2 < gap", (2.0, "<", "gap")),
+        ("false", ("Not", TRUE)),
+        ("orbit > 1 and nothing < 2", ("And", ("orbit", ">", 1.0), ("nothing", "<", 2.0))),
+        (" \n gap\t>= .5", ("gap", ">=", 0.5)),
+        ("((((gap))) > (2))", ("gap", ">", 2.0)),
     ],
 )
-def test_text_and_builder_say_the_same(text, expected):
+def test_what_a_text_says(text, expected):
     formula = parse(text)
-    assert formula == expected
+    assert tree(formula) == expected
     assert parse(str(formula)) == formula
 
 
@@ -101,6 +118,7 @@ MISTAKES = [
     ("always[0,9.5] (gap > 1)", 10, "interval bound 9.5 must be a whole number of steps"),
     ("always[0,1e3] (gap > 1)", 10, "must be a whole number"),
     ("always[0,99999999999] (gap > 1)", 10, "too large"),
+    ("always[0,1000000001] (gap > 1)", 10, "too large"),
     ("always[0] (gap > 1)", 9, "expected ','"),
     ("always[0,9 (gap > 1)", 12, "expected ']'"),
     ("always[0,9] gap", 13, "'gap' is a number, but 'always' needs a formula"),
@@ -149,24 +167,12 @@ def test_mistakes_are_located_and_explained(text, column, message):
     assert "\n" not in str(error)
     assert (error.line, error.column) == (1, column)
     assert str(error).startswith(f"formula, line 1, column {column}: ")
-    shown, caret = error.excerpt.split("\n")
-    assert caret.index("^") == 2 + column - 1
-    assert shown == f"  {text}"
-    assert error.explain() == f"{error}\n{error.excerpt}"
-    assert error.excerpt in error.__notes__
 
 
-def test_mistakes_in_later_lines_and_far_right():
+def test_mistakes_in_later_lines():
     with pytest.raises(FormulaError) as caught:
         parse("always[0,9] (\n  gap >= 2 and\n  speed ? 1)")
     assert (caught.value.line, caught.value.column) == (3, 9)
-    assert caught.value.excerpt == "    speed ? 1)\n          ^"
-    text = "gap > 1 and " * 50 + "gap >> 1"
-    with pytest.raises(FormulaError) as caught:
-        parse(text)
-    shown, caret = caught.value.excerpt.split("\n")
-    assert len(shown) < 80
-    assert shown[caret.index("^")] == ">"
 
 
 def test_unknown_signals_get_suggestions():
@@ -177,19 +183,16 @@ def test_unknown_signals_get_suggestions():
         parse("zzz >= 2", signals=known)
     with pytest.raises(FormulaError, match="unknown signal 'gpa'; did you mean 'gap'"):
         robustness(parse("gpa >= 2"), {"gap": np.ones((1, 2))}, Classical())
-    assert parse("gap >= 2", signals=known) == (gap >= 2)
+    assert parse("gap >= 2", signals=known) == parse("gap >= 2")
 
 
 def test_a_horizon_past_the_end_is_never_cut():
     formula = parse("always[0,100] (gap >= 2)")
     with pytest.raises(FormulaError, match="needs 101 states; the rollouts have 100"):
         violated(formula, {"gap": np.ones((3, 100))})
-    with pytest.raises(FormulaError, match="looks 100 steps ahead"):
-        parse("always[0,100] (gap >= 2)", states=100)
     with pytest.raises(FormulaError, match="needs 6 states"):
-        check_horizon(parse("eventually[0,2] always[0,3] gap > 1"), 5)
+        violated(parse("eventually[0,2] always[0,3] gap > 1"), {"gap": np.ones((1, 5))})
     assert not violated(formula, {"gap": np.full((3, 101), 2.0)}).any()
-    assert parse("always[0,99] (gap >= 2)", states=100).horizon_steps() == 99
 
 
 def test_limits_on_size():
@@ -200,12 +203,12 @@ def test_limits_on_size():
         parse("not " * 200 + "gap > 1")
     with pytest.raises(FormulaError, match="nested too deeply"):
         parse("-(" * 200 + "gap" + ")" * 200 + " > 1")
-    assert parse("(" * 20_000 + "gap > 1" + ")" * 20_000) == (gap > 1)
+    assert parse("(" * 20_000 + "gap > 1" + ")" * 20_000) == parse("gap > 1")
     with pytest.raises(FormulaError, match=f"at most {MAX_TEXT}"):
         parse("gap > 1" + " " * MAX_TEXT)
     with pytest.raises(FormulaError, match="too long; at most 10000 parts"):
         parse(" and ".join(["gap > 1"] * 5000))
-    formula = gap > 1
+    formula = parse("gap > 1")
     for _ in range(11):
         formula = fo.And((formula, formula))
     with pytest.raises(FormulaError, match="too long"):
@@ -213,29 +216,9 @@ def test_limits_on_size():
     assert len(parse(" or ".join(["gap > 1"] * 3000)).children()) == 3000
 
 
-def test_the_builder_rejects_what_the_text_form_rejects():
-    for wrong, message in (
-        (lambda: always(3, 1, gap > 1), "reversed"),
-        (lambda: always(-1, 1, gap > 1), "between 0 and"),
-        (lambda: always(0, 1.5, gap > 1), "whole number"),
-        (lambda: always(0, 1, gap), "is no formula"),
-        (lambda: until(gap > 1, 0, 1, gap), "is no formula"),
-        (lambda: ex.Predicate(gap > 1, ">", gap), "is no number"),
-        (lambda: gap > "x", "is no number"),
-        (lambda: (gap > 1) & gap, "is no formula"),
-        (lambda: 1 < gap < 3, "has no truth value"),
-        (lambda: gap > ex.Constant(float("nan")), "must be finite"),
-        (lambda: gap > float("inf"), "must be finite"),
-        (lambda: signal("a b"), "letters, digits and _"),
-        (lambda: signal("always"), "word of the language"),
-        (lambda: signal("G"), "word of the language"),
-        (lambda: minimum(gap), "two or more"),
-        (lambda: fo.And((gap > 1,)), "two or more"),
-        (lambda: ex.Predicate(gap, "==", gap), "allowed are"),
-        (lambda: parse(3), "must be text"),
-    ):
-        with pytest.raises(FormulaError, match=message):
-            wrong()
+def test_what_is_no_text_is_refused():
+    with pytest.raises(FormulaError, match="must be text"):
+        parse(3)
 
 
 def batch(**changes):
@@ -251,7 +234,7 @@ def test_signals_that_do_not_fit_are_named():
         (batch(gap=bad), "signal 'gap' is nan at rollout 1, step 4; it must be finite"),
         (batch(gap=bad * np.inf), "signal 'gap' is inf at rollout 0, step 0"),
         (batch(gap=np.ones(5)), r"signal 'gap' has shape \(5,\); must be \[N, T\]"),
-        (batch(v=np.ones((3, 4))), "all must be alike"),
+        (batch(v=np.ones((3, 4))), "all must be equal"),
         (batch(v=np.full((3, 5), "x")), "must be real numbers"),
         (batch(v=np.ones((3, 5), complex)), "must be real numbers"),
     ):
@@ -285,8 +268,7 @@ def test_empty_batches_and_constants():
 
 def test_agm_bounds():
     formula = parse("always[0,4] (gap - v >= 2)")
-    assert Agm().bounds["gap"] == (-25.0, 25.0)
-    assert hash(Agm()) == hash(Agm(dict(Agm().bounds)))
+    assert hash(Agm({"gap": (-25, 25)})) == hash(Agm({"gap": (-25.0, 25.0)}))
     value = robustness(formula, batch(), Agm({"gap": (-25, 25), "v": (0, 40)}))
     np.testing.assert_allclose(value, np.expm1(np.log1p(1.0 / 90.0)))
     for wrong, message in (

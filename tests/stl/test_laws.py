@@ -4,40 +4,23 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pemviz.errors import InputError
-from pemviz.stl import (
-    TRUE,
-    Agm,
-    Classical,
-    SmoothCumulative,
-    always,
-    eventually,
-    parse,
-    robustness,
-    robustness_trace,
-    signal,
-    subformula_traces,
-    until,
-)
-from pemviz.stl import expressions as ex
+from pemviz.stl import Agm, Classical, SmoothCumulative, parse, robustness, robustness_trace
 from pemviz.stl import formulas as fo
-from pemviz.stl import temporal as te
 
 from . import naive
-from .strategies import BOUNDS, NAMES, formula_and_rollouts, formulas, rollouts, row
+from .strategies import BOUNDS, NAMES, formula_and_rollouts, formulas, lawful, rollouts, row
 
-lawful = settings(
-    max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
-)
 POSITIVE, NEGATIVE = SmoothCumulative(), SmoothCumulative(part="negative")
 METRICS = (Classical(), Agm(BOUNDS), POSITIVE, NEGATIVE)
+TRUE = fo.Truth()
 
 
 def no_margin_is_zero(formula, batch):
-    predicates = [node for node in formula.walk() if isinstance(node, ex.Predicate)]
+    predicates = [node for node in formula.walk() if isinstance(node, fo.Predicate)]
     return all(
         (np.abs(robustness_trace(p, batch, Classical())) > 1e-9).all()
         for p in predicates
@@ -56,10 +39,10 @@ def dual(formula):
             return fo.And(tuple(dual(a) for a in parts))
         case fo.Implies(premise=a, conclusion=b):
             return fo.And((a, dual(b)))
-        case te.Always(first=first, last=last, operand=a):
-            return te.Eventually(first, last, dual(a))
-        case te.Eventually(first=first, last=last, operand=a):
-            return te.Always(first, last, dual(a))
+        case fo.Always(first=first, last=last, operand=a):
+            return fo.Eventually(first, last, dual(a))
+        case fo.Eventually(first=first, last=last, operand=a):
+            return fo.Always(first, last, dual(a))
     return fo.Not(formula)
 
 
@@ -88,7 +71,7 @@ def test_agm_is_dual_away_from_zeros(case):
 
 def test_smooth_cumulative_is_not_dual():
     batch = {"gap": np.full((1, 5), 3.0)}
-    formula = always(0, 4, signal("gap") >= 2.0)
+    formula = parse("always[0,4] (gap >= 2)")
     assert robustness(dual(formula), batch, POSITIVE) > -robustness(formula, batch, POSITIVE)
     np.testing.assert_array_equal(
         robustness(fo.Not(formula), batch, POSITIVE), -robustness(formula, batch, NEGATIVE)
@@ -131,14 +114,14 @@ def test_the_sign_of_agm_survives_tiny_margins(size):
 def test_positive_part_of_always_is_at_most_zero_where_the_sigmoids_add_up_to_one(gaps, beta):
     total = math.fsum(1.0 / (1.0 + math.exp(beta * gap)) for gap in gaps)
     assume(abs(total - 1.0) > 1e-12)
-    formula = always(0, len(gaps) - 1, signal("gap") >= 0.0)
+    formula = parse(f"always[0,{len(gaps) - 1}] (gap >= 0)")
     value = robustness(formula, {"gap": np.array([gaps])}, SmoothCumulative(beta=beta))[0]
     assert (value <= 0.0) == (total >= 1.0)
     assert value == pytest.approx(-math.log(total) / beta, rel=1e-12, abs=1e-14)
 
 
 def test_smooth_cumulative_misses_a_shallow_violation_and_flags_near_misses():
-    formula = always(0, 99, signal("gap") >= 0.0)
+    formula = parse("always[0,99] (gap >= 0)")
     shallow = np.full((1, 100), 3.0)
     shallow[0, 50] = -0.001
     near = np.full((1, 100), 0.05)
@@ -153,7 +136,7 @@ def test_smooth_minimum_and_maximum_enclose_the_sharp_ones(case, metric):
     inner = robustness_trace(part, batch, metric)
     finite = np.isfinite(inner)
     for formula, count, sign in (
-        (te.Always(0, 0, part), 1, 1),
+        (fo.Always(0, 0, part), 1, 1),
         (fo.And((part, part)), 2, 1),
         (fo.Or((part, part)), 2, -1),
     ):
@@ -168,12 +151,13 @@ def test_smooth_minimum_and_maximum_enclose_the_sharp_ones(case, metric):
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(1, 3))
 def test_smooth_minimum_over_time_lies_within_log_m_of_the_minimum(seed, width, extra):
     batch = rollouts(seed, width + extra)
-    formula = always(0, width - 1, signal("gap") >= 1.0)
-    whole, inner = subformula_traces(formula, batch, POSITIVE)
-    for t in range(whole.values.shape[1]):
-        least = inner.values[:, t : t + width].min(axis=1)
-        assert (whole.values[:, t] <= least + 1e-12).all()
-        assert (whole.values[:, t] >= least - math.log(width) / 75.0 - 1e-12).all()
+    formula = parse(f"always[0,{width - 1}] (gap >= 1)")
+    whole = robustness_trace(formula, batch, POSITIVE)
+    inner = robustness_trace(formula.operand, batch, POSITIVE)
+    for t in range(whole.shape[1]):
+        least = inner[:, t : t + width].min(axis=1)
+        assert (whole[:, t] <= least + 1e-12).all()
+        assert (whole[:, t] >= least - math.log(width) / 75.0 - 1e-12).all()
 
 
 @lawful
@@ -184,7 +168,7 @@ def test_time_shift(case, delay, metric):
     expected = robustness_trace(formula, batch, metric)
     shifted = robustness_trace(formula, later, metric)[:, delay:]
     np.testing.assert_allclose(shifted, expected, rtol=1e-12, atol=1e-12)
-    moved = robustness(always(delay, delay, formula), later, metric)
+    moved = robustness(fo.Always(delay, delay, formula), later, metric)
     np.testing.assert_allclose(moved, expected[:, 0], rtol=1e-12, atol=1e-12)
 
 
@@ -194,13 +178,13 @@ def test_truth_is_neutral(case, metric):
     formula, batch = case
     value = robustness_trace(formula, batch, metric)
     if not isinstance(metric, Agm):  # its means count true as one value among others
-        in_and, in_or = formula & TRUE, formula | fo.Not(TRUE)
+        in_and, in_or = fo.And((formula, TRUE)), fo.Or((formula, fo.Not(TRUE)))
         if metric != NEGATIVE:  # whose `true` is 0, as good as any violation gets
             np.testing.assert_allclose(robustness_trace(in_and, batch, metric), value, atol=1e-12)
         if metric != POSITIVE:  # whose `not true` is 0
             np.testing.assert_allclose(robustness_trace(in_or, batch, metric), value, atol=1e-12)
     if metric != NEGATIVE:
-        reached = until(TRUE, 0, 0, formula)
+        reached = fo.Until(0, 0, TRUE, formula)
         if not isinstance(metric, Agm):
             np.testing.assert_allclose(robustness_trace(reached, batch, metric), value, atol=1e-12)
 
@@ -240,10 +224,10 @@ def test_blocks_leave_no_trace(metric, states):
 @lawful
 @given(formulas(3), formulas(2))
 def test_horizon_adds_up(left, right):
-    assert eventually(2, 5, left).horizon_steps() == 5 + left.horizon_steps()
+    assert fo.Eventually(2, 5, left).horizon_steps() == 5 + left.horizon_steps()
     longer = max(left.horizon_steps(), right.horizon_steps())
-    assert (left & right).horizon_steps() == longer
-    assert until(left, 1, 4, right).horizon_steps() == 4 + longer
+    assert fo.And((left, right)).horizon_steps() == longer
+    assert fo.Until(1, 4, left, right).horizon_steps() == 4 + longer
 
 
 def test_values_far_beyond_the_exponential_stay_finite():

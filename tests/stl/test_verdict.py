@@ -1,33 +1,32 @@
 """The verdict against Boolean semantics written from the definition, ties included.
 
 Signals take few values, whole numbers among them, so that in most rollouts some comparison has
-equal sides.
+equal sides. The monitor, which sees one state after the other, gives the same verdict.
 """
 
 import os
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pemviz.stl import (
     Agm,
     Classical,
+    FormulaMonitor,
     SmoothCumulative,
     parse,
     robustness,
     ties_hold,
     violated,
 )
-from pemviz.stl.monitor import FormulaMonitor
-from pemviz.stl.temporal import Eventually, Until
+from pemviz.stl.formulas import Eventually, Until
 
 from . import naive
-from .strategies import formula_and_rollouts, formula_and_tied_rollouts, row
+from .strategies import formula_and_rollouts, formula_and_tied_rollouts, lawful, rollouts, row
 
-tied = settings(
-    max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
-)
+tied = settings(lawful, max_examples=300)
 BOUNDS = {"gap": (-2.0, 2.0), "ego_speed": (0.0, 2.0), "x_1": (0.0, 1.0)}
 SHARP = 2000.0
 """Of smooth-cumulative robustness: a soft minimum of hundreds is off by 0.01 at most."""
@@ -39,20 +38,23 @@ def fails(formula, batch):
     return np.array([not naive.holds(formula, row(batch, i)) for i in range(count)])
 
 
-def monitored(formula, batch):
-    """Which rollouts violate, by the monitor that sees one state after the other."""
+def watch(formula, batch):
+    """Whether each prefix violates for sure, [N, T]."""
     monitor = FormulaMonitor(formula)
-    known = monitor.start(count=len(batch["gap"]))
-    for step in range(batch["gap"].shape[1]):
+    count, states = next(iter(batch.values())).shape
+    known = monitor.start(count=count)
+    found = []
+    for step in range(states):
         now = {name: values[:, step] for name, values in batch.items()}
         known = monitor.advance(known, step=step, signals=now)
-    return monitor.violated(known)
+        found.append(monitor.violated(known))
+    return np.stack(found, axis=1)
 
 
 def check(formula, batch):
     expected = fails(formula, batch)
     np.testing.assert_array_equal(violated(formula, batch), expected)
-    np.testing.assert_array_equal(monitored(formula, batch), expected)
+    np.testing.assert_array_equal(watch(formula, batch)[:, -1], expected)
 
 
 @tied
@@ -137,3 +139,54 @@ def test_the_next_number_is_no_tie():
     batch = {"x": np.array([[0.0], [-0.0], [above], [below]])}
     np.testing.assert_array_equal(violated(parse("x > 0"), batch), [True, True, False, True])
     np.testing.assert_array_equal(violated(parse("x >= 0"), batch), [False, False, False, True])
+
+
+@given(formula_and_rollouts(depth=3, count=3), st.integers(0, 2**32 - 1))
+@settings(lawful, max_examples=60)
+def test_what_it_calls_violated_no_continuation_undoes(case, seed):
+    formula, batch = case
+    found = watch(formula, batch)
+    count, states = found.shape
+    assert (found[:, 1:] >= found[:, :-1]).all()
+    for step in range(0, states - 1, 3):
+        other = rollouts(seed + step, states, count)
+        mixed = {
+            name: np.where(np.arange(states) <= step, values, other[name])
+            for name, values in batch.items()
+        }
+        assert violated(formula, mixed)[found[:, step]].all()
+
+
+def first_violation(text, gaps):
+    formula = parse(text, signals=["gap"])
+    found = watch(formula, {"gap": np.array([gaps], dtype=float)})[0]
+    return int(np.argmax(found)) if found.any() else None
+
+
+@pytest.mark.parametrize(
+    ("text", "gaps", "step"),
+    [
+        ("always[0,4] (gap >= 2)", [5, 3, 1, 5, 5], 2),
+        ("eventually[0,2] (gap >= 2)", [0, 1, 0, 5], 2),
+        ("eventually[1,2] (gap >= 2)", [5, 1, 2], None),
+        # evaluated at step 1, when the gap falls below 3; nothing above it up to step 3
+        ("always[0,3] (gap < 3 -> eventually[0,2] (gap >= 3))", [4, 2, 1, 2, 5, 5], 3),
+        ("(gap >= 1) until[0,4] (gap >= 8)", [4, 3, 0, 9, 9], 2),
+        ("not (eventually[0,3] (gap < 0))", [4, -1, 5, 5], 1),
+        ("always[0,2] (gap >= 2) or eventually[2,3] (gap >= 8)", [1, 9, 9, 1], None),
+        ("always[0,2] (gap >= 2) or eventually[2,3] (gap >= 8)", [1, 9, 7, 7], 3),
+    ],
+)
+def test_a_violation_is_known_as_soon_as_nothing_can_undo_it(text, gaps, step):
+    assert first_violation(text, gaps) == step
+
+
+def test_what_is_known_is_never_changed():
+    """A rollout may be continued twice from the same state."""
+    monitor = FormulaMonitor(parse("always[0,3] (gap >= 2)", signals=["gap"]))
+    start = monitor.start(count=1)
+    bad = monitor.advance(start, step=0, signals={"gap": np.array([0.0])})
+    good = monitor.advance(start, step=0, signals={"gap": np.array([9.0])})
+    assert monitor.violated(bad)[0]
+    assert not monitor.violated(good)[0]
+    assert not monitor.violated(start)[0]

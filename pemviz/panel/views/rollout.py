@@ -34,8 +34,8 @@ from pemviz.runs.drawn_rollout import (
 )
 from pemviz.simulators.drawn_scene import drawn_tracks
 from pemviz.simulators.episodic import episodic
-from pemviz.stl.expressions import Constant, Predicate
-from pemviz.stl.expressions import Signal as SignalOf
+from pemviz.stl.formulas import Constant, Predicate
+from pemviz.stl.formulas import Signal as SignalOf
 from pemviz.types import Signal
 
 PLOT_WIDTH, HEIGHT = 300, 190

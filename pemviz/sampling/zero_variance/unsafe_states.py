@@ -11,11 +11,9 @@ import numpy as np
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.simulators.bounds import SignalBounds, signals_reached, tells_reached
-from pemviz.stl.expressions import Constant, Predicate, Signal
-from pemviz.stl.formulas import And, Formula, Or
-from pemviz.stl.semantics import evaluate
-from pemviz.stl.temporal import Always
-from pemviz.stl.verdict import BooleanSemantics
+from pemviz.stl.formulas import Always, And, Constant, Formula, Or, Predicate, Signal
+from pemviz.stl.metric import evaluate
+from pemviz.stl.verdict import BOOLEAN
 from pemviz.types import Simulator, StateBatch
 
 
@@ -38,7 +36,7 @@ class StateRule:
             return stl.violated(self.predicate, {name: v[:, None] for name, v in signals.items()})
         # of a formula without signals the others say how many states there are
         single = {name: signals[name][None] for name in self._named or signals}
-        return evaluate(self.predicate, BooleanSemantics(), single, start=0, steps=1)[0] < 0.0
+        return evaluate(self.predicate, BOOLEAN, single)[0] < 0.0
 
     @cached_property
     def _named(self) -> frozenset[str]:

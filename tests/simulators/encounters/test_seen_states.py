@@ -13,8 +13,7 @@ from pemviz.simulators.check import check_simulator
 from pemviz.simulators.encounters.features import EncounterFeatures
 from pemviz.simulators.latents import salient_of, stepped
 from pemviz.simulators.slots import SeenStates, UnrolledSimulator
-from pemviz.stl import parse
-from pemviz.stl.monitor import FormulaMonitor
+from pemviz.stl import FormulaMonitor, parse
 from pemviz.types import StateBatch
 from tests.simulators.encounters.courses import SCENARIOS, assert_same, steps
 from tests.slot_toys import TwoCars
