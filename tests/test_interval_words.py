@@ -24,7 +24,7 @@ from pemviz.reports.rules_words import rule_rows, rule_warnings
 from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import plain_lines
 from pemviz.reproduce.experiments import RepetitionOutcome
-from pemviz.reproduce.failure_tables import table_2
+from pemviz.reproduce.tables import table_2
 from pemviz.runs.result_file import result_document, write_result
 from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.registry import by_name

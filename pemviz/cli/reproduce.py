@@ -14,7 +14,7 @@ from pemviz.cli.progress import jobs_progress
 from pemviz.errors import EXIT_DONE, ConfigError, RunError
 from pemviz.files.atomic import write_bytes
 from pemviz.reproduce.carry_out import reproduce
-from pemviz.reproduce.settings import PARTS, Part, Settings
+from pemviz.reproduce.experiments import PARTS, Part, Settings
 
 Chosen = Literal["table1", "table2", "table3", "figures", "all"]
 

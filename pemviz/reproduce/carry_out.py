@@ -1,30 +1,43 @@
-"""Carries a reproduction out: jobs first, then all files at once."""
+"""Carries a reproduction out: jobs first, then tables, figures and the page, all at once."""
 
+import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Any
 
+from pemviz._version import __version__
 from pemviz.analysis.detection_curves import gap_grid, pem_curve
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.pem import load_table
-from pemviz.reproduce import artefacts
-from pemviz.reproduce.artefacts import Artefact, DetectionAxis, table_artefact
+from pemviz.pem import Pem, load_table
+from pemviz.reports.escape import markdown_code, markdown_table, markdown_text
+from pemviz.reproduce import figures
 from pemviz.reproduce.experiments import (
+    METRICS,
+    LeastSafeSearch,
     RepetitionOutcome,
+    Settings,
     exact_reference,
+    find_least_safe,
     metric_experiments,
     run_repetition,
     table_2_experiments,
 )
-from pemviz.reproduce.failure_tables import table_2, table_3
-from pemviz.reproduce.least_safe import LeastSafeSearch, find_least_safe
-from pemviz.reproduce.page import page_markdown
-from pemviz.reproduce.settings import METRICS, Settings
-from pemviz.reproduce.table_one import score_model, table_1, trainable_models
+from pemviz.reproduce.figures import Artefact, DetectionAxis
+from pemviz.reproduce.published import AUTHORS_PEM_DIGEST
+from pemviz.reproduce.tables import Table, score_model, table_1, table_2, table_3, trainable_models
 from pemviz.reproduce.workers import Job, OnProgress, no_progress, run_jobs
 from pemviz.runs.experiment import Experiment, build_experiment
+
+VERSIONED = ("numpy", "scipy", "torch", "scikit-learn", "matplotlib")
+
+INTRODUCTION = (
+    "Innes & Ramamoorthy, *Testing Rare Downstream Safety Violations via Upstream Adaptive "
+    "Sampling of Perception Error Models* (arXiv 2209.09674): our figures beside the published "
+    "ones. 'not given here' marks a figure of the paper that is not known here."
+)
 
 MODEL, REPETITION, SEARCH, REFERENCE = "model", "repetition", "search", "reference"
 Key = tuple[Any, ...]
@@ -61,8 +74,8 @@ def reproduce(
 
     Args:
         settings: What, and with what effort.
-        on_progress: Told (jobs done, jobs in all, the last one's label).
-        should_stop: Asked several times a second.
+        on_progress: Called with (jobs done, jobs in all, the last one's label).
+        should_stop: Called several times a second.
 
     Raises:
         InputError: A setting or the data is wrong.
@@ -122,17 +135,21 @@ def _artefacts(settings: Settings, experiment: Experiment, results: Results) -> 
     made: list[Artefact] = []
     scores = {key[1]: results[key] for key in results if key[0] == MODEL}
     if scores:
-        made.append(table_artefact(table_1({m: scores[m] for m in trainable_models()})))
+        made.append(_table_artefact(table_1({m: scores[m] for m in trainable_models()})))
     reference = results.get((REFERENCE,))
     if "table2" in settings.parts:
         outcomes = _outcomes(settings, table_2_experiments(settings), results)
-        made.append(table_artefact(table_2(outcomes, reference)))
+        made.append(_table_artefact(table_2(outcomes, reference)))
     if "table3" in settings.parts:
         outcomes = _outcomes(settings, metric_experiments(settings), results)
-        made.append(table_artefact(table_3(outcomes, reference)))
+        made.append(_table_artefact(table_3(outcomes, reference)))
     if "figures" in settings.parts:
         made += _figures(settings, experiment, results)
     return made
+
+
+def _table_artefact(table: Table) -> Artefact:
+    return Artefact(table.name, table.markdown(), table.csv())
 
 
 def _figures(settings: Settings, experiment: Experiment, results: Results) -> Sequence[Artefact]:
@@ -143,9 +160,9 @@ def _figures(settings: Settings, experiment: Experiment, results: Results) -> Se
     scenario = settings.experiment.scenario
     outcomes = _outcomes(settings, metric_experiments(settings), results)
     return [
-        artefacts.learned_proposal(outcomes["classical"], axis, scenario),
-        artefacts.stage_proposals(outcomes, axis, scenario, stage=settings.figure_stage),
-        artefacts.least_safe(results[(SEARCH,)], scenario),
+        figures.learned_proposal(outcomes["classical"], axis, scenario),
+        figures.stage_proposals(outcomes, axis, scenario, stage=settings.figure_stage),
+        figures.least_safe(results[(SEARCH,)], scenario),
     ]
 
 
@@ -167,3 +184,39 @@ def _check(settings: Settings) -> None:
         raise ConfigError("table1 needs --data, the paper's training set (a folder or a .csv)")
     if "table1" in settings.parts and settings.data is not None:
         load_table(settings.data)
+
+
+def page_markdown(settings: Settings, *, pem: Pem, sections: Sequence[str], wall_s: float) -> str:
+    """Introduction, sections, provenance.
+
+    Args:
+        settings: What was asked.
+        pem: The error model that Tables II and III and the figures rest on.
+        sections: Markdown of each table and figure.
+        wall_s: How long it took.
+    """
+    parts = ["# The paper reproduced", INTRODUCTION, *(section.strip() for section in sections)]
+    if "table1" in settings.parts and settings.data is None:
+        parts.append(
+            "## Table I: perception error models\n\nLeft out: it needs the paper's training set, "
+            "given with `--data`."
+        )
+    parts += ["## Provenance", _provenance(settings, pem, wall_s)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _provenance(settings: Settings, pem: Pem, wall_s: float) -> str:
+    whose = "the authors' own network" if pem.digest == AUTHORS_PEM_DIGEST else "ours"
+    versions = [f"pemviz {__version__}", f"Python {platform.python_version()}"]
+    versions += [f"{name} {metadata.version(name)}" for name in VERSIONED]
+    rows = [
+        ("experiment", "preset `paper`, vectorized back end"),
+        ("repetitions", str(settings.repetitions)),
+        ("seed", str(settings.seed)),
+        ("perception error model", f"{markdown_code(pem.name)}, {whose}"),
+        ("its data", markdown_text(pem.data)),
+        ("its digest (SHA-256)", markdown_code(pem.digest)),
+        ("versions", markdown_text(", ".join(versions))),
+        ("wall time", f"{wall_s:.0f} s with {settings.workers} processes"),
+    ]
+    return markdown_table(("what", "value"), rows)

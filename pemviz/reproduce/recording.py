@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 
 from pemviz.recording.pages import Page, write_pages
-from pemviz.reproduce.artefacts import Artefact
 from pemviz.reproduce.carry_out import Reproduction
-from pemviz.reproduce.least_safe import LeastSafeSearch
+from pemviz.reproduce.experiments import LeastSafeSearch
+from pemviz.reproduce.figures import Artefact
 
 TITLES = {
     "table1": "Table I",

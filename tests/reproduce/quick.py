@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from pemviz.config.toml_files import load_preset
-from pemviz.reproduce.settings import Settings
+from pemviz.reproduce.experiments import Settings
 
 QUICK = Settings(
     repetitions=2,

@@ -6,14 +6,14 @@ from pemviz.config import ExperimentConfig
 from pemviz.pem import load_pem
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.reproduce.experiments import (
+    METRICS,
     exact_reference,
+    find_least_safe,
     metric_experiments,
     run_repetition,
     table_2_experiments,
 )
-from pemviz.reproduce.least_safe import find_least_safe
 from pemviz.reproduce.published import AUTHORS_PEM_DIGEST
-from pemviz.reproduce.settings import METRICS
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample

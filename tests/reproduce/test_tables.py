@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from pemviz.reproduce.experiments import RepetitionOutcome
-from pemviz.reproduce.failure_tables import table_2, table_3
 from pemviz.reproduce.published import ADAPTIVE, TABLE_2, TABLE_3
-from pemviz.reproduce.summary import summarise
-from pemviz.reproduce.table_one import score_model, table_1
+from pemviz.reproduce.tables import score_model, summarise, table_1, table_2, table_3
 from pemviz.sampling.zero_variance.reference import Reference
 from tests.conftest import shared
 from tests.reports.runs import estimate
