@@ -30,11 +30,10 @@ from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.sweep.carry_out import RunState
-from pemviz.sweep.fields import parse_variation
 from pemviz.sweep.overview import _estimate, _runs_page
-from pemviz.sweep.plan import make_plan
-from pemviz.sweep.summary import summary_markdown as sweep_summary
-from pemviz.sweep.table import csv_text, rows
+from pemviz.sweep.plan import make_plan, parse_variation
+from pemviz.sweep.tables import csv_text, rows
+from pemviz.sweep.tables import summary_markdown as sweep_summary
 from pemviz.types import Diagnostic
 from tests.reports.runs import estimate
 from tests.reports.runs import result as made_up

@@ -24,17 +24,19 @@ from pemviz.files.atomic import write_bytes, write_text
 from pemviz.processes import usable_cpus
 from pemviz.reports.escape import printable_line
 from pemviz.sampling.registry import ignored_note, ignored_settings
-from pemviz.sweep.carry_out import OnReport, RunReport, RunState, carry_out_runs, finished_before
+from pemviz.sweep import tables
+from pemviz.sweep.carry_out import (
+    OnReport,
+    RunReport,
+    RunState,
+    carry_out_runs,
+    finished_before,
+    sweep_folder,
+)
 from pemviz.sweep.cluster import ClusterWorkers
-from pemviz.sweep.fields import parse_variation
-from pemviz.sweep.folders import sweep_folder
-from pemviz.sweep.local import LocalWorkers
-from pemviz.sweep.model_files import ModelFiles, NamedModels, model_files, models_of
-from pemviz.sweep.plan import Plan, PlannedRun, make_plan
-from pemviz.sweep.runs import Keep
-from pemviz.sweep.summary import summary_markdown
-from pemviz.sweep.table import csv_text, parquet_bytes, rows
-from pemviz.sweep.workers import Workers
+from pemviz.sweep.plan import Plan, PlannedRun, make_plan, parse_variation
+from pemviz.sweep.run_task import Keep, ModelFiles, NamedModels, model_files, models_of
+from pemviz.sweep.workers import LocalWorkers, Workers
 
 SCHEMA = 1
 DEFAULT_OUT = Path("sweeps")
@@ -141,11 +143,11 @@ def write_reports(
     """
     from pemviz.sweep.overview import write_overview  # noqa: PLC0415  rerun is slow to import
 
-    table = rows(plan, states)
+    table = tables.rows(plan, states)
     try:
-        write_text(out / "sweep.csv", csv_text(plan, table))
-        write_bytes(out / "sweep.parquet", parquet_bytes(plan, table))
-        write_text(out / "summary.md", summary_markdown(plan, states))
+        write_text(out / "sweep.csv", tables.csv_text(plan, table))
+        write_bytes(out / "sweep.parquet", tables.parquet_bytes(plan, table))
+        write_text(out / "summary.md", tables.summary_markdown(plan, states))
         write_overview(out / "sweep.rrd", plan, states, base=base)
     except OSError as error:
         message = f"out = {out}: cannot be written ({error.strerror or error})"
@@ -220,10 +222,10 @@ def _carry_out(
 
 def _print(arguments: SweepArguments, out: Path, plan: Plan, states: Sequence[RunState]) -> None:
     if arguments.json:
-        document = {"schema": SCHEMA, "out": str(out), "runs": rows(plan, states)}
+        document = {"schema": SCHEMA, "out": str(out), "runs": tables.rows(plan, states)}
         print(json.dumps(document, allow_nan=False))
     else:
-        print(summary_markdown(plan, states))
+        print(tables.summary_markdown(plan, states))
         print(f"sweep folder: {out}")
 
 

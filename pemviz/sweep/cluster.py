@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from pemviz._version import __version__
 from pemviz.errors import ConfigError, RunError
-from pemviz.sweep.runs import RunOutcome, RunTask, carry_out, one_line
+from pemviz.sweep.run_task import RunOutcome, RunTask, carry_out, one_line
 
 CONNECT_S = 10.0
 FIRST_WORKER_S = 60.0
@@ -51,7 +51,10 @@ class ClusterWorkers:
         Raises:
             ConfigError: There is no scheduler at the address, or no worker that can be used.
         """
-        self._silence()
+        for name in LOGGERS:
+            logger = logging.getLogger(name)
+            self._levels[name] = logger.level
+            logger.setLevel(logging.CRITICAL)
         try:
             self._client = _connected(self._address)
             _check_workers(self._client, self._address)
@@ -130,7 +133,10 @@ class ClusterWorkers:
             return None
         except Exception as error:
             self._require_connection()
-            outcome = RunOutcome(task.name, message=_failure(error))
+            message = one_line(error)
+            if type(error).__name__ == "KilledWorker":
+                message = "its workers died one after the other: killed, or out of memory"
+            outcome = RunOutcome(task.name, message=message)
         del self._running[future]
         future.release()
         return outcome
@@ -139,12 +145,6 @@ class ClusterWorkers:
         if self._client.status != "running":
             message = f"scheduler {self._address}: the connection is lost"
             raise RunError(message)
-
-    def _silence(self) -> None:
-        for name in LOGGERS:
-            logger = logging.getLogger(name)
-            self._levels[name] = logger.level
-            logger.setLevel(logging.CRITICAL)
 
 
 @contextlib.contextmanager
@@ -187,25 +187,10 @@ def _check_workers(client: Any, address: str) -> None:
     except TimeoutError as error:
         message = f"scheduler = {address}: no worker came within {FIRST_WORKER_S:g} s"
         raise ConfigError(message) from error
-    versions = _asked(client, worker_version)
+    versions: dict[str, Any] = client.run(worker_version, on_error="return")
     for worker, version in versions.items():
+        if isinstance(version, BaseException):
+            version = f"unknown ({one_line(version)})"  # noqa: PLW2901
         if version != __version__:
             message = f"scheduler = {address}: worker {worker} has pemviz {version}, not "
             raise ConfigError(message + __version__)
-
-
-def _asked(client: Any, function: Callable[[], str]) -> dict[str, str]:
-    """What ``function`` returns on every worker, or in one line why it cannot."""
-    answers: dict[str, Any] = client.run(function, on_error="return")
-    return {
-        worker: f"unknown ({one_line(answer)})" if isinstance(answer, BaseException) else answer
-        for worker, answer in answers.items()
-    }
-
-
-def _failure(error: Exception) -> str:
-    from distributed import KilledWorker  # noqa: PLC0415
-
-    if isinstance(error, KilledWorker):
-        return "its workers died one after the other: killed, or out of memory"
-    return one_line(error)

@@ -18,7 +18,7 @@ from pemviz.reports.estimate_words import interval_text, level_text
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.plan import Plan, setting_label, value_text
-from pemviz.sweep.summary import by_setting, summary_markdown
+from pemviz.sweep.tables import by_setting, summary_markdown
 
 MOST_ROWS = 2000
 
@@ -34,10 +34,10 @@ def write_overview(
     """
     settings = [
         SweepSetting(
-            title=setting_label(one.setting) or "all seeds",
-            estimates=tuple(_estimate(state) for state in one.states),
+            title=setting_label(setting) or "all seeds",
+            estimates=tuple(map(_estimate, of_it)),
         )
-        for one in by_setting(states)
+        for setting, of_it in by_setting(states).items()
     ]
     texts = SweepTexts(
         summary=summary_markdown(plan, states),

@@ -1,22 +1,43 @@
-"""Which runs a sweep consists of: every combination of settings, with every seed."""
+"""Which runs a sweep consists of: fields and their values, every combination, every seed."""
 
+import difflib
 import hashlib
 import itertools
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
+from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 from pemviz.config import ExperimentConfig
+from pemviz.config.ranges import allows_none, check_value, optional_value
 from pemviz.config.toml_files import config_text
 from pemviz.errors import ConfigError, InputError
 from pemviz.runs.experiment import build_experiment
-from pemviz.sweep.fields import Setting, Value, Variation, with_setting
 
+Value = str | int | float | bool | None
+Setting = tuple[tuple[str, Value], ...]
+
+BRACKETS = {"(": ")", "[": "]"}
+TRUTH = {"true": True, "false": False}
 MAXIMUM_RUNS = 100_000
 HASH_DIGITS = 10
 NAME_LENGTH = 120
 VALUE_LENGTH = 24
+
+
+@dataclass(frozen=True)
+class Variation:
+    """A field and the values that it takes in turn.
+
+    Attributes:
+        field: Its dotted name, such as ``scenario.initial_gap_m``.
+        values: At least one, all different.
+    """
+
+    field: str
+    values: tuple[Value, ...]
 
 
 @dataclass(frozen=True)
@@ -79,25 +100,59 @@ def make_plan(base: ExperimentConfig, variations: Sequence[Variation], *, seeds:
         InputError: A field is varied twice, there are too many runs, or one of them asks for
             what cannot be.
     """
-    _check(variations, seeds=seeds)
+    names = [one.field for one in variations]
+    for name in names:
+        if names.count(name) > 1:
+            message = f"vary {name}: given twice; list all its values after one --vary"
+            raise ConfigError(message)
+    if "seed" in names and seeds > 1:
+        message = f"vary seed and seeds = {seeds}: give only one of them"
+        raise ConfigError(message)
+    count = math.prod(len(one.values) for one in variations) * seeds
+    if count > MAXIMUM_RUNS:
+        message = f"vary: asks for {count} runs; at most {MAXIMUM_RUNS} are allowed"
+        raise ConfigError(message)
     runs: list[PlannedRun] = []
     for values in itertools.product(*(one.values for one in variations)):
-        chosen = tuple(zip((one.field for one in variations), values, strict=True))
-        config = with_setting(base, chosen)
+        chosen = tuple(zip(names, values, strict=True))
+        config = base
+        for name, value in chosen:
+            config = _replaced(config, name.split("."), value)
         setting = tuple((name, value) for name, value in chosen if name != "seed")
         digests = _checked_digests(config, chosen)
         for number in range(seeds):
             seeded = replace(config, seed=config.seed + number)
             seeded.validate()
-            name = run_name(seeded, setting)
-            runs.append(PlannedRun(name, seeded, setting, *digests))
+            runs.append(PlannedRun(run_name(seeded, setting), seeded, setting, *digests))
     return Plan(variations=tuple(variations), runs=tuple(runs))
+
+
+def _replaced(instance: Any, path: list[str], value: Value) -> Any:
+    name, *below = path
+    inner = _replaced(getattr(instance, name), below, value) if below else value
+    return replace(instance, **{name: inner})
+
+
+def _checked_digests(config: ExperimentConfig, chosen: Setting) -> tuple[str, str | None]:
+    """Build the experiment, as a run will, and tell which error model and errors it uses."""
+    try:
+        experiment = build_experiment(config)
+    except InputError as error:
+        if not chosen:
+            raise
+        message = f"setting {setting_label(chosen)}: {error}"
+        raise ConfigError(message) from error
+    errors = experiment.back_end.position_errors
+    return experiment.pem.digest, None if errors is None else errors.digest
 
 
 def run_name(config: ExperimentConfig, setting: Setting) -> str:
     """A folder name: the settings, the seed and a hash of the complete configuration."""
     digest = hashlib.sha256(config_text(config).encode()).hexdigest()[:HASH_DIGITS]
-    parts = [f"{name.rpartition('.')[2]}-{_plain(value)}" for name, value in setting]
+    parts: list[str] = []
+    for name, value in setting:  # in characters that every file system takes
+        text = re.sub(r"[^A-Za-z0-9.+-]+", "-", value_text(value)).strip("-.")
+        parts.append(f"{name.rpartition('.')[2]}-{text[:VALUE_LENGTH] or 'x'}")
     readable = "_".join([*parts, f"seed-{config.seed}"])
     return f"{readable[:NAME_LENGTH]}_{digest}"
 
@@ -116,35 +171,118 @@ def value_text(value: Value) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def _plain(value: Value) -> str:
-    """A value in characters that every file system takes."""
-    text = re.sub(r"[^A-Za-z0-9.+-]+", "-", value_text(value)).strip("-.")
-    return text[:VALUE_LENGTH] or "x"
+@cache
+def field_annotations() -> Mapping[str, object]:
+    """Annotation by dotted name of every field of a configuration that holds one value."""
+    return _annotations(ExperimentConfig, prefix="")
 
 
-def _check(variations: Sequence[Variation], *, seeds: int) -> None:
-    names = [one.field for one in variations]
-    for name in names:
-        if names.count(name) > 1:
-            message = f"vary {name}: given twice; list all its values after one --vary"
+def _annotations(kind: Any, *, prefix: str) -> dict[str, object]:
+    hints = get_type_hints(kind, include_extras=True)
+    found: dict[str, object] = {}
+    for field in fields(kind):
+        annotation = hints[field.name]
+        if is_dataclass(annotation):
+            found |= _annotations(annotation, prefix=f"{prefix}{field.name}.")
+        elif get_origin(annotation) is not tuple:  # rules and start values have names
+            found[f"{prefix}{field.name}"] = annotation
+    return found
+
+
+def value_type(annotation: object) -> type | None:
+    """``bool``, ``int``, ``float`` or ``str``; ``None`` for a choice of texts."""
+    inner = optional_value(annotation)
+    base = get_args(inner)[0] if get_origin(inner) is Annotated else inner
+    return base if isinstance(base, type) else None
+
+
+def parse_variation(text: str) -> Variation:
+    """The field and values of ``FIELD=V1,V2,...``.
+
+    A comma inside brackets or double quotes is part of a value.
+
+    Raises:
+        ConfigError: There is no such field, or a value is not allowed in it.
+    """
+    name, equals, listed = text.partition("=")
+    name = name.strip().replace("-", "_")
+    if not equals or not name:
+        message = f"vary {text!r}: must be FIELD=VALUE,VALUE,..."
+        raise ConfigError(message)
+    if name not in field_annotations():
+        raise ConfigError(_unknown(name, list(field_annotations())))
+    annotation = field_annotations()[name]
+    inner, kind = optional_value(annotation), value_type(annotation)
+    values: list[Value] = []
+    for one in split_values(listed, where=f"vary {name}"):
+        value: Value = None
+        if not (allows_none(annotation) and one.lower() == "none"):
+            checked = check_value(
+                name=f"vary {name}", value=_converted(one, kind), annotation=inner
+            )
+            value = cast(Value, checked)
+        if value in values:
+            message = f"vary {name}: {one} is given twice"
             raise ConfigError(message)
-    if "seed" in names and seeds > 1:
-        message = f"vary seed and seeds = {seeds}: give only one of them"
-        raise ConfigError(message)
-    count = math.prod(len(one.values) for one in variations) * seeds
-    if count > MAXIMUM_RUNS:
-        message = f"vary: asks for {count} runs; at most {MAXIMUM_RUNS} are allowed"
-        raise ConfigError(message)
+        values.append(value)
+    return Variation(field=name, values=tuple(values))
 
 
-def _checked_digests(config: ExperimentConfig, chosen: Setting) -> tuple[str, str | None]:
-    """Build the experiment, as a run will, and tell which error model and errors it uses."""
+def split_values(listed: str, *, where: str) -> list[str]:
+    """A list's values, split at commas outside brackets and double quotes.
+
+    Raises:
+        ConfigError: A value is empty, or brackets or quotes do not close.
+    """
+    values = [""]
+    closing: list[str] = []
+    for character in listed:
+        if closing and character == closing[-1]:
+            closing.pop()
+        elif character == '"' and not closing:
+            closing.append('"')
+        elif character in BRACKETS and '"' not in closing:
+            closing.append(BRACKETS[character])
+        elif character == "," and not closing:
+            values.append("")
+            continue
+        values[-1] += character
+    if closing:
+        message = f"{where}: a {closing[-1]} is missing in {listed!r}"
+        raise ConfigError(message)
+    stripped = [_unquoted(value.strip()) for value in values]
+    if "" in stripped:
+        message = f"{where}: a value is empty in {listed!r}"
+        raise ConfigError(message)
+    return stripped
+
+
+def _unquoted(text: str) -> str:
+    quoted = len(text) >= 2 and text[0] == text[-1] == '"' and '"' not in text[1:-1]
+    return text[1:-1] if quoted else text
+
+
+def _unknown(name: str, known: list[str]) -> str:
+    below = [one for one in known if one.startswith(f"{name}.")]
+    if below:
+        return f"vary {name}: is a table; vary one of its fields, such as {below[0]}"
+    by_last_part = {one.rpartition(".")[2]: one for one in known}
+    near = difflib.get_close_matches(name, [*known, *by_last_part], n=1)
+    if near:
+        return f"vary {name}: no such field; did you mean {by_last_part.get(near[0], near[0])}?"
+    return f"vary {name}: no such field; allowed are {', '.join(known)}"
+
+
+def _converted(text: str, kind: type | None) -> Value:
+    """``text`` as ``kind``, or as it is where it cannot be read so."""
+    if kind is bool:
+        return TRUTH.get(text.lower(), text)
+    if kind not in (int, float):
+        return text
     try:
-        experiment = build_experiment(config)
-        errors = experiment.back_end.position_errors
-        return experiment.pem.digest, None if errors is None else errors.digest
-    except InputError as error:
-        if not chosen:
-            raise
-        message = f"setting {setting_label(chosen)}: {error}"
-        raise ConfigError(message) from error
+        if kind is int and not any(mark in text.lower() for mark in ".e"):
+            return int(text)
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if kind is int and number.is_integer() else number

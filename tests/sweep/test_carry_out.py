@@ -14,14 +14,17 @@ from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError, RunError
 from pemviz.pem import constant_errors, save_position_errors
 from pemviz.processes import DIED, ONE_THREAD
-from pemviz.sweep.carry_out import ATTEMPTS, carry_out_runs, finished_before
-from pemviz.sweep.fields import parse_variation
-from pemviz.sweep.folders import read_finished, write_folder
-from pemviz.sweep.local import LocalWorkers
-from pemviz.sweep.model_files import ModelFiles, model_files, models_of
-from pemviz.sweep.plan import make_plan
-from pemviz.sweep.runs import RunOutcome, carry_out, task_of
-from pemviz.sweep.table import rows
+from pemviz.sweep.carry_out import (
+    ATTEMPTS,
+    carry_out_runs,
+    finished_before,
+    read_finished,
+    write_folder,
+)
+from pemviz.sweep.plan import make_plan, parse_variation
+from pemviz.sweep.run_task import ModelFiles, RunOutcome, carry_out, model_files, models_of, task_of
+from pemviz.sweep.tables import rows
+from pemviz.sweep.workers import LocalWorkers
 from tests.told import told, told_by
 
 NAIVE = ExperimentConfig(method="naive", final_rollouts=20)
@@ -164,7 +167,7 @@ def test_a_folder_that_cannot_be_written_ends_the_sweep_in_one_line(tmp_path):
 
 THREADS = """
 import numpy
-from pemviz.sweep.runs import _use_one_thread
+from pemviz.sweep.run_task import _use_one_thread
 _use_one_thread()
 import torch
 threads = [torch.get_num_threads()]

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from pemviz.cli.sweep import ignored_notes
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import ConfigError, InputError
-from pemviz.sweep.fields import Variation, parse_variation, split_values
-from pemviz.sweep.plan import make_plan, run_name
+from pemviz.sweep.plan import Variation, make_plan, parse_variation, run_name, split_values
 
 NAIVE = ExperimentConfig(method="naive", final_rollouts=20, seed=5)
 

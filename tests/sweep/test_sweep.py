@@ -16,8 +16,8 @@ from pemviz.config.toml_files import load_config
 from pemviz.recording import paths
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result_file import result_document
-from pemviz.sweep.folders import sweep_folder
-from pemviz.sweep.table import FIGURES
+from pemviz.sweep.carry_out import sweep_folder
+from pemviz.sweep.tables import FIGURES
 from tests.recording.read_back import chunks
 from tests.sweep.conftest import ROOT, VARIED, contents
 from tests.told import told, told_by
