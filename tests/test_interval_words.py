@@ -14,9 +14,9 @@ import pytest
 
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.config.toml_files import config_text
+from pemviz.panel import compare_tab, headline, learning_tab, recordings_tab
 from pemviz.panel.controller import Controller
-from pemviz.panel.recordings import RecordingsFolder
-from pemviz.panel.views import compare, headline, learning, recordings
+from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.recording.sweep_overview import _label
 from pemviz.reports.gate import decide_run
 from pemviz.reports.markdown import summary_markdown
@@ -129,21 +129,21 @@ def test_every_page_of_the_panel(method, reliable, shown, tmp_path):
     result, against = judged(method, reliable=reliable)
     run = replace(shown, result=result)
     other = replace(shown, result=judged("mixture", reliable=True)[0])
-    for page in (headline.headline(run), learning.learning(run)):
+    for page in (headline.headline(run), learning_tab.learning(run)):
         text = plain(re.sub("<[^>]*>", " ", page))
         assert bool(DOUBT.search(text)) == bool(against)
         assert bool(CLAIM.search(text)) == (not against)
-    both = plain(compare.runs_page([run, other]))
+    both = plain(compare_tab.runs_page([run, other]))
     assert bool(CLAIM.search(both)) == (not against)
     assert ("not a 95 % interval" in both) == bool(against)
     assert all(words in both for words in against)
-    dashed = f"stroke-dasharray='{learning.DOUBTED}'"
-    assert (dashed in compare.estimates_plot([run, other])) == bool(against)
+    dashed = f"stroke-dasharray='{learning_tab.DOUBTED}'"
+    assert (dashed in compare_tab.estimates_plot([run, other])) == bool(against)
     (tmp_path / "a-run").mkdir()
     write_result(tmp_path / "a-run", result)
     (tmp_path / "a-run" / "config.toml").write_text(config_text(result.config), encoding="utf-8")
     (entry,) = RecordingsFolder(tmp_path).entries()
-    listed = recordings.recordings_table([entry], folder="x")
+    listed = recordings_tab.recordings_table([entry], folder="x")
     assert ("unreliable" in listed) == bool(against)
 
 

@@ -62,15 +62,14 @@ def run(words: Sequence[str]) -> int:
 
 
 def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
-    from pemviz.panel.memory import share_arenas  # noqa: PLC0415
+    from pemviz.panel.process_memory import share_arenas  # noqa: PLC0415
 
     share_arenas()
     from pemviz.panel.app import App, show_something  # noqa: PLC0415  viser is slow to import
     from pemviz.panel.browser import Hub  # noqa: PLC0415
     from pemviz.panel.controller import Controller  # noqa: PLC0415
-    from pemviz.panel.recordings import RecordingsFolder  # noqa: PLC0415
+    from pemviz.panel.recordings_folder import RecordingsFolder, Viewers  # noqa: PLC0415
     from pemviz.panel.server import is_loopback  # noqa: PLC0415
-    from pemviz.panel.viewers import Viewers  # noqa: PLC0415
 
     local = is_loopback(arguments.host)
     viewers = Viewers(viewer)

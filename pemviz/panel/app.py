@@ -1,26 +1,159 @@
-"""The panel's server: a session for every browser, and what it shows first."""
+"""The panel's server, and a session for every browser: its tabs, kept up to date on a thread."""
 
 import logging
 import threading
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import viser
 
 from pemviz.config.toml_files import load_preset
-from pemviz.errors import InputError
+from pemviz.errors import InputError, PemvizError
 from pemviz.files.shipped import sample_run
-from pemviz.panel.browser import Hub
+from pemviz.panel.browser import Browser, Hub, Window
+from pemviz.panel.compare_tab import CompareTab
 from pemviz.panel.controller import Controller
+from pemviz.panel.experiment_tab import ExperimentTab
+from pemviz.panel.headline import Head
+from pemviz.panel.learning_tab import LearningTab
 from pemviz.panel.loading import load_run
-from pemviz.panel.memory import give_back
-from pemviz.panel.recordings import RecordingsFolder
-from pemviz.panel.scene import FIRST_VIEW_FOV, FIRST_VIEW_POSITION, FIRST_VIEW_TARGET
+from pemviz.panel.page import COLUMN_PX
+from pemviz.panel.process_memory import give_back
+from pemviz.panel.recordings_folder import RecordingsFolder
+from pemviz.panel.recordings_tab import RecordingsTab
+from pemviz.panel.rollout_player import Player
+from pemviz.panel.scene import look_from_first_view
 from pemviz.panel.server import guarded_server
-from pemviz.panel.session import Session
-from pemviz.panel.views.page import COLUMN_PX
+from pemviz.panel.trajectories_tab import TrajectoriesTab
+from pemviz.panel.weights_tab import WeightsTab
+from pemviz.panel.why_tab import WhyTab
 
 LOG = logging.getLogger(__name__)
+
+FRAME_S = 1 / 12
+REFRESH_S = 0.2
+LIST_S = 2.0
+
+
+class Session:
+    """Does what a browser asks for, and refreshes its page."""
+
+    def __init__(self, client: viser.ClientHandle, hub: Hub) -> None:
+        self._browser = Browser(client, hub)
+        self._refreshed_s = self._listed_s = 0.0
+        self._thread = threading.Thread(
+            target=self._live, name=f"pemviz-browser-{client.client_id}", daemon=True
+        )
+
+    def start(self) -> None:
+        """Build the page and keep it up to date."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """The browser is gone."""
+        self._browser.close()
+
+    def join(self, *, timeout_s: float = 10.0) -> None:
+        """Wait until the session has ended; after :meth:`close`."""
+        self._thread.join(timeout_s)
+
+    def _live(self) -> None:
+        try:
+            self._build()
+        except BaseException:
+            if not self._browser.closed:
+                LOG.exception("building the page failed")
+            return
+        while not self._browser.closed:
+            self._guarded(self._turn)
+
+    def _build(self) -> None:
+        browser = self._browser
+        with browser.client.atomic():
+            self.head = Head(browser)
+            self.player = Player(browser)
+            tabs = browser.client.gui.add_tab_group()
+            with tabs.add_tab("Experiment"):
+                self.experiment = ExperimentTab(browser)
+            with tabs.add_tab("Trajectories"):
+                self.trajectories = TrajectoriesTab(browser, self.player)
+            recordings = tabs.add_tab("Recordings")
+            self.analysis = analysis = Window(browser.client, at_top=True)
+            with analysis.panel.add_tab("Learning"):
+                self.learning = LearningTab(browser)
+            with analysis.panel.add_tab("Weights"):
+                self.weights = WeightsTab(browser, self.trajectories, analysis)
+            with analysis.panel.add_tab("Compare"):
+                self.compare = CompareTab(browser)
+            with analysis.panel.add_tab("Why"):
+                self.why = WhyTab(browser, self.trajectories, analysis)
+            with recordings:
+                self.recordings = RecordingsTab(
+                    browser,
+                    self.player,
+                    use_settings=self.experiment.show,
+                    list_runs=self.compare.list_runs,
+                )
+            analysis.panel.minimize()
+            self._fit()
+            browser.client.camera.on_update(lambda _: browser.post(self._fit))
+            self._refresh()
+
+    def _fit(self) -> None:
+        """Lay the windows over the scene as large as it is."""
+        self.analysis.fit()
+        self.player.window.fit()
+
+    def _turn(self) -> None:
+        """Do what is asked, or else let time pass."""
+        work = self._browser.next_work(pause_s=FRAME_S if self.player.playing else REFRESH_S)
+        if self._browser.closed:
+            return
+        work()
+        self.player.advance()
+        if time.monotonic() - self._refreshed_s >= REFRESH_S:
+            self._refresh()
+            for tab in (self.trajectories, self.weights, self.compare):
+                tab.go_on()
+        if time.monotonic() - self._listed_s >= LIST_S:
+            self._listed_s = time.monotonic()
+            self.recordings.look()
+
+    def _refresh(self) -> None:
+        """Show what has changed in the state that all share."""
+        self._refreshed_s = time.monotonic()
+        browser = self._browser
+        state = browser.hub.controller.state
+        if state.version == browser.shown_version:
+            return
+        browser.shown_version = state.version
+        run = browser.loaded or state.run
+        with browser.client.atomic():  # first what a person waits for after Run and Stop
+            self.head.refresh(state, run, limit=self.experiment.limit)
+            self.experiment.refresh(state)
+        with browser.client.atomic():
+            self.learning.refresh(run)
+            self.why.refresh(run)
+            self.trajectories.refresh(run)
+            self.weights.refresh(run)
+            self.compare.refresh(state, run)
+            self.recordings.refresh(state)
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """Do ``work``; what fails is told to the person, and the session goes on."""
+        browser = self._browser
+        try:
+            work()
+        except PemvizError as error:
+            browser.tell("This did not work", " ".join(str(error).split()))
+        except BaseException as error:  # one browser's trouble must not end its page
+            if browser.closed:
+                return
+            LOG.exception("a browser's request failed")
+            browser.tell("This did not work", f"{type(error).__name__}: {error}")
+
 
 QUICK_ROLLOUTS = 200
 
@@ -45,9 +178,7 @@ class App:
         server.gui.set_panel_label("pemviz")
         server.gui.main_panel.dock_left()
         server.gui.main_panel.set_width(COLUMN_PX)
-        server.initial_camera.position = FIRST_VIEW_POSITION
-        server.initial_camera.look_at = FIRST_VIEW_TARGET
-        server.initial_camera.fov = FIRST_VIEW_FOV
+        look_from_first_view(server)
         server.on_client_connect(self._connect)
         server.on_client_disconnect(self._disconnect)
 

@@ -1,4 +1,4 @@
-"""A connected browser as the tabs see it, and what all browsers share.
+"""A connected browser as the tabs see it, what all browsers share, and the windows of its page.
 
 Callbacks of controls run on viser's threads and only put work into the browser's queue; the
 session's thread does it.
@@ -16,7 +16,8 @@ import viser
 
 from pemviz.panel.controller import Controller
 from pemviz.panel.loading import LoadedRuns
-from pemviz.panel.recordings import RecordingsFolder
+from pemviz.panel.page import MARGIN_PX, NARROWEST_PX, ROLLOUT_PX, SHORT_PX
+from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.panel.run_data import RunData
 
 Value = TypeVar("Value")
@@ -158,3 +159,38 @@ def set_html(handle: viser.GuiHtmlHandle, content: str) -> None:
 def element_id(handle: viser.GuiInputHandle[int]) -> str:
     """The id of the input's element in the page."""
     return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]
+
+
+class Window:
+    """A window over the scene, as wide as the scene is."""
+
+    def __init__(self, client: viser.ClientHandle, *, at_top: bool) -> None:
+        """Place it.
+
+        Args:
+            client: The browser.
+            at_top: Whether it reaches from the top down, and not up from the bottom.
+        """
+        self.panel = client.gui.add_panel()
+        self._client = client
+        self._at_top = at_top
+        self._size_px = (0, 0)
+
+    def fit(self) -> None:
+        """Lay it over the scene anew if the scene's size has changed."""
+        camera = self._client.camera
+        size_px = (int(camera.image_width), int(camera.image_height))
+        if size_px == self._size_px:
+            return
+        self._size_px = size_px
+        self.panel.float(
+            x=MARGIN_PX,
+            y=MARGIN_PX if self._at_top else -MARGIN_PX,
+            width=max(size_px[0] - 2 * MARGIN_PX, NARROWEST_PX),
+            height=size_px[1] if self._at_top else ROLLOUT_PX,
+        )
+
+    @property
+    def is_short(self) -> bool:
+        """Whether the page is too low for the analysis and the rollout's plots together."""
+        return int(self._client.camera.image_height) < SHORT_PX

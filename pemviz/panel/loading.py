@@ -16,8 +16,8 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.errors import InputError
 from pemviz.files.array_files import LARGEST_READ_BYTES, load_tensors, map_arrays
+from pemviz.panel.rollout_tables import check_table, checked_rows, numbered, thinned
 from pemviz.panel.run_data import ProposalCurve, RunData, detection_probability, own_scenario
-from pemviz.panel.tables import check_table, checked_rows, numbered, thinned
 from pemviz.pem import load_pem
 from pemviz.proposals.gap_network import gap_network_from_arrays
 from pemviz.runs.back_ends import build_back_end

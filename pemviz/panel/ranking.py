@@ -1,29 +1,65 @@
-"""The rollouts of a run ranked from what is stored; nothing is simulated.
-
-By robustness under any metric, or by what each contributes to the answer; all of them, or those
-that carry the answer (:mod:`pemviz.analysis.causes`).
-"""
+"""What each rollout of a shown run contributes to the run's answer."""
 
 import csv
 import io
+import math
 from dataclasses import dataclass, replace
 from typing import Literal, cast
 
 import numpy as np
 
 from pemviz import stl
-from pemviz.analysis.causes import carrying
+from pemviz.analysis.causes import carrying, contributions
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
-from pemviz.panel.contribution import shares
-from pemviz.panel.run_data import RunData
-from pemviz.panel.scans import AT_ONCE, Progress, Report, Scan, row_parts
-from pemviz.panel.tables import latent_names, verdicts
+from pemviz.panel.rollout_tables import final_violations, latent_names, verdicts
+from pemviz.panel.run_data import AT_ONCE, Progress, Report, RunData, Scan, row_parts
 from pemviz.runs.slot_outcomes import slots_of
 from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
 from pemviz.sampling.method import elite_threshold
 from pemviz.sampling.method import elites as elites_of_stage
+from pemviz.sampling.registry import by_name
 from pemviz.types import Simulator
+
+
+def shares(run: RunData, *, rule: str | None = None) -> FloatArray:
+    """The share ``[N]`` of the answer that each rollout of the final stages contributes.
+
+    Of the answer to one rule, if it is given. All are 0 as long as no rollout of a final stage
+    violates.
+    """
+    return run.memo.get(("shares", rule), lambda: _shares(run, rule=rule))
+
+
+def log_contributions(run: RunData) -> FloatArray:
+    """Log weights ``[N]`` by which violations of one or several stages compare [nats]."""
+    return run.log_weight + _log_stage_weight(run)
+
+
+def _shares(run: RunData, *, rule: str | None) -> FloatArray:
+    violated = final_violations(run.rollouts, stages=run.result.stages, rule=rule)
+    return contributions(log_contributions(run), violated=violated)
+
+
+def _log_stage_weight(run: RunData) -> FloatArray:
+    """Log weight ``[N]`` that a rollout has through its stage.
+
+    Where stages are independent runs of rollouts without weights, the runs differ by many
+    powers of ten: a run's estimate is shared by its violations.
+    """
+    rollouts = run.rollouts
+    log_weight = np.zeros(rollouts["violated"].shape[0])
+    if by_name(run.config.method).has_likelihood_ratios:
+        return log_weight
+    for stage in run.result.stages:
+        if stage.log10_probability is not None and stage.failures:
+            inside = (rollouts["repetition"] == stage.repetition) & (
+                rollouts["stage"] == stage.stage
+            )
+            share = math.log(10.0) * stage.log10_probability - math.log(stage.failures)
+            log_weight[inside] = share
+    return log_weight
+
 
 Among = Literal["carrying", "all"]
 

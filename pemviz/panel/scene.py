@@ -1,20 +1,112 @@
-"""The 3D scene of one rollout of any scenario that tells where its cars are.
+"""Shapes of the scene as vertices ``[V, 3]`` in metres and triangles ``[F, 3]``."""
 
-Coordinates: x along the road, y to the left, z up, in metres; the ego's centre is at x = 0 when
-the rollout begins.
-"""
-
+import threading
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import viser
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLUE, DETECTED, MISSED, car_color, rgb
-from pemviz.panel import meshes
-from pemviz.panel.views.rollout import Track
+from pemviz.panel.server import guarded_server
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
 from pemviz.simulators.scene import SceneCar
+
+Profile = list[tuple[float, float]]
+
+CAR_LENGTH_M = 5.0
+WIDTH_M = 1.75
+HEIGHT_M = 1.55
+BODY: Profile = [(0.0, 0.3), (5.0, 0.3), (5.0, 0.72), (4.85, 0.84), (0.15, 0.98), (0.0, 0.88)]
+CABIN: Profile = [(0.45, 0.93), (3.75, 0.82), (2.95, 1.42), (2.55, 1.5), (1.2, 1.5), (0.9, 1.42)]
+ROOF: Profile = [(1.05, 1.48), (2.75, 1.46), (2.5, 1.54), (1.3, 1.55)]
+WHEELS_X_M = (0.95, 4.05)
+WHEEL_RADIUS_M = 0.34
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles."""
+
+    vertices: FloatArray
+    faces: IntArray
+
+
+def extruded(profile: Profile, *, width: float, y: float = 0.0) -> Mesh:
+    """A convex counter-clockwise profile in x and z, extruded along y around ``y``."""
+    count = len(profile)
+    outline = np.asarray(profile, dtype=np.float64)
+    sides = [
+        np.stack([outline[:, 0], np.full(count, y + side * width / 2), outline[:, 1]], axis=1)
+        for side in (-1, 1)
+    ]
+    faces: list[tuple[int, int, int]] = []
+    for place in range(1, count - 1):
+        faces.append((0, place, place + 1))
+        faces.append((count, count + place + 1, count + place))
+    for place in range(count):
+        after = (place + 1) % count
+        faces.append((place, count + place, after))
+        faces.append((after, count + place, count + after))
+    return Mesh(np.concatenate(sides), np.asarray(faces, dtype=np.int64))
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    """Several meshes as one."""
+    offsets = np.cumsum([0, *(mesh.vertices.shape[0] for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(
+            [mesh.faces + offset for mesh, offset in zip(meshes, offsets[:-1], strict=True)]
+        ),
+    )
+
+
+def disc(*, radius: float, x: float = 0.0, z: float = 0.0, sides: int = 16) -> Profile:
+    """A round profile."""
+    angles = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
+    points = zip(x + radius * np.cos(angles), z + radius * np.sin(angles), strict=True)
+    return [(float(px), float(pz)) for px, pz in points]
+
+
+def car_body() -> Mesh:
+    """Body and roof of a car; its rear at x = 0, the ground at z = 0."""
+    return joined(extruded(BODY, width=WIDTH_M), extruded(ROOF, width=WIDTH_M - 0.32))
+
+
+def car_glass() -> Mesh:
+    """The car's windows."""
+    return extruded(CABIN, width=WIDTH_M - 0.18)
+
+
+def car_wheels() -> Mesh:
+    """The car's four wheels."""
+    return joined(
+        *(
+            extruded(disc(radius=WHEEL_RADIUS_M, x=x, z=WHEEL_RADIUS_M), width=0.22, y=y)
+            for x in WHEELS_X_M
+            for y in (-WIDTH_M / 2 + 0.08, WIDTH_M / 2 - 0.08)
+        )
+    )
+
+
+def hit_mark() -> Mesh:
+    """A flat lozenge on the road."""
+    profile: Profile = [(-0.28, 0.0), (0.28, 0.0), (0.28, 0.05), (-0.28, 0.05)]
+    return extruded(profile, width=0.5)
+
+
+def miss_mark() -> Mesh:
+    """An upright cross, which differs from the hit's mark in more than colour."""
+    bar: Profile = [(-0.42, -0.07), (0.42, -0.07), (0.42, 0.07), (-0.42, 0.07)]
+    arms: list[Mesh] = []
+    for angle in (np.pi / 4, -np.pi / 4):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        turned = np.asarray(bar) @ turn.T + np.array([0.0, 0.42])
+        arms.append(extruded([(float(x), float(z)) for x, z in turned], width=0.14))
+    return joined(*arms)
+
 
 ROOT, WORDS = "/world", "/words-"
 FIRST_VIEW_POSITION = (-24.0, -14.0, 16.0)
@@ -51,7 +143,7 @@ class Scene:
     def __init__(self, api: viser.SceneApi) -> None:
         lights(api)
         self._api = api
-        self._track: Track | None = None
+        self._drawn: DrawnRollout | None = None
         self._follow = True
         self._cars: list[_Car] = []
         self._words = _Words(api)
@@ -59,17 +151,16 @@ class Scene:
 
     def clear(self) -> None:
         """Nothing is drawn."""
-        if self._track is not None:
+        if self._drawn is not None:
             self._api.remove_by_name(ROOT)
             self._words.hide()
-        self._track, self._cars, self._tracks = None, [], []
+        self._drawn, self._cars, self._tracks = None, [], []
 
-    def show(self, track: Track) -> None:
+    def show(self, drawn: DrawnRollout) -> None:
         """Draw another rollout; call :meth:`at` afterwards."""
         self.clear()
-        self._track = track
+        self._drawn = drawn
         self._world = self._api.add_frame(ROOT, show_axes=False)
-        drawn = track.drawn
         self._ground(drawn)
         self._cars = [_Car(self._api, drawn, car) for car in range(len(drawn.cars))]
         if drawn.tracks is not None:
@@ -82,10 +173,9 @@ class Scene:
 
     def at(self, step: int) -> None:
         """Move everything to a step of the rollout."""
-        track = self._track
-        if track is None:
+        drawn = self._drawn
+        if drawn is None:
             return
-        drawn = track.drawn
         ego_x_m = float(drawn.states.x_m[step, 0])
         ahead_m = -ego_x_m if self._follow else 0.0
         self._world.position = (ahead_m, 0.0, 0.0)
@@ -166,8 +256,8 @@ class Scene:
         x_m = drawn.states.x_m[:-1, 0]
         edge_m = drawn.road.lane_edges_m[0]
         for answer, mesh, color in (
-            (RIGHT, meshes.hit_mark(), DETECTED),
-            (WRONG, meshes.miss_mark(), MISSED),
+            (RIGHT, hit_mark(), DETECTED),
+            (WRONG, miss_mark(), MISSED),
         ):
             step, slot = np.nonzero(drawn.answers[:end] == answer)
             if not step.size:
@@ -199,9 +289,9 @@ class _Car:
         path = f"{ROOT}/car{car}"
         self._frame = api.add_frame(path, show_axes=False)
         parts = (
-            ("body", meshes.car_body(), self._color),
-            ("glass", meshes.car_glass(), GLASS),
-            ("wheels", meshes.car_wheels(), TYRE),
+            ("body", car_body(), self._color),
+            ("glass", car_glass(), GLASS),
+            ("wheels", car_wheels(), TYRE),
         )
         self._body, *_ = [
             api.add_mesh_simple(
@@ -340,14 +430,44 @@ def _car_words(drawn: DrawnRollout, car: int, step: int, *, after: bool) -> str:
 def _sized(vertices: FloatArray, car: SceneCar) -> FloatArray:
     """Vertices of the standard car, centred and as large as a car."""
     scale = (
-        car.length_m / meshes.CAR_LENGTH_M,
-        car.width_m / meshes.WIDTH_M,
-        car.height_m / meshes.HEIGHT_M,
+        car.length_m / CAR_LENGTH_M,
+        car.width_m / WIDTH_M,
+        car.height_m / HEIGHT_M,
     )
-    return (vertices - np.array([meshes.CAR_LENGTH_M / 2, 0.0, 0.0])) * np.array(scale)
+    return (vertices - np.array([CAR_LENGTH_M / 2, 0.0, 0.0])) * np.array(scale)
 
 
 def _segments(outline: FloatArray, height_m: float) -> FloatArray:
     """A closed outline ``[N, 2]`` as segments ``[N-1, 2, 3]`` at a height."""
     at = np.column_stack([outline, np.full(len(outline), height_m)])
     return np.stack([at[:-1], at[1:]], axis=1)
+
+
+REST_S = 1.0
+_ONE_PAGE_AT_A_TIME = threading.Lock()
+
+
+def scene_html(drawn: DrawnRollout) -> str:
+    """The scene as an HTML page that plays without a server, and rests a moment at its end."""
+    with _ONE_PAGE_AT_A_TIME:
+        server = guarded_server(host="127.0.0.1", port=0, closed=True)
+        try:
+            look_from_first_view(server)
+            scene = Scene(server.scene)
+            scene.show(drawn)
+            scene.at(0)
+            serializer = server.get_scene_serializer()
+            for step in range(1, drawn.count):
+                serializer.insert_sleep(drawn.dt_s)
+                scene.at(step)
+            serializer.insert_sleep(REST_S)
+            return serializer.as_html()
+        finally:
+            server.stop()
+
+
+def look_from_first_view(server: viser.ViserServer) -> None:
+    """Put the cameras of browsers that connect where the scene is seen from at first."""
+    server.initial_camera.position = FIRST_VIEW_POSITION
+    server.initial_camera.look_at = FIRST_VIEW_TARGET
+    server.initial_camera.fov = FIRST_VIEW_FOV

@@ -11,8 +11,7 @@ from typing import Literal
 
 from pemviz.config.toml_files import config_text
 from pemviz.errors import ConfigError, InputError, RunError
-from pemviz.files.atomic import write_bytes
-from pemviz.files.locks import held
+from pemviz.files.atomic import held, write_bytes
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import has_result
 from pemviz.runs.same_run import run_differs

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pemviz.reports.escape import markdown_table, markdown_text, printable_line
-from pemviz.sampling.estimates.meanings import SMALL_ESS
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RUNS, RunState
 from pemviz.sweep.plan import Plan, Setting, field_annotations, value_text, value_type

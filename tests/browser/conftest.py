@@ -11,7 +11,7 @@ from pemviz.panel.app import App, show_something
 from pemviz.panel.browser import Hub
 from pemviz.panel.controller import Controller
 from pemviz.panel.loading import load_run
-from pemviz.panel.recordings import RecordingsFolder
+from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.runs.events import StageDone
 from tests.panel.conftest import SMALL, wait_until
 

@@ -10,7 +10,7 @@ import pytest
 from pemviz.cli.serve import recorders, viewer
 from pemviz.config import ExperimentConfig
 from pemviz.panel.controller import Controller
-from pemviz.panel.viewers import Viewers
+from pemviz.panel.recordings_folder import Viewers
 from pemviz.sampling.registry import SHIPPED
 from tests.browser.conftest import WAIT_MS, Panel
 from tests.browser.driving import (

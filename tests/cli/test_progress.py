@@ -11,7 +11,7 @@ from rich.progress import Progress
 
 from pemviz.cli.progress import ProgressBar, ProgressLines, counted_in_words
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.panel.run_observer import Watcher
+from pemviz.panel.controller import Watcher
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.engine import run_experiment
 from tests.reports.runs import PLAN, estimate, result

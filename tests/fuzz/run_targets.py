@@ -16,17 +16,17 @@ from pemviz.cli.record_run import gate_exit_code
 from pemviz.config import ExperimentConfig
 from pemviz.config.rule_words import GateLimits
 from pemviz.config.toml_files import load_config
+from pemviz.panel.compare_tab import metric_names, metrics_page, runs_page
+from pemviz.panel.headline import headline
+from pemviz.panel.learning_tab import learning
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import rank, ranking_csv, row
-from pemviz.panel.recordings import RecordingsFolder
+from pemviz.panel.recordings_folder import RecordingsFolder
+from pemviz.panel.recordings_tab import recordings_table
+from pemviz.panel.rollout_player import track, track_plots
+from pemviz.panel.rollout_tables import check_table
 from pemviz.panel.run_data import RunData
-from pemviz.panel.tables import check_table
-from pemviz.panel.views.compare import metric_names, metrics_page, runs_page
-from pemviz.panel.views.headline import headline
-from pemviz.panel.views.learning import learning
-from pemviz.panel.views.recordings import recordings_table
-from pemviz.panel.views.rollout import track, track_plots
-from pemviz.panel.views.why import why
+from pemviz.panel.why_tab import why
 from pemviz.recording.open import find_recording
 from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown

@@ -9,17 +9,17 @@ import pytest
 
 from pemviz.analysis.model_uncertainty import ModelClassAnswer
 from pemviz.errors import InputError
-from pemviz.panel.contribution import shares
-from pemviz.panel.tabs.experiment import read_number
-from pemviz.panel.views import compare, headline, learning, page, weights, why
-from pemviz.panel.views.curves import over_common
+from pemviz.panel import compare_tab, headline, learning_tab, page, weights_tab, why_tab
+from pemviz.panel.curve_chart import over_common
+from pemviz.panel.experiment_tab import read_number
+from pemviz.panel.ranking import shares
 from pemviz.reports.charts import models_chart
 from tests.panel.test_views import well_formed, with_result
 
 
 def test_the_least_gap_is_below_two_metres_with_the_probability_of_the_answer(naive_run):
     """Where the specification is gap >= 2.0, a least gap below 2 m is a violation."""
-    gaps = weights.least_gaps(naive_run)
+    gaps = weights_tab.least_gaps(naive_run)
     below = np.searchsorted(gaps.gap_m, 2.0)
     estimate = naive_run.result.estimate
     assert 10.0 ** gaps.log10_probability[below - 1] == pytest.approx(
@@ -30,7 +30,7 @@ def test_the_least_gap_is_below_two_metres_with_the_probability_of_the_answer(na
 
 
 def test_least_gaps_against_a_sum_over_rollouts(naive_run):
-    gaps = weights.least_gaps(naive_run)
+    gaps = weights_tab.least_gaps(naive_run)
     least = naive_run.rollouts["gap_m"].min(axis=1)
     for place in (0, 10, 59):
         inside = least <= gaps.gap_m[place]
@@ -39,38 +39,38 @@ def test_least_gaps_against_a_sum_over_rollouts(naive_run):
 
 
 def test_only_final_stages_tell_of_the_least_gap(loaded_run):
-    gaps = weights.least_gaps(loaded_run)
+    gaps = weights_tab.least_gaps(loaded_run)
     assert gaps.gap_m.size == loaded_run.config.final_rollouts
     assert loaded_run.kept > gaps.gap_m.size
 
 
 def test_the_points_drawn_hold_those_that_carry_the_answer(loaded_run):
     share = shares(loaded_run)
-    few = weights.drawn_points(loaded_run, most=20)
+    few = weights_tab.drawn_points(loaded_run, most=20)
     assert few.index.size == 20
     heaviest = np.argsort(-share, kind="stable")[:10]
     assert set(heaviest.tolist()) <= set(few.index.tolist())
     robustness = loaded_run.rollouts["robustness"]
     assert robustness[few.index].max() == robustness.max()
-    every = weights.drawn_points(loaded_run)
+    every = weights_tab.drawn_points(loaded_run)
     np.testing.assert_array_equal(every.index, np.arange(loaded_run.kept))
     np.testing.assert_allclose(every.log10_weight * math.log(10.0), loaded_run.log_weight)
 
 
 def test_every_point_bears_the_number_that_a_click_writes(loaded_run):
-    drawn = weights.weights_page(loaded_run, target="box", selected=7)
+    drawn = weights_tab.weights_page(loaded_run, target="box", selected=7)
     numbers = re.findall(r"data-number='(\d+)'", drawn)
     assert sorted(map(int, numbers)) == list(range(loaded_run.kept))
     assert drawn.count("data-target='box'") == 1
     assert "data-shown='7'" in drawn
-    assert "data-shown" not in weights.weights_page(loaded_run, target="box", selected=10**6)
+    assert "data-shown" not in weights_tab.weights_page(loaded_run, target="box", selected=10**6)
 
 
 def test_the_gaps_drawn_are_those_of_the_heaviest(loaded_run):
-    curves = weights.heaviest_curves(loaded_run)
+    curves = weights_tab.heaviest_curves(loaded_run)
     heaviest = int(np.argmax(shares(loaded_run)))
     np.testing.assert_array_equal(curves.lines[0].values, loaded_run.rollouts["gap_m"][heaviest])
-    assert weights.heaviest_curves(replace(loaded_run, running=True)) is None
+    assert weights_tab.heaviest_curves(replace(loaded_run, running=True)) is None
 
 
 def test_every_refit_and_model_class_has_a_mark(naive_run):
@@ -80,7 +80,7 @@ def test_every_refit_and_model_class_has_a_mark(naive_run):
     _, refits, other, *_ = models_chart(result).rows
     assert [math.log10(value) for value in refits.values] == pytest.approx([-9.0, -8.5, -3.0])
     assert (other.name, other.values) == ("lr (rough)", (1e-6,))
-    assert "lr (rough)" in why.why(with_result(naive_run, model_classes=(model_class,)))
+    assert "lr (rough)" in why_tab.why(with_result(naive_run, model_classes=(model_class,)))
     assert models_chart(replace(result, model_classes=(), pem_interval=None)) is None
 
 
@@ -99,29 +99,31 @@ def test_runs_side_by_side_show_every_setting_that_differs(live_run, naive_run):
     other = replace(live_run.config.with_rules(rules), position_errors="pointrcnn")
     third = replace(naive_run, result=replace(naive_run.result, config=other))
     runs = [naive_run, live_run, third]
-    rows = list(well_formed(compare.differences_table(runs)).iter("tr"))
+    rows = list(well_formed(compare_tab.differences_table(runs)).iter("tr"))
     cells = {row[0].text: [cell.text for cell in row[1:]] for row in rows[1:]}
     assert cells["method"] == ["naive", "adaptive", "adaptive"]
     assert cells["final_rollouts"] == ["60", "40", "40"]
     assert cells["rules.near"] == ["–", "–", "gap > 2"]
     assert cells["position_errors"] == ["–", "–", "pointrcnn"]
     assert "seed" not in cells
-    table = well_formed(compare.estimates_table(runs))
+    table = well_formed(compare_tab.estimates_table(runs))
     assert len(list(table.iter("tr"))) == 4
-    names = [line.name for line in compare.run_curves(runs).lines]
+    names = [line.name for line in compare_tab.run_curves(runs).lines]
     assert names.count("error model ml-nn") == 1
-    assert compare.run_curves(runs[:1]) is None
-    assert "up to six" in compare.runs_page(runs[:1])
+    assert compare_tab.run_curves(runs[:1]) is None
+    assert "up to six" in compare_tab.runs_page(runs[:1])
 
 
 def test_proposals_drawn_are_the_first_the_newest_and_some_between(loaded_run):
-    names = [line.name for line in learning.proposal_curves(loaded_run).lines]
+    names = [line.name for line in learning_tab.proposal_curves(loaded_run).lines]
     assert names[0] == f"proposal after stage {loaded_run.final_curves[-1].stage}"
     assert names[-1] == "error model (ml-nn)"
     many = replace(
         loaded_run, curves=tuple(replace(loaded_run.curves[0], stage=s) for s in range(40))
     )
-    stages = [line.name.rsplit(" ", 1)[-1] for line in learning.proposal_curves(many).lines[:-1]]
+    stages = [
+        line.name.rsplit(" ", 1)[-1] for line in learning_tab.proposal_curves(many).lines[:-1]
+    ]
     assert len(stages) == 6
     assert (stages[0], stages[-1]) == ("39", "0")
 

@@ -13,15 +13,16 @@ import pytest
 
 from pemviz.errors import InputError
 from pemviz.files.array_files import map_arrays, read_arrays
-from pemviz.panel import run_observer, scans
+from pemviz.panel import controller as controller_thread
+from pemviz.panel import run_data
 from pemviz.panel.browser import Browser
 from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.ranking import elites, rank, ranking_csv, row, scoring
-from pemviz.panel.tables import thinned
-from pemviz.panel.views.details import details
-from pemviz.panel.views.rollout import track
-from pemviz.panel.views.weights import drawn_points, least_gaps
-from pemviz.panel.views.why import failures_of, standing_for_all, why
+from pemviz.panel.rollout_player import track
+from pemviz.panel.rollout_tables import thinned
+from pemviz.panel.trajectories_tab import details
+from pemviz.panel.weights_tab import drawn_points, least_gaps
+from pemviz.panel.why_tab import failures_of, standing_for_all, why
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out
 from pemviz.runs.store import create_run_folder
@@ -34,7 +35,7 @@ PART = 7
 
 @pytest.fixture
 def in_small_parts(monkeypatch):
-    monkeypatch.setattr(scans, "PART_ROWS", PART)
+    monkeypatch.setattr(run_data, "PART_ROWS", PART)
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +155,7 @@ def test_scoring_a_mapped_run_takes_the_memory_of_a_part(kept, tmp_path, monkeyp
     folder = rewritten(kept[0], tmp_path / "many", **many)
     size = (folder / "rollouts.npz").stat().st_size
     scores = rank(load_run(kept[0]), "agm").robustness
-    monkeypatch.setattr(scans, "PART_ROWS", 100)
+    monkeypatch.setattr(run_data, "PART_ROWS", 100)
     tracemalloc.start()
     try:
         run = load_run(folder, most_read_bytes=0)
@@ -199,7 +200,7 @@ def test_archives_are_mapped_only_as_far_as_they_hold_what_they_claim(tmp_path):
 
 
 def test_a_scan_tells_how_far_it_is_and_is_done_once():
-    some, may_end, told = scans.Scans(), threading.Event(), threading.Event()
+    some, may_end, told = run_data.Scans(), threading.Event(), threading.Event()
     calls = []
 
     def scan(report):
@@ -209,12 +210,12 @@ def test_a_scan_tells_how_far_it_is_and_is_done_once():
         assert may_end.wait(30.0)
         return "scores"
 
-    assert some.begin("small", scan, count=scans.AT_ONCE) is None
+    assert some.begin("small", scan, count=run_data.AT_ONCE) is None
     assert not calls  # left to whoever asks for its value
-    count = scans.AT_ONCE + 1
+    count = run_data.AT_ONCE + 1
     assert some.begin("key", scan, count=count) is not None
     assert told.wait(30.0)
-    assert some.begin("key", scan, count=count) == scans.Progress(7_000, count)
+    assert some.begin("key", scan, count=count) == run_data.Progress(7_000, count)
     assert not some.known("key")
     may_end.set()
     assert some.value("key", scan) == "scores"
@@ -247,22 +248,22 @@ def test_work_beside_a_page_is_told_in_its_own_thread():
 
 
 def test_what_a_scan_raises_is_told_to_everybody_who_asks():
-    some = scans.Scans()
+    some = run_data.Scans()
 
     def scan(report):
         report(1)
         message = "cannot be scored"
         raise InputError(message)
 
-    some.begin("key", scan, count=scans.AT_ONCE + 1)
+    some.begin("key", scan, count=run_data.AT_ONCE + 1)
     for _ in range(2):
         with pytest.raises(InputError, match="cannot be scored"):
             some.value("key", scan)
-    assert some.begin("key", scan, count=scans.AT_ONCE + 1) is None
+    assert some.begin("key", scan, count=run_data.AT_ONCE + 1) is None
 
 
 def test_scores_of_a_large_run_are_computed_beside(loaded_run, monkeypatch):
-    monkeypatch.setattr(scans, "AT_ONCE", 10)
+    monkeypatch.setattr(run_data, "AT_ONCE", 10)
     run = load_run(loaded_run.folder)
     end_s = time.monotonic() + 60.0
     while scoring(run, "agm") is not None:
@@ -285,7 +286,7 @@ def test_thinned_parts_are_the_thinned_whole(naive_run):
 def test_a_run_under_way_keeps_the_heaviest_violations_of_its_final_stage(
     controller, naive_run, monkeypatch
 ):
-    monkeypatch.setattr(run_observer, "thinned", partial(thinned, limit=8))
+    monkeypatch.setattr(controller_thread, "thinned", partial(thinned, limit=8))
     controller.start(NAIVE, keep=False)
     run = wait_until(controller).run
     assert (run.kept, run.simulated) == (8, 60)
@@ -296,7 +297,7 @@ def test_a_run_under_way_keeps_the_heaviest_violations_of_its_final_stage(
 
 
 def test_a_run_too_large_to_hold_shows_all_its_rollouts_once_it_is_done(controller, monkeypatch):
-    monkeypatch.setattr(run_observer, "thinned", partial(thinned, limit=8))
+    monkeypatch.setattr(controller_thread, "thinned", partial(thinned, limit=8))
     held = []
     publish = controller._publish
 
@@ -345,7 +346,7 @@ def test_few_violations_stand_for_all_in_weight():
 
 
 def test_the_words_say_of_how_many_violations_some_are_shown(naive_run, monkeypatch):
-    monkeypatch.setattr("pemviz.panel.views.why.MOST_EXPLAINED", 6)
+    monkeypatch.setattr("pemviz.panel.why_tab.MOST_EXPLAINED", 6)
     run = load_run(naive_run.folder)
     failures = failures_of(run)
     total = int(run.rollouts["violated"].sum())

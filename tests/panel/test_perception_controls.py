@@ -5,7 +5,7 @@ import pytest
 from pemviz.config import ExperimentConfig
 from pemviz.config.tracker_text import read_tracker, tracker_options
 from pemviz.errors import ConfigError, InputError
-from pemviz.panel.tabs.perception import check_measured, same_tracker
+from pemviz.panel.experiment_controls import check_measured, same_tracker
 
 
 @pytest.mark.parametrize(

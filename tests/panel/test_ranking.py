@@ -11,12 +11,12 @@ from scipy.stats import norm
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
+from pemviz.panel.headline import headline
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import elites, rank, ranking_csv, row
-from pemviz.panel.tables import check_table, numbered, thinned
-from pemviz.panel.views.headline import headline
-from pemviz.panel.views.ranking_table import ranking_table
-from pemviz.panel.views.why import failures_of, longest_runs
+from pemviz.panel.rollout_tables import check_table, numbered, thinned
+from pemviz.panel.trajectories_tab import ranking_table
+from pemviz.panel.why_tab import failures_of, longest_runs
 from tests.panel.conftest import NAIVE, wait_until
 
 METRICS = ("classical", "agm", "smooth-cumulative")

@@ -13,9 +13,9 @@ from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
 from pemviz.panel.loading import LoadedRuns, load_run
-from pemviz.panel.recordings import RecordingsFolder
-from pemviz.panel.tables import check_table
-from pemviz.panel.views.recordings import recordings_table
+from pemviz.panel.recordings_folder import RecordingsFolder
+from pemviz.panel.recordings_tab import recordings_table
+from pemviz.panel.rollout_tables import check_table
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.resume import run_lock

@@ -13,20 +13,19 @@ from pemviz.config.toml_files import load_preset
 from pemviz.errors import InputError
 from pemviz.latents import Latents
 from pemviz.panel import loading
+from pemviz.panel.compare_tab import metric_curves, metrics_page
+from pemviz.panel.controller import Watcher
+from pemviz.panel.experiment_controls import asked_simulator, check_encounter
+from pemviz.panel.experiment_tab import scenario_text
+from pemviz.panel.learning_tab import learning
 from pemviz.panel.ranking import rank, row
+from pemviz.panel.rollout_player import step_words, track, track_plots, with_cursor
+from pemviz.panel.rollout_tables import check_table
 from pemviz.panel.run_data import own_scenario
-from pemviz.panel.run_observer import Watcher
-from pemviz.panel.scene_page import scene_html
-from pemviz.panel.tables import check_table
-from pemviz.panel.tabs.encounters import asked_simulator, check_encounter
-from pemviz.panel.views.compare import metric_curves, metrics_page
-from pemviz.panel.views.details import details, rule_robustness
-from pemviz.panel.views.learning import learning
-from pemviz.panel.views.ranking_table import ranking_table
-from pemviz.panel.views.rollout import step_words, track, track_plots, with_cursor
-from pemviz.panel.views.scenario import scenario_text
-from pemviz.panel.views.weights import heaviest_curves, weights_page
-from pemviz.panel.views.why import failures_of, why
+from pemviz.panel.scene import scene_html
+from pemviz.panel.trajectories_tab import details, ranking_table, rule_robustness
+from pemviz.panel.weights_tab import heaviest_curves, weights_page
+from pemviz.panel.why_tab import failures_of, why
 from pemviz.runs.drawn_rollout import WRONG
 from pemviz.runs.events import StageDone
 from pemviz.simulators.slots import UnrolledSimulator
@@ -135,7 +134,7 @@ def test_every_page_is_drawn_without_a_gap(ran):
 
 
 def test_a_page_of_the_scene_alone_names_the_cars(ran):
-    page = scene_html(track(ran.run, first(ran.run)))
+    page = scene_html(track(ran.run, first(ran.run)).drawn)
     assert page.lstrip().lower().startswith("<!doctype html>")
 
 

@@ -1,7 +1,7 @@
 from contextlib import contextmanager
 from pathlib import Path
 
-from pemviz.panel.viewers import Viewers
+from pemviz.panel.recordings_folder import Viewers
 
 
 def test_a_viewer_is_opened_once_and_the_oldest_is_closed():

@@ -14,17 +14,23 @@ from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.charts.svg import Axis, Plot, nice_ticks
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
-from pemviz.panel.controller import PanelState
-from pemviz.panel.fields import field_docs, hint, limits
+from pemviz.panel import (
+    compare_tab,
+    experiment_tab,
+    headline,
+    learning_tab,
+    recordings_tab,
+    weights_tab,
+    why_tab,
+)
+from pemviz.panel.controller import PanelState, Progress
+from pemviz.panel.experiment_controls import field_docs, hint, limits
+from pemviz.panel.page import number
 from pemviz.panel.ranking import rank, row
+from pemviz.panel.rollout_player import track, track_plots, with_cursor
 from pemviz.panel.run_data import RunData
-from pemviz.panel.run_observer import Progress
 from pemviz.panel.scene import brakes
-from pemviz.panel.tabs import experiment
-from pemviz.panel.views import compare, headline, learning, recordings, weights, why
-from pemviz.panel.views.elements import number
-from pemviz.panel.views.ranking_table import first_place, ranking_table
-from pemviz.panel.views.rollout import track, track_plots, with_cursor
+from pemviz.panel.trajectories_tab import first_place, ranking_table
 from pemviz.reports.estimate_words import short_probability
 from pemviz.runs.drawn_rollout import RIGHT
 from pemviz.runs.result import PemInfo
@@ -44,11 +50,11 @@ def test_every_page_is_well_formed(live_run, loaded_run, naive_run):
     for run in (live_run, loaded_run, naive_run):
         for page in (
             headline.headline(run),
-            learning.learning(run),
-            why.why(run),
-            compare.metrics_page(run),
-            compare.runs_page([run, live_run, naive_run]),
-            weights.weights_page(run, target="x", selected=3),
+            learning_tab.learning(run),
+            why_tab.why(run),
+            compare_tab.metrics_page(run),
+            compare_tab.runs_page([run, live_run, naive_run]),
+            weights_tab.weights_page(run, target="x", selected=3),
             ranking_table(run, rank(run, "classical"), selected=0, target="x"),
         ):
             well_formed(page)
@@ -56,19 +62,19 @@ def test_every_page_is_well_formed(live_run, loaded_run, naive_run):
 
 def test_pages_without_a_run_say_so():
     assert "Nothing has run yet" in headline.headline(None)
-    assert "Nothing has run yet" in learning.learning(None)
-    assert "Nothing has run yet" in why.why(None)
-    assert "No rollouts yet" in compare.metrics_page(None)
+    assert "Nothing has run yet" in learning_tab.learning(None)
+    assert "Nothing has run yet" in why_tab.why(None)
+    assert "No rollouts yet" in compare_tab.metrics_page(None)
 
 
 def test_a_metric_that_cannot_score_the_rollouts_is_told_and_the_others_stay(naive_run):
     scenario = replace(naive_run.config.scenario, gap_bound_m=10.0)
     run = with_result(naive_run, config=replace(naive_run.config, scenario=scenario))
-    page = well_formed(compare.metrics_page(run))
+    page = well_formed(compare_tab.metrics_page(run))
     (alert,) = [words for words in page.itertext() if "left out" in words]
     assert "agm is left out: metric = 'agm': gap reaches" in alert
     assert [header.text for header in page.iter("th")][1:] == ["classical", "smooth-cumulative"]
-    curves = compare.metric_curves(run)
+    curves = compare_tab.metric_curves(run)
     assert [line.name for line in curves.lines if "," in line.name] == [
         "classical, gap [m]", "smooth-cumulative, gap [m]",
     ]  # fmt: skip
@@ -118,7 +124,7 @@ def test_headline_and_why_tell_of_a_disagreement_with_the_reference(naive_run):
     estimate = replace(naive_run.result.estimate, diagnostics=())
     known = Reference(0.01 * estimate.probability, 0.0, math.log10(0.01 * estimate.probability))
     run = with_result(naive_run, estimate=estimate, reference=known)
-    for page in (headline.headline(run), why.why(run)):
+    for page in (headline.headline(run), why_tab.why(run)):
         assert "1e+02 times the reference" in page
         assert "trust the reference" in page
 
@@ -149,21 +155,23 @@ def test_a_strangers_recording_cannot_smuggle_markup(naive_run):
         plan=replace(PLAN, reason=CRAFTED, labels=replace(PLAN.labels, obstacle=CRAFTED)),
         timings_s={CRAFTED: 1.0},
     )
-    entry = recordings.RunEntry(
+    entry = recordings_tab.RunEntry(
         CRAFTED, CRAFTED, CRAFTED, CRAFTED, 0, 0.1, (CRAFTED,), has_recording=False, notes=CRAFTED
     )
     for page in (
         headline.headline(run),
-        learning.learning(run),
-        why.why(run),
-        compare.runs_page([run, naive_run]),
-        weights.weights_page(run, target="x", selected=0),
-        compare.metrics_page(with_result(run, config=replace(run.config, spec=whole.config.spec))),
-        recordings.recordings_table([entry], folder=CRAFTED),
-        recordings.delete_question(CRAFTED),
-        recordings.viewer_link("http://127.0.0.1:1/", name=CRAFTED),
+        learning_tab.learning(run),
+        why_tab.why(run),
+        compare_tab.runs_page([run, naive_run]),
+        weights_tab.weights_page(run, target="x", selected=0),
+        compare_tab.metrics_page(
+            with_result(run, config=replace(run.config, spec=whole.config.spec))
+        ),
+        recordings_tab.recordings_table([entry], folder=CRAFTED),
+        recordings_tab.delete_question(CRAFTED),
+        recordings_tab.viewer_link("http://127.0.0.1:1/", name=CRAFTED),
         headline.status(PanelState(error=CRAFTED)),
-        experiment.verdict([CRAFTED]),
+        experiment_tab.verdict([CRAFTED]),
     ):
         assert "<script" not in page
         well_formed(page)
@@ -181,10 +189,10 @@ def test_status_tells_stage_rollouts_and_time_left():
 
 
 def test_everything_that_is_wrong_with_what_was_typed_is_told():
-    text = experiment.verdict(["column 21: a number is missing", "target = 'x': must be"])
+    text = experiment_tab.verdict(["column 21: a number is missing", "target = 'x': must be"])
     assert text.index("column 21") < text.index("target = ")
     assert "understood" not in text
-    assert "understood" in experiment.verdict([])
+    assert "understood" in experiment_tab.verdict([])
 
 
 def test_every_control_has_a_hint_with_what_the_field_says():
@@ -229,7 +237,7 @@ def test_causes_are_told_in_words_with_units(naive_run):
     run = with_result(run, reference=far)
     *_, disagreement = run_diagnostics(run.result)
     run = with_result(run, warnings=("thin data", disagreement.text))
-    page = why.why(run)
+    page = why_tab.why(run)
     words = ["".join(cell.itertext()) for cell in well_formed(page).iter("td")]
     assert words[:5] == ["4 to 6", "1.70", "16 %", "-", "not enough alone"]
     assert words[5:10] == ["6 to 8", "8.83", "84 %", "-0.12 (error not known)", "not enough alone"]
@@ -246,9 +254,9 @@ def test_causes_are_told_in_words_with_units(naive_run):
 def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
     def page(method):
         run = with_result(naive_run, config=replace(naive_run.config, method=method))
-        text = learning.learning_words(run) + learning.learning(run)
+        text = learning_tab.learning_words(run) + learning_tab.learning(run)
         well_formed(text)
-        return text + " ".join(line.name for line in learning.proposal_curves(run).lines)
+        return text + " ".join(line.name for line in learning_tab.proposal_curves(run).lines)
 
     assert "older stages fade" in page("adaptive")
     for method in ("splitting", "monte-carlo", "naive", "zero-variance"):
@@ -264,7 +272,7 @@ def test_without_a_violation_the_upper_bound_is_drawn(naive_run):
         naive_run.result.estimate, failures=0, probability=0.0, ci_low=0.0, ci_high=0.03
     )
     run = with_result(naive_run, reference=None, estimate=nothing)
-    assert "95 % upper bound" in learning.learning(run)
+    assert "95 % upper bound" in learning_tab.learning(run)
 
 
 def test_track_holds_the_rollout_its_limits_and_its_probabilities(naive_run):
@@ -305,13 +313,13 @@ def test_ranking_table_marks_the_selected_row(naive_run):
 
 def test_a_full_overlap_is_a_hundred_per_cent():
     one, two = np.array([True, True, False]), np.array([True, False, True])
-    assert compare.overlap_text(one, one) == "2 (100 %)"
-    assert compare.overlap_text(one, two) == "1 (33 %)"
-    assert compare.overlap_text(~(one | two), ~(one | two)) == "0"
+    assert compare_tab.overlap_text(one, one) == "2 (100 %)"
+    assert compare_tab.overlap_text(one, two) == "1 (33 %)"
+    assert compare_tab.overlap_text(~(one | two), ~(one | two)) == "0"
 
 
 def test_settings_that_differ_are_listed(live_run, naive_run):
-    table = compare.differences_table([live_run, naive_run])
+    table = compare_tab.differences_table([live_run, naive_run])
     assert "method" in table
     assert "final_rollouts" in table
     assert "alpha" not in table
@@ -354,7 +362,7 @@ def with_result(run: RunData, **changes) -> RunData:
 
 def test_the_why_tab_gives_one_total_of_misses(naive_run):
     """The sentence and the table's last line speak of the same misses."""
-    page = why.why(naive_run)
+    page = why_tab.why(naive_run)
     (said,) = re.findall(r"takes ([\d.]+) misses where perception decides", page)
     cells = ["".join(cell.itertext()) for cell in well_formed(page).iter("td")]
     assert float(cells[cells.index("all") + 1]) == pytest.approx(float(said), abs=0.06)

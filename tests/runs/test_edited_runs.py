@@ -15,7 +15,7 @@ from pemviz.cli.main import main
 from pemviz.errors import InputError
 from pemviz.files.atomic import document_digest, file_digest
 from pemviz.panel.loading import load_run
-from pemviz.panel.recordings import RecordingsFolder
+from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.resume import carry_out

@@ -10,8 +10,8 @@ from pemviz.cli.main import main
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.config.toml_files import config_text, load_config
 from pemviz.errors import ConfigError
+from pemviz.panel import learning_tab, why_tab
 from pemviz.panel.loading import load_run
-from pemviz.panel.views import learning, why
 from pemviz.runs.back_ends import check_method_fits, own_back_end
 from pemviz.runs.engine import run_experiment
 from pemviz.sampling.registry import by_name
@@ -175,7 +175,7 @@ def test_record_carries_out_a_registered_method(tmp_path, capsys):
     (folder,) = (tmp_path / "runs").iterdir()
     assert list(read_stages(folder / "run.rrd")) == [0]
     loaded = load_run(folder)
-    shown = learning.learning_words(loaded)
+    shown = learning_tab.learning_words(loaded)
     assert "A coin is thrown &amp; &lt;i&gt;nothing&lt;/i&gt; is learned." in shown
-    assert "the coin <b>" in {line.name for line in learning.proposal_curves(loaded).lines}
-    assert "Pareto k-hat" in why.why(loaded)
+    assert "the coin <b>" in {line.name for line in learning_tab.proposal_curves(loaded).lines}
+    assert "Pareto k-hat" in why_tab.why(loaded)

@@ -1,13 +1,20 @@
-"""Controls of what lies between perception and controller: a tracker, and position errors."""
+"""Controls of a logical scenario, of trackers and of position errors; hints for all controls."""
 
+import ast
+import inspect
+import textwrap
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, get_args, get_type_hints
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, cast, get_args, get_type_hints
 
 import viser
 
-from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig
+from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig, StartChoice
+from pemviz.config.encounters import NO_LOGICAL_SCENARIO, EncounterConfig
 from pemviz.config.ranges import Range
+from pemviz.config.rule_words import read_starts
 from pemviz.config.tracker_text import (
     NO_TRACKER,
     FilterName,
@@ -16,9 +23,125 @@ from pemviz.config.tracker_text import (
     tracker_options,
 )
 from pemviz.errors import ConfigError
-from pemviz.panel.fields import field_docs, hint
 from pemviz.pem import shipped_position_errors
 from pemviz.runs.back_ends import build_back_end, check_method_fits
+from pemviz.runs.experiment import build_simulator
+from pemviz.simulators.registry import build_encounter_simulator
+from pemviz.types import Simulator
+
+
+@lru_cache(maxsize=8)
+def field_docs(kind: type) -> dict[str, str]:
+    """The text beneath each field of a dataclass, on one line."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
+    body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
+    docs: dict[str, str] = {}
+    for field, after in pairwise(body):
+        match field, after:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str(words))),
+            ):
+                docs[name] = " ".join(words.split())
+            case _:
+                pass
+    return docs
+
+
+def limits(name: str, *, step: float) -> tuple[float, float]:
+    """Bounds of a number field of the experiment; an open bound is moved inwards by a step.
+
+    Raises:
+        ValueError: The field declares no bounds.
+    """
+    annotation = get_type_hints(ExperimentConfig, include_extras=True)[name]
+    arms = (annotation, *get_args(annotation))  # what may be left out is a union with None
+    for limit in (part for arm in arms for part in get_args(arm)):
+        if isinstance(limit, Range) and limit.low is not None and limit.high is not None:
+            low = limit.low + (step if limit.low_open else 0.0)
+            return low, limit.high - (step if limit.high_open else 0.0)
+    message = f"{name} declares no bounds"
+    raise ValueError(message)
+
+
+def hint(name: str) -> str:
+    """What a field of the experiment means, with unit and range."""
+    return field_docs(ExperimentConfig)[name]
+
+
+SIDES = ("left", "right")
+DRAWN_BACK_END = "vectorized"
+STARTS_HINT = (
+    "Start values with other distributions than those below, a line NAME = DISTRIBUTION each: a "
+    "number, which fixes it, normal(mean, sd), lognormal(median, spread), uniform(low, high), and "
+    "'in [low, high]' behind one to cut it. Empty: all as below."
+)
+
+
+class EncounterControls:
+    """Shown while the settings are those of a logical scenario."""
+
+    def __init__(self, gui: viser.GuiApi, changed: Callable[[Any], None]) -> None:
+        """Add the controls.
+
+        Args:
+            gui: Where.
+            changed: Called when a person has changed one.
+        """
+        docs = field_docs(EncounterConfig)
+        self._base = EncounterConfig()
+        self.side = gui.add_dropdown("Side", SIDES, hint=docs["side"])
+        self.neighbour = gui.add_checkbox("Neighbour", False, hint=docs["neighbour"])
+        self.starts = gui.add_text("Start values", "", multiline=True, hint=STARTS_HINT)
+        for control in (self.side, self.neighbour, self.starts):
+            control.on_update(changed)
+
+    @property
+    def chosen(self) -> bool:
+        """Whether there is a logical scenario."""
+        return self._base.logical_scenario != NO_LOGICAL_SCENARIO
+
+    def fill(self, config: ExperimentConfig) -> None:
+        """Show what a configuration says."""
+        self._base = config.encounter
+        self.side.value, self.neighbour.value = self._base.side, self._base.neighbour
+        self.starts.value = "\n".join(f"{one.name} = {one.distribution}" for one in config.start)
+        for control in (self.side, self.neighbour, self.starts):
+            if control.visible != self.chosen:
+                control.visible = self.chosen
+
+    def into(self, config: ExperimentConfig) -> ExperimentConfig:
+        """A configuration with what the controls say.
+
+        Raises:
+            InputError: A line is no start value with a distribution.
+        """
+        if not self.chosen:
+            return config
+        lines = [line for line in self.starts.value.splitlines() if line.strip()]
+        start = tuple(StartChoice(*choice) for choice in read_starts(lines).items())
+        side = cast(Any, self.side.value)
+        encounter = replace(self._base, side=side, neighbour=self.neighbour.value)
+        return replace(config, encounter=encounter, start=start)
+
+
+def asked_simulator(config: ExperimentConfig) -> Simulator:
+    """The scenario whose signals a specification is about."""
+    plain = replace(config, rules=(), simulator=DRAWN_BACK_END)
+    if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
+        return build_simulator(plain)
+    return cast(Simulator, build_encounter_simulator(plain))
+
+
+def check_encounter(config: ExperimentConfig) -> None:
+    """Refuse what cannot be had of a logical scenario.
+
+    Raises:
+        InputError: The line says what.
+    """
+    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
+        check_method_fits(config, build_back_end(config))
+
 
 FOLDER = "Tracker and position errors"
 NONE, COUNTED, FROM_FILE = "none", "M/N", "a file"

@@ -2,10 +2,10 @@
 
 from html import escape
 
-from pemviz.panel.controller import PanelState
+from pemviz.panel.browser import Browser, set_html
+from pemviz.panel.controller import PanelState, Progress
+from pemviz.panel.page import block, good, number, quiet
 from pemviz.panel.run_data import RunData
-from pemviz.panel.run_observer import Progress
-from pemviz.panel.views.elements import block, good, number, quiet
 from pemviz.reports.document import Caution, Figure, Paragraph
 from pemviz.reports.gate import decide_run
 from pemviz.reports.html import blocks_html, warning
@@ -97,3 +97,21 @@ def _duration(seconds: float) -> str:
     if seconds < 5400.0:
         return f"{round(seconds / 60)} min"
     return f"{seconds / 3600:.1f} h"
+
+
+class Head:
+    """The answer, the state, the progress bar."""
+
+    def __init__(self, browser: Browser) -> None:
+        gui = browser.client.gui
+        self._headline = gui.add_html("")
+        self._status = gui.add_html("")
+        self._bar = gui.add_progress_bar(0.0, visible=False, color="blue")
+
+    def refresh(self, state: PanelState, run: RunData | None, *, limit: float | None) -> None:
+        """Show the state; the answer is judged by ``limit``."""
+        set_html(self._headline, headline(run, limit=limit))
+        set_html(self._status, status(state))
+        if self._bar.visible != state.running:
+            self._bar.visible = state.running
+        self._bar.value = 100.0 * state.progress.share if state.progress is not None else 0.0

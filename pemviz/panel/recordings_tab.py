@@ -1,6 +1,6 @@
-"""The Recordings tab: runs that are kept; loading, settings, notes, downloads, deleting."""
+"""The list of kept runs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -9,13 +9,78 @@ from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser, set_html
 from pemviz.panel.controller import PanelState
+from pemviz.panel.page import block, grid, number, quiet
 from pemviz.panel.ranking import rank, ranking_csv
-from pemviz.panel.recordings import read_listed
+from pemviz.panel.recordings_folder import RunEntry, read_listed
+from pemviz.panel.rollout_player import Player
 from pemviz.panel.run_data import RunData
-from pemviz.panel.scene_page import scene_html
-from pemviz.panel.tabs.player import Player
-from pemviz.panel.views.elements import block, quiet
-from pemviz.panel.views.recordings import delete_question, recordings_table, viewer_link
+from pemviz.panel.scene import scene_html
+from pemviz.reports.html import warning
+
+MOST_COMPLAINTS = 10
+TABLE_PX = 260
+SHOWN_NOTES = 120
+ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
+
+
+def recordings_table(
+    entries: Sequence[RunEntry], *, folder: str, damaged: Sequence[str] = ()
+) -> str:
+    """One line a run, then what is wrong with those that cannot be read."""
+    complaints = "".join(warning(words) for words in damaged[:MOST_COMPLAINTS])
+    if len(damaged) > MOST_COMPLAINTS:
+        complaints += warning(f"and {len(damaged) - MOST_COMPLAINTS} more damaged runs")
+    if not entries:
+        words = f"There are no runs in {folder} yet. Press Run in the Experiment tab."
+        return block(complaints + quiet(words))
+    lines = [
+        [
+            f"{escape(entry.name)}{_notes(entry)}",
+            f"{escape(entry.method)}<br>{escape(entry.metric)}<br>seed {entry.seed}",
+            number(entry.probability),
+            _reliability(entry),
+            escape(entry.status) + ("" if entry.has_recording else "<br>no .rrd"),
+        ]
+        for entry in entries
+    ]
+    header = ("run, notes", "method", "P(violation)", "reliable?", "status")
+    table = grid(header, lines, name="Recordings")
+    table = f"<div style='max-height:{TABLE_PX}px;overflow-y:auto'>{table}</div>"
+    return block(table + complaints + quiet(f"Folder: {folder}"))
+
+
+def _notes(entry: RunEntry) -> str:
+    """The first words of a run's notes; all of them where the pointer rests."""
+    words = " ".join(entry.notes.split())
+    if not words:
+        return ""
+    short = words if len(words) <= SHOWN_NOTES else words[: SHOWN_NOTES - 1] + ELLIPSIS
+    return f"<br><i title='{escape(words, quote=True)}'>{escape(short)}</i>"
+
+
+def _reliability(entry: RunEntry) -> str:
+    """Whether the estimate may decide anything; why not stands where the pointer rests."""
+    if entry.probability is None:
+        return "no estimate"
+    if not entry.unreliable:
+        return "\N{CHECK MARK} yes"
+    reasons = escape("; ".join(entry.unreliable), quote=True)
+    return f"<span title='{reasons}'>\N{WARNING SIGN} unreliable</span>"
+
+
+def delete_question(name: str) -> str:
+    """What is lost if a run is deleted."""
+    words = "Its result, rollouts, recording and notes are deleted. Nothing brings them back."
+    return block(f"<b>{escape(name)}</b>" + quiet(words))
+
+
+def viewer_link(address: str, *, name: str) -> str:
+    """A link to the viewer, opened in a new tab."""
+    return block(
+        f"<a href='{escape(address, quote=True)}' target='_blank' rel='noopener'>"
+        f"Open {escape(name)} in rerun's viewer (new tab)</a>"
+    )
+
 
 NONE = "no runs yet"
 SETTINGS_HINT = "Fill the Experiment tab with the settings of the run chosen; nothing is run yet."
@@ -217,7 +282,7 @@ class RecordingsTab:
         if chosen is None:
             message = "no rollout is shown: pick one in the Trajectories tab"
             raise InputError(message)
-        return "pemviz-rollout.html", scene_html(chosen).encode()
+        return "pemviz-rollout.html", scene_html(chosen.drawn).encode()
 
     def _open(self) -> None:
         opener = self._browser.hub.open_recording

@@ -6,14 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.analysis.causes import contributions
+from pemviz.analysis.starts import MOST_POINTS
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import BLACK, VERMILLION
-from pemviz.panel.contribution import log_contributions
+from pemviz.panel.browser import Browser, Window, element_id, set_html
+from pemviz.panel.page import PLOT_PX, cell, page, quiet, wide
+from pemviz.panel.ranking import log_contributions
+from pemviz.panel.rollout_tables import final_violations
 from pemviz.panel.run_data import RunData
-from pemviz.panel.tables import final_violations
-from pemviz.panel.views.elements import quiet
-from pemviz.panel.views.page import PLOT_PX, cell, page, wide
+from pemviz.panel.trajectories_tab import TrajectoriesTab
+from pemviz.reports.causes_words import SHOWN_CHAINS, shown_chains
 from pemviz.reports.document import Block, Figure, Section, Table
 from pemviz.reports.html import blocks_html, heading, sections_html
 from pemviz.reports.run_document import TRUST, WHY, run_document
@@ -273,3 +276,70 @@ def time_plot(failures: Failures, *, dt_s: float) -> str:
     plot.bars(edges, missed, color=VERMILLION)
     plot.line(edges[:-1] + dt_s / 2, expected, color=BLACK, width=1.8)
     return plot.text()
+
+
+CHAIN_HINT = (
+    "Show the rollout that contributes most to the chain of misses at this place of the table "
+    "below, in the scene; or click the chain there."
+)
+START_HINT = (
+    "Show the violating rollout of this number in the plane of starts below, in the scene; or "
+    "click its dot there."
+)
+
+
+class WhyTab:
+    """Which misses cause violations, and how far to trust the number; a chain opens in 3D."""
+
+    def __init__(self, browser: Browser, trajectories: TrajectoriesTab, window: Window) -> None:
+        gui = browser.client.gui
+        self._trajectories = trajectories
+        self._window = window
+        self._run: RunData | None = None
+        self.chain = gui.add_number(
+            "Show chain", 0, min=0, max=SHOWN_CHAINS, step=1, hint=CHAIN_HINT
+        )
+        self.start = gui.add_number(
+            "Show start", 0, min=0, max=MOST_POINTS, step=1, hint=START_HINT, visible=False
+        )
+        self._page = gui.add_html("")
+        self.chain.on_update(browser.on(self._show_chain))
+        self.start.on_update(browser.on(self._show_start))
+
+    def refresh(self, run: RunData | None) -> None:
+        """Show a run."""
+        self._run = run
+        named = run is not None and bool(run.result.starts)
+        if self.start.visible != named:
+            self.start.visible = named
+        targets = {"target": element_id(self.chain), "start_target": element_id(self.start)}
+        set_html(self._page, why(run, **targets))
+
+    def _show_start(self) -> None:
+        place = int(self.start.value)
+        starts = () if self._run is None else self._run.result.starts
+        points = starts[0].points if starts else ()
+        if place < 1 or not points:
+            return
+        point = points[min(place, len(points)) - 1]
+        self.start.value = 0  # so that the same one can be asked for again
+        self._trajectories.pick(
+            repetition=point.repetition, stage=point.stage, rollout=point.rollout
+        )
+        self._window.panel.minimize()  # the scene is what was asked for
+
+    def _show_chain(self) -> None:
+        place = int(self.chain.value)
+        explanation = None if self._run is None else self._run.result.explanation
+        if place < 1 or explanation is None or explanation.stage is None:
+            return
+        chains = shown_chains(explanation.chains)
+        if not chains:
+            return
+        chain = chains[min(place, len(chains)) - 1]
+        self.chain.value = 0  # so that the same chain can be asked for again
+        if chain.likeliest is not None:
+            self._trajectories.pick(
+                repetition=explanation.repetition, stage=explanation.stage, rollout=chain.likeliest
+            )
+            self._window.panel.minimize()  # the scene is what was asked for

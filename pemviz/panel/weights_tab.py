@@ -8,20 +8,21 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.charts.svg import Axis, Plot, text
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
-from pemviz.panel.contribution import shares
-from pemviz.panel.run_data import RunData
-from pemviz.panel.scans import Progress, Report, Scan, row_parts
-from pemviz.panel.views.curves import (
+from pemviz.panel.browser import Browser, Window, element_id, set_html
+from pemviz.panel.curve_chart import (
     RUN_COLORS,
     RUN_DASHES,
+    Chart,
     Curves,
     Line,
     in_brackets,
     signal_label,
     signal_name,
 )
-from pemviz.panel.views.elements import number, percent, quiet
-from pemviz.panel.views.page import cell, page, progress_words, wide
+from pemviz.panel.page import cell, number, page, percent, progress_words, quiet, wide
+from pemviz.panel.ranking import shares
+from pemviz.panel.run_data import Progress, Report, RunData, Scan, row_parts
+from pemviz.panel.trajectories_tab import TrajectoriesTab
 from pemviz.reports.html import clicks_to
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
@@ -347,3 +348,61 @@ def _gap_words(run: RunData, *, weighted: bool) -> str:
     if run.kept < run.simulated:
         words += f" From the {run.kept:,} of {run.simulated:,} rollouts that are kept here."
     return words
+
+
+NUMBER_HINT = (
+    "Show a rollout in the scene and below: its place in the run's rollouts.npz, counted from 0; "
+    "or click a point."
+)
+
+
+class WeightsTab:
+    """All rollouts at once; a click on one shows it."""
+
+    def __init__(self, browser: Browser, trajectories: TrajectoriesTab, window: Window) -> None:
+        gui = browser.client.gui
+        self._trajectories = trajectories
+        self._window = window
+        self._run: RunData | None = None
+        self.waiting = False
+        self.number = gui.add_number("Show rollout", 0, min=0, max=10_000_000, step=1,
+            hint=NUMBER_HINT)  # fmt: skip
+        self._page = gui.add_html("")
+        self._curves = Chart(browser)
+        self.number.on_update(browser.on(self._show_rollout))
+        trajectories.on_show(self._mark)
+
+    def refresh(self, run: RunData | None) -> None:
+        """Show a run."""
+        self._run = run
+        last = max(0 if run is None else run.kept - 1, 0)
+        if self.number.max != last:
+            self.number.max = last
+        self._curves.show(heaviest_curves(run))
+        self._draw()
+
+    def _draw(self) -> None:
+        shown = self._trajectories.shown
+        selected = None if shown is None or self._run is None else shown.index
+        run = self._run
+        self.waiting = run is not None and not run.running and looking_at_gaps(run) is not None
+        page = weights_page(self._run, target=element_id(self.number), selected=selected)
+        set_html(self._page, page)
+
+    def go_on(self) -> None:
+        """Tell how far the look at all rollouts is, while it goes on."""
+        if self.waiting:
+            self._draw()
+
+    def _mark(self) -> None:
+        """Another rollout is shown."""
+        shown = self._trajectories.shown
+        if shown is not None and self.number.value != shown.index:
+            self.number.value = shown.index
+        self._draw()
+
+    def _show_rollout(self) -> None:
+        if self._run is not None:
+            self._trajectories.pick_index(int(self.number.value))
+            if self._window.is_short:
+                self._window.panel.minimize()

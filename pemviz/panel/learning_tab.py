@@ -7,10 +7,10 @@ import numpy as np
 
 from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
+from pemviz.panel.browser import Browser, set_html
+from pemviz.panel.curve_chart import Chart, Curves, Line, over_common
+from pemviz.panel.page import cell, number, page, quiet, wide
 from pemviz.panel.run_data import ProposalCurve, RunData
-from pemviz.panel.views.curves import Curves, Line, over_common
-from pemviz.panel.views.elements import number, quiet
-from pemviz.panel.views.page import cell, page, wide
 from pemviz.runs.result import StageSummary
 from pemviz.runs.trust import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
@@ -270,3 +270,18 @@ def _range(values: Sequence[float], *, with_zero: bool) -> tuple[float, float]:
     low, high = min(chosen, default=0.0), max(chosen, default=1.0)
     margin = 0.08 * (high - low) or 1.0
     return low - margin, high + margin
+
+
+class LearningTab:
+    """How the proposal forms."""
+
+    def __init__(self, browser: Browser) -> None:
+        self._words = browser.client.gui.add_html("")
+        self._curves = Chart(browser)
+        self._page = browser.client.gui.add_html("")
+
+    def refresh(self, run: RunData | None) -> None:
+        """Show a run."""
+        set_html(self._words, learning_words(run))
+        self._curves.show(proposal_curves(run))
+        set_html(self._page, learning(run))

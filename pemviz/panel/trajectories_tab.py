@@ -1,21 +1,238 @@
-"""The Trajectories tab: the ranking, and how a rollout is picked."""
+"""The Trajectories tab: the ranking, how a rollout is picked, and what there is to say of it."""
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from html import escape
 from typing import TypeVar, cast, get_args
 
+import numpy as np
 import viser
 
+from pemviz import stl
+from pemviz.analysis.causes import CARRIED
+from pemviz.arrays import FloatArray
+from pemviz.charts.svg import Axis, Plot
+from pemviz.colors import MISSED
 from pemviz.config import MetricName
 from pemviz.errors import InputError
+from pemviz.latents import Latents
 from pemviz.panel.browser import Browser, element_id, set_html
+from pemviz.panel.curve_chart import RUN_COLORS
+from pemviz.panel.page import (
+    MINUS,
+    block,
+    cells,
+    clickable,
+    grid,
+    number,
+    percent,
+    progress_words,
+    quiet,
+)
 from pemviz.panel.ranking import Among, RankedRow, Ranking, rank, row, scoring
+from pemviz.panel.rollout_player import FROM_ABOVE, FROM_BEHIND, Player
 from pemviz.panel.run_data import RunData
-from pemviz.panel.tabs.player import FROM_ABOVE, FROM_BEHIND, Player
-from pemviz.panel.views.details import details
-from pemviz.panel.views.elements import block, quiet
-from pemviz.panel.views.page import progress_words
-from pemviz.panel.views.ranking_table import ranking_table
+from pemviz.reports.html import heading
+from pemviz.runs.specification import build_formula
+from pemviz.sampling.registry import by_name
+from pemviz.simulators.starts import named_starts
+from pemviz.types import Simulator
+
+PAGE_ROWS = 12
+LONG_NAMES = 18
+SCENE = (
+    "a ball over a car says what perception reports of it: small and blue detected, large and "
+    "orange missed, grey nothing to report; beside the road stands a row for each obstacle, flat "
+    "blue marks where the ego detected it, upright crosses where it erred. White lines: where "
+    "the controller tracks a car, with an ellipse of two standard deviations where it knows any. "
+    "From contact on the cars are grey."
+)
+VIOLATED = f"<b style='color:{MISSED}'>\N{MULTIPLICATION X} yes</b>"
+
+
+def first_place(selected: int, count: int) -> int:
+    """The zero-based place of the first row shown, so that the selected place is among them."""
+    if count <= PAGE_ROWS:
+        return 0
+    return min(selected // PAGE_ROWS * PAGE_ROWS, count - PAGE_ROWS)
+
+
+def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str) -> str:
+    """A page of rows around the selected place; ``target`` is the rank input's element id."""
+    count = int(ranking.order.size)
+    if not count:
+        return block(quiet("No rollouts yet."))
+    start = first_place(selected, count)
+    unit = "" if ranking.metric == "agm" else " [m]"
+    header = (
+        "rank", f"robustness{unit}", "breaks" if run.config.rules else "violated",
+        "of the answer", "log weight [nats]", "misses", "stage",
+    )  # fmt: skip
+    head = "".join(f"<th style='{_HEAD}'>{h}</th>" for h in header)
+    lines: list[str] = []
+    for place in range(start, min(start + PAGE_ROWS, count)):
+        entry = row(run, ranking, place)
+        values = (
+            str(entry.rank), robustness_text(entry.robustness), _verdict(run, entry),
+            percent(entry.share) if entry.share else "", weight_text(run, entry),
+            str(entry.misses), str(entry.stage),
+        )  # fmt: skip
+        mark = "background:#dbeafe;font-weight:600;" if place == selected else ""
+        selection = f" aria-selected='{'true' if place == selected else 'false'}'"
+        lines.append(
+            f"<tr data-rank='{entry.rank}' {clickable(entry.rank, target=target)}{selection}"
+            f" style='border-top:1px solid #e4e7eb;cursor:pointer;{mark}'>"
+            f"{cells(values, style=_CELL)}</tr>"
+        )
+    shown = (
+        f"Ranks {start + 1} to {start + len(lines)} of {count:,} {ranked_text(ranking)}. "
+        "Click a row, or press the up and down arrow keys; type a rank to jump. In the scene, "
+        f"{SCENE}"
+    )
+    if run.kept < run.simulated:
+        shown += (
+            f" Of {run.simulated:,} rollouts {run.kept:,} are kept here: those that contribute "
+            f"most to the answer, and the least robust under {run.config.metric}."
+        )
+    return block(
+        f"<table aria-label='Ranking' style='border-collapse:collapse;width:100%;"
+        f"font-size:11.5px;font-variant-numeric:tabular-nums'><thead><tr>{head}</tr></thead>"
+        f"<tbody>{''.join(lines)}</tbody></table>{quiet(shown)}"
+    )
+
+
+def _verdict(run: RunData, entry: RankedRow) -> str:
+    """Whether a rollout violates; where there are rules, which of them it breaks."""
+    if not run.config.rules:
+        return VIOLATED if entry.violated else "no"
+    names = escape(", ".join(entry.broken))
+    if len(names) > LONG_NAMES:  # which they are is told below, of the rollout shown
+        count = f"{len(entry.broken)} of {len(run.config.rules)}"
+        names = f"<span title='{names}'>{count} rules</span>"
+    return f"<b style='color:{MISSED}'>\N{MULTIPLICATION X}</b> {names}" if names else "none"
+
+
+def ranked_text(ranking: Ranking) -> str:
+    """Which rollouts are ranked, and how."""
+    which = "rollouts"
+    if ranking.among == "carrying":
+        which = f"rollouts that make up {100 * CARRIED:g} % of the answer"
+    under = ranking.metric
+    if ranking.rule is not None:
+        which += f" to rule {escape(ranking.rule)}" if ranking.among == "carrying" else ""
+        under += f" in rule {escape(ranking.rule)}"
+    how = f"the least robust under {under} first"
+    if ranking.by_share:
+        how = f"the largest contribution first, then the least robust under {under}"
+    return f"{which}, {how}"
+
+
+def weight_text(run: RunData, entry: RankedRow) -> str:
+    """The log weight; a dash where rollouts carry none."""
+    has_weights = by_name(run.config.method).has_likelihood_ratios
+    return number(entry.log_weight if has_weights else None)
+
+
+def robustness_text(value: float) -> str:
+    """Robustness with as many decimals in every row, as far as that tells rows apart."""
+    if 0.01 <= abs(value) < 1000.0:
+        return f"{value:.3f}".replace("-", MINUS)
+    return number(value)
+
+
+_CELL = "padding:2px 4px;text-align:right;white-space:nowrap"
+_HEAD = "padding:2px 4px;text-align:right;vertical-align:bottom;color:#52606d;font-weight:500"
+
+
+MOST_LATENTS = 12
+MOST_NOISE = len(RUN_COLORS)
+WIDTH, HEIGHT = 390, 130
+
+
+def details(run: RunData, entry: RankedRow, *, contact: str = "") -> str:
+    """All of it; empty where there is nothing beyond what scene and plots tell.
+
+    Args:
+        run: The run shown.
+        entry: The rollout.
+        contact: When and how fast the cars touched, in words.
+    """
+    latents = run.latents(entry.index)
+    parts = [
+        _rules(run, entry),
+        quiet(f"{contact[0].upper()}{contact[1:]}.") if contact else "",
+        "" if latents is None else _start(run, latents),
+        "" if latents is None else _noise(run, latents),
+    ]
+    shown = "".join(parts)
+    return block(heading("The rollout shown") + shown) if shown else ""
+
+
+def rule_robustness(run: RunData, index: int) -> dict[str, float]:
+    """Classical robustness of a rollout in each rule, by name."""
+    signals = run.signals(index)
+    found: dict[str, float] = {}
+    for rule in run.config.rules:
+        config = replace(run.config, spec=rule.formula, rules=())
+        formula = build_formula(config, cast(Simulator, run.simulator))
+        found[rule.name] = float(stl.robustness(formula, signals, stl.Classical())[0])
+    return found
+
+
+def _rules(run: RunData, entry: RankedRow) -> str:
+    lines = [
+        [
+            escape(name),
+            number(robustness),
+            f"<b style='color:{MISSED}'>broken</b>" if name in entry.broken else "kept",
+        ]
+        for name, robustness in rule_robustness(run, entry.index).items()
+    ]
+    return grid(["rule", "robustness", ""], lines, name="Rules of the rollout") if lines else ""
+
+
+def _start(run: RunData, latents: Latents) -> str:
+    """The values it started with, where the scenario names them; else the latents themselves."""
+    drawn, mean = latents.start[0], latents.start_mean[0]
+    if not drawn.size:
+        return ""
+    named = named_starts(run.simulator)
+    if named is None:
+        around = f", drawn around {_listed(mean)}" if np.any(mean) else ""
+        return quiet(f"Standard normals at its start: {_listed(drawn)}{around}.")
+    values = named.start_values(latents.start)
+    words = [
+        f"{escape(signal.name.replace('_', ' '))} {number(float(values[signal.name][0]))} "
+        f"{escape(signal.unit)}"
+        for signal in named.starts
+    ]
+    return quiet(f"It started with {', '.join(words)}.")
+
+
+def _noise(run: RunData, latents: Latents) -> str:
+    """The latents of its steps against time."""
+    noise: FloatArray = latents.noise[0, :, :MOST_NOISE]
+    if not noise.size:
+        return ""
+    reach = max(3.0, float(np.max(np.abs(noise))) * 1.05)
+    time_s = run.time_s
+    plot = Plot(
+        title="Standard normals of its steps",
+        x=Axis(0.0, float(time_s[-1]), "time [s]"),
+        y=Axis(-reach, reach, "standard deviations"),
+        width=WIDTH,
+        height=HEIGHT,
+    )
+    for place, values in enumerate(noise.T):
+        plot.line(time_s[:-1], values, color=RUN_COLORS[place], width=1.2)
+    return plot.text()
+
+
+def _listed(values: FloatArray) -> str:
+    shown, more = ", ".join(number(float(v)) for v in values[:MOST_LATENTS]), values.size
+    return shown if more <= MOST_LATENTS else f"{shown} and {more - MOST_LATENTS} more"
+
 
 METRIC_HINT = (
     "Metric that ranks the rollouts shown; re-ranks what is stored at once, without a new run. "

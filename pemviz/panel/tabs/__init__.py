@@ -1,1 +1,0 @@
-"""The panel's tabs, one a module."""

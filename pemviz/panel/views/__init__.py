@@ -1,1 +1,0 @@
-"""Arrays to HTML and SVG text: pure functions that know no browser library."""
