@@ -179,7 +179,7 @@ def test_no_folder_of_a_part_imports_itself_by_way_of_its_siblings(package):
                 graph.setdefault(home, set()).update(siblings)
         circles[part] = circle(graph)
     assert {part: found for part, found in circles.items() if found} == {}
-    assert len(circles) > 5
+    assert len(circles) > 2
 
 
 def sibling(module: str, part: str) -> str | None:
