@@ -15,8 +15,8 @@ from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.config.rule_words import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
 from pemviz.reports.gate import decide_limits
+from pemviz.reports.pipeline import ReportWriter
 from pemviz.reports.terminal import print_summary
-from pemviz.reports.writer import ReportWriter
 from pemviz.runs.events import Event, Observer, RunDone, RunFailed
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.reading import result_left

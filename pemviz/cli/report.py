@@ -46,11 +46,9 @@ def run(words: Sequence[str]) -> int:
         message = "runs = none: name at least one run folder"
         raise ConfigError(message)
     _check_place(arguments.out)
-    from pemviz.reports.safety_case.case import (  # noqa: PLC0415  --help answers without it
-        read_case_run,
-        run_folders,
-    )
-    from pemviz.reports.safety_case.page import safety_case_page  # noqa: PLC0415  as above
+    # --help answers without it
+    from pemviz.reports.case_runs import read_case_run, run_folders  # noqa: PLC0415
+    from pemviz.reports.safety_case import safety_case_page  # noqa: PLC0415
 
     runs = [read_case_run(folder) for folder in run_folders(arguments.runs)]
     below = arguments.claim_below

@@ -10,8 +10,8 @@ from pemviz.recording.learning import StageFigures
 from pemviz.recording.selection import Quota
 from pemviz.recording.worst import Track, rules_table
 from pemviz.reports.document import Section
+from pemviz.reports.estimate_words import end_text, share_text
 from pemviz.reports.markdown import PLAIN_MARKS, sections_markdown
-from pemviz.reports.numbers import end_text, share_text
 from pemviz.reports.run_document import ANSWER, TRUST, WHY, run_document
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.result_file import result_document

@@ -1,32 +1,26 @@
-"""What causes violations: misses by distance, bursts of them, the likeliest chains."""
+"""What violations are like: misses by distance, bursts of them, the likeliest chains, starts."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 
-from pemviz.analysis.causes import BandMisses, Bursts, Chain, Spread
+from pemviz.analysis.causes import Bursts, Chain, Spread
 from pemviz.analysis.explanation import Explanation, SlotErrors
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
+from pemviz.analysis.starts import FEWEST, FEWEST_OF_MAP, DangerousStarts, StartValue
 from pemviz.reports.document import Strip, Table
-from pemviz.reports.numbers import share_text
+from pemviz.reports.estimate_words import end_text, range_text, share_text
 from pemviz.runs.result import RunResult
 
-SHOWN_MISSES = 0.005
 SMALLEST_SHOWN = 0.005
-"""Of an elasticity."""
-BURST_TITLE = "Bursts before a violation: misses in one frame after the other"
-BURST_COLUMNS = ("bursts", "in a violation")
-BURST = "misses in a row"
-"""What a burst is, where it is first spoken of."""
-BURST_NOTE = (
-    "The decisive burst of a violation has the most misses where the outcome matters. Figures are "
-    "medians, in brackets what four of five violations have; probabilities are the error model's, "
-    "geometric means."
-)
+"""Of misses in a violation, and of an elasticity."""
 SHOWN_CHAINS = 8
 STRIP_MARGIN_S = 0.1
 """Before the first miss of a chain, and after the last."""
 FEW = 1e-3
 """Smaller probabilities are written with an exponent."""
+START_DIGITS = 3
+SHIFTED_STARTS = 2
+"""So many start values are named in a sentence."""
 
 
 def causes_line(explanation: Explanation) -> str:
@@ -36,27 +30,26 @@ def causes_line(explanation: Explanation) -> str:
     """
     if explanation.slots:
         total = sum(slot.errors for slot in explanation.slots)
-        of_slots = "; ".join(map(_of_slot, explanation.slots))
+        of_slots = "; ".join(
+            f"{slot.name} {'missed' if slot.nominal else 'reported where nothing is'} "
+            f"{slot.errors:.1f} times, 1 % less often: {_fewer(slot)}"
+            for slot in explanation.slots
+        )
         return f"Errors that matter in a violation: {total:.1f} ({of_slots})"
     bands = [
         f"{band.misses:.1f} at {band.low:g} to {band.high:g} m"
         for band in explanation.misses_by_distance
-        if band.misses > SHOWN_MISSES
+        if band.misses > SMALLEST_SHOWN
     ]
     total = sum(band.misses for band in explanation.misses_by_distance)
     where = f" ({', '.join(bands)})" if bands else ""
     return f"Misses that matter in a violation: {total:.1f}{where}"
 
 
-def _of_slot(slot: SlotErrors) -> str:
-    word = "missed" if slot.nominal else "reported where nothing is"
-    return f"{slot.name} {word} {slot.errors:.1f} times, 1 % less often: {_fewer(slot)}"
-
-
 def burst_lines(explanation: Explanation) -> list[str]:
     """How misses hang together before a violation, and what shorter bursts would bring.
 
-    A short line each; :func:`burst_rows` has the ranges too.
+    A short line each; :func:`burst_table` has the ranges too.
     """
     bursts, lines = explanation.bursts, list[str]()
     if bursts is not None:
@@ -64,8 +57,8 @@ def burst_lines(explanation: Explanation) -> list[str]:
         begins = f"{bursts.begins_s.median:.2f} s" if at is None else f"{at.median:.1f} m"
         likely = bursts.start if bursts.again is None else bursts.whole
         lines.append(
-            f"Bursts ({BURST}) in a violation: {bursts.count:.1f}; the decisive one: {frames:.0f} "
-            f"frames ({frames * bursts.dt_s:.2f} s) from {begins} on, probability "
+            f"Bursts (misses in a row) in a violation: {bursts.count:.1f}; the decisive one: "
+            f"{frames:.0f} frames ({frames * bursts.dt_s:.2f} s) from {begins} on, probability "
             f"{_probability(likely)}"
         )
     memory, everywhere = explanation.memory, explanation.sensitivity[0]
@@ -77,29 +70,47 @@ def burst_lines(explanation: Explanation) -> list[str]:
     return lines
 
 
-def burst_rows(explanation: Explanation, *, target: float | None) -> list[tuple[str, str]]:
-    """The same as a small table, with what meets a target; see :data:`BURST_COLUMNS`."""
+def burst_table(explanation: Explanation, *, target: float | None) -> Table | None:
+    """The same with ranges, and with what meets a target; ``None`` where nothing is known."""
     bursts, rows = explanation.bursts, list[tuple[str, str]]()
     if bursts is not None:
+        frames = bursts.frames
+        lasts = (
+            f"{frames.median * bursts.dt_s:.2f} s ({frames.median:.0f} frames; four of five "
+            f"violations: {frames.low:.0f} to {frames.high:.0f})"
+        )
+        begins = f"{_spread(bursts.begins_s, 2)} s after the start"
+        if bursts.begins_gap_m is not None:
+            begins = f"at {_spread(bursts.begins_gap_m, 1)} m, {begins}"
         rows += [
             ("how many", f"{bursts.count:.1f}, with {bursts.misses:.1f} misses in all"),
-            ("the decisive one lasts", _length(bursts)),
-            ("it begins", _begins(bursts)),
+            ("the decisive one lasts", lasts),
+            ("it begins", begins),
             ("how likely that is", _likely(bursts)),
         ]
     memory, everywhere = explanation.memory, explanation.sensitivity[0]
-    if memory is None:
-        return rows
-    rows += [
-        ("a memory 1 % shorter", _fewer(memory)),
-        ("1 % fewer misses, the memory as it is", _fewer(everywhere)),
-    ]
-    if target is not None:
-        rows.append((f"memory time for {target:.2g}", target_tau_text(memory)))
-    return rows
+    if memory is not None:
+        rows += [
+            ("a memory 1 % shorter", _fewer(memory)),
+            ("1 % fewer misses, the memory as it is", _fewer(everywhere)),
+        ]
+        if target is not None:
+            rows.append((f"memory time for {target:.2g}", _target_tau(memory)))
+    return (
+        Table(
+            ("bursts", "in a violation"),
+            tuple(rows),
+            name="Bursts before a violation: misses in one frame after the other",
+            note="The decisive burst of a violation has the most misses where the outcome matters. "
+            "Figures are medians, in brackets what four of five violations have; probabilities are "
+            "the error model's, geometric means.",
+        )
+        if rows
+        else None
+    )
 
 
-def target_tau_text(memory: MemorySensitivity) -> str:
+def _target_tau(memory: MemorySensitivity) -> str:
     """The memory time that meets the target, as a requirement."""
     if memory.target_tau_s is None:
         return "not enough alone"
@@ -109,20 +120,7 @@ def target_tau_text(memory: MemorySensitivity) -> str:
     return f"{memory.target_tau_s:.2g} s instead of {memory.tau_s:g} s{guess}"
 
 
-def _length(bursts: Bursts) -> str:
-    frames = bursts.frames
-    return (
-        f"{frames.median * bursts.dt_s:.2f} s ({frames.median:.0f} frames; four of five "
-        f"violations: {frames.low:.0f} to {frames.high:.0f})"
-    )
-
-
-def _begins(bursts: Bursts) -> str:
-    at_s = f"{_ends(bursts.begins_s, 2)} s after the start"
-    return at_s if bursts.begins_gap_m is None else f"at {_ends(bursts.begins_gap_m, 1)} m, {at_s}"
-
-
-def _ends(spread: Spread, digits: int) -> str:
+def _spread(spread: Spread, digits: int) -> str:
     return f"{spread.median:.{digits}f} ({spread.low:.{digits}f} to {spread.high:.{digits}f})"
 
 
@@ -159,37 +157,38 @@ def _fewer(found: BandSensitivity | MemorySensitivity | SlotErrors) -> str:
     return f"{abs(found.elasticity):.2g}{error} % {kind} violations"
 
 
-def band_columns(target: float | None) -> tuple[str, ...]:
-    """What :func:`band_rows` give."""
-    wanted = () if target is None else (f"misses must fall to, for {target:.2g}",)
-    return ("gap [m]", "misses in a violation", "of all misses", "sensitivity", *wanted)
-
-
-def band_rows(explanation: Explanation, *, target: float | None) -> list[tuple[str, ...]]:
-    """Each band of the gap in which misses matter, and all together."""
-    everywhere, *bands = explanation.sensitivity
-    every = list(zip(explanation.misses_by_distance, bands, strict=True))
-    total = sum(band.misses for band, _ in every)
-    return [
-        *(
-            _band_row(f"{band.low:g} to {band.high:g}", band.misses, band.share, found, target)
-            for band, found in every
-            if _matters(band, found)
-        ),
-        _band_row("all", total, 1.0, everywhere, target),
+def band_table(result: RunResult, explanation: Explanation) -> Table | None:
+    """Each band of the gap in which misses matter, and all together; ``None`` without bands."""
+    bands, target = explanation.misses_by_distance, result.config.target
+    if not bands:
+        return None
+    everywhere, *by_band = explanation.sensitivity
+    named = [
+        (f"{band.low:g} to {band.high:g}", band.misses, band.share, found)
+        for band, found in zip(bands, by_band, strict=True)
+        if max(abs(band.misses), abs(found.elasticity or 0.0)) >= SMALLEST_SHOWN
     ]
-
-
-def _matters(band: BandMisses, found: BandSensitivity) -> bool:
-    figures = (band.misses, found.elasticity)
-    return any(value is not None and abs(value) >= SMALLEST_SHOWN for value in figures)
-
-
-def _band_row(
-    name: str, misses: float, share: float, found: BandSensitivity, target: float | None
-) -> tuple[str, ...]:
-    row = (name, f"{misses:.2f}", share_text(share), elasticity_text(found))
-    return row if target is None else (*row, _target_text(found))
+    named.append(("all", sum(band.misses for band in bands), 1.0, everywhere))
+    rows = [
+        (name, f"{misses:.2f}", share_text(share), elasticity_text(found))
+        + (() if target is None else (_target_text(found),))
+        for name, misses, share, found in named
+    ]
+    wanted = () if target is None else (f"misses must fall to, for {target:.2g}",)
+    note = (
+        "Sensitivity: one per cent fewer misses in a band bring about so many per cent fewer "
+        "violations, +- one standard error. Counted are misses at steps where the outcome "
+        "matters; bands without any are left out."
+    )
+    if result.config.repetitions > 1:
+        note += f" From the final rollouts of repetition {explanation.repetition + 1}."
+    return Table(
+        ("gap [m]", "misses in a violation", "of all misses", "sensitivity", *wanted),
+        tuple(rows),
+        name="Misses by distance, and what fewer of them would bring",
+        note=note,
+        numbers=(1, 2, 3),
+    )
 
 
 def _target_text(found: BandSensitivity) -> str:
@@ -202,18 +201,6 @@ def _target_text(found: BandSensitivity) -> str:
     return f"{100.0 * found.target_factor:.2g} %{' (extrapolated)' if found.warning else ''}"
 
 
-def band_note(result: RunResult) -> str:
-    """What the table by distance counts."""
-    words = (
-        "Sensitivity: one per cent fewer misses in a band bring about so many per cent fewer "
-        "violations, +- one standard error. Counted are misses at steps where the outcome "
-        "matters; bands without any are left out."
-    )
-    if result.config.repetitions > 1 and result.explanation is not None:
-        words += f" From the final rollouts of repetition {result.explanation.repetition + 1}."
-    return words
-
-
 def shown_chains(chains: Sequence[Chain]) -> list[Chain]:
     """Those of the table."""
     return [chain for chain in chains[:SHOWN_CHAINS] if chain.missed_steps]
@@ -222,20 +209,22 @@ def shown_chains(chains: Sequence[Chain]) -> list[Chain]:
 def chain_table(chains: Sequence[Chain], *, dt_s: float) -> Table | None:
     """Share, number of misses and when they are, of the likeliest; ``None`` without a miss."""
     shown = shown_chains(chains)
-    every = [step for chain in shown for step in chain.missed_steps]
-    if not every:
+    if not shown:
         return None
+    every = [step for chain in shown for step in chain.missed_steps]
     low_s = max(0.0, min(every) * dt_s - STRIP_MARGIN_S)
     end_s = (max(every) + 1) * dt_s + STRIP_MARGIN_S
     long_s = end_s - low_s
     rows: list[tuple[str | Strip, ...]] = []
     for chain in shown:
-        bursts = list(_in_a_row(chain.missed_steps))
-        times = (f"{first * dt_s:.2f}" + f" to {last * dt_s:.2f}" * (last > first)
-                 for first, last in bursts)  # fmt: skip
+        ascending = enumerate(sorted(set(chain.missed_steps)))
+        in_a_row = groupby(ascending, key=lambda place: place[1] - place[0])
+        runs = [[step for _, step in run] for _, run in in_a_row]
+        times = (f"{run[0] * dt_s:.2f}" + f" to {run[-1] * dt_s:.2f}" * (len(run) > 1)
+                 for run in runs)  # fmt: skip
         spans = tuple(
-            ((first * dt_s - low_s) / long_s, ((last + 1) * dt_s - low_s) / long_s)
-            for first, last in bursts
+            ((run[0] * dt_s - low_s) / long_s, ((run[-1] + 1) * dt_s - low_s) / long_s)
+            for run in runs
         )
         count = str(len(chain.missed_steps))
         rows.append((share_text(chain.share), count, Strip(", ".join(times), spans)))
@@ -252,9 +241,75 @@ def chain_table(chains: Sequence[Chain], *, dt_s: float) -> Table | None:
     )
 
 
-def _in_a_row(steps: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """First and last of each unbroken run of steps."""
-    ascending = enumerate(sorted(set(steps)))
-    for _, run in groupby(ascending, key=lambda place: place[1] - place[0]):
-        members = [step for _, step in run]
-        yield members[0], members[-1]
+def starts_line(found: DangerousStarts) -> str:
+    """Where violations start and all starts do not, in a sentence."""
+    if not all(one.violations for one in found.values):
+        return (
+            f"Which starts are dangerous cannot be told from {found.effective:.2g} effective "
+            f"violations; {FEWEST:g} are needed"
+        )
+    shifted = found.shifted()[:SHIFTED_STARTS]
+    if not shifted:
+        return f"Violations start as all do, as far as {found.effective:.2g} effective ones tell"
+    return f"Violations start with {'; '.join(map(_against, shifted))}"
+
+
+def _against(one: StartValue) -> str:
+    """One value of violations against that of all starts."""
+    low, middle, high = (end_text(q.value, digits=START_DIGITS) for q in one.violations)
+    every_low, every, every_high = (end_text(v, digits=START_DIGITS) for v in one.all_starts)
+    return (
+        f"{one.name.replace('_', ' ')} {f'{middle} {one.unit}'.strip()} (80 % from {low} to "
+        f"{high}), all with {f'{every} {one.unit}'.strip()} ({every_low} to {every_high})"
+    )
+
+
+def starts_table(found: DangerousStarts) -> Table:
+    """Each start value of violations beside that of all starts; dashes where nothing is told."""
+    columns = (
+        "start value",
+        "all: median",
+        "80 % of all",
+        "violations: median",
+        "its 95 % interval",
+        "80 % of violations",
+    )
+    rows: list[tuple[str, ...]] = []
+    for one in found.values:
+        name = one.name.replace("_", " ") + (f" [{one.unit}]" if one.unit else "")
+        low, every, high = one.all_starts
+        own = ("-", "-", "-")
+        if one.violations:
+            least, middle, most = one.violations
+            own = (
+                end_text(middle.value, digits=START_DIGITS),
+                range_text(middle.low, middle.high, digits=START_DIGITS),
+                range_text(least.value, most.value, digits=START_DIGITS),
+            )
+        of_all = end_text(every, digits=START_DIGITS), range_text(low, high, digits=START_DIGITS)
+        rows.append((name, *of_all, *own))
+    whose = "" if found.rule is None else f" of rule {found.rule}"
+    title = (
+        f"{found.violations:,} violations{whose}, worth {found.effective:.3g} equally likely ones "
+        "with different starts"
+    )
+    return Table(columns, tuple(rows), name=title)
+
+
+def map_words(found: DangerousStarts) -> str:
+    """What the picture of the plane shows, and how far it can be trusted."""
+    plane = found.plane
+    if plane is None:
+        return f"The plane of two start values is drawn from {FEWEST_OF_MAP:g} effective ones on."
+    units = {one.name: one.unit for one in found.values}
+    reach = " and ".join(
+        f"{end_text(width)} {units[name]}".strip()
+        for width, name in ((plane.across_reach, plane.across), (plane.up_reach, plane.up))
+    )
+    average = end_text(10.0**found.log10_probability)
+    return (
+        f"P(violation) for encounters that start there, {average} on average over all starts. "
+        f"Averaged over starts within {reach} of it, the nearest most, and told only where "
+        f"{FEWEST:g} effective violations lie there, so that its standard error is below a third; "
+        "grey: not known, and rarer as a rule. The box holds 80 % of all starts each way."
+    )

@@ -23,10 +23,10 @@ from pemviz.colors import (
     SOURCES,
     VERMILLION,
 )
+from pemviz.reports.answer_words import UNCERTAINTY_TITLE, source_name
+from pemviz.reports.estimate_words import end_text, range_text
 from pemviz.reports.memory_words import CurveAxis, measured_names
-from pemviz.reports.numbers import end_text, range_text
 from pemviz.reports.plan_words import z_text
-from pemviz.reports.uncertainty_words import UNCERTAINTY_TITLE, source_name
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.result import RunResult
 from pemviz.runs.trust import run_interval_caveats

@@ -1,24 +1,62 @@
-"""An estimate in words: the same wherever its probability, interval or counts are told."""
+"""Numbers and estimates in words: the same digits, and the same words, wherever they are told."""
 
 import re
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.config.tracker_text import NO_TRACKER
-from pemviz.reports.numbers import digits_of, end_text, range_text
 from pemviz.runs.result import PemInfo, RunResult
 from pemviz.sampling.estimates.trust import rests_on_weights
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate
 
+UNKNOWN = "unknown"
+FEWEST_DIGITS, MOST_DIGITS = 2, 4
+NONE_SEEN = "0: no violation was seen"
 REFITS = "refits of one architecture on the same data, not other model classes"
 """What the error model's ensemble is."""
+
+
+def end_text(value: float, *, digits: int = FEWEST_DIGITS) -> str:
+    """An end of a range with so many digits, also where the last is 0, so that both ends match."""
+    return "0" if value == 0.0 else f"{value:#.{digits}g}".rstrip(".")
+
+
+def digits_of(low: float | None, high: float | None) -> int:
+    """How many digits tell both ends of a range apart, four at most."""
+    digits = FEWEST_DIGITS
+    if low is None or high is None or low == high:
+        return digits
+    while digits < MOST_DIGITS and end_text(low, digits=digits) == end_text(high, digits=digits):
+        digits += 1
+    return digits
+
+
+def range_text(low: float | None, high: float | None, *, digits: int | None = None) -> str:
+    """Both ends with as many digits as tell them apart; 'unknown' where either is not known."""
+    if low is None or high is None:
+        return UNKNOWN
+    digits = digits_of(low, high) if digits is None else digits
+    return f"{end_text(low, digits=digits)} to {end_text(high, digits=digits)}"
+
+
+def number_text(value: float | None, *, unit: str = "", digits: int = 3, none: str = "-") -> str:
+    """A number with its unit; without one a dash, or ``none``."""
+    return none if value is None else f"{value:.{digits}g} {unit}".strip()
+
+
+def share_text(value: float | None) -> str:
+    """A share in per cent, small ones with a digit that counts, or a dash."""
+    if value is None:
+        return "-"
+    per_cent = 100.0 * value
+    return f"{per_cent:.0f} %" if per_cent >= 0.95 or value == 0.0 else f"{per_cent:.1g} %"
 
 
 def probability_text(estimate: Estimate) -> str:
     """The probability with its standard error, or what is known without a failure."""
     if estimate.failures == 0:
-        return "0: no violation was seen"
+        return NONE_SEEN
     error = "" if estimate.std_error is None else f" +- {estimate.std_error:.2g}"
     return f"{estimate.probability:.3g}{error}"
 
@@ -26,11 +64,10 @@ def probability_text(estimate: Estimate) -> str:
 def short_probability(estimate: Estimate) -> str:
     """The probability with as many digits as the ends of its ranges have beside it."""
     if estimate.failures == 0:
-        return "0: no violation was seen"
+        return NONE_SEEN
     if estimate.probability == 0.0 and estimate.log10_probability is not None:
         return f"10^{estimate.log10_probability:.1f}"
-    digits = digits_of(estimate.ci_low, estimate.ci_high)
-    return end_text(estimate.probability, digits=digits)
+    return end_text(estimate.probability, digits=digits_of(estimate.ci_low, estimate.ci_high))
 
 
 def level_text(estimate: Estimate) -> str:
@@ -50,10 +87,10 @@ def interval_name(estimate: Estimate, *, caveats: Sequence[str]) -> str:
 
 def interval_text(estimate: Estimate, *, caveats: Sequence[str]) -> str:
     """The confidence interval in words, and with ``caveats`` that and why it is none."""
-    if estimate.ci_low is None or estimate.ci_high is None:
-        return "unknown"
     ends = range_text(estimate.ci_low, estimate.ci_high)
-    return f"{ends}, {no_interval_text(estimate)}: {'; '.join(caveats)}" if caveats else ends
+    if ends == UNKNOWN or not caveats:
+        return ends
+    return f"{ends}, {no_interval_text(estimate)}: {'; '.join(caveats)}"
 
 
 def bound_text(estimate: Estimate, *, caveats: Sequence[str]) -> str:
@@ -86,8 +123,8 @@ def violations_text(estimate: Estimate) -> str:
     return f"{counted} ({estimate.rollouts_simulated} simulated in all)"
 
 
-def aimed_text(estimate: Estimate) -> str:
-    """Why so many rollouts violate, where they were drawn from another distribution."""
+def missing_more_text(estimate: Estimate) -> str:
+    """Why so many rollouts violate, where they were sampled from another distribution."""
     return ", drawn to miss more often," if rests_on_weights(estimate.method) else ""
 
 
@@ -95,13 +132,13 @@ def model_range_text(interval: ModelInterval | None) -> str:
     """The answer's range over refits of the error model."""
     if interval is None:
         return "unknown: the model has no ensemble, or nothing failed"
-    low = "0" if interval.low is None else end_text(interval.low)
-    high = "unknown" if interval.high is None else end_text(interval.high)
-    return f"{low} to {high} ({interval.confidence:.0%} of {interval.members} {REFITS})"
+    high = UNKNOWN if interval.high is None else end_text(interval.high)
+    ends = f"{end_text(interval.low or 0.0)} to {high}"
+    return f"{ends} ({interval.confidence:.0%} of {interval.members} {REFITS})"
 
 
 def beyond_default_text(result: RunResult) -> str:
-    """What of misses, tracker and measured distances the run was asked for; empty where nothing."""
+    """What of misses, tracker and measured distances the run goes beyond; empty where nothing."""
     config = result.config
     parts = [f"memory time {config.memory_s:g} s"] if config.memory_s else []
     parts += [f"frailty {config.frailty:g}"] if config.frailty else []
@@ -110,11 +147,6 @@ def beyond_default_text(result: RunResult) -> str:
     if result.position_errors is not None:
         parts.append(f"position errors {result.position_errors.name}")
     return ", ".join(parts)
-
-
-def position_errors_text(model: PemInfo) -> str:
-    """By which errors distances were measured, as far as a line needs it."""
-    return f"with errors of {model.name}, from {data_text(model)}"
 
 
 def data_text(pem: PemInfo) -> str:

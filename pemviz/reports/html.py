@@ -5,22 +5,8 @@ from html import escape
 
 from pemviz.charts.svg import svg
 from pemviz.colors import GREEN, GREY, MISSED, VERMILLION
-from pemviz.reports.document import (
-    Block,
-    Bullets,
-    Caution,
-    Cell,
-    Code,
-    Figure,
-    Folded,
-    Headline,
-    Mark,
-    Paragraph,
-    Section,
-    Table,
-    Verbatim,
-    Verdict,
-)
+from pemviz.reports import document as doc
+from pemviz.reports.document import Block, Cell, Mark, Section
 from pemviz.reports.escape import printable_line, printable_lines
 
 ROOT = "pemviz"
@@ -83,8 +69,8 @@ def sections_html(
     for section in sections:
         blocks = section.brief if brief else section.full
         first = blocks[0] if blocks else None
-        drawn = isinstance(first, Figure) and first.chart.title == section.title
-        if blocks and not drawn and not isinstance(first, Headline | Verdict):
+        drawn = isinstance(first, doc.Figure) and first.chart.title == section.title
+        if blocks and not drawn and not isinstance(first, doc.Headline | doc.Verdict):
             parts.append(heading(section.title))
         parts.append(blocks_html(blocks, targets=targets))
     return "".join(parts)
@@ -103,28 +89,28 @@ def blocks_html(blocks: Iterable[Block], *, targets: Targets | None = None) -> s
 
 def _block(block: Block, targets: Targets) -> str:  # noqa: PLR0911  one a kind
     match block:
-        case Headline():
+        case doc.Headline():
             given = paragraph(f"{block.given}.", "quiet") if block.given else ""
             return f"{paragraph(block.text, 'answer')}{given}"
-        case Paragraph():
+        case doc.Paragraph():
             return paragraph(block.text, "" if block.tone == "plain" else block.tone)
-        case Caution():
+        case doc.Caution():
             return warning(block.text)
-        case Verdict():
+        case doc.Verdict():
             return f"<p>{_cell(block)}</p>"
-        case Bullets():
+        case doc.Bullets():
             items = "".join(f"<li>{words(item)}</li>" for item in block.items)
             return f"<ol>{items}</ol>" if block.numbered else f"<ul>{items}</ul>"
-        case Code():
+        case doc.Code():
             return f"<pre>{escape(printable_lines(block.text))}</pre>"
-        case Table():
+        case doc.Table():
             return table(block, targets)
-        case Figure():
+        case doc.Figure():
             target = targets.get(block.target, "")
             chart = svg(block.chart, act=clicks_to(target) if target else "")
             caption = f"<figcaption>{words(block.caption)}</figcaption>" if block.caption else ""
             return f"<figure>{chart}{caption}</figure>"
-        case Folded():
+        case doc.Folded():
             title = f"<summary>{words(block.title)}</summary>"
             return f"<details>{title}{blocks_html(block.blocks, targets=targets)}</details>"
 
@@ -132,7 +118,7 @@ def _block(block: Block, targets: Targets) -> str:  # noqa: PLR0911  one a kind
 def words(text: str) -> str:
     """Text of anyone's as HTML: one line, nothing in it acts."""
     shown = escape(printable_line(text), quote=True)
-    return f"<code>{shown}</code>" if isinstance(text, Verbatim) else shown
+    return f"<code>{shown}</code>" if isinstance(text, doc.Verbatim) else shown
 
 
 def heading(text: str) -> str:
@@ -150,7 +136,7 @@ def warning(text: str) -> str:
     return f"<div class='warn'>\N{WARNING SIGN} {words(text)}</div>"
 
 
-def table(block: Table, targets: Targets | None = None) -> str:
+def table(block: doc.Table, targets: Targets | None = None) -> str:
     """A table; rows of which a page wants to know write their place into its input."""
     target = "" if targets is None else targets.get(block.target, "")
     heads = "".join(
@@ -176,12 +162,12 @@ def clicks_to(target: str) -> str:
     return f"data-target='{escape(target, quote=True)}' onclick='{escape(CLICK, quote=True)}'"
 
 
-def _number(block: Table, place: int) -> str:
+def _number(block: doc.Table, place: int) -> str:
     return " class='n'" if place in block.numbers else ""
 
 
 def _cell(cell: Cell) -> str:
-    if isinstance(cell, Verdict):
+    if isinstance(cell, doc.Verdict):
         return f"<span class='tag {cell.mark}'>{SIGNS[cell.mark]} {words(cell.text)}</span>"
     if isinstance(cell, str):
         return words(cell)

@@ -4,23 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
 from pemviz.charts.characters import characters
-from pemviz.reports.document import (
-    Block,
-    Bullets,
-    Caution,
-    Cell,
-    Code,
-    Figure,
-    Folded,
-    Headline,
-    Mark,
-    Paragraph,
-    Section,
-    Table,
-    Verbatim,
-    Verdict,
-    cell_text,
-)
+from pemviz.reports import document as doc
+from pemviz.reports.document import Block, Cell, Mark, Section, cell_text
 from pemviz.reports.escape import (
     markdown_block,
     markdown_code,
@@ -71,7 +56,7 @@ def sections_markdown(
     for section in sections:
         if not section.full:
             continue
-        if not isinstance(section.full[0], Headline | Verdict):
+        if not isinstance(section.full[0], doc.Headline | doc.Verdict):
             parts.append(f"{'#' * level} {markdown_text(section.title)}")
         parts += blocks_markdown(section.full, level=level, prefix=prefix, marks=marks)
     return parts
@@ -82,7 +67,7 @@ def blocks_markdown(
 ) -> Iterator[str]:
     """Paragraphs of blocks; warnings that follow each other are one list."""
     for kind, group in groupby(blocks, key=type):
-        if kind is Caution:
+        if kind is doc.Caution:
             yield "\n".join(f"- {marks['open']} {markdown_text(one.text)}" for one in group)  # pyright: ignore[reportAttributeAccessIssue]
             continue
         for block in group:
@@ -91,39 +76,39 @@ def blocks_markdown(
 
 def _block(block: Block, *, level: int, prefix: str, marks: Marks) -> Iterator[str]:
     match block:
-        case Headline():
+        case doc.Headline():
             text = f"{block.text[0].lower()}{block.text[1:]}" if prefix else block.text
             yield f"{'#' * level} {prefix}{markdown_text(text)}"
             if block.given:
                 yield f"{markdown_text(f'{block.given[0].upper()}{block.given[1:]}')}."
-        case Paragraph():
+        case doc.Paragraph():
             text = markdown_text(block.text)
             yield f"**{text}**" if block.tone == "strong" else text
-        case Caution():
+        case doc.Caution():
             yield f"{marks['open']} {markdown_text(block.text)}"
-        case Verdict():
+        case doc.Verdict():
             yield f"{marks[block.mark]} **{markdown_text(block.text)}**"
-        case Bullets():
+        case doc.Bullets():
             sign = "1." if block.numbered else "-"
             yield "\n".join(f"{sign} {markdown_text(item)}" for item in block.items)
-        case Code():
+        case doc.Code():
             yield markdown_block(block.text, language=block.language)
-        case Table():
+        case doc.Table():
             yield from _table(block, marks)
-        case Figure():
+        case doc.Figure():
             if block.words:
                 yield from blocks_markdown(block.words, level=level, marks=marks)
             elif drawn := characters(block.chart):
                 yield markdown_text(block.caption)
                 yield markdown_block(drawn)
-        case Folded():
+        case doc.Folded():
             body = "\n\n".join(blocks_markdown(block.blocks, level=level, marks=marks))
             yield (
                 f"<details><summary>{markdown_text(block.title)}</summary>\n\n{body}\n\n</details>"
             )
 
 
-def _table(block: Table, marks: Marks) -> Iterator[str]:
+def _table(block: doc.Table, marks: Marks) -> Iterator[str]:
     if block.name:
         yield f"{markdown_text(block.name)}:"
     header = tuple(markdown_text(column) for column in block.columns)
@@ -133,10 +118,10 @@ def _table(block: Table, marks: Marks) -> Iterator[str]:
 
 
 def _cell(cell: Cell, marks: Marks) -> str:
-    if isinstance(cell, Verdict):
+    if isinstance(cell, doc.Verdict):
         return f"{marks[cell.mark]} {markdown_text(cell.text)}"
     text = cell_text(cell)
-    if not isinstance(cell, Verbatim):
+    if not isinstance(cell, doc.Verbatim):
         return markdown_text(text)
     plain = printable_line(text)
     is_simple = bool(plain) and not set(plain) & set("`|\\")

@@ -4,11 +4,12 @@ A curve leads along one of two axes: :data:`BY_MEMORY_TIME`, :data:`BY_FRAILTY`.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from pemviz.pem.models.memory import FRAILTY_MEANS
-from pemviz.reports.numbers import end_text
+from pemviz.reports.document import Table
+from pemviz.reports.estimate_words import end_text
 from pemviz.runs.memory import RunMemory
 from pemviz.sampling.bursts.curve import MEASURED_FRAILTY, MEASURED_S, CurvePoint
 
@@ -19,18 +20,6 @@ NOT_LOOKED_AT = (
 )
 IN_IT = "(in which the correlation of outcomes falls to 37 %)"
 """What a memory time is, in brackets beside one."""
-CURVE_NOTE = (
-    "Memory time: in it the correlation of one outcome with a later one falls to 37 %. The longer, "
-    "the longer bursts of misses; how often it misses is about as before."
-)
-"""What stands beneath the curve over memory times and its table."""
-FRAILTY_NOTE = (
-    "Frailty: how much obstacles differ in being missed beyond what the state tells, each all "
-    "along; how often it misses is as before. On video it was fitted beside a memory time."
-)
-"""What stands beneath the curve over frailties and its table."""
-
-
 SAME = 0.01
 """What differs by less from the error model's own measured place is that of the same detector."""
 
@@ -71,7 +60,8 @@ BY_MEMORY_TIME = CurveAxis(
     none="independent",
     unit=" s",
     title="If misses come in bursts, by memory time",
-    note=CURVE_NOTE,
+    note="Memory time: in it the correlation of one outcome with a later one falls to 37 %. The "
+    "longer, the longer bursts of misses; how often it misses is about as before.",
     shown=(0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
     measured=MEASURED_S,
     place=lambda point: point.tau_s,
@@ -84,7 +74,8 @@ BY_FRAILTY = CurveAxis(
     none="all alike",
     unit="",
     title="If some obstacles are harder to see all along, by frailty",
-    note=FRAILTY_NOTE,
+    note="Frailty: how much obstacles differ in being missed beyond what the state tells, each "
+    "all along; how often it misses is as before. On video it was fitted beside a memory time.",
     shown=(0.0, 0.1, 0.2, 0.3, 0.5, 1.0),
     measured=MEASURED_FRAILTY,
     place=lambda point: point.frailty,
@@ -95,50 +86,31 @@ BY_FRAILTY = CurveAxis(
 CURVE_AXES = (BY_MEMORY_TIME, BY_FRAILTY)
 
 
-@dataclass(frozen=True)
-class CurveRow:
-    """One place of a curve in words.
+def curve_table(memory: RunMemory, axis: CurveAxis) -> Table | None:
+    """A small table of a curve; ``None`` without one.
 
-    Attributes:
-        place: The memory time, or the frailty.
-        probability: The failure probability.
-        interval: Its interval, and why that is no 95 % interval where it is none.
-        measured: Whose it is; empty where nobody's.
+    The head of the intervals claims no level that not all of them have.
     """
-
-    place: str
-    probability: str
-    interval: str
-    measured: str
-
-
-def curve_columns(memory: RunMemory, axis: CurveAxis = BY_MEMORY_TIME) -> tuple[str, str, str, str]:
-    """Heads of the small table: the interval's claims no level that not all of them have."""
-    level = "" if any(point.caveats for point in _shown(memory, axis)) else "95 % "
-    return (axis.head, "probability", f"{level}interval", "measured on video for")
-
-
-def curve_rows(memory: RunMemory, axis: CurveAxis = BY_MEMORY_TIME) -> list[CurveRow]:
-    """A small table of a curve; empty without one."""
     names = measured_names(memory, axis)
-    return [
-        CurveRow(
-            place=axis.none if place == 0.0 else f"{place:.3g}{axis.unit}",
-            probability=end_text(point.probability),
-            interval=_interval(point),
-            measured=names.get(place, ""),
-        )
-        for point in _shown(memory, axis)
-        for place in (axis.place(point),)
-    ]
+    shown = {*axis.shown, *names, axis.own(memory)}
+    points = [point for point in axis.points(memory) if axis.place(point) in shown]
+    rows: list[tuple[str, ...]] = []
+    for point in points:
+        place = axis.place(point)
+        named = axis.none if place == 0.0 else f"{place:.3g}{axis.unit}"
+        interval = "no violation was seen"
+        if point.low is not None and point.high is not None:
+            interval = f"{end_text(point.low)} to {end_text(point.high)}"
+            if point.caveats:
+                interval += f": not a 95 % interval, {point.caveats[0]}"
+        rows.append((named, end_text(point.probability), interval, names.get(place, "")))
+    level = "" if any(point.caveats for point in points) else "95 % "
+    columns = (axis.head, "probability", f"{level}interval", "measured on video for")
+    table = Table(columns, tuple(rows), name=axis.title, note=axis.note, numbers=(0, 1))
+    return table if rows else None
 
 
-def _shown(memory: RunMemory, axis: CurveAxis) -> Sequence[CurvePoint]:
-    shown = {*axis.shown, *measured_names(memory, axis), axis.own(memory)}
-    return [point for point in axis.points(memory) if axis.place(point) in shown]
-
-
-def measured_names(memory: RunMemory, axis: CurveAxis = BY_MEMORY_TIME) -> dict[float, str]:
+def measured_names(memory: RunMemory, axis: CurveAxis) -> dict[float, str]:
     """Places of an axis that were measured on video, and whose they are."""
     own = axis.fitted(memory)
     names = {} if own is None else {own: "this error model"}
@@ -225,13 +197,6 @@ def _worth(memory: RunMemory, axis: CurveAxis) -> str:
     return f" The assumption is worth {orders:.0f} orders of magnitude." if orders >= 1.0 else ""
 
 
-def _interval(point: CurvePoint) -> str:
-    if point.low is None or point.high is None:
-        return "no violation was seen"
-    words = f"{end_text(point.low)} to {end_text(point.high)}"
-    return f"{words}: not a 95 % interval, {point.caveats[0]}" if point.caveats else words
-
-
 def memory_text(memory: RunMemory | None) -> str:
     """How misses hang together in the answer, and in the video that the model was fitted to."""
     if memory is None or memory.is_independent:
@@ -239,8 +204,10 @@ def memory_text(memory: RunMemory | None) -> str:
         if memory is None or not memory.curve:
             assumed += ", and --memory-curve tells what it is worth"
     else:
+        parts = [f"memory time {memory.tau_s:g} s {IN_IT}"] if memory.tau_s else []
+        parts += [f"frailty {memory.frailty:g} ({FRAILTY_MEANS})"] if memory.frailty else []
         how = "hanging together by" if memory.hidden else "in bursts,"
-        assumed = f"{how} {' and '.join(_hanging_together(memory))}"
+        assumed = f"{how} {' and '.join([*parts, *memory.hidden])}"
     own = None if memory is None else memory.fitted
     if own is None:
         return assumed
@@ -252,10 +219,3 @@ def memory_text(memory: RunMemory | None) -> str:
         if own.frailty_low is not None and own.frailty_high is not None:
             measured += f" ({own.frailty_low:.2g} to {own.frailty_high:.2g})"
     return f"{assumed}; this model's own memory time, measured on video, is {measured}"
-
-
-def _hanging_together(memory: RunMemory) -> list[str]:
-    parts = [f"memory time {memory.tau_s:g} s {IN_IT}"] if memory.tau_s else []
-    if memory.frailty:
-        parts.append(f"frailty {memory.frailty:g} ({FRAILTY_MEANS})")
-    return [*parts, *memory.hidden]

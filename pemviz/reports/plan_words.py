@@ -5,26 +5,10 @@ from collections.abc import Sequence
 
 from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan
 from pemviz.analysis.label_plan import BandPlan, LabelPlan
+from pemviz.reports.document import Table
 from pemviz.runs.result import RunResult
 
 PLAN_TITLE = "What to measure next"
-PLAN_COLUMNS = (
-    "z [m]",
-    "missed so far",
-    "model",
-    "allowed",
-    "required",
-    "to label",
-    "may be missed",
-    "or, if none is",
-)
-"""Of the table by band, see :data:`BAND_NOTE`."""
-BAND_NOTE = (
-    "P(missed): the model's, the largest that the labels so far allow, the largest with which the "
-    "target is met. To label: so many more, of which so many may be missed; fewer do if none is. "
-    "z: from the camera to the obstacle's centre, in the braking scenario 2.5 m more than the gap. "
-    "Each label has to be of another obstacle: frames of one resemble each other."
-)
 
 
 def short_rows(result: RunResult) -> list[tuple[str, str]]:
@@ -34,7 +18,7 @@ def short_rows(result: RunResult) -> list[tuple[str, str]]:
         return []
     rows: list[tuple[str, str]] = []
     if plan.labels is not None:
-        rows.append((_collect(plan.labels), _then(plan, pem=result.pem.name)))
+        rows.append(_labels_row(plan, plan.labels, pem=result.pem.name))
     if plan.refits:
         rows.append(
             (_labels_text(plan.refits), f"the range over {result.pem.name}'s refits halves")
@@ -52,30 +36,28 @@ def plan_heading(plan: DataPlan) -> str:
     return f"{PLAN_TITLE} (labels of {kind}; distances to its centre)"
 
 
-def _collect(labels: LabelPlan) -> str:
-    """Labels by band; where these cannot do, what the detector has to reach."""
-    better = [band for band in labels.bands if band.labels is None]
-    if better:
-        asked = [f"misses at most {band.required:.2g} at {z_text(band)}" for band in better]
-        return f"a better detector: one that {_join(asked)}"
-    return _labels_text(labels.bands) or "nothing: the labels at hand do"
+def _labels_row(plan: DataPlan, labels: LabelPlan, *, pem: str) -> tuple[str, str]:
+    """Labels by band and what they show; where they cannot do, what the detector has to reach."""
+    halfway = ", halfway to the answer in powers of ten" if plan.halves else ""
+    better_at = [
+        f"misses at most {band.required:.2g} at {z_text(band)}"
+        for band in labels.bands
+        if band.labels is None
+    ]
+    if better_at:
+        collect = f"a better detector: one that {', '.join(better_at)}"
+        return collect, f"labels can show {labels.target:.2g}{halfway}"
+    shown = f"the data alone show under {labels.target:.2g}{halfway}"
+    wanted = _labels_text(labels.bands)
+    if not wanted:
+        return "nothing: the labels at hand do", shown
+    return wanted, f"{shown} ({labels.power:.0%} sure if {pem} is right)"
 
 
 def _labels_text(bands: Sequence[BandPlan | RefitBand]) -> str:
     """For example: label 102 more at 5 to 7 m, 1,290 at 7 to 13 m."""
     wanted = [f"{band.labels:,} more at {z_text(band)}" for band in bands if band.labels]
-    return f"label {_join(wanted)}" if wanted else ""
-
-
-def _then(plan: DataPlan, *, pem: str) -> str:
-    assert plan.labels is not None  # noqa: S101  asked before
-    halfway = ", halfway to the answer in powers of ten" if plan.halves else ""
-    if any(band.labels is None for band in plan.labels.bands):
-        return f"labels can show {plan.labels.target:.2g}{halfway}"
-    shown = f"the data alone show under {plan.labels.target:.2g}{halfway}"
-    if not any(band.labels for band in plan.labels.bands):
-        return shown
-    return f"{shown} ({plan.labels.power:.0%} sure if {pem} is right)"
+    return f"label {', '.join(wanted)}" if wanted else ""
 
 
 def _sequences_row(plan: SequencePlan) -> tuple[str, str]:
@@ -160,9 +142,19 @@ def _sequence_sentence(plan: SequencePlan) -> str:
     )
 
 
-def plan_rows(labels: LabelPlan) -> list[tuple[str, ...]]:
-    """The table by band, near to far; see :data:`PLAN_COLUMNS`."""
-    return [
+def plan_table(labels: LabelPlan) -> Table:
+    """What is known and wanted of each band, near to far."""
+    columns = (
+        "z [m]",
+        "missed so far",
+        "model",
+        "allowed",
+        "required",
+        "to label",
+        "may be missed",
+        "or, if none is",
+    )
+    rows = [
         (
             z_text(band, unit=""),
             f"{band.missed:,} of {band.obstacles:,}",
@@ -175,6 +167,13 @@ def plan_rows(labels: LabelPlan) -> list[tuple[str, ...]]:
         )
         for band in labels.bands
     ]
+    note = (
+        "P(missed): the model's, the largest that the labels so far allow, the largest with which "
+        "the target is met. To label: so many more, of which so many may be missed; fewer do if "
+        "none is. z: from the camera to the obstacle's centre, in the braking scenario 2.5 m more "
+        "than the gap. Each label has to be of another obstacle: frames of one resemble each other."
+    )
+    return Table(columns, tuple(rows), note=note, numbers=tuple(range(len(columns))))
 
 
 def z_text(band: BandPlan | RefitBand, *, unit: str = " m") -> str:
@@ -186,7 +185,3 @@ def z_text(band: BandPlan | RefitBand, *, unit: str = " m") -> str:
     if band.high_m is None:
         return f"beyond {band.low_m:g}{unit}"
     return f"{band.low_m:g} to {band.high_m:g}{unit}"
-
-
-def _join(parts: list[str]) -> str:
-    return ", ".join(parts)

@@ -7,103 +7,21 @@ in :mod:`pemviz.reports.charts`. A figure that is new in the result gets a secti
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 
 from pemviz.analysis.starts import DangerousStarts
-from pemviz.config import ExperimentConfig
+from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.config.toml_files import config_text
 from pemviz.config.tracker_text import NO_TRACKER
-from pemviz.reports.causes_words import (
-    BURST_COLUMNS,
-    BURST_NOTE,
-    BURST_TITLE,
-    band_columns,
-    band_note,
-    band_rows,
-    burst_lines,
-    burst_rows,
-    causes_line,
-    chain_table,
-)
-from pemviz.reports.charts import (
-    interval_chart,
-    memory_chart,
-    models_chart,
-    requirement_chart,
-    starts_chart,
-    uncertainty_chart,
-)
-from pemviz.reports.document import (
-    Block,
-    Bullets,
-    Caution,
-    Code,
-    Document,
-    Folded,
-    Headline,
-    Mark,
-    Paragraph,
-    Section,
-    Table,
-    Verbatim,
-    Verdict,
-    facts,
-    figure,
-)
-from pemviz.reports.estimate_words import (
-    aimed_text,
-    beyond_default_text,
-    data_text,
-    interval_name,
-    interval_text,
-    model_range_text,
-    position_errors_text,
-    probability_text,
-    reference_text,
-    short_probability,
-    violations_text,
-)
+from pemviz.reports import answer_words, causes_words, charts, memory_words, plan_words
+from pemviz.reports import document as doc
+from pemviz.reports import estimate_words as estimates
+from pemviz.reports.document import Block, Caution, Document, Paragraph, Section, figure
+from pemviz.reports.estimate_words import number_text, share_text
 from pemviz.reports.gate import GateDecision, GateOutcome
-from pemviz.reports.memory_words import (
-    BY_MEMORY_TIME,
-    CURVE_AXES,
-    MEMORY_TITLE,
-    NOT_LOOKED_AT,
-    CurveAxis,
-    assumption_lines,
-    curve_columns,
-    curve_rows,
-    memory_text,
-)
-from pemviz.reports.numbers import number_text, share_text
-from pemviz.reports.plan_words import (
-    BAND_NOTE,
-    PLAN_COLUMNS,
-    plan_heading,
-    plan_rows,
-    plan_sentences,
-    short_rows,
-)
-from pemviz.reports.rates_words import rate_columns, rate_line, rate_note, rate_rows, unit_of
-from pemviz.reports.rules_words import RULE_COLUMNS, RULES_TITLE, rule_rows, rule_warnings
-from pemviz.reports.run_words import budget_text, kept_text, scenario_text
-from pemviz.reports.starts_words import (
-    START_COLUMNS,
-    START_NOTE,
-    STARTS_TITLE,
-    map_words,
-    start_rows,
-    starts_line,
-    starts_title,
-)
-from pemviz.reports.uncertainty_words import (
-    NOT_ADDED_UP,
-    UNCERTAINTY_COLUMNS,
-    UNCERTAINTY_TITLE,
-    uncertainty_rows,
-)
 from pemviz.runs.memory import RunMemory
-from pemviz.runs.result import RunResult
+from pemviz.runs.result import LEAST_ROBUST, RunResult
 from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.estimates.trust import interval_caveats, remedy
@@ -120,11 +38,7 @@ RECORD = ("question", "worst", "provenance", "assumptions", "configuration")
 """What was done."""
 MOST_WARNINGS = 5
 """Lines of them in brief."""
-UNWEIGHTED = (
-    "{}'s rollouts carry no weights, so there is nothing to diagnose and no sensitivity: "
-    "its standard error comes from how far its independent runs differ."
-)
-GATE_MARKS: Mapping[GateOutcome, Mark] = {"passed": "yes", "tripped": "no", "undecided": "open"}
+GATE_MARKS: Mapping[GateOutcome, doc.Mark] = {"passed": "yes", "tripped": "no", "undecided": "open"}
 
 
 def run_document(
@@ -168,7 +82,7 @@ def run_document(
 def _gate(gate: GateDecision | None) -> Section | None:
     if gate is None:
         return None
-    said = (Verdict(GATE_MARKS[gate.outcome], f"Gate {gate.sentence}"),)
+    said = (doc.Verdict(GATE_MARKS[gate.outcome], f"Gate {gate.sentence}"),)
     return Section("gate", "Gate", said, said)
 
 
@@ -177,29 +91,27 @@ def _answer(result: RunResult, *, gate: GateDecision | None, running: bool) -> S
     status, estimate = _status(result, running=running), result.estimate
     if estimate is None:
         title = "The run goes on" if running else f"No estimate: the run {result.status}"
-        return Section("answer", title, (Headline(title), *status), (Headline(title), *status))
-    headline = Headline(
-        f"Failure probability {short_probability(estimate)}", _given(result.config, result)
-    )
-    return Section(
-        key="answer",
-        title="Failure probability",
-        brief=(headline, *status, *map(_quiet, _lines(result, estimate))),
-        full=(headline, *status, *_full(result, estimate, gate)),
-    )
+        return Section(
+            "answer", title, (doc.Headline(title), *status), (doc.Headline(title), *status)
+        )
+    probability = f"Failure probability {estimates.short_probability(estimate)}"
+    headline = doc.Headline(probability, _given(result))
+    brief = (headline, *status, *map(_quiet, _lines(result, estimate)))
+    full = (headline, *status, *_full(result, estimate, gate))
+    return Section("answer", "Failure probability", brief, full)
 
 
 def _quiet(text: str) -> Paragraph:
     return Paragraph(text, tone="quiet")
 
 
-def _given(config: ExperimentConfig, result: RunResult) -> str:
-    logical_scenario = config.encounter.logical_scenario
-    occasion = (
-        "run" if logical_scenario == NO_LOGICAL_SCENARIO else f"encounter of {logical_scenario}"
-    )
-    asked = beyond_default_text(result)
-    beside = f"; with {asked}" if asked else ""
+def _given(result: RunResult) -> str:
+    """What the probability is per, and takes for granted."""
+    logical_scenario = result.config.encounter.logical_scenario
+    is_encounter = logical_scenario != NO_LOGICAL_SCENARIO
+    occasion = f"encounter of {logical_scenario}" if is_encounter else "run"
+    beside = estimates.beyond_default_text(result)
+    beside = f"; with {beside}" if beside else ""
     return f"in one {occasion}, if error model {result.pem.name} is right{beside}"
 
 
@@ -215,66 +127,67 @@ def _status(result: RunResult, *, running: bool) -> list[Block]:
 def _lines(result: RunResult, estimate: Estimate) -> Iterator[str]:
     """What a line each tells of the answer."""
     config, caveats = result.config, run_interval_caveats(result)
-    called = interval_name(estimate, caveats=caveats)
+    called = estimates.interval_name(estimate, caveats=caveats)
     alone = "" if caveats else ", sampling alone; what else leaves it open is below"
-    yield f"{called} {interval_text(estimate, caveats=caveats)}{alone}"
+    yield f"{called} {estimates.interval_text(estimate, caveats=caveats)}{alone}"
     repeated = f" in {len(result.repetitions)} repetitions" * (len(result.repetitions) > 1)
     what = f"any of {len(config.rules)} rules" if config.rules else config.spec
+    counted = estimates.violations_text(estimate) + estimates.missing_more_text(estimate)
     yield (
-        f"{config.method}{repeated}: {violations_text(estimate)}{aimed_text(estimate)} violate "
-        f"{what}; took {result.timings_s.get('total', math.nan):.1f} s"
+        f"{config.method}{repeated}: {counted} violate {what}; took "
+        f"{result.timings_s.get('total', math.nan):.1f} s"
     )
     if caveats:
         yield f"try next: {remedy(estimate.method, latents=result.latents is not None)}"
-    if rate := rate_line(result):
+    if rate := answer_words.rate_line(result):
         yield rate
     if result.reference is not None:
-        yield f"reference {reference_text(result.reference, estimate)}"
+        yield f"reference {estimates.reference_text(result.reference, estimate)}"
 
 
 def _full(result: RunResult, estimate: Estimate, gate: GateDecision | None) -> Iterator[Block]:
     caveats = run_interval_caveats(result)
     if caveats or estimate.warnings:
         yield Caution("Read the warnings before quoting this.")
+    called = estimates.interval_name(estimate, caveats=caveats)
     rows = [
-        ("probability of a violation", probability_text(estimate)),
+        ("probability of a violation", estimates.probability_text(estimate)),
         ("log10", number_text(estimate.log10_probability, digits=4)),
-        (interval_name(estimate, caveats=caveats), interval_text(estimate, caveats=caveats)),
-        ("misses", memory_text(result.memory)),
-        ("range over refits", model_range_text(result.pem_interval)),
+        (called, estimates.interval_text(estimate, caveats=caveats)),
+        ("misses", memory_words.memory_text(result.memory)),
+        ("range over refits", estimates.model_range_text(result.pem_interval)),
     ]
     if result.reference is not None:
-        rows.append(("reference", reference_text(result.reference, estimate)))
+        rows.append(("reference", estimates.reference_text(result.reference, estimate)))
     if result.data_bound is not None:
         words = f"below {result.data_bound.probability:.2g} "
         words += f"(confidence {result.data_bound.confidence:.0%})"
         rows.append(("by the error model's data alone", words))
-    rows.append(("violations", violations_text(estimate)))
-    yield facts(rows)
-    chart = interval_chart(result, limit=None if gate is None else gate.limit)
-    yield from figure(chart, caption=_chart_words(result))
-
-
-def _chart_words(result: RunResult) -> str:
-    """What the intervals of the chart are."""
-    said = [run_interval_caveats(result)]
-    if len(result.repetitions) > 1:
-        said += [interval_caveats(one) for one in result.repetitions]
-    dotted = "; dotted is not a 95 % interval (the table and the warnings say why)" * any(said)
-    return f"Probability with its interval, logarithmic axis{dotted}:"
+    rows.append(("violations", estimates.violations_text(estimate)))
+    yield doc.facts(rows)
+    chart = charts.interval_chart(result, limit=None if gate is None else gate.limit)
+    several = result.repetitions if len(result.repetitions) > 1 else ()
+    dotted = (
+        ""
+        if not (caveats or any(map(interval_caveats, several)))
+        else ("; dotted is not a 95 % interval (the table and the warnings say why)")
+    )
+    yield from figure(chart, caption=f"Probability with its interval, logarithmic axis{dotted}:")
 
 
 def _given_section(result: RunResult) -> Section:
     """What the answer rests on: the model's data, how misses hang together, what measures."""
     config = result.config
     lines = [
-        f"{result.pem.name} learnt from {data_text(result.pem)}",
-        f"misses {memory_text(result.memory)}",
+        f"{result.pem.name} learnt from {estimates.data_text(result.pem)}",
+        f"misses {memory_words.memory_text(result.memory)}",
     ]
     if config.scenario.tracker != NO_TRACKER:
         lines.append(f"tracker between perception and controller: {config.scenario.tracker}")
     if result.position_errors is not None:
-        lines.append(f"measured distance: {position_errors_text(result.position_errors)}")
+        errors = result.position_errors
+        known = estimates.data_text(errors)
+        lines.append(f"measured distance: with errors of {errors.name}, from {known}")
     if result.latents is not None:
         lines.append(f"latents (standard normals): {result.latents}")
     blocks = tuple(map(_quiet, lines))
@@ -304,10 +217,17 @@ def _diagnostics(result: RunResult, estimate: Estimate) -> Section:
     method = by_name(result.config.method)
     remarks: list[Block] = []
     if not method.has_likelihood_ratios:
-        remarks.append(_quiet(UNWEIGHTED.format(method.name.capitalize())))
+        words = (
+            f"{method.name.capitalize()}'s rollouts carry no weights, so there is nothing to "
+            "diagnose and no sensitivity: its standard error comes from how far its independent "
+            "runs differ."
+        )
+        remarks.append(_quiet(words))
     if method.interval_caveat is not None:
         remarks.append(_quiet(f"The interval: {method.interval_caveat}."))
-    table = Table(("figure", "found", "wanted"), tuple(rows), name="Diagnostics of the sampling")
+    table = doc.Table(
+        ("figure", "found", "wanted"), tuple(rows), name="Diagnostics of the sampling"
+    )
     return Section("diagnostics", "Diagnostics of the sampling", (), (*remarks, table))
 
 
@@ -315,68 +235,60 @@ def _rules(result: RunResult) -> Section | None:
     """Each rule's answer; ``None`` without rules."""
     if not result.rules:
         return None
-    table = Table(RULE_COLUMNS, tuple(rule_rows(result)), name=RULES_TITLE)
+    table = answer_words.rules_table(result)
     full = (
         Paragraph("The probability above is of any of them being broken."),
         table,
-        *map(Caution, rule_warnings(result)),
+        *map(Caution, answer_words.rule_warnings(result)),
     )
-    return Section("rules", RULES_TITLE, (table,), full)
+    return Section("rules", table.name, (table,), full)
 
 
 def _rates(result: RunResult) -> Section | None:
     """The rates of all that is violated and of each rule; ``None`` where none are told."""
-    rows = rate_rows(result)
-    if not rows:
+    table = answer_words.rates_table(result)
+    if table is None:
         return None
-    title = unit_of(result).title
-    table = Table(rate_columns(result), tuple(rows), name=title)
-    brief = (table,) if len(rows) > 1 else ()
-    full = (Paragraph(f"{rate_line(result)}."), table, _quiet(rate_note(result)))
-    return Section("rates", title, brief, full)
+    line = Paragraph(f"{answer_words.rate_line(result)}.")
+    brief = (table,) if len(table.rows) > 1 else ()
+    full = (line, table, _quiet(answer_words.rate_note(result)))
+    return Section("rates", table.name, brief, full)
 
 
 def _memory(result: RunResult) -> Section:
-    """The assumptions' worth in a line each, and the answer along both axes."""
-    memory = result.memory
-    lines = tuple(Paragraph(line, tone="strong") for line in assumption_lines(memory))
+    """By how much each assumption changes the answer, and the answer along both axes."""
+    memory, title = result.memory, memory_words.MEMORY_TITLE
+    lines = [Paragraph(line, "strong") for line in memory_words.assumption_lines(memory)]
     if memory is None or not lines:
-        return Section("memory", MEMORY_TITLE, (), (Caution(NOT_LOOKED_AT),))
-    brief = (*lines, *_along(memory, BY_MEMORY_TIME, instead=True))
-    full = (*lines, *(block for axis in CURVE_AXES for block in _along(memory, axis)))
-    return Section("memory", MEMORY_TITLE, brief, full)
+        return Section("memory", title, (), (Caution(memory_words.NOT_LOOKED_AT),))
+    by_time = memory_words.BY_MEMORY_TIME
+    table = memory_words.curve_table(memory, by_time)
+    words = () if table is None else (table,)
+    chart = charts.memory_chart(memory, by_time)
+    brief = (*lines, *figure(chart, caption=by_time.note, words=words)) if words else (*lines,)
+    full = (*lines, *(b for axis in memory_words.CURVE_AXES for b in _curve(memory, axis)))
+    return Section("memory", title, brief, full)
 
 
-def _along(memory: RunMemory, axis: CurveAxis, *, instead: bool = False) -> tuple[Block, ...]:
-    """Chart and table of a curve, or the table only ``instead`` of the chart; empty without."""
-    rows = [
-        (row.place, row.probability, row.interval, row.measured) for row in curve_rows(memory, axis)
-    ]
-    if not rows:
-        return ()
-    table = Table(
-        curve_columns(memory, axis), tuple(rows), name=axis.title, note=axis.note, numbers=(0, 1)
-    )
-    chart = memory_chart(memory, axis)
-    if instead:
-        return figure(chart, caption=axis.note, words=(table,))
-    return (*figure(chart, caption=""), table)
+def _curve(memory: RunMemory, axis: memory_words.CurveAxis) -> tuple[Block, ...]:
+    table = memory_words.curve_table(memory, axis)
+    return () if table is None else (*figure(charts.memory_chart(memory, axis)), table)
 
 
 def _uncertainty(result: RunResult) -> Section | None:
     """The sources, as a table and drawn; ``None`` without an estimate."""
-    rows = uncertainty_rows(result)
-    if not rows:
+    table, chart = answer_words.uncertainty_table(result), charts.uncertainty_chart(result)
+    if table is None:
         return None
-    table = Table(UNCERTAINTY_COLUMNS, tuple(rows), numbers=(1, 2))
-    chart = uncertainty_chart(result)
-    full = (*figure(chart, caption=NOT_ADDED_UP, words=(Paragraph(NOT_ADDED_UP),)), table)
-    return Section("uncertainty", UNCERTAINTY_TITLE, figure(chart, words=(table,)), full)
+    words = answer_words.NOT_ADDED_UP
+    full = (*figure(chart, caption=words, words=(Paragraph(words),)), table)
+    title = answer_words.UNCERTAINTY_TITLE
+    return Section("uncertainty", title, figure(chart, words=(table,)), full)
 
 
 def _models(result: RunResult) -> Section | None:
     """The answer under other error models; ``None`` without any."""
-    chart = models_chart(result)
+    chart = charts.models_chart(result)
     if chart is None:
         return None
     words = (
@@ -384,9 +296,9 @@ def _models(result: RunResult) -> Section | None:
         "where there are none."
     )
     if result.pem_interval is not None:
-        words = f"Range over refits: {model_range_text(result.pem_interval)}. {words}"
+        words = f"Range over refits: {estimates.model_range_text(result.pem_interval)}. {words}"
     rows = tuple((row.name, row.figures) for row in chart.rows)
-    table = Table(("error model", "probability of a violation"), rows)
+    table = doc.Table(("error model", "probability of a violation"), rows)
     blocks = figure(chart, caption=words, words=(table, _quiet(words)))
     return Section("models", chart.title, (), blocks)
 
@@ -396,15 +308,14 @@ def _plan(result: RunResult) -> Section | None:
     plan = result.plan
     if plan is None:
         return None
-    lines = tuple(f"{collect}: {then}" for collect, then in short_rows(result))
+    lines = tuple(f"{collect}: {then}" for collect, then in plan_words.short_rows(result))
     refused = () if plan.reason is None else (f"no labels are planned: {plan.reason}",)
-    full: list[Block] = [Bullets(tuple(plan_sentences(result)))]
+    full: list[Block] = [doc.Bullets(tuple(plan_words.plan_sentences(result)))]
     if plan.labels is not None:
-        full += figure(requirement_chart(plan.labels))
-        every = tuple(range(len(PLAN_COLUMNS)))
-        rows = tuple(plan_rows(plan.labels))
-        full.append(Table(PLAN_COLUMNS, rows, note=BAND_NOTE, numbers=every))
-    return Section("plan", plan_heading(plan), (Bullets((*refused, *lines)),), tuple(full))
+        full += figure(charts.requirement_chart(plan.labels))
+        full.append(plan_words.plan_table(plan.labels))
+    title = plan_words.plan_heading(plan)
+    return Section("plan", title, (doc.Bullets((*refused, *lines)),), tuple(full))
 
 
 def _starts(result: RunResult) -> Section | None:
@@ -412,24 +323,29 @@ def _starts(result: RunResult) -> Section | None:
     if not result.starts:
         return None
     lines = [
-        starts_line(found) if found.rule is None else f"{found.rule}: {starts_line(found)}"
+        ("" if found.rule is None else f"{found.rule}: ") + causes_words.starts_line(found)
         for found in result.starts
     ]
-    brief: list[Block] = [Paragraph(lines[0]), *_drawn(result.starts[0], instead=True)]
-    full: list[Block] = [Paragraph(START_NOTE, tone="quiet")]
+    brief: list[Block] = [Paragraph(lines[0])]
+    if charts.starts_chart(result.starts[0]) is not None:
+        brief += _map(result.starts[0])
+    full: list[Block] = [
+        _quiet(
+            "Starts of violations, each counted by its part of the answer, against all starts "
+            "that the scenario draws."
+        )
+    ]
     for found, line in zip(result.starts, lines, strict=True):
-        full += [Paragraph(f"{line}."), *_drawn(found, instead=False)]
-        rows = tuple(start_rows(found))
-        full.append(Table(START_COLUMNS, rows, name=starts_title(found)))
-    return Section("starts", STARTS_TITLE, tuple(brief), tuple(full))
+        full += [Paragraph(f"{line}."), *_map(found), causes_words.starts_table(found)]
+    return Section("starts", "Which starts are dangerous", tuple(brief), tuple(full))
 
 
-def _drawn(found: DangerousStarts, *, instead: bool) -> tuple[Block, ...]:
-    """The plane of two start values; where it cannot be drawn, why, unless ``instead``."""
-    chart = starts_chart(found)
+def _map(found: DangerousStarts) -> tuple[Block, ...]:
+    """The plane of two start values; where it cannot be drawn, why."""
+    chart, words = charts.starts_chart(found), causes_words.map_words(found)
     if chart is None:
-        return () if instead else (Paragraph(map_words(found), tone="quiet"),)
-    return figure(chart, caption=map_words(found), target="start" if found.points else "")
+        return (_quiet(words),)
+    return figure(chart, caption=words, target="start" if found.points else "")
 
 
 def _causes(result: RunResult) -> Section:
@@ -439,24 +355,17 @@ def _causes(result: RunResult) -> Section:
         none = "No weighted violation was seen that tells where misses matter."
         return Section("causes", title, (), (Paragraph(none),))
     target = result.config.target
-    lines = tuple(map(Paragraph, (causes_line(explanation), *burst_lines(explanation))))
-    tables: list[Block] = []
-    if explanation.misses_by_distance:
-        tables.append(
-            Table(
-                band_columns(target),
-                tuple(band_rows(explanation, target=target)),
-                name="Misses by distance, and what fewer of them would bring",
-                note=band_note(result),
-                numbers=(1, 2, 3),
-            )
-        )
-    if bursts := burst_rows(explanation, target=target):
-        tables.append(Table(BURST_COLUMNS, tuple(bursts), name=BURST_TITLE, note=BURST_NOTE))
-    full = [*lines[:1], *tables]
-    if chains := chain_table(explanation.chains, dt_s=result.config.dt_s):
-        full.append(chains)
-    return Section("causes", title, lines if target is None else tuple(tables), tuple(full))
+    line = Paragraph(causes_words.causes_line(explanation))
+    found = (
+        causes_words.band_table(result, explanation),
+        causes_words.burst_table(explanation, target=target),
+        causes_words.chain_table(explanation.chains, dt_s=result.config.dt_s),
+    )
+    bands, bursts, chains = ([] if table is None else [table] for table in found)
+    brief = (line, *map(Paragraph, causes_words.burst_lines(explanation)))
+    if target is not None:
+        brief = (*bands, *bursts)
+    return Section("causes", title, brief, (line, *bands, *bursts, *chains))
 
 
 def _robustness(result: RunResult) -> Section:
@@ -481,7 +390,7 @@ def _robustness(result: RunResult) -> Section:
         (f"quantile at {found.worst_share:.0%}", quantile),
         ("by rollouts", f"{found.rollouts:,}, weighted as the error model has them"),
     )
-    return Section("robustness", title, (Paragraph(line),), (facts(rows),))
+    return Section("robustness", title, (Paragraph(line),), (doc.facts(rows),))
 
 
 def _warnings(result: RunResult) -> Section:
@@ -492,7 +401,7 @@ def _warnings(result: RunResult) -> Section:
         blocks = (said if result.message is None else Caution(result.message),)
         return Section("warnings", "Warnings", (), blocks)
     about_refits = () if result.pem_interval is None else result.pem_interval.warnings
-    grave = (*about_answer, *rule_warnings(result), *about_refits)
+    grave = (*about_answer, *answer_words.rule_warnings(result), *about_refits)
     shown = grave[: MOST_WARNINGS - 1]
     others = [text for text in data_warnings(result) if text not in about_refits]
     kinds = Counter(text.partition(":")[0] if ":" in text[:40] else "others" for text in others)
@@ -500,7 +409,7 @@ def _warnings(result: RunResult) -> Section:
     named = [f"{kind} ({count})" if count > 1 else kind for kind, count in kinds.items() if count]
     brief = [*shown, *([f"{', '.join(named)}; --verbose tells each"] if named else [])]
     full = tuple(map(Caution, about_answer))
-    fine = (Verdict("yes", "The diagnostics of the sampling give no warning."),)
+    fine = (doc.Verdict("yes", "The diagnostics of the sampling give no warning."),)
     return Section("warnings", "Warnings", tuple(map(Caution, brief)), full or fine)
 
 
@@ -517,14 +426,14 @@ def _question(result: RunResult) -> Section:
     config = result.config
     ranked = f"{config.metric} robustness; whether one violates is decided by the formula itself"
     rows = [
-        ("specification", Verbatim(config.spec)),
+        ("specification", doc.Verbatim(config.spec)),
         ("scenario", scenario_text(config)),
-        ("error model", Verbatim(result.pem.name)),
+        ("error model", doc.Verbatim(result.pem.name)),
         ("method", f"{config.method}, back end {config.simulator}"),
-        ("budget", budget_text(config)),
+        ("budget", _budget_text(config)),
         ("rollouts are ranked by", ranked),
     ]
-    return Section("question", "What was asked", (), (facts(rows),))
+    return Section("question", "What was asked", (), (doc.facts(rows),))
 
 
 def _worst(result: RunResult) -> Section | None:
@@ -549,7 +458,7 @@ def _worst(result: RunResult) -> Section | None:
     if worst.share is not None:
         rows.insert(1, ("share of its stage's estimate", share_text(worst.share)))
     which = "least robust of all" if worst.share is None else "least robust that carries the answer"
-    return Section("worst", f"Worst rollout, {which}", (), (facts(rows),))
+    return Section("worst", f"Worst rollout, {which}", (), (doc.facts(rows),))
 
 
 def _provenance(result: RunResult) -> Section:
@@ -560,26 +469,60 @@ def _provenance(result: RunResult) -> Section:
     )
     total = f"{result.timings_s.get('total', math.nan):.1f} s"
     rows: list[tuple[str, str]] = [
-        ("run", Verbatim(result.run_id)),
+        ("run", doc.Verbatim(result.run_id)),
         ("status", status),
-        ("perception error model", Verbatim(result.pem.name)),
+        ("perception error model", doc.Verbatim(result.pem.name)),
         ("its data", result.pem.data),
-        ("its digest (SHA-256)", Verbatim(result.pem.digest)),
+        ("its digest (SHA-256)", doc.Verbatim(result.pem.digest)),
         ("seed", str(result.config.seed)),
         ("versions", ", ".join(f"{name} {version}" for name, version in result.versions.items())),
         ("wall time", f"{total} ({timings})" if timings else total),
     ]
-    if kept := kept_text(result.config):
+    if result.config.keep == "violations":
+        kept = f"violations, and the {LEAST_ROBUST} least robust of each final stage; "
+        kept += "learning stages whole, large ones in part"
         rows.append(("rollouts in its files", kept))
-    return Section("provenance", "Provenance", (), (facts(rows),))
+    return Section("provenance", "Provenance", (), (doc.facts(rows),))
 
 
 def _assumptions(result: RunResult) -> Section:
-    return Section("assumptions", "Assumed", (), (Bullets(result.assumptions),))
+    return Section("assumptions", "Assumed", (), (doc.Bullets(result.assumptions),))
 
 
 def _configuration(config: ExperimentConfig) -> Section:
-    code = Code(config_text(config), language="toml")
+    code = doc.Code(config_text(config), language="toml")
     return Section(
-        "configuration", "Configuration", (), (Folded("Complete configuration", (code,)),)
+        "configuration", "Configuration", (), (doc.Folded("Complete configuration", (code,)),)
     )
+
+
+def scenario_text(config: ExperimentConfig) -> str:
+    """What differs from the defaults, the first figures in any case."""
+    if not config.is_braking_scenario:
+        return config.other_scenario
+    scenario, default = config.scenario, ScenarioConfig()
+    shown = (
+        f"{scenario.initial_speed_kmh:g} km/h, {scenario.initial_gap_m:g} m behind a lead car "
+        f"that brakes at {scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}"
+    )
+    named = {"initial_speed_kmh", "initial_gap_m", "lead_deceleration_mps2"}
+    others = [
+        f"{field.name} {value if isinstance(value, str) else f'{value:g}'}"
+        for field in fields(scenario)
+        if field.name not in named
+        and (value := getattr(scenario, field.name)) != getattr(default, field.name)
+    ]
+    return "; ".join([shown, *others])
+
+
+def _budget_text(config: ExperimentConfig) -> str:
+    """What one repetition simulates, the method's other settings, and how many repetitions."""
+    method = by_name(config.method)
+    parts = [method.budget(config).words]
+    for field in fields(config):
+        if field.name in method.settings - {"stages", "rollouts", "final_rollouts"}:
+            value = getattr(config, field.name)
+            if field.name == "alpha" and value is None:
+                value = "chosen at each stage" if method.alpha is None else method.alpha
+            parts.append(f"{field.name} {value}")
+    return ", ".join(parts + [f"{config.repetitions} repetitions"] * (config.repetitions > 1))

@@ -7,21 +7,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as RichTable
 
-from pemviz.reports.document import (
-    Block,
-    Bullets,
-    Caution,
-    Code,
-    Figure,
-    Folded,
-    Headline,
-    Mark,
-    Paragraph,
-    Section,
-    Table,
-    Verdict,
-    cell_text,
-)
+from pemviz.reports import document as doc
+from pemviz.reports.document import Block, Mark, Section, cell_text
 from pemviz.reports.run_document import ANSWER, TRUST, WHY, run_document
 from pemviz.runs.result import RunResult
 
@@ -55,7 +42,9 @@ def summary_text(result: RunResult) -> str:
     document = run_document(result)
     said = document.blocks("answer", "given", "rules", "memory", *WHY, brief=True)
     warnings = document.blocks("warnings", "extrapolation")
-    first, *others = plain_lines([*said, *(one for one in warnings if isinstance(one, Caution))])
+    first, *others = plain_lines(
+        [*said, *(one for one in warnings if isinstance(one, doc.Caution))]
+    )
     return "\n".join([first, *(f"  {line}" for line in others)])
 
 
@@ -70,34 +59,34 @@ def print_sections(console: Console, sections: Iterable[Section], *, brief: bool
 
 def _needs_title(blocks: Sequence[Block]) -> bool:
     """Whether there is more than sentences, and nothing with a name of its own comes first."""
-    first = next((b for b in blocks if isinstance(b, Table | Bullets | Figure)), None)
-    named = isinstance(first, Table) and bool(first.name)
-    return first is not None and not named and not isinstance(blocks[0], Headline)
+    first = next((b for b in blocks if isinstance(b, doc.Table | doc.Bullets | doc.Figure)), None)
+    named = isinstance(first, doc.Table) and bool(first.name)
+    return first is not None and not named and not isinstance(blocks[0], doc.Headline)
 
 
 def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
     """Blocks below each other; in place of a chart its words."""
     for block in blocks:
         match block:
-            case Headline():
+            case doc.Headline():
                 _line(console, f"{block.text} {block.given}".rstrip())
-            case Paragraph():
+            case doc.Paragraph():
                 indent = "  " if block.tone == "quiet" else ""
                 _line(console, f"{indent}{block.text}", style=STYLES[block.tone])
-            case Caution():
+            case doc.Caution():
                 _line(console, f"warning: {block.text}", style="yellow")
-            case Verdict():
+            case doc.Verdict():
                 _line(console, f"{SIGNS[block.mark]} {block.text}")
-            case Bullets():
+            case doc.Bullets():
                 for item in block.items:
                     _line(console, f"- {item}")
-            case Code():
+            case doc.Code():
                 _line(console, block.text)
-            case Table():
+            case doc.Table():
                 console.print(_table(block))
-            case Figure():
+            case doc.Figure():
                 print_blocks(console, block.words)
-            case Folded():
+            case doc.Folded():
                 print_blocks(console, block.blocks)
 
 
@@ -105,7 +94,7 @@ def _line(console: Console, text: str, *, style: str | None = None) -> None:
     console.print(text, style=style, markup=False, soft_wrap=True)
 
 
-def _table(block: Table) -> RichTable:
+def _table(block: doc.Table) -> RichTable:
     """A table without lines: what is copied from a terminal reads as it stands."""
     table = RichTable(
         title=escape(block.name) or None, title_justify="left", box=None, pad_edge=False,
@@ -129,21 +118,21 @@ def plain_lines(blocks: Iterable[Block]) -> list[str]:
     lines: list[str] = []
     for block in blocks:
         match block:
-            case Headline():
+            case doc.Headline():
                 lines.append(f"{block.text} {block.given}".rstrip())
-            case Paragraph() | Code():
+            case doc.Paragraph() | doc.Code():
                 lines += block.text.splitlines()
-            case Caution():
+            case doc.Caution():
                 lines.append(f"warning: {block.text}")
-            case Verdict():
+            case doc.Verdict():
                 lines.append(block.text)
-            case Bullets():
+            case doc.Bullets():
                 lines += block.items
-            case Table():
+            case doc.Table():
                 joint = ": " if len(block.columns) == 2 else "; "
                 lines += [joint.join(map(cell_text, row)) for row in block.rows]
-            case Figure():
+            case doc.Figure():
                 lines += plain_lines(block.words)
-            case Folded():
+            case doc.Folded():
                 lines += plain_lines(block.blocks)
     return lines

@@ -12,9 +12,9 @@ from pemviz import LatentCounts, Signal, StateBatch, figures, quantiles
 from pemviz.analysis.starts import SHARES, WeightedStarts, all_starts, violating_starts
 from pemviz.charts.svg import svg
 from pemviz.errors import InputError
+from pemviz.reports.causes_words import starts_line, starts_table
 from pemviz.reports.charts import starts_chart
 from pemviz.reports.html import clicks_to
-from pemviz.reports.starts_words import start_rows, starts_line
 from pemviz.runs.result_file import result_document, result_from_document
 
 EDGE, MISSED = 1.0, 0.3
@@ -170,7 +170,7 @@ def test_too_few_violations_tell_nothing():
     assert found.plane is None
     assert starts_chart(found) is None
     assert "cannot be told from" in starts_line(found)
-    assert start_rows(found)[0][3:] == ("-", "-", "-")
+    assert starts_table(found).rows[0][3:] == ("-", "-", "-")
     with pytest.raises(InputError, match="starts: the run does not tell"):
         figures.starts(result=run("monte-carlo", final_rollouts=100))
 

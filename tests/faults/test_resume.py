@@ -12,7 +12,7 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.rule_words import GateLimits
 from pemviz.config.toml_files import config_text, load_preset
 from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError, RunError
-from pemviz.reports.writer import ReportWriter
+from pemviz.reports.pipeline import ReportWriter
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result_file import write_result

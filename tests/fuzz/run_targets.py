@@ -28,8 +28,8 @@ from pemviz.panel.rollout_tables import check_table
 from pemviz.panel.run_data import RunData
 from pemviz.panel.why_tab import why
 from pemviz.recording.open import find_recording
-from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.pipeline import junit_xml
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import has_result, result_document

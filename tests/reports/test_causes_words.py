@@ -7,7 +7,7 @@ from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.config import ExperimentConfig
 from pemviz.recording.text import answer_text
-from pemviz.reports.causes_words import burst_lines, burst_rows, elasticity_text
+from pemviz.reports.causes_words import burst_lines, burst_table, elasticity_text
 from pemviz.reports.html import sections_html
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.run_document import run_document
@@ -56,7 +56,7 @@ def test_a_sentence_each_on_bursts_and_on_what_would_help():
 
 
 def test_every_view_has_the_rows():
-    rows = burst_rows(EXPLANATION, target=1e-4)
+    rows = burst_table(EXPLANATION, target=1e-4).rows
     assert dict(rows)["memory time for 0.0001"] == "0.067 s instead of 0.2 s"
     run = result(explanation=EXPLANATION, config=ExperimentConfig(memory_s=0.2, target=1e-4))
     page, recorded = summary_markdown(run), answer_text(run, running=False)
@@ -71,12 +71,12 @@ def test_every_view_has_the_rows():
 def test_requirements_in_words():
     def told(**changes):
         changed = replace(EXPLANATION, memory=replace(EXPLANATION.memory, **changes))
-        return burst_rows(changed, target=1e-4)[-1][1]
+        return burst_table(changed, target=1e-4).rows[-1][1]
 
     assert told(target_tau_s=None) == "not enough alone"
     assert told(target_tau_s=0.2) == "met already"
     assert told(warning="few") == "0.067 s instead of 0.2 s (extrapolated)"
     one = replace(EXPLANATION, bursts=replace(BURSTS, again=None, begins_gap_m=None))
-    rows = dict(burst_rows(one, target=None))
+    rows = dict(burst_table(one, target=None).rows)
     assert rows["how likely that is"] == "starting it has a probability of 0.0026"
     assert rows["it begins"] == "2.05 (1.60 to 2.55) s after the start"

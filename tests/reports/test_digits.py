@@ -2,7 +2,7 @@
 
 import pytest
 
-from pemviz.reports.numbers import digits_of, end_text
+from pemviz.reports.estimate_words import digits_of, end_text
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ from xml.etree import ElementTree as Xml
 import pytest
 
 from pemviz.reports.gate import decide_gate, decide_run
-from pemviz.reports.junit import junit_xml
+from pemviz.reports.pipeline import junit_xml
 from tests.reports.runs import estimate, nasty_result, result, warned
 
 FEW = warned("a few weights carry it", "few-effective-samples", 3.0)

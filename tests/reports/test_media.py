@@ -14,6 +14,7 @@ from pemviz.analysis.starts import DangerousStarts, QuantileRange, StartValue
 from pemviz.config import ExperimentConfig
 from pemviz.panel.why_tab import section_cells
 from pemviz.recording.text import answer_text, provenance_text, warnings_text
+from pemviz.reports.case_runs import CaseRun
 from pemviz.reports.document import (
     Bullets,
     Caution,
@@ -31,12 +32,11 @@ from pemviz.reports.document import (
     cell_text,
 )
 from pemviz.reports.html import blocks_html, sections_html
-from pemviz.reports.junit import junit_xml
 from pemviz.reports.markdown import sections_markdown, summary_markdown
 from pemviz.reports.notebook import result_html
+from pemviz.reports.pipeline import junit_xml
 from pemviz.reports.run_document import ANSWER, RECORD, TRUST, WHY, run_document
-from pemviz.reports.safety_case.case import CaseRun
-from pemviz.reports.safety_case.page import safety_case_page
+from pemviz.reports.safety_case import safety_case_page
 from pemviz.reports.terminal import plain_lines, print_summary, summary_text
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.rules import RuleAnswer

@@ -6,7 +6,7 @@ from pemviz.charts.svg import svg
 from pemviz.reports.charts import requirement_chart
 from pemviz.reports.html import sections_html
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.plan_words import plan_rows, plan_sentences, short_rows
+from pemviz.reports.plan_words import plan_sentences, plan_table, short_rows
 from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.data_plan import planned_target
@@ -41,7 +41,7 @@ def test_a_detector_that_misses_too_often_is_told_to_become_better():
     one = changed(band={"labels": None, "most_missed": None, "required": 0.004})
     assert short_rows(one)[0][0] == "a better detector: one that misses at most 0.004 at 5 to 7 m"
     assert "the detector has to become better first" in " ".join(plan_sentences(one))
-    assert plan_rows(one.plan.labels)[0][5] == "out of reach"
+    assert plan_table(one.plan.labels).rows[0][5] == "out of reach"
 
 
 def test_what_is_labelled_may_do():

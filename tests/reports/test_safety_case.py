@@ -11,9 +11,8 @@ from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
-from pemviz.reports.safety_case.case import CaseRun, read_case_run, run_folders
-from pemviz.reports.safety_case.claims import claim_sentence, claims
-from pemviz.reports.safety_case.page import MOST_IN_FULL, safety_case_page
+from pemviz.reports.case_runs import CaseRun, read_case_run, run_folders
+from pemviz.reports.safety_case import MOST_IN_FULL, claim_sentence, claims, safety_case_page
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result

@@ -5,7 +5,7 @@ import pytest
 
 from pemviz.cli.main import main
 from pemviz.errors import ConfigError, RunError
-from pemviz.reports.writer import ReportWriter
+from pemviz.reports.pipeline import ReportWriter
 from pemviz.runs.events import RunDone
 from tests.reports.runs import result
 

@@ -10,11 +10,11 @@ import pytest
 from pemviz.config import ExperimentConfig
 from pemviz.latents import LatentCounts
 from pemviz.recording.text import answer_text
+from pemviz.reports.answer_words import rate_line, rates_table
+from pemviz.reports.case_runs import CaseRun
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.notebook import result_html
-from pemviz.reports.rates_words import rate_line, rate_rows
-from pemviz.reports.safety_case.case import CaseRun
-from pemviz.reports.safety_case.page import safety_case_page
+from pemviz.reports.safety_case import safety_case_page
 from pemviz.reports.terminal import print_summary, summary_text
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
@@ -57,7 +57,7 @@ def test_without_a_violation_no_more_is_told_than_the_bound():
     unseen = {"probability": 0.0, "log10_probability": None, "failures": 0, "ci_low": 0.0}
     line = rate_line(driven(**unseen))
     assert line.endswith("no violation was seen; a kilometre brings 0 to 0.20 of them")
-    assert rate_rows(driven(**unseen))[0][3:] == ("-", "at least 5.0")
+    assert rates_table(driven(**unseen)).rows[0][3:] == ("-", "at least 5.0")
 
 
 def test_every_place_tells_it(capsys):

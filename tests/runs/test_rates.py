@@ -10,11 +10,11 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
 from pemviz.recording.text import answer_text
+from pemviz.reports.answer_words import rate_line, rates_table
+from pemviz.reports.case_runs import CaseRun
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.notebook import result_html
-from pemviz.reports.rates_words import rate_line, rate_rows
-from pemviz.reports.safety_case.case import CaseRun
-from pemviz.reports.safety_case.page import safety_case_page
+from pemviz.reports.safety_case import safety_case_page
 from pemviz.reports.terminal import print_summary, summary_text
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.rates import violation_rates
@@ -48,15 +48,15 @@ def test_each_rule_has_its_own():
     result = replace(hourly(), config=config, rules=(rule,))
     assert [rate.rule for rate in violation_rates(result)] == [None, "gap"]
     assert violation_rates(result)[1].per_hour == pytest.approx(5e-7)
-    assert [row[0] for row in rate_rows(result)] == ["any rule", "gap"]
-    assert rate_rows(result)[1][3] == "2.0e+06"
+    assert [row[0] for row in rates_table(result).rows] == ["any rule", "gap"]
+    assert rates_table(result).rows[1][3] == "2.0e+06"
 
 
 def test_without_a_violation_no_more_is_told_than_the_bound():
     unseen = {"probability": 0.0, "log10_probability": None, "failures": 0, "ci_low": 0.0}
     line = rate_line(hourly(**unseen))
     assert line.endswith("no violation was seen; an hour brings 0 to 0.20 of them")
-    (row,) = rate_rows(hourly(**unseen))
+    (row,) = rates_table(hourly(**unseen)).rows
     assert row[3:] == ("-", "at least 5.0")
     assert "nothing is known" in rate_line(hourly(**unseen, ci_high=None))
 

@@ -13,10 +13,10 @@ from pemviz.config.rule_words import GateLimits, read_limits
 from pemviz.config.toml_files import config_from_table, config_text, load_config
 from pemviz.errors import ConfigError
 from pemviz.recording.text import answer_text
+from pemviz.reports.case_runs import CaseRun
 from pemviz.reports.gate import decide_limits
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.safety_case.case import CaseRun
-from pemviz.reports.safety_case.page import safety_case_page
+from pemviz.reports.safety_case import safety_case_page
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result

@@ -11,11 +11,11 @@ from pemviz.charts.svg import svg
 from pemviz.config import METHODS
 from pemviz.latents import LatentCounts
 from pemviz.recording.text import answer_text
+from pemviz.reports.answer_words import uncertainty_table
 from pemviz.reports.charts import uncertainty_chart
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.run_document import MOST_WARNINGS
 from pemviz.reports.terminal import print_summary
-from pemviz.reports.uncertainty_words import uncertainty_rows
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document
 from pemviz.runs.uncertainty import uncertainty_budget
@@ -116,7 +116,7 @@ def test_no_method_that_runs_through_states_is_recommended_where_latents_leave_n
 def test_every_report_has_every_source(tell):
     one = result(model_classes=MODEL_CLASSES)
     text = tell(one).replace("\\", "")
-    for row in uncertainty_rows(one):
+    for row in uncertainty_table(one).rows:
         assert row[0] in text
 
 

@@ -12,7 +12,7 @@ from pemviz.pem.files.load import load_pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.reports.charts import memory_chart
-from pemviz.reports.memory_words import BY_FRAILTY, curve_rows, frailty_line
+from pemviz.reports.memory_words import BY_FRAILTY, curve_table, frailty_line
 from pemviz.runs.memory import RunMemory, own_memory
 from pemviz.sampling.bursts.curve import (
     MEASURED_FRAILTY,
@@ -165,5 +165,5 @@ def test_words_and_picture_say_whose_frailty_it_is_and_what_it_is_worth():
     assert "0.0005 with that of RRC, a camera detector (0.68). " in line
     assert line.endswith("worth 12 orders of magnitude.")
     assert frailty_line(replace(memory, frailty=0.68)).startswith("So is a frailty of 0.68: 1e-15")
-    assert [row.place for row in curve_rows(memory, BY_FRAILTY)] == ["all alike", "0.68"]
+    assert [row[0] for row in curve_table(memory, BY_FRAILTY).rows] == ["all alike", "0.68"]
     assert "0.68: RRC, on video" in svg(memory_chart(memory, BY_FRAILTY))

@@ -12,7 +12,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.recording.text import answer_text
 from pemviz.reports.charts import memory_chart
-from pemviz.reports.memory_words import BY_MEMORY_TIME, assumption_line, curve_columns, curve_rows
+from pemviz.reports.memory_words import BY_MEMORY_TIME, assumption_line, curve_table
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.memory import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document, result_from_document
@@ -134,9 +134,9 @@ def test_the_result_says_what_the_assumption_is_worth(result):
     assert "RRC" in line
     assert "PointRCNN" in line
     assert assumption_line(replace(result.memory, curve=())) is None
-    rows = {row.place: row for row in curve_rows(result.memory)}
-    assert rows["0.3 s"].measured.startswith("RRC")
-    assert rows["independent"].measured == ""
+    measured = {row[0]: row[3] for row in curve_table(result.memory, BY_MEMORY_TIME).rows}
+    assert measured["0.3 s"].startswith("RRC")
+    assert measured["independent"] == ""
 
 
 def test_orders_of_magnitude_and_thin_intervals_are_said():
@@ -149,9 +149,11 @@ def test_orders_of_magnitude_and_thin_intervals_are_said():
     own = MeasuredTau(tau_s=0.5, low_s=0.4, high_s=0.6, confidence=0.95)
     memory = RunMemory(tau_s=0.0, curve=curve)
     assert assumption_line(memory).endswith("worth 12 orders of magnitude.")
-    assert curve_rows(memory)[0].interval.endswith("not a 95 % interval, Pareto k-hat is 0.81")
-    assert curve_columns(memory)[2] == "interval"
-    assert curve_columns(replace(memory, curve=curve[1:]))[2] == "95 % interval"
+    table = curve_table(memory, BY_MEMORY_TIME)
+    assert table.rows[0][2].endswith("not a 95 % interval, Pareto k-hat is 0.81")
+    assert table.columns[2] == "interval"
+    others = curve_table(replace(memory, curve=curve[1:]), BY_MEMORY_TIME)
+    assert others.columns[2] == "95 % interval"
     measured = assumption_line(replace(memory, fitted=own))
     assert "single frames" not in measured
     assert "0.002 with that of this error model (0.5 s)" in measured

@@ -99,13 +99,8 @@ def read_case_run(folder: Path) -> CaseRun:
         result=result,
         card=_card(result),
         digests=digests,
-        violations=_violations(folder, result) if _is_small(folder / ROLLOUTS) else None,
+        violations=_violations(folder, result),
     )
-
-
-def _is_small(path: Path) -> bool:
-    """Whether the file is there, and not so large that a picture is not worth reading it."""
-    return path.is_file() and path.stat().st_size <= LARGEST_BYTES
 
 
 def _card(result: RunResult) -> PemCard | None:
@@ -119,16 +114,19 @@ def _card(result: RunResult) -> PemCard | None:
 
 
 def _violations(folder: Path, result: RunResult) -> Violations | None:
-    """Of the final rollouts if some of them violate, otherwise of all.
+    """Of the final rollouts if some of them violate, otherwise of all; not of very large files.
 
     Raises:
         InputError: The rollouts are damaged.
     """
+    path = folder / ROLLOUTS
+    if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
+        return None
     rollouts = load_rollouts(folder)
     try:
         return _likeliest(rollouts, result)
     except (KeyError, ValueError, TypeError, IndexError) as error:
-        message = f"rollouts {folder / ROLLOUTS}: do not fit together ({error})"
+        message = f"rollouts {path}: do not fit together ({error})"
         raise InputError(message) from error
 
 

@@ -1,0 +1,459 @@
+"""The page of a safety case: claim, argument, evidence, assumptions, data, provenance.
+
+One run in full, or several side by side and then in full. Evidence is what
+:mod:`pemviz.reports.run_document` tells of a run; what is here argues from it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from pemviz._version import __version__
+from pemviz.colors import BLUE
+from pemviz.pem import PemCard
+from pemviz.reports import document as doc
+from pemviz.reports import html
+from pemviz.reports.case_runs import CaseRun
+from pemviz.reports.charts import gap_chart, miss_chart, runs_chart
+from pemviz.reports.document import Block, Document, Paragraph, Section, Table, facts, figure
+from pemviz.reports.escape import printable_lines
+from pemviz.reports.estimate_words import interval_text, probability_text, range_text
+from pemviz.reports.run_document import run_document, scenario_text
+from pemviz.runs.result import RunResult
+from pemviz.runs.same_run import setting_differences
+from pemviz.runs.trust import run_interval_caveats
+from pemviz.runs.uncertainty import SourceKind, uncertainty_budget
+
+Verdict = Literal["shown", "not shown", "not known"]
+MARKS: Mapping[Verdict, doc.Mark] = {"shown": "yes", "not shown": "no", "not known": "open"}
+GRANTED: Mapping[SourceKind, str] = {
+    "sampling": "the error model {pem} and the simulation are right",
+    "refits": "any refit of {pem} to its data may be right",
+    "model-classes": "any of the other shipped kinds of error model may be right",
+    "memory": "misses may hang together in time, and obstacles differ, as far as was looked at",
+    "data": "of the model no more is granted than that P(missed) is constant in bands of distance, "
+    "and misses are as assumed",
+}
+"""What each source takes for granted, beside the assumptions below."""
+EVIDENCE = (
+    (
+        "The estimate and its diagnostics",
+        ("answer", "rules", "rates", "diagnostics", "warnings", "models", "robustness"),
+    ),
+    ("How far the answer is open", ("uncertainty",)),
+    ("Misses that follow each other", ("memory",)),
+    ("What causes violations", ("causes", "starts", "worst")),
+    ("The error model and its data", ("extrapolation",)),
+)
+"""Titles of what is numbered E1 to E5, and the sections of the run's document in each."""
+MOST_IN_FULL = 8
+"""Of more runs the rest stands side by side only."""
+MOST_DRAWN = 40
+MOST_SETTINGS = 5
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""Of the page's content: nothing is fetched, no script runs."""
+STYLE = f"""
+:root {{ color-scheme: light; }}
+* {{ box-sizing: border-box; }}
+body {{ margin: 0; background: #fff; font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }}
+main {{ max-width: 1060px; margin: 0 auto; padding: 28px 24px 60px; }}
+h1 {{ font-size: 27px; line-height: 1.25; margin: 0 0 4px; }}
+h2 {{ font-size: 20px; margin: 38px 0 8px; padding-bottom: 4px; border-bottom: 2px solid #d5dae0; }}
+main p, main li {{ max-width: 82ch; }} figure {{ max-width: 780px; }}
+.head {{ border: 1px solid #cbd2d9; border-radius: 6px; padding: 16px 20px 10px; margin: 16px 0;
+  columns: 2 380px; column-gap: 28px; }}
+.head figure, .head li, .head p {{ break-inside: avoid; }}
+nav {{ margin: 10px 0 0; font-size: 14px; }}
+nav a {{ color: {BLUE}; margin-right: 14px; text-decoration: none; }}
+section.run {{ margin-top: 52px; border-top: 4px solid #1f2933; padding-top: 22px; }}
+footer {{ margin-top: 46px; color: #52606d; font-size: 13px; border-top: 1px solid #e1e6eb;
+  padding-top: 8px; }}
+@page {{ size: A4; margin: 16mm 15mm 18mm;
+  @bottom-right {{ content: counter(page) " / " counter(pages); font: 9pt sans-serif;
+    color: #52606d; }} }}
+@media print {{
+  body {{ font-size: 9.6pt; }} main {{ max-width: none; padding: 0; }} nav {{ display: none; }}
+  h1 {{ font-size: 17pt; }} h2 {{ font-size: 13pt; margin-top: 20pt; }}
+  h2, h3, h4 {{ break-after: avoid; }} figure, tr, .head, .warn, li {{ break-inside: avoid; }}
+  section.run {{ break-before: page; margin: 0; border: 0; padding: 0; }}
+}}
+"""
+
+
+def safety_case_page(runs: Sequence[CaseRun], *, below: float | None = None) -> str:
+    """The whole page as HTML. What cannot be printed is replaced.
+
+    Args:
+        runs: At least one.
+        below: The failure probability that is to be claimed, if one is named.
+    """
+    if len(runs) == 1:
+        config = runs[0].result.config
+        asked = ", ".join(rule.name for rule in config.rules) or config.spec
+        title, below_title = f"Safety case evidence: {asked}", f"Run {runs[0].name}"
+        body = _run(runs[0], below=below, prefix="")
+    else:
+        title = f"Safety case evidence: {len(runs)} runs"
+        below_title = "Side by side, then each in full"
+        body = html.sections_html(_side_by_side(runs, below=below))
+        for index, run in enumerate(runs[:MOST_IN_FULL], start=1):
+            full = _run(run, below=below, prefix=f"r{index}-")
+            name = html.words(run.name)
+            body += f"<section class='run'><h1>Run {index}: {name}</h1>{full}</section>"
+        if (left := len(runs) - MOST_IN_FULL) > 0:
+            body += html.paragraph(f"The other {left} runs stand in the table above only.", "quiet")
+    body = f"<h1>{html.words(title)}</h1>{html.paragraph(below_title, 'quiet')}{body}"
+    footer = html.words(
+        f"Made by pemviz {__version__} from what the runs kept; the page fetches nothing and runs "
+        "nothing. Every figure is conditional on the assumptions that it names."
+    )
+    page = (
+        "<!DOCTYPE html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n"
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        "<meta name='viewport' content='width=device-width, initial-scale=1'>\n"
+        "<meta name='referrer' content='no-referrer'>\n"
+        f"<title>{html.words(title)}</title>\n<style>{STYLE}{html.SHEET}</style>\n</head>\n"
+        f"<body>\n<main class='{html.ROOT}'>\n{body}<footer>{footer}</footer>\n</main>\n"
+        "</body>\n</html>\n"
+    )
+    return f"{printable_lines(page)}\n"
+
+
+def _run(run: CaseRun, *, below: float | None, prefix: str) -> str:
+    """A run's head, links to its sections, and these."""
+    result, config, document = run.result, run.result.config, run_document(run.result)
+    named = ", ".join(rule.name for rule in config.rules) or config.spec
+    about = f"{named}; {scenario_text(config)}; error model {result.pem.name}; seed {config.seed}"
+    no_plan = (Paragraph("This run made no plan: pemviz record --plan makes one."),)
+    told = (html.heading(e.title) + html.blocks_html(e.full) for e in _evidence(run, document))
+    parts = [
+        ("Claim", html.blocks_html(_claim_blocks(result, below=below))),
+        ("Argument", html.blocks_html([doc.Bullets(_argument(result), numbered=True)])),
+        ("Evidence", "".join(told)),
+        ("Assumptions, and what each is worth", html.blocks_html([_assumptions(result)])),
+        ("What to measure next", html.blocks_html(document.blocks("plan") or no_plan)),
+        ("Data and model", html.blocks_html(_data_and_model(run))),
+        ("Provenance, and how to reproduce it", html.blocks_html(_reproduce(run, document))),
+    ]
+    links = "".join(
+        f"<a href='#{prefix}{index}'>{html.words(name)}</a>"
+        for index, (name, _) in enumerate(parts, start=1)
+    )
+    body = "".join(
+        f"<h2 id='{prefix}{index}'>{index}. {html.words(name)}</h2>{text}"
+        for index, (name, text) in enumerate(parts, start=1)
+    )
+    return (
+        html.paragraph(about, "quiet")
+        + f"<div class='head'>{html.blocks_html(_head(run, document, below=below))}</div>"
+        + f"<nav>{links}</nav>{body}"
+    )
+
+
+def _head(run: CaseRun, document: Document, *, below: float | None) -> tuple[Block, ...]:
+    """How likely, how sure, resting on what, what next: all that a hurried reader sees."""
+    result = run.result
+    claim = Paragraph(claim_sentence(result, below=below))
+    if result.estimate is None:
+        return (claim,)
+    doubts = tuple(doc.Caution(f"Do not quote it: {why}.") for why in run_interval_caveats(result))
+    return (
+        *document.blocks("answer", "given", brief=True),
+        *doubts,
+        claim,
+        *document.blocks("uncertainty", "memory", brief=True),
+        *(Paragraph(s.title, tone="strong") for s in document.choose(("plan",))),
+        *document.blocks("plan", brief=True),
+    )
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One statement.
+
+    Attributes:
+        kind: The source that it rests on.
+        granted: What it takes for granted.
+        bound: The failure probability is below; ``None`` where it is not known.
+        name: The source's name, with its level.
+        verdict: Whether the wanted claim follows; ``None`` where none was named.
+        note: What speaks against the bound, or what would be needed to have one.
+    """
+
+    kind: SourceKind
+    granted: str
+    bound: float | None
+    name: str
+    verdict: Verdict | None
+    note: str
+
+    @property
+    def bound_text(self) -> str:
+        """The bound in words."""
+        return "not known" if self.bound is None else f"{self.bound:.2g}"
+
+
+def claims(result: RunResult, *, below: float | None) -> list[Claim]:
+    """A statement for each source of uncertainty but the reference, sampling first.
+
+    Args:
+        result: The run.
+        below: The failure probability that is to be claimed, if one is named.
+    """
+    found: list[Claim] = []
+    for source in uncertainty_budget(result):
+        if source.kind == "reference":
+            continue
+        of_rollouts = source.kind in ("sampling", "refits", "model-classes")
+        doubts = "; ".join(run_interval_caveats(result)) if of_rollouts else ""
+        verdict: Verdict | None = None
+        if below is not None and (source.high is None or doubts):
+            verdict = "not known"
+        elif below is not None and source.high is not None:
+            verdict = "shown" if source.high <= below else "not shown"
+        note = doubts or (source.narrowed_by if source.high is None else "")
+        granted = GRANTED[source.kind].format(pem=result.pem.name)
+        found.append(Claim(source.kind, granted, source.high, source.name, verdict, note))
+    return found
+
+
+def claim_sentence(result: RunResult, *, below: float | None) -> str:
+    """The claim and how far it carries, in a sentence."""
+    if result.estimate is None:
+        return f"The run {result.status}: it has no estimate, and nothing can be claimed."
+    found = claims(result, below=below)
+    if below is None:
+        highest = [claim for claim in found if claim.bound is not None]
+        if not highest:
+            return "No upper bound is known."
+        last = max(highest, key=lambda claim: claim.bound or 0.0)
+        return (
+            "No failure probability was named to be claimed. What holds under the least that is "
+            f"taken for granted here: below {last.bound:.2g}, if {last.granted}."
+        )
+    parts = [f"To be claimed: a run violates the specification with a probability below {below:g}."]
+    for verdict in ("shown", "not shown", "not known"):
+        granted = [claim.granted for claim in found if claim.verdict == verdict]
+        if granted:
+            parts.append(f"{verdict.capitalize()} if {'; or if '.join(granted)}.")
+    return " ".join(parts)
+
+
+def _claim_blocks(result: RunResult, *, below: float | None) -> tuple[Block, ...]:
+    """Claims by what they take for granted, each with its verdict."""
+    found = claims(result, below=below)
+    if not found:
+        return (Paragraph(claim_sentence(result, below=below)),)
+    columns = ["if", "by", "the failure probability is below", "why not, or what would tell"]
+    rows: list[tuple[doc.Cell, ...]] = []
+    for one in found:
+        judged = () if one.verdict is None else (doc.Verdict(MARKS[one.verdict], one.verdict),)
+        rows.append((one.granted, one.name, one.bound_text, one.note, *judged))
+    columns += [] if below is None else [f"below {below:g}"]
+    return (Table(tuple(columns), tuple(rows)),)
+
+
+def _argument(result: RunResult) -> tuple[str, ...]:
+    """Why the evidence carries the claim, step by step."""
+    config, data = result.config, result.pem.data
+    rules = "; ".join(f"{rule.name} {rule.formula!r}" for rule in config.rules)
+    what = f"one of the rules {rules}" if rules else repr(config.spec)
+    return (
+        f"What may go wrong is stated exactly: a run violates {what}, decided by the "
+        "Boolean semantics of Signal Temporal Logic, strict comparisons as they are written.",
+        f"The system is the scenario: {scenario_text(config)}. Everything but perception is "
+        "deterministic in it (assumptions below).",
+        f"Perception is the error model {result.pem.name}: how likely the detector misses, given "
+        f"what it looks at, learnt from {data}. How far that may be wrong: E2, E5.",
+        f"Violations are far too rare to wait for: method {config.method} draws rollouts in which "
+        "they are common and weights each by how much likelier it is under the error model. "
+        "Whether the weights can be trusted: E1.",
+        "So the failure probability follows, if the error model is right (E1); how far it is open "
+        "if it is not, source by source: E2. What causes violations, so that experts can judge "
+        "whether the chains are plausible: E4.",
+    )
+
+
+def _evidence(run: CaseRun, document: Document) -> Iterator[Section]:
+    """Everything that speaks for or against the answer, numbered E1 to E5."""
+    for number, (title, keys) in enumerate(EVIDENCE, start=1):
+        blocks = [*document.blocks(*keys)]
+        if number == 4:
+            blocks[1:1] = _violations(run)
+        nothing = "Nothing speaks against the error model where the scenario goes."
+        blocks = blocks or [Paragraph(nothing)]
+        yield Section(f"E{number}", f"E{number}. {title}", (), tuple(blocks))
+
+
+def _violations(run: CaseRun) -> tuple[Block, ...]:
+    """Gaps of the likeliest violations, and when misses that matter fall."""
+    explanation, found, dt_s = run.result.explanation, run.violations, run.result.config.dt_s
+    over_time = () if explanation is None else explanation.miss_probability_by_step
+    gaps = None if found is None else gap_chart(found.gap_m, found.missed, found.share, dt_s=dt_s)
+    return (*figure(gaps), *figure(miss_chart(over_time, dt_s=dt_s) if any(over_time) else None))
+
+
+def _assumptions(result: RunResult) -> Table:
+    """Every assumption, and by how much the answer changes if it is given up."""
+    rows = tuple(_assumption_row(text, result) for text in result.assumptions)
+    return Table(("assumed", "what it is worth", "what would narrow it"), rows)
+
+
+def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
+    kinds: Sequence[SourceKind] = ()
+    if text.startswith(("misses are independent", "given the state, misses hang")):
+        kinds = ("memory",)
+    elif "model holds where" in text:
+        kinds = ("refits", "model-classes", "data")
+    sources = [source for source in uncertainty_budget(result) if source.kind in kinds]
+    if not sources:
+        return text, "not told by this run", "Not quantified here; to be argued from elsewhere."
+    worth = [
+        f"{one.name}: {range_text(one.low, one.high) if one.high is not None else 'not looked at'}"
+        for one in sources
+    ]
+    narrowed = dict.fromkeys(source.narrowed_by for source in sources)
+    return text, "; ".join(worth), "; ".join(narrowed)
+
+
+def _data_and_model(run: CaseRun) -> tuple[Block, ...]:
+    """The error model's card, and what it was trained on."""
+    info, card = run.result.pem, run.card
+    rows = [
+        ("error model", info.name),
+        ("trained on", info.data),
+        ("digest (SHA-256)", doc.Verbatim(info.digest)),
+    ]
+    if card is None:
+        note = "The model's card is not at hand here, or the model has changed since the run."
+        return facts(rows), Paragraph(note, tone="quiet")
+    return (facts([*rows, *_card_rows(card)]),)
+
+
+def _card_rows(card: PemCard) -> list[tuple[str, str]]:
+    cells = card.support.get("cells", ())
+    obstacles = sum(int(cell[-2]) for cell in cells)
+    missed = sum(int(cell[-1]) for cell in cells)
+    rows = [
+        ("kind of model", card.model),
+        ("training table (SHA-256)", doc.Verbatim(card.data_digest or "not stated")),
+        ("licence", card.licence),
+        ("recipe", card.recipe),
+        ("seed of its training", str(card.seed)),
+        *((f"score: {name}", f"{value:.4f}") for name, value in card.scores.items()),
+    ]
+    if obstacles:
+        share = f"{missed:,} of {obstacles:,} training obstacles ({missed / obstacles:.1%})"
+        rows.append(("missed by the detector", share))
+    return rows
+
+
+def _reproduce(run: CaseRun, document: Document) -> tuple[Block, ...]:
+    """Where the figures come from, and how to have them again."""
+    digests = tuple((f"{name} (SHA-256)", doc.Verbatim(v)) for name, v in run.digests.items())
+    version = run.result.versions.get("pemviz", "in the same version")
+    how = (
+        "To have the same figures again: save the configuration below as config.toml, install "
+        f"pemviz {version} with the versions above, and run"
+    )
+    return (
+        *document.blocks("provenance"),
+        *((facts(digests),) if digests else ()),
+        Paragraph(how),
+        doc.Code("pemviz record --config config.toml"),
+        *document.blocks("configuration"),
+    )
+
+
+def _side_by_side(runs: Sequence[CaseRun], *, below: float | None) -> Iterator[Section]:
+    """Every run's answer and uncertainty, how their settings differ, and what each lets claim."""
+    caption = "Estimates with their intervals (sampling alone; dashed: no interval at its level)"
+    caption += "" if below is None else f"; the dashed line is {below:g}"
+    if len(runs) > MOST_DRAWN:
+        caption += f"; the first {MOST_DRAWN} of {len(runs)} runs"
+    named = [(f"{i}. {run.name}", run.result) for i, run in enumerate(runs[:MOST_DRAWN], start=1)]
+    rows = tuple((str(index), *_row(run)) for index, run in enumerate(runs, start=1))
+    chart = figure(runs_chart(named, limit=below), caption=f"{caption}.")
+    columns = (
+        "",
+        "run",
+        "probability",
+        "interval",
+        "refits",
+        "model classes",
+        "data alone",
+        "trust",
+    )
+    yield Section("answers", "Side by side", (), (*chart, Table(columns, rows)))
+    yield Section("settings", "Settings that differ", (), tuple(_differences(runs)))
+    what = "Bounds" if below is None else f"Claims of less than {below:g}"
+    yield Section("claims", what, (), (_claims(runs[:MOST_IN_FULL], below=below),))
+
+
+def _row(run: CaseRun) -> tuple[str, ...]:
+    result, estimate = run.result, run.result.estimate
+    if estimate is None:
+        return (run.name, f"none: the run {result.status}", "", "", "", "", "")
+    ends = {
+        source.kind: range_text(source.low, source.high) if source.high is not None else "-"
+        for source in uncertainty_budget(result)
+    }
+    against = run_interval_caveats(result)
+    return (
+        run.name,
+        probability_text(estimate),
+        interval_text(estimate, caveats=()),
+        ends.get("refits", "-"),
+        ends.get("model-classes", "-"),
+        ends.get("data", "-"),
+        f"unreliable: {against[0]}" if against else "no warning",
+    )
+
+
+def _claims(runs: Sequence[CaseRun], *, below: float | None) -> Table:
+    """A row for what is granted, a column for each run."""
+    found = [{one.kind: one for one in claims(run.result, below=below)} for run in runs]
+    models = ", ".join(dict.fromkeys(run.result.pem.name for run in runs))
+    rows: list[tuple[doc.Cell, ...]] = [
+        (granted.format(pem=models), *(_claim_cell(of_run.get(kind)) for of_run in found))
+        for kind, granted in GRANTED.items()
+        if any(kind in of_run for of_run in found)
+    ]
+    return Table(("if", *(f"run {index}" for index in range(1, len(runs) + 1))), tuple(rows))
+
+
+def _claim_cell(one: Claim | None) -> doc.Cell:
+    if one is None or one.verdict is None:
+        return "" if one is None else one.bound_text
+    return doc.Verdict(MARKS[one.verdict], f"{one.verdict}: {one.bound_text}")
+
+
+def _differences(runs: Sequence[CaseRun]) -> Iterator[Block]:
+    """The settings in which the runs differ from the first, a row each."""
+    first = runs[0].result.config
+    changed = [setting_differences(first, run.result.config) for run in runs]
+    names = list(dict.fromkeys(name for settings in changed for name in settings))
+    if not names:
+        yield Paragraph("The runs have the same settings.", tone="quiet")
+        return
+    own = {name: pair[0] for settings in changed for name, pair in settings.items()}
+
+    def text_of(value: object) -> str:
+        """As configurations have it; a dash where it is left out."""
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        return "-" if value is None else text
+
+    values = [
+        [text_of(settings.get(name, (None, own[name]))[1]) for name in names]
+        for settings in changed
+    ]
+    if len(runs) <= MOST_IN_FULL:
+        columns = [f"run {index}" for index in range(1, len(runs) + 1)]
+        of_settings = zip(*values, strict=True)
+        across = ((name, *cells) for name, cells in zip(names, of_settings, strict=True))
+        yield Table(("setting", *columns), tuple(across))
+        return
+    down = ((run.name, *cells[:MOST_SETTINGS]) for run, cells in zip(runs, values, strict=True))
+    yield Table(("run", *names[:MOST_SETTINGS]), tuple(down))
+    if (left := len(names) - MOST_SETTINGS) > 0:
+        yield Paragraph(f"{left} settings more differ.", tone="quiet")

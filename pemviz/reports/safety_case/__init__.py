@@ -1,1 +1,0 @@
-"""A page for a safety case: claim, argument, evidence, assumptions, data, provenance."""
