@@ -2,7 +2,9 @@
 
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal, cast, get_args
 
@@ -12,6 +14,7 @@ from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
 from pemviz.pem.data.collect_mot import collect_mot
 from pemviz.pem.data.collect_nuscenes import MATCHED_BELOW_M, collect_nuscenes
 from pemviz.pem.data.collect_tracks import collect_tracks
+from pemviz.pem.data.collected import CollectedCounts
 from pemviz.pem.data.detections import DetectionFormat
 from pemviz.pem.data.mapped_log import collect_log
 from pemviz.pem.data.matching import PAPER_IOU
@@ -91,32 +94,93 @@ def run(arguments: CollectArguments) -> int:
         skip_bad=arguments.skip_bad,
     )
     _check_matching(arguments)
-    if arguments.mapping is not None:
-        return _collect_log(arguments, arguments.mapping)
-    if arguments.format == "nuscenes":
-        return _collect_nuscenes(arguments, options)
-    if arguments.format == "motchallenge":
-        return _collect_mot(arguments, options)
-    if arguments.format in get_args(SequenceFormat):
-        return _collect_tracks(arguments, options)
-    with progress_bar("frames") as tell:
-        counts = collect(
-            labels=arguments.labels,
-            detections=arguments.detections,
-            out=arguments.out,
-            detection_format=cast(DetectionFormat, arguments.format),
-            options=options,
-            class_names=arguments.class_names,
-            image_sizes=arguments.image_sizes,
-            missing_is_empty=arguments.missing_is_empty,
-            on_progress=tell,
+    if arguments.format in ("motchallenge", *get_args(SequenceFormat)):
+        _check_sequences(arguments)
+        unit = "sequences"
+    else:
+        unit = "samples" if arguments.format == "nuscenes" else "frames"
+    with progress_bar(unit) as on_progress:
+        counts, words = _collected(arguments, options, on_progress)
+    print(f"{arguments.out}: {words}")
+    if counts.bad_lines:
+        print(
+            f"warning: {counts.bad_lines} malformed lines skipped, the first: {counts.first_bad}",
+            file=sys.stderr,
         )
-    print(
-        f"{arguments.out}: {counts.frames} frames, {counts.obstacles} obstacles, "
-        f"{counts.missed} missed, {counts.dropped} dropped (Misc or unknown occlusion)"
-    )
-    _tell_bad_lines(counts.bad_lines, counts.first_bad)
     return 0
+
+
+def _collected(
+    arguments: CollectArguments, options: CollectOptions, on_progress: Callable[[int, int], None]
+) -> tuple[CollectedCounts, str]:
+    """What was counted on the way to the table, and what of it is said."""
+    labels, detections, out = arguments.labels, arguments.detections, arguments.out
+    if arguments.mapping is not None:
+        log = collect_log(
+            labels=labels,
+            detections=detections,
+            mapping=arguments.mapping,
+            out=out,
+            skip_bad=arguments.skip_bad,
+        )
+        return log, f"{log.obstacles} obstacles, {log.missed} missed"
+    if arguments.format == "nuscenes":
+        samples = collect_nuscenes(
+            labels=labels,
+            detections=detections,
+            out=out,
+            types=arguments.types,
+            matched_below_m=arguments.centres_below_m,
+            score_from=options.score_from,
+            drop_unknown=options.drop_unknown,
+            skip_bad=options.skip_bad,
+            on_progress=on_progress,
+        )
+        return samples, (
+            f"{samples.samples} samples, {samples.tracks} tracks, {samples.observations} "
+            f"observations, {samples.missed} missed; left out: {samples.other_types} of other "
+            f"classes, {samples.without_points} without a point of lidar or radar, "
+            f"{samples.beyond} beyond their class's range, {samples.dropped} of unknown visibility"
+        )
+    if arguments.format in ("motchallenge", *get_args(SequenceFormat)):
+        collect_sequences, dropped = (
+            (collect_mot, "marked to be ignored")
+            if arguments.format == "motchallenge"
+            else (
+                partial(collect_tracks, sequence_format=cast(SequenceFormat, arguments.format)),
+                "Misc or of unknown occlusion",
+            )
+        )
+        tracks = collect_sequences(
+            labels=labels,
+            detections=detections,
+            out=out,
+            rate_hz=arguments.rate_hz,
+            types=arguments.types,
+            options=options,
+            on_progress=on_progress,
+        )
+        return tracks, (
+            f"{tracks.sequences} sequences, {tracks.tracks} tracks, {tracks.observations} "
+            f"observations, {tracks.missed} missed, {tracks.gaps} gaps in tracks; left out: "
+            f"{tracks.other_types} of other classes, {tracks.dropped} {dropped}, "
+            f"{tracks.ignored_detections} detections of lower score"
+        )
+    frames = collect(
+        labels=labels,
+        detections=detections,
+        out=out,
+        detection_format=cast(DetectionFormat, arguments.format),
+        options=options,
+        class_names=arguments.class_names,
+        image_sizes=arguments.image_sizes,
+        missing_is_empty=arguments.missing_is_empty,
+        on_progress=on_progress,
+    )
+    return frames, (
+        f"{frames.frames} frames, {frames.obstacles} obstacles, {frames.missed} missed, "
+        f"{frames.dropped} dropped (Misc or unknown occlusion)"
+    )
 
 
 def _check_matching(arguments: CollectArguments) -> None:
@@ -138,65 +202,6 @@ def _check_matching(arguments: CollectArguments) -> None:
         raise PemError(f"centres_below_m is {arguments.centres_below_m:g}, allowed: above 0")
 
 
-def _collect_nuscenes(arguments: CollectArguments, options: CollectOptions) -> int:
-    with progress_bar("samples") as tell:
-        counts = collect_nuscenes(
-            labels=arguments.labels,
-            detections=arguments.detections,
-            out=arguments.out,
-            types=arguments.types,
-            matched_below_m=arguments.centres_below_m,
-            score_from=options.score_from,
-            drop_unknown=options.drop_unknown,
-            skip_bad=options.skip_bad,
-            on_progress=tell,
-        )
-    print(
-        f"{arguments.out}: {counts.samples} samples, {counts.tracks} tracks, "
-        f"{counts.observations} observations, {counts.missed} missed; left out: "
-        f"{counts.other_types} of other classes, {counts.without_points} without a point of lidar "
-        f"or radar, {counts.beyond} beyond their class's range, {counts.dropped} of unknown "
-        "visibility"
-    )
-    _tell_bad_lines(counts.bad_lines, counts.first_bad)
-    return 0
-
-
-def _collect_log(arguments: CollectArguments, mapping: Path) -> int:
-    counts = collect_log(
-        labels=arguments.labels,
-        detections=arguments.detections,
-        mapping=mapping,
-        out=arguments.out,
-        skip_bad=arguments.skip_bad,
-    )
-    print(f"{arguments.out}: {counts.obstacles} obstacles, {counts.missed} missed")
-    _tell_bad_lines(counts.bad_lines, counts.first_bad)
-    return 0
-
-
-def _collect_mot(arguments: CollectArguments, options: CollectOptions) -> int:
-    _check_sequences(arguments)
-    with progress_bar("sequences") as tell:
-        counts = collect_mot(
-            labels=arguments.labels,
-            detections=arguments.detections,
-            out=arguments.out,
-            rate_hz=arguments.rate_hz,
-            types=arguments.types,
-            options=options,
-            on_progress=tell,
-        )
-    print(
-        f"{arguments.out}: {counts.sequences} sequences, {counts.tracks} tracks, "
-        f"{counts.observations} observations, {counts.missed} missed, {counts.gaps} gaps in "
-        f"tracks; left out: {counts.other_types} of other classes, {counts.dropped} marked to be "
-        f"ignored, {counts.ignored_detections} detections of lower score"
-    )
-    _tell_bad_lines(counts.bad_lines, counts.first_bad)
-    return 0
-
-
 def _check_sequences(arguments: CollectArguments) -> None:
     """Refuse what sequences cannot have.
 
@@ -207,31 +212,3 @@ def _check_sequences(arguments: CollectArguments) -> None:
         raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0 to {FASTEST_HZ:g}")
     if arguments.class_aware:
         raise PemError("class_aware: sequences are matched whatever a detection's class; use types")
-
-
-def _collect_tracks(arguments: CollectArguments, options: CollectOptions) -> int:
-    _check_sequences(arguments)
-    with progress_bar("sequences") as tell:
-        counts = collect_tracks(
-            labels=arguments.labels,
-            detections=arguments.detections,
-            out=arguments.out,
-            sequence_format=cast(SequenceFormat, arguments.format),
-            rate_hz=arguments.rate_hz,
-            types=arguments.types,
-            options=options,
-            on_progress=tell,
-        )
-    print(
-        f"{arguments.out}: {counts.sequences} sequences, {counts.tracks} tracks, "
-        f"{counts.observations} observations, {counts.missed} missed, {counts.gaps} gaps in "
-        f"tracks; left out: {counts.other_types} of other classes, {counts.dropped} Misc or of "
-        f"unknown occlusion, {counts.ignored_detections} detections of lower score"
-    )
-    _tell_bad_lines(counts.bad_lines, counts.first_bad)
-    return 0
-
-
-def _tell_bad_lines(count: int, first: str) -> None:
-    if count:
-        print(f"warning: {count} malformed lines skipped, the first: {first}", file=sys.stderr)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import AnyArray
+from pemviz.cli.pem.memory import fitted_memory
 from pemviz.cli.pem.position_errors import write_position_errors
 from pemviz.cli.progress import progress_bar
 from pemviz.errors import PemError
@@ -104,24 +105,16 @@ def run(arguments: FitArguments) -> int:
 
 
 def _fit_with_memory(arguments: FitArguments) -> int:
-    from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report, fit_tracked_pem  # noqa: PLC0415
+    from pemviz.pem.judging.cross_fitted_memory import fit_tracked_pem  # noqa: PLC0415  scikit-learn
 
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
-    name = arguments.name or arguments.out.stem
-    with progress_bar("folds of sequences") as tell:
-        held_out = cross_fit(
-            tracks,
-            model=arguments.model,
-            folds=arguments.folds,
-            seed=arguments.seed,
-            on_progress=tell,
-        )
-    with progress_bar("memory of misses") as tell:
-        report = fit_report(tracks, held_out, seed=arguments.seed, on_progress=tell)
+    held_out, report = fitted_memory(
+        tracks, model=arguments.model, folds=arguments.folds, seed=arguments.seed
+    )
     pem = fit_tracked_pem(
         tracks,
         model=arguments.model,
-        name=name,
+        name=arguments.name or arguments.out.stem,
         provenance=Provenance(
             data=arguments.data or tracks.obstacles.source, licence=arguments.licence
         ),

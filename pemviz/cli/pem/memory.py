@@ -3,16 +3,20 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pemviz.cli.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
-from pemviz.pem.data.tracks import load_tracks
+from pemviz.pem.data.tracks import TrackTable, load_tracks
 from pemviz.pem.fitting.fit import ModelKind
 from pemviz.pem.judging.independence import MOST_SEQUENCES, IndependenceCheck, NeededSample
 from pemviz.pem.judging.memory_picture import write_memory_picture
-from pemviz.pem.judging.memory_report import memory_line, memory_table
+from pemviz.pem.judging.memory_report import MemoryReport, memory_line, memory_table
 from pemviz.pem.models.memory_card import memory_markdown
+
+if TYPE_CHECKING:
+    from pemviz.pem.judging.cross_fitted_memory import CrossFitted
 
 SMALL_P = 1e-4
 STATELESS: ModelKind = "guess-mu"
@@ -55,20 +59,11 @@ def run(arguments: MemoryArguments) -> int:
     tracks = load_tracks(
         arguments.table, rate_hz=arguments.rate_hz, needs_state=arguments.model != STATELESS
     )
-    # scikit-learn and scipy's distributions take seconds to import
-    from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report  # noqa: PLC0415
-    from pemviz.pem.judging.independence import check_independence  # noqa: PLC0415
+    from pemviz.pem.judging.independence import check_independence  # noqa: PLC0415  scipy is slow
 
-    with progress_bar("folds of sequences") as tell:
-        held_out = cross_fit(
-            tracks,
-            model=arguments.model,
-            folds=arguments.folds,
-            seed=arguments.seed,
-            on_progress=tell,
-        )
-    with progress_bar("memory of misses") as tell:
-        report = fit_report(tracks, held_out, seed=arguments.seed, on_progress=tell)
+    held_out, report = fitted_memory(
+        tracks, model=arguments.model, folds=arguments.folds, seed=arguments.seed
+    )
     check = check_independence(tracks, held_out.logit, fit=report.fit)
     table = memory_table(report)
     page = memory_markdown(table)
@@ -83,6 +78,19 @@ def run(arguments: MemoryArguments) -> int:
     print(memory_line(report))
     print(_verdict(check))
     return 0
+
+
+def fitted_memory(
+    tracks: TrackTable, *, model: ModelKind, folds: int, seed: int
+) -> "tuple[CrossFitted, MemoryReport]":
+    """Cross-fitted P(missed) of tracks and the memory of misses beside it, with progress."""
+    # scikit-learn and scipy's distributions take seconds to import
+    from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report  # noqa: PLC0415
+
+    with progress_bar("folds of sequences") as tell:
+        held_out = cross_fit(tracks, model=model, folds=folds, seed=seed, on_progress=tell)
+    with progress_bar("memory of misses") as tell:
+        return held_out, fit_report(tracks, held_out, seed=seed, on_progress=tell)
 
 
 def _verdict(check: IndependenceCheck) -> str:
