@@ -13,8 +13,8 @@ from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.encounters.highway import HighwayEncounters
 from pemviz.simulators.encounters.scenario import LogicalScenario
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
-from pemviz.simulators.sumo.encounters import SumoEncounters
 from pemviz.simulators.sumo.engine import is_installed
+from pemviz.simulators.sumo.scenarios import SumoEncounters
 
 
 def scenario_figures(

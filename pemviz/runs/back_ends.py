@@ -24,7 +24,7 @@ from pemviz.simulators.merge.scenario import MergeSimulator
 from pemviz.simulators.quantised import start_cells
 from pemviz.simulators.registry import SHIPPED, build_encounter_simulator, build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
-from pemviz.simulators.sumo.traffic.scenario import TrafficSimulator
+from pemviz.simulators.sumo.traffic.simulator import TrafficSimulator
 from pemviz.simulators.tracked_cars import TrackedCarFeatures
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Simulator

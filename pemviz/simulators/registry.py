@@ -78,7 +78,7 @@ def build_named_simulator(
 
         return VectorizedSimulator(scenario, errors)
     if name == "carla":
-        from pemviz.simulators.carla.braking import braking_on_carla  # noqa: PLC0415  as above
+        from pemviz.simulators.carla.server import braking_on_carla  # noqa: PLC0415  as above
         from pemviz.simulators.episodic import SideBySide  # noqa: PLC0415
 
         return SideBySide(make=partial(braking_on_carla, scenario, carla or DEFAULT_ADDRESS))
@@ -95,11 +95,11 @@ def _sumo(
 ) -> Simulator:
     """The braking scenario on SUMO, or traffic of its own."""
     if sumo is not None and sumo.config is not None:
-        from pemviz.simulators.sumo.traffic.scenario import build_traffic  # noqa: PLC0415  scipy
+        from pemviz.simulators.sumo.traffic.simulator import build_traffic  # noqa: PLC0415  scipy
 
         return build_traffic(sumo, scenario)
-    from pemviz.simulators.sumo.braking import SumoBraking  # noqa: PLC0415  as above
-    from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415
+    from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415  as above
+    from pemviz.simulators.sumo.scenarios import SumoBraking  # noqa: PLC0415
 
     check_installed()
     return SumoBraking(scenario, errors)
@@ -125,8 +125,8 @@ def build_encounter_simulator(
     from pemviz.simulators.encounters.vectorized import VectorizedEncounters  # noqa: PLC0415  scipy
 
     if config.simulator == "sumo":
-        from pemviz.simulators.sumo.encounters import SumoEncounters  # noqa: PLC0415
         from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415  as below
+        from pemviz.simulators.sumo.scenarios import SumoEncounters  # noqa: PLC0415
 
         check_installed()
         return SumoEncounters(*own, sumo=config.sumo)

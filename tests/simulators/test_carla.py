@@ -19,11 +19,8 @@ from pemviz.config.settings import read_address
 from pemviz.config.toml_files import config_text
 from pemviz.errors import ConfigError, RunError
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from pemviz.simulators.carla.braking import CarlaBraking
-from pemviz.simulators.carla.motion import CarPlace, Pedals, gap_m, pedals, place_of
-from pemviz.simulators.carla.road import LANE_ID, ROAD_ID, road_length_m, road_text
-from pemviz.simulators.carla.server import answering, check_free, check_version, connected
-from pemviz.simulators.carla.stage import synchronous, undo_all
+from pemviz.simulators.carla import server
+from pemviz.simulators.carla.braking import CarlaBraking, CarPlace, Pedals, gap_m, pedals, place_of
 from pemviz.simulators.episodic import SideBySide
 
 CONFIG = ScenarioConfig()
@@ -85,17 +82,17 @@ def test_something_else_that_listens_is_told_from_a_server(carla) -> None:
         port = other.getsockname()[1]
         words = r"something listens, but not as a CARLA server \(time-out of 300ms"
         with pytest.raises(ConfigError, match=words):
-            connected("127.0.0.1", port, connect_s=0.3)
+            server.connected("127.0.0.1", port, connect_s=0.3)
 
 
 def test_a_server_of_another_version_or_of_somebody_else_is_refused(carla) -> None:
     mine = carla.Client("127.0.0.1", 1).get_client_version()
-    check_version("x", client=mine, server=f"{mine}-12-gabcdef")
+    server.check_version("x", client=mine, server=f"{mine}-12-gabcdef")
     with pytest.raises(ConfigError, match=rf"x: the server is CARLA 0\.9\.15, the client {mine}"):
-        check_version("x", client=mine, server="0.9.15")
-    check_free("x", carla.WorldSettings())
+        server.check_version("x", client=mine, server="0.9.15")
+    server.check_free("x", carla.WorldSettings())
     with pytest.raises(ConfigError, match="driven by another client already"):
-        check_free("x", carla.WorldSettings(synchronous_mode=True))
+        server.check_free("x", carla.WorldSettings(synchronous_mode=True))
 
 
 def test_a_lost_server_is_one_line(carla, closed_port) -> None:
@@ -103,14 +100,14 @@ def test_a_lost_server_is_one_line(carla, closed_port) -> None:
     client.set_timeout(0.2)
     with (
         pytest.raises(RunError, match=r"^here: the server is lost, or refuses: time-out of 200ms"),
-        answering("here"),
+        server.answering("here"),
     ):
         client.get_world()
 
 
 def test_settings_are_synchronous_and_substeps_fill_a_tick(carla) -> None:
     for dt_s, substeps in ((0.05, 5), (0.01, 1), (0.025, 3), (0.001, 1)):
-        settings = synchronous(carla.WorldSettings(), dt_s)
+        settings = server.synchronous(carla.WorldSettings(), dt_s)
         assert settings.synchronous_mode
         assert settings.no_rendering_mode
         assert settings.fixed_delta_seconds == pytest.approx(dt_s)
@@ -150,10 +147,10 @@ def test_an_ego_that_may_not_accelerate_rolls() -> None:
 
 
 def test_carlas_own_reader_finds_the_road_straight_and_long_enough(carla) -> None:
-    length_m = road_length_m(CONFIG, lead_in_s=1.0)
-    road = carla.Map("pemviz", road_text(length_m))
+    length_m = server.road_length_m(CONFIG, lead_in_s=1.0)
+    road = carla.Map("pemviz", server.road_text(length_m))
     for s_m in (0.5, 30.0, length_m - 1.0):
-        place = road.get_waypoint_xodr(ROAD_ID, LANE_ID, s_m)
+        place = road.get_waypoint_xodr(server.ROAD_ID, server.LANE_ID, s_m)
         assert place.transform.location.x == pytest.approx(s_m, abs=1e-3)
         assert abs(place.transform.location.y) == pytest.approx(1.75, abs=1e-3)
         assert math.cos(math.radians(place.transform.rotation.yaw)) == pytest.approx(1.0)
@@ -243,12 +240,12 @@ def test_all_that_can_be_undone_is_undone() -> None:
     def refused():
         raise RuntimeError("time-out")
 
-    undo_all([refused, lambda: done.append("settings")])
+    server.undo_all([refused, lambda: done.append("settings")])
     assert done == ["settings"]
 
 
 def test_the_client_is_not_imported_unless_asked_for() -> None:
-    code = "import sys, pemviz.runs.back_ends, pemviz.simulators.carla.stage, pemviz.cli.record; "
+    code = "import sys, pemviz.runs.back_ends, pemviz.simulators.carla.server, pemviz.cli.record; "
     code += "sys.exit('carla' in sys.modules or 'carla.libcarla' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

@@ -14,9 +14,8 @@ from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 from pemviz.simulators.sumo import engine
-from pemviz.simulators.sumo.braking import SumoBraking
-from pemviz.simulators.sumo.encounters import SumoEncounters
-from pemviz.simulators.sumo.roads import ROADS, Group, Roads
+from pemviz.simulators.sumo.engine import ROADS, Group, Roads
+from pemviz.simulators.sumo.scenarios import SumoBraking, SumoEncounters
 
 TOLERANCE = 1e-9
 COUNT = ROADS + 3

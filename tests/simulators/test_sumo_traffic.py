@@ -15,10 +15,14 @@ from pemviz.files.shipped import asset_path
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.episodic import SideBySide
-from pemviz.simulators.sumo.traffic.client import TrafficEpisodes
-from pemviz.simulators.sumo.traffic.facts import NOBODY_M, SLOTS, TrafficSettings
+from pemviz.simulators.sumo.traffic.messages import NOBODY_M, SLOTS, TrafficSettings
 from pemviz.simulators.sumo.traffic.places import Body, kept_places, leader_of, perceived, seen_from
-from pemviz.simulators.sumo.traffic.scenario import build_traffic, slot_signals, traffic_file
+from pemviz.simulators.sumo.traffic.simulator import (
+    TrafficEpisodes,
+    build_traffic,
+    slot_signals,
+    traffic_file,
+)
 
 SHORT = SumoConfig(config="free-traffic", states=41)
 TRACKER = replace(ExperimentConfig().scenario, tracker="2/3,filter=kalman")

@@ -5,8 +5,8 @@ process. ``assets/sumo/roads.net.xml`` therefore has 128 straight roads of three
 to sort cars) that do not meet, and each encounter of a batch drives on a road of its own: a batch
 is stepped at once, and cars of other roads are nothing to SUMO.
 
-**One step** (``roads.py``). Every car is put where the state has it, with its speed, the ego at the
-middle of its road; SUMO moves all of them by one step and tells where they are and how fast.
+**One step** (``engine.py``). Every car is put where the state has it, with its speed, the ego at
+the middle of its road; SUMO moves all of them by one step and tells where they are and how fast.
 Nothing is kept in SUMO between steps, so that states can be gone on from, in any order and beside
 other simulators of this process, and a rollout is the same to the last digit in any batch. SUMO's
 steps are ballistic: with speed v before a step and u after it, a car moves by (v + u) / 2 dt, where

@@ -4,15 +4,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pemviz.simulators.sumo.traffic.facts import (
-    BRAKING_MPS2,
-    NOBODY_M,
-    PATH_HALF_WIDTH_M,
-    REACTION_S,
-    SIGHT_M,
-    STAYS_BY_M,
-    VIEW_SLOPE,
-)
+from pemviz.simulators.sumo.traffic.messages import NOBODY_M
+
+SIGHT_M = 100.0
+VIEW_SLOPE = 1.7320508075688772
+"""Tangent of 60 degrees."""
+PATH_HALF_WIDTH_M = 1.45
+"""As :class:`pemviz.config.EncounterConfig` has it."""
+REACTION_S, BRAKING_MPS2, RECOVERY_S = 0.5, 8.0, 3.0
+"""Of the safe distance, likewise."""
+STAYS_BY_M = 5.0
+"""So much nearer counts who has a slot already."""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,27 @@
-"""SUMO's traffic with a tracker and a controller in front of it: a simulator with slots."""
+"""SUMO's traffic with a tracker and a controller in front of it: a simulator with slots.
 
+Each episode is an environment that is reset and stepped in a process of SUMO's own.
+"""
+
+import array
+import contextlib
+import json
+import os
+import socket
+import struct
+import subprocess
+import sys
+import weakref
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.special import ndtr
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import EncounterConfig, ScenarioConfig
 from pemviz.config.settings import SumoConfig
 from pemviz.errors import ConfigError, RunError
@@ -24,15 +38,9 @@ from pemviz.simulators.encounters.told import nothing_told, told_after
 from pemviz.simulators.episodic import SideBySide
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot
-from pemviz.simulators.sumo.traffic.client import TrafficEpisodes
-from pemviz.simulators.sumo.traffic.facts import (
-    NOBODY_M,
-    OF_SLOT,
-    OTHERS,
-    SLOTS,
-    TrafficSettings,
-)
-from pemviz.simulators.sumo.traffic.signals import traffic_signals
+from pemviz.simulators.sumo.engine import check_installed
+from pemviz.simulators.sumo.traffic import messages
+from pemviz.simulators.sumo.traffic.messages import NAMES, NOBODY_M, OF_SLOT, OTHERS, SLOTS
 from pemviz.simulators.tracked_cars import SlotSignals
 from pemviz.simulators.tracking.tracker import Tracker, tracker_of_text
 from pemviz.types import Signal, StateBatch
@@ -42,7 +50,150 @@ PROCESSES = 16
 """So many rollouts at a time."""
 SIDEWAYS_MPS = 2.0
 """Cars do not change lanes faster."""
+LARGEST_SEED = 2**31 - 1
 SEED_LATENTS = LatentCounts(seeds=1)
+PROCESS = "pemviz.simulators.sumo.traffic.process"
+EGO_SIGNALS = {
+    "distance": ("m", 0.0, 10_000.0),
+    "ego_speed": ("m/s", 0.0, 60.0),
+    "ego_acceleration": ("m/s^2", -15.0, 15.0),
+    "clearance": ("m", -20.0, NOBODY_M),
+    "safe_distance": ("m", -300.0, NOBODY_M),
+    "needless_deceleration": ("m/s^2", 0.0, 20.0),
+    "collided": ("", -1.0, 1.0),
+    "wanted_speed": ("m/s", 0.0, 100.0),
+}
+CAR_SIGNALS = {
+    "gap": ("m", -150.0, NOBODY_M),
+    "aside": ("m", -100.0, 100.0),
+    "speed": ("m/s", -60.0, 60.0),
+    "heading": ("rad", -4.0, 4.0),
+}
+KEYS = {"m": "_m", "m/s": "_mps", "m/s^2": "_mps2", "rad": "_rad", "": ""}
+
+
+def _signal(name: str) -> Signal:
+    kind = name.partition("_")[0]
+    is_of_car = name not in EGO_SIGNALS and kind in OF_SLOT
+    unit, low, high = CAR_SIGNALS[kind] if is_of_car else EGO_SIGNALS[name]
+    return Signal(name=name, key=f"{name}{KEYS[unit]}", unit=unit, low=low, high=high)
+
+
+SIGNALS = tuple(_signal(name) for name in NAMES)
+"""Those of the ego, then of the cars around it."""
+
+
+class _Host:
+    """The process that makes processes; one for each of those that have episodes."""
+
+    def __init__(self) -> None:
+        self.pid = -1
+        self.socket: socket.socket | None = None
+
+    def connected(self) -> messages.Pipe:
+        """A pipe to a new process with libsumo."""
+        if self.socket is None or self.pid != os.getpid():
+            self._start()
+        ours, theirs = socket.socketpair()
+        with theirs:
+            assert self.socket is not None  # noqa: S101  started above
+            socket.send_fds(self.socket, [b"1"], [theirs.fileno()])
+        return messages.Pipe(ours)
+
+    def _start(self) -> None:
+        check_installed()
+        ours, theirs = socket.socketpair()
+        package = str(Path(__file__).resolve().parents[4])
+        paths = [package, *filter(None, [os.environ.get("PYTHONPATH")])]
+        with theirs:
+            process = subprocess.Popen(  # noqa: S603  our own module
+                [sys.executable, "-m", PROCESS, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            )
+        self.socket, self.pid = ours, os.getpid()
+        weakref.finalize(self, _ended, ours, process)
+
+
+def _ended(ours: socket.socket, process: "subprocess.Popen[bytes]") -> None:
+    """Have the process end, as it does once its socket is closed."""
+    ours.close()
+    process.wait()
+
+
+HOST = _Host()
+
+
+class TrafficEpisodes:
+    """One episode at a time; a :class:`pemviz.EpisodicSimulator`, told the ego's accelerations."""
+
+    name = "sumo"
+    latents = SEED_LATENTS
+    signals = SIGNALS
+
+    def __init__(self, settings: messages.TrafficSettings, *, states: int) -> None:
+        """Nothing is started yet; ``states`` are those of a rollout."""
+        self.settings, self.states, self.dt_s = settings, states, settings.step_s
+        self._pipe: messages.Pipe | None = None
+        self._is_asked = False
+
+    def begin_reset(self, *given: Any) -> None:
+        """Have the next :meth:`reset` begin before it is called."""
+        seed = min(int(ndtr(float(given[0][0])) * LARGEST_SEED), LARGEST_SEED - 1)
+        self._ask(messages.RESET + struct.pack("q", seed))
+
+    def begin_step(self, *given: Any) -> None:
+        """Have the next :meth:`step` begin before it is called."""
+        self._ask(messages.STEP + struct.pack("d", float(given[0])))
+
+    def reset(self, *given: Any) -> Mapping[str, float]:
+        """Begin with SUMO's seed, for standard normals ``[1]``.
+
+        Raises:
+            RunError: SUMO fails, or the ego does not enter.
+        """
+        if not self._is_asked:
+            self.begin_reset(*given)
+        return self._answer()[0]
+
+    def step(self, *given: Any) -> tuple[Mapping[str, float], bool]:
+        """One step with the ego's acceleration [m/s^2].
+
+        Raises:
+            RunError: SUMO fails.
+        """
+        if not self._is_asked:
+            self.begin_step(*given)
+        return self._answer()
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Speed of the ego; what perception looks at is the simulator's that wraps this."""
+        return signals["ego_speed"][..., None]
+
+    def _ask(self, asked: bytes) -> None:
+        if self._pipe is None:
+            self._pipe = HOST.connected()
+            self._pipe.send(json.dumps(asdict(self.settings)).encode())
+        self._is_asked = True
+        with contextlib.suppress(OSError):  # it is gone, which the answer tells
+            self._pipe.send(asked)
+
+    def _answer(self) -> tuple[Mapping[str, float], bool]:
+        assert self._pipe is not None  # noqa: S101  asked before
+        self._is_asked = False
+        try:
+            answer = self._pipe.receive()
+        except (EOFError, OSError):
+            self._pipe.close()
+            self._pipe = None
+            answer = messages.WRONG + b"its process ended without a word"
+        if answer[:1] == messages.WRONG:
+            message = f"sumo.config {self.settings.config}: SUMO: {answer[1:].decode()}"
+            raise RunError(message) from None
+        values = array.array("d", answer[1:])
+        return dict(zip(NAMES, values, strict=True)), answer[:1] == messages.ENDED
 
 
 @dataclass(frozen=True)
@@ -59,7 +210,7 @@ class TrafficSimulator:
     tracker_text: str
     driving: EncounterConfig
     name: str = "sumo"
-    signals: tuple[Signal, ...] = traffic_signals()
+    signals: tuple[Signal, ...] = SIGNALS
     latents: LatentCounts = SEED_LATENTS
     distance_signal: str = "distance"
     slots: tuple[Slot, ...] = tuple(
@@ -94,26 +245,18 @@ class TrafficSimulator:
         gap_m, aside_m, speed_mps, _ = (of.T for of in slot_signals(signals))
         there, ego_mps = self.present(signals).T, signals["ego_speed"]
         measured = ego.Told(detected.T & there, gap_m, aside_m, ego_mps - speed_mps)
-        memory = self._forgotten(states.memory, there)
+        memory = dict(states.memory)
+        if self.tracker is not None:  # no track outlives its car
+            none = self.tracker.memory(self.tracker.start(len(detected), slots=len(SLOTS)))
+            for name, blank in none.items():
+                slot = int(name.rpartition("_")[2])
+                memory[name] = np.where(there[slot], memory[name], blank)
         told, kept = told_after(self.tracker, SLOTS, memory, measured)
         acceleration = ego.acceleration(
             self.driving, told, ego_mps=ego_mps, set_mps=signals["wanted_speed"]
         )
         after = self.scenario.step(states, acceleration)  # pyright: ignore[reportArgumentType]  told accelerations
         return replace(after, memory={**after.memory, **kept})
-
-    def _forgotten(
-        self, memory: Mapping[str, AnyArray], there: BoolArray
-    ) -> Mapping[str, AnyArray]:
-        """Memory without the tracks of slots in which nobody is, ``there [K, N]``."""
-        if self.tracker is None:
-            return memory
-        none = self.tracker.memory(self.tracker.start(there.shape[1], slots=len(SLOTS)))
-        kept = {
-            name: np.where(there[int(name.rpartition("_")[2])], memory[name], blank)
-            for name, blank in none.items()
-        }
-        return {**memory, **kept}
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """Each car as KITTI would label it, all unoccluded, ``[..., K, 11]``."""
@@ -146,7 +289,8 @@ class TrafficSimulator:
         known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * self.dt_s
         return free & ego.is_beside(self.driving, aside_m, wider_m=SIDEWAYS_MPS * known_s)
 
-    def of_slots(self, signals: Mapping[str, FloatArray]) -> SlotSignals:
+    @staticmethod
+    def of_slots(signals: Mapping[str, FloatArray]) -> SlotSignals:
         """Gaps, offsets to the left [m], speeds [m/s] and headings [rad], ``[..., K]``."""
         return slot_signals(signals)
 
@@ -201,9 +345,7 @@ class TrafficSimulator:
         )
 
 
-def slot_signals(
-    signals: Mapping[str, FloatArray],
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def slot_signals(signals: Mapping[str, FloatArray]) -> SlotSignals:
     """Gaps, offsets to the left [m], speeds [m/s] and headings [rad] of slots, ``[..., K]``."""
     gap_m, aside_m, speed_mps, heading_rad = (
         np.stack([signals[f"{what}_{slot}"] for slot in SLOTS], axis=-1) for what in OF_SLOT
@@ -214,19 +356,11 @@ def slot_signals(
 def build_traffic(sumo: SumoConfig, scenario: ScenarioConfig) -> TrafficSimulator:
     """The simulator of a ``.sumocfg``, which is loaded once to see that it can be.
 
-    Args:
-        sumo: Names the file and the ego.
-        scenario: Gives the tracker.
-
     Raises:
         ConfigError: libsumo is not installed, or SUMO refuses the file, or has no such ego.
     """
-    settings = TrafficSettings(
-        config=str(traffic_file(sumo)),
-        ego=sumo.ego,
-        warm_up_s=sumo.warm_up_s,
-        step_s=sumo.step_s,
-    )
+    path = str(traffic_file(sumo))
+    settings = messages.TrafficSettings(path, sumo.ego, sumo.warm_up_s, sumo.step_s)
     make = partial(TrafficEpisodes, settings, states=sumo.states)
     found = TrafficSimulator(
         SideBySide(make=make, count=PROCESSES),

@@ -1,26 +1,37 @@
-"""One episode after the other in the SUMO of this process; runs where :mod:`host` starts it."""
+"""Episodes in a process that has libsumo, and makes processes of itself, one for each at a time.
 
+``python -m pemviz.simulators.sumo.traffic.process FD`` reads sockets from its own one, FD, and
+forks a process that serves each. It has no threads and nothing of pemviz's but this package: a
+fork is safe, and costs a millisecond where an import of libsumo costs most of a second. What SUMO
+prints stays in the process; it ends when the other end of its socket is closed.
+"""
+
+import array
+import json
+import os
+import signal
+import socket
+import struct
+import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, BinaryIO
 
-from pemviz.simulators.sumo.traffic.facts import (
+from pemviz.simulators.sumo.traffic import places
+from pemviz.simulators.sumo.traffic.messages import (
+    ENDED,
     NOBODY_M,
     OF_EGO,
     OTHERS,
-    RECOVERY_S,
+    RESET,
+    RUNNING,
     SLOTS,
+    WRONG,
+    Pipe,
     TrafficSettings,
 )
-from pemviz.simulators.sumo.traffic.places import (
-    Body,
-    Car,
-    leader_of,
-    perceived,
-    pictured,
-    safety_margin_m,
-    seen_from,
-)
+from pemviz.simulators.sumo.traffic.places import Body, Car
 
 LATEST_S = 3600.0
 """Of SUMO's time: by then the ego has to have entered."""
@@ -97,7 +108,7 @@ class Episode:
         sumo.vehicle.setSpeedMode(ego, OUR_SPEED)
         self._begun_m, self._before = sumo.vehicle.getDistance(ego), None
         self._slots, self._others = [None] * len(SLOTS), [None] * len(OTHERS)
-        self._values = self._told()
+        self._values = self._signals()
         return self._values
 
     def step(self, acceleration_mps2: float) -> tuple[list[float], bool]:
@@ -112,7 +123,7 @@ class Episode:
         sumo.simulationStep()
         if ego not in sumo.vehicle.getIDList():  # its route is over
             return self._values, True
-        self._values = self._told()
+        self._values = self._signals()
         return self._values, self._values[COLLIDED] > 0.0
 
     def _load(self, seed: int) -> None:
@@ -126,15 +137,15 @@ class Episode:
             self._started = True
         self._sizes.clear()
 
-    def _told(self) -> list[float]:
-        """Signals now, in the order of :func:`signal_names`."""
+    def _signals(self) -> list[float]:
+        """Signals now, in the order of :data:`NAMES`."""
         ego, cars = self._bodies()
-        around = {name: seen_from(ego, body) for name, body in cars.items()}
-        self._slots = perceived(around, self._slots)
-        self._others = pictured(around, self._slots, self._others)
+        around = {name: places.seen_from(ego, body) for name, body in cars.items()}
+        self._slots = places.perceived(around, self._slots)
+        self._others = places.pictured(around, self._slots, self._others)
         clearance_m = min([c.apart_m for c in around.values() if c.ahead], default=NOBODY_M)
-        leader = leader_of(around)
-        margin_m = safety_margin_m(ego.speed_mps, around.get(leader or ""))
+        leader = places.leader_of(around)
+        margin_m = places.safety_margin_m(ego.speed_mps, around.get(leader or ""))
         acceleration_mps2, needless_mps2 = self._braking(ego.speed_mps, around)
         before, led_s = self._before, 0.0
         if before is not None and before.leader == leader:
@@ -148,7 +159,7 @@ class Episode:
             acceleration_mps2,
             vehicle.getAllowedSpeed(own),
             clearance_m,
-            margin_m if led_s >= RECOVERY_S - ROUNDING_S else NOBODY_M,
+            margin_m if led_s >= places.RECOVERY_S - ROUNDING_S else NOBODY_M,
             needless_mps2,
             float(clearance_m <= 0.0),
             *_in_places(around, self._slots, with_heading=True),
@@ -198,3 +209,62 @@ def _in_places(
             own = [car.gap_m, car.aside_m, car.speed_mps, car.heading_rad]
             values += own[: 3 + with_heading]
     return values
+
+
+def main() -> None:
+    """Serve until the other end is closed."""
+    own = socket.socket(fileno=int(sys.argv[1]))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent alone acts on Ctrl-C
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those that end
+    os.environ["LIBSUMO_AS_TRACI"] = "quiet"
+    import libsumo  # noqa: PLC0415  an extra
+
+    while True:
+        message, given, _, _ = socket.recv_fds(own, 1, 1)
+        if not message:
+            return
+        if os.fork() == 0:
+            own.close()
+            _serve(Pipe(socket.socket(fileno=given[0])), libsumo)
+            os._exit(0)
+        os.close(given[0])
+
+
+def _serve(pipe: Pipe, library: Any) -> None:
+    """Answer until the pipe is closed."""
+    with tempfile.TemporaryFile() as printed:
+        for stream in (1, 2):
+            os.dup2(printed.fileno(), stream)
+        try:
+            episode = Episode(library, TrafficSettings(**json.loads(pipe.receive())))
+            while True:
+                pipe.send(_answer(episode, pipe.receive(), printed))
+        except (EOFError, OSError):
+            pass
+
+
+def _answer(episode: Episode, asked: bytes, printed: BinaryIO) -> bytes:
+    """The answer to a request; what goes wrong is an answer too."""
+    try:
+        if asked[:1] == RESET:
+            return (
+                RUNNING + array.array("d", episode.reset(*struct.unpack("q", asked[1:]))).tobytes()
+            )
+        values, ended = episode.step(*struct.unpack("d", asked[1:]))
+        return (ENDED if ended else RUNNING) + array.array("d", values).tobytes()
+    except LookupError as error:
+        return WRONG + str(error.args[0]).encode()
+    except Exception as error:
+        return WRONG + _words(error, printed).encode()
+
+
+def _words(error: Exception, printed: BinaryIO) -> str:
+    """What SUMO printed of its errors, else what the exception says, in one line."""
+    printed.seek(0)
+    lines = printed.read().decode(errors="replace").splitlines()
+    told = [line.removeprefix("Error:").strip() for line in lines if line.startswith("Error:")]
+    return " ".join(" ".join(told or [str(error) or type(error).__name__]).split())
+
+
+if __name__ == "__main__":
+    main()
