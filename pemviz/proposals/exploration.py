@@ -8,6 +8,7 @@ proposals do not know of is still met by some member, which is what the families
 importance sampling: Hesterberg 1995).
 """
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Self
@@ -25,17 +26,17 @@ EVERYWHERE = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, -1.0)
 """Strengths of the members whose window is the whole rollout."""
 WINDOWED = (0.6, 1.0)
 """Strengths within windows of a half, a quarter and an eighth of the rollout."""
-HALVINGS = 3
+HALVES = (4, 8, 16)
+"""Of the windows of each length, in the rollout."""
 WINDOWED_SHARE = 0.45
 SLOT_SHARE = 0.5
 """Of a family where several slots take turns: of members that raise one slot's errors alone."""
-STRENGTHS = (2.0, 4.0, 6.0)
+LATENT_STRENGTHS = tuple(sign * size for size in (2.0, 4.0, 6.0) for sign in (1.0, -1.0))
 """By how much a latent at the start is moved; of noise, the sum over a window by the square root
-of its steps: by so many standard deviations either way."""
+of its steps: by so many standard deviations."""
 UNMOVED_SHARE = 0.4
 """Of rollouts whose latents stay, at the start and likewise in the steps."""
 MOST_SINGLE_STEPS = 128
-QUARTERS = 4
 CHUNK_ROLLOUTS = 512
 
 
@@ -65,18 +66,25 @@ class ExplorationFamily:
     @staticmethod
     def over(steps: int, *, turns: int = 1) -> "ExplorationFamily":
         """The family for rollouts of ``steps`` outcomes, of slots that take ``turns``."""
-        family = _over_all(steps)
+        lengths = [_overlapping(steps, halves=count) for count in HALVES if count <= steps]
+        members = [(strength, 0, steps) for strength in EVERYWHERE]
+        share = [(1.0 - WINDOWED_SHARE if lengths else 1.0) / len(members)] * len(members)
+        for windows in lengths:
+            equally = [(s, first, stop) for first, stop in windows for s in WINDOWED]
+            members += equally
+            share += [WINDOWED_SHARE / len(lengths) / len(equally)] * len(equally)
+        strength, first, stop = (np.array(column) for column in zip(*members, strict=True))
         if turns == 1:
-            return family
+            return ExplorationFamily(strength, first, stop, np.array(share))
         alone = np.repeat(np.arange(turns), len(EVERYWHERE))
         return ExplorationFamily(
-            strength=np.concatenate([family.strength, np.tile(EVERYWHERE, turns)]),
-            first=np.pad(family.first, (0, alone.size)),
-            stop=np.pad(family.stop, (0, alone.size), constant_values=steps),
+            strength=np.concatenate([strength, np.tile(EVERYWHERE, turns)]),
+            first=np.pad(first, (0, alone.size)),
+            stop=np.pad(stop, (0, alone.size), constant_values=steps),
             share=np.concatenate(
-                [(1.0 - SLOT_SHARE) * family.share, np.full(alone.size, SLOT_SHARE / alone.size)]
+                [(1.0 - SLOT_SHARE) * np.array(share), np.full(alone.size, SLOT_SHARE / alone.size)]
             ),
-            slot=np.concatenate([np.full(family.strength.size, -1), alone]),
+            slot=np.concatenate([np.full(strength.size, -1), alone]),
             turns=turns,
         )
 
@@ -98,10 +106,7 @@ class ExplorationFamily:
             violated: Name of the memory that says whether a rollout has violated already.
             of: So many rollouts in all: those after the first ``count`` have no window.
         """
-        places = (np.arange(count) + generator.random()) / max(count, 1)
-        edges = np.cumsum(self.share)
-        member = np.searchsorted(edges, places * edges[-1], side="right")
-        member = generator.permutation(np.minimum(member, edges.size - 1))
+        member = _systematic(self.share, count, generator)
         rest = (0, (of or count) - count)
         return ExplorationProposal(
             strength=np.pad(self.strength[member], rest),
@@ -129,12 +134,12 @@ class ExplorationFamily:
         sums = np.zeros((steps + 1, count))
         for strength in np.unique(self.strength[self.strength != 0.0]):
             step[acts] = by_pem - softplus(sign * raised(under_pem, strength))
-            for raising, chosen in self._alike(strength):
+            for raising, chosen in self._of_strength(strength):
                 np.cumsum((step * raising).T if self.turns > 1 else step.T, axis=0, out=sums[1:])
                 by_member[chosen] = sums[self.stop[chosen]] - sums[self.first[chosen]]
         return np.asarray(log_sum_exp(by_member + np.log(self.share)[:, None], axis=0))
 
-    def _alike(self, strength: float) -> Iterator[tuple[BoolArray, IntArray]]:
+    def _of_strength(self, strength: float) -> Iterator[tuple[BoolArray, IntArray]]:
         """Members of a strength by whose turns they raise: which steps ``[T-1]``, which members."""
         steps, same = int(self.stop.max()), self.strength == strength
         for slot in (-1,) if self.slot is None else range(-1, self.turns):
@@ -202,33 +207,10 @@ def raised(miss_logit: FloatArray, strength: FloatArray | float) -> FloatArray:
     return miss_logit + strength * np.where(strength > 0.0, up, down)
 
 
-def _over_all(steps: int) -> ExplorationFamily:
-    """Members that raise all slots' errors alike."""
-    lengths = _windows(steps)
-    members = [(strength, 0, steps) for strength in EVERYWHERE]
-    share = [(1.0 - WINDOWED_SHARE if lengths else 1.0) / len(members)] * len(members)
-    for windows in lengths:
-        alike = [(s, first, stop) for first, stop in windows for s in WINDOWED]
-        members += alike
-        share += [WINDOWED_SHARE / len(lengths) / len(alike)] * len(alike)
-    strength, first, stop = zip(*members, strict=True)
-    return ExplorationFamily(
-        strength=np.array(strength),
-        first=np.array(first, dtype=np.int64),
-        stop=np.array(stop, dtype=np.int64),
-        share=np.array(share),
-    )
-
-
-def _windows(steps: int) -> list[list[tuple[int, int]]]:
-    """Windows of 1/2, 1/4, ... of the steps, each overlapping the next by half; by length."""
-    lengths: list[list[tuple[int, int]]] = []
-    for halving in range(1, HALVINGS + 1):
-        places = 2 ** (halving + 1)
-        if places <= steps:
-            edges = [round(steps * place / places) for place in range(places + 1)]
-            lengths.append(list(zip(edges[:-2], edges[2:], strict=True)))
-    return lengths
+def _overlapping(steps: int, *, halves: int) -> list[tuple[int, int]]:
+    """Windows of the steps, each overlapping the next by half: one fewer than ``halves``."""
+    edges = [round(steps * place / halves) for place in range(halves + 1)]
+    return list(zip(edges[:-2], edges[2:], strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,8 +240,10 @@ class LatentFamily:
     @staticmethod
     def over(steps: int, *, start: int, noise: int) -> "LatentFamily":
         """The families for ``start`` latents at the start and ``noise`` in each of ``steps``."""
-        moved = np.concatenate([np.eye(start) * s for s in _both_ways()]) if start else []
+        moved = np.concatenate([np.eye(start) * s for s in LATENT_STRENGTHS]) if start else []
         means = np.vstack([np.zeros((1, start)), *moved])
+        rest = len(means) - 1
+        at_start = np.array([UNMOVED_SHARE] + [(1.0 - UNMOVED_SHARE) / max(rest, 1)] * rest)
         members = list(_members(steps, noise))
         latent, mean, first, stop, share = zip((0, 0.0, 0, steps, 1.0), *members, strict=True)
         shares = np.array(share)
@@ -267,7 +251,7 @@ class LatentFamily:
         shares[0] = UNMOVED_SHARE if members else 1.0
         return LatentFamily(
             start=means,
-            start_share=_with_unmoved(len(means)),
+            start_share=at_start if start else np.ones(1),
             latent=np.array(latent, dtype=np.int64),
             mean=np.array(mean),
             first=np.array(first, dtype=np.int64),
@@ -345,36 +329,20 @@ class LatentExploration:
         return np.where(within[:, None], self.noise, 0.0)
 
 
-def _both_ways() -> list[float]:
-    return [sign * strength for strength in STRENGTHS for sign in (1.0, -1.0)]
-
-
-def _with_unmoved(members: int) -> FloatArray:
-    if members == 1:
-        return np.ones(1)
-    rest = (1.0 - UNMOVED_SHARE) / (members - 1)
-    return np.array([UNMOVED_SHARE] + [rest] * (members - 1))
-
-
 def _members(steps: int, noise: int) -> Iterator[tuple[int, float, int, int, float]]:
-    """Latent, mean, window and share, not normalised, of members; each length has as much."""
-    for windows in _lengths(steps):
+    """Latent, mean, window and share, not normalised; windows of each length have as much.
+
+    They are of all steps, of a quarter of them, each overlapping the next, and single steps.
+    """
+    singles = np.unique(np.linspace(0, steps, min(steps, MOST_SINGLE_STEPS) + 1).astype(int))
+    pairs = list(itertools.pairwise(singles.tolist()))
+    quarters = [_overlapping(steps, halves=8)] if steps >= 8 else []
+    for windows in ([(0, steps)], *quarters, pairs):
         for first, stop in windows:
-            for strength in _both_ways():
+            for strength in LATENT_STRENGTHS:
                 for latent in range(noise):
                     mean = strength / (stop - first) ** 0.5
                     yield latent, mean, first, stop, 1.0 / len(windows)
-
-
-def _lengths(steps: int) -> list[list[tuple[int, int]]]:
-    """Windows of all steps, of a quarter of them, each overlapping the next, and single steps."""
-    lengths = [[(0, steps)]]
-    if steps >= 2 * QUARTERS:
-        edges = [round(steps * place / (2 * QUARTERS)) for place in range(2 * QUARTERS + 1)]
-        lengths.append(list(zip(edges[:-2], edges[2:], strict=True)))
-    singles = np.unique(np.linspace(0, steps, min(steps, MOST_SINGLE_STEPS) + 1).astype(int))
-    lengths.append(list(zip(singles[:-1].tolist(), singles[1:].tolist(), strict=True)))
-    return lengths
 
 
 def _systematic(share: FloatArray, count: int, generator: np.random.Generator) -> IntArray:

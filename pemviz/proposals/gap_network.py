@@ -13,9 +13,8 @@ sums of dl and of dl x alone. Pieces are a dozen where places are thousands.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Self
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from pemviz.types import CERTAIN, StateBatch
 GAP_SCALE_M = 12.0
 HIDDEN_UNITS = 32
 FARTHEST_M = 1e6
-UNITS = HIDDEN_UNITS
 EPOCHS_BETWEEN_PAUSES = 50
 FORGETTING = (0.9, 0.999)
 """Adam's rates of its two moments."""
@@ -82,26 +80,15 @@ class GapNetwork:
 
 
 def gap_network_from_arrays(arrays: Mapping[str, AnyArray]) -> GapNetwork:
-    """The inverse of :meth:`GapNetwork.arrays`.
+    """The inverse of :meth:`GapNetwork.arrays`, of layers that fit together.
 
     Raises:
         KeyError: A parameter is missing.
-        ValueError: The parameters do not form such a network, or its answers overflow.
+        ValueError: The parameters do not form such a network, or its answers at gaps up to 1e6 m
+            are not finite.
     """
     weights = [np.asarray(arrays[f"{layer}.weight"], dtype=np.float64) for layer in (0, 2, 4)]
     biases = [np.asarray(arrays[f"{layer}.bias"], dtype=np.float64) for layer in (0, 2, 4)]
-    check_network(weights, biases)
-    return GapNetwork(
-        weights=(weights[0], weights[1], weights[2]), biases=(biases[0], biases[1], biases[2])
-    )
-
-
-def check_network(weights: Sequence[FloatArray], biases: Sequence[FloatArray]) -> None:
-    """Check that layers fit together and answer with finite numbers at any gap up to 1e6 m.
-
-    Raises:
-        ValueError: They do not.
-    """
     reach = np.full(1, FARTHEST_M / GAP_SCALE_M)
     for weight, bias in zip(weights, biases, strict=True):
         if weight.shape != (bias.size, reach.size) or bias.ndim != 1:
@@ -114,6 +101,9 @@ def check_network(weights: Sequence[FloatArray], biases: Sequence[FloatArray]) -
     if reach.shape != (2,) or not np.isfinite(largest):
         message = "the network must answer with two finite numbers"
         raise ValueError(message)
+    return GapNetwork(
+        weights=(weights[0], weights[1], weights[2]), biases=(biases[0], biases[1], biases[2])
+    )
 
 
 class Parameters:
@@ -131,17 +121,17 @@ class Parameters:
     """
 
     def __init__(self) -> None:
-        sizes = (2 * UNITS, UNITS * UNITS, UNITS, UNITS, 1)
+        sizes = (2 * HIDDEN_UNITS, HIDDEN_UNITS * HIDDEN_UNITS, HIDDEN_UNITS, HIDDEN_UNITS, 1)
         self.flat = np.zeros(sum(sizes))
         first, square, self.bias_2, self.weight_3, self.bias_3 = np.split(
             self.flat, np.cumsum(sizes)[:-1]
         )
-        self.layer_1 = first.reshape(2, UNITS)
-        self.weight_2 = square.reshape(UNITS, UNITS)
+        self.layer_1 = first.reshape(2, HIDDEN_UNITS)
+        self.weight_2 = square.reshape(HIDDEN_UNITS, HIDDEN_UNITS)
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class _Pieces:
     """Stretches of the places between which units change sign, some perhaps empty.
 
     Attributes:
@@ -165,13 +155,7 @@ class GapLoss:
     def __init__(
         self, inputs: FloatArray, *, detected_weight: FloatArray, missed_weight: FloatArray
     ) -> None:
-        """Keep the outcomes.
-
-        Args:
-            inputs: The network's, ascending ``[U]``.
-            detected_weight: Of 'detected' at each ``[U]``.
-            missed_weight: Of 'missed' at each ``[U]``.
-        """
+        """Inputs of the network, ascending, and weights of both outcomes at each, ``[U]``."""
         self._inputs, self._detected = inputs, detected_weight
         self._both = detected_weight + missed_weight
         self._bounds = np.array([0]), np.array([inputs.size])
@@ -210,14 +194,14 @@ class GapLoss:
         np.add(sums[0] @ pieces.slope, sums[1] @ pieces.offset, out=into.weight_3)
         into.bias_3[0] = self._sums[1, -1]
 
-    def _logits(self, at: Parameters, pieces: Pieces) -> FloatArray:
+    def _logits(self, at: Parameters, pieces: _Pieces) -> FloatArray:
         counts = pieces.starts[1:] - pieces.starts[:-1]
         logit = (pieces.slope @ at.weight_3).repeat(counts)
         logit *= self._inputs
         logit += (pieces.offset @ at.weight_3 + at.bias_3).repeat(counts)
         return logit
 
-    def _pieces(self, at: Parameters) -> Pieces:
+    def _pieces(self, at: Parameters) -> _Pieces:
         weight_1, bias_1 = at.layer_1
         turns = self._inputs.searchsorted(bias_1 / -weight_1)
         starts = np.concatenate((self._bounds[0], turns, self._bounds[1]))
@@ -236,7 +220,7 @@ class GapLoss:
         on_2 = ((0.5 * (first + last)) * slope > -offset).astype(np.float64)
         slope *= on_2
         offset *= on_2
-        return Pieces(finer, on_1, on_2, slope, offset)
+        return _Pieces(finer, on_1, on_2, slope, offset)
 
     def _ends(self, starts: IntArray) -> tuple[FloatArray, FloatArray]:
         """First and last input of each piece ``[K, 1]``; of an empty one, anything."""
@@ -256,7 +240,7 @@ class GapLoss:
         (at,) = changes.ravel().nonzero()
         if not at.size:
             return starts
-        piece = at // UNITS
+        piece = at // HIDDEN_UNITS
         cuts = self._inputs.searchsorted(negative.take(at) / slope.take(at))
         np.maximum(cuts, starts[piece], out=cuts)
         np.minimum(cuts, starts[piece + 1], out=cuts)
@@ -266,27 +250,26 @@ class GapLoss:
 
 
 @dataclass(frozen=True)
-class OutcomeSums:
-    """What outcomes so far weigh at each gap. A sum's terms are added in the outcomes' order.
+class OutcomeTable:
+    """Weighted outcomes summed over equal gaps, at first of none.
+
+    The loss is a sum over outcomes that depend on the gap alone, so equal gaps can be summed
+    without changing it; rollouts share most of theirs. Terms are added in the outcomes' order.
 
     Attributes:
         gap_m: Distinct gaps, ascending ``[U]``.
-        detected: Weight of 'detected' at each, ``[U]``.
-        missed: Weight of 'missed' at each, ``[U]``.
+        detected_weight: Weight of 'detected' at each, ``[U]``.
+        missed_weight: Weight of 'missed' at each, ``[U]``; the two sum to 1 over all gaps where
+            the weights of all rollouts do.
     """
 
-    gap_m: FloatArray
-    detected: FloatArray
-    missed: FloatArray
-
-    @staticmethod
-    def of_none() -> "OutcomeSums":
-        """Before the first rollout."""
-        return OutcomeSums(np.empty(0), np.empty(0), np.empty(0))
+    gap_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    detected_weight: FloatArray = field(default_factory=lambda: np.empty(0))
+    missed_weight: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def with_rollouts(
         self, *, gap_m: FloatArray, detected: BoolArray, rollout_weight: FloatArray
-    ) -> Self:
+    ) -> "OutcomeTable":
         """With outcomes ``[N, T-1]`` of rollouts with weights ``[N]``: the same as all at once."""
         steps = detected.shape[1]
         weight = np.repeat(rollout_weight / steps, steps)
@@ -294,41 +277,18 @@ class OutcomeSums:
         distinct = np.union1d(self.gap_m, some)
         before = np.searchsorted(distinct, self.gap_m)
         at = np.concatenate([before, np.searchsorted(distinct, some)[index]])
+
+        def summed(so_far: FloatArray, more: FloatArray) -> FloatArray:
+            # sums go on where they were: the first weights are those sums
+            both = np.concatenate([so_far, more])
+            return np.bincount(at, weights=both, minlength=distinct.size).astype(np.float64)
+
         hit = detected.ravel()
-        return type(self)(
+        return OutcomeTable(
             gap_m=distinct,
-            detected=_sum_by(at, (self.detected, weight * hit), distinct.size),
-            missed=_sum_by(at, (self.missed, weight * ~hit), distinct.size),
+            detected_weight=summed(self.detected_weight, weight * hit),
+            missed_weight=summed(self.missed_weight, weight * ~hit),
         )
-
-
-def _sum_by(index: AnyArray, weights: tuple[FloatArray, FloatArray], size: int) -> FloatArray:
-    """Sums go on where they were: the first weights are those sums."""
-    found = np.bincount(index, weights=np.concatenate(weights), minlength=size)
-    return np.asarray(found, dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class OutcomeTable:
-    """Weighted outcomes, pooled over equal gaps.
-
-    The loss is a sum over outcomes that depend on the gap alone, so equal gaps can be
-    pooled without changing it; rollouts share most of theirs.
-
-    Attributes:
-        gap_m: Distinct gaps ``[U]``.
-        detected_weight: Weight of 'detected' at each, ``[U]``.
-        missed_weight: Weight of 'missed' at each, ``[U]``; the two sum to 1 over all gaps.
-    """
-
-    gap_m: FloatArray
-    detected_weight: FloatArray
-    missed_weight: FloatArray
-
-
-def table_of(sums: OutcomeSums) -> OutcomeTable:
-    """Sums over rollouts with weights that sum to 1, as a network is trained on them."""
-    return OutcomeTable(gap_m=sums.gap_m, detected_weight=sums.detected, missed_weight=sums.missed)
 
 
 def initial_gap_network(*, seed: int) -> GapNetwork:
@@ -341,24 +301,22 @@ def initial_gap_network(*, seed: int) -> GapNetwork:
     source = np.random.RandomState(seed & 0xFFFFFFFF)
     weights: list[FloatArray] = []
     biases: list[FloatArray] = []
+
+    def uniform(shape: tuple[int, ...], *, reach: float) -> FloatArray:
+        # of 24 random bits each, rounded to single precision once
+        bits = np.frombuffer(source.bytes(4 * math.prod(shape)), dtype="<u4") & 0xFFFFFF
+        low, high = np.float32(-reach), np.float32(reach)
+        spread = np.float64(high - low)
+        sampled = bits * 2.0**-24 * spread + np.float64(low)
+        return sampled.astype(np.float32).astype(np.float64).reshape(shape)
+
     for outputs, inputs in ((HIDDEN_UNITS, 1), (HIDDEN_UNITS, HIDDEN_UNITS), (2, HIDDEN_UNITS)):
         reach = 1.0 / math.sqrt(inputs)
-        weights.append(_single_uniform(source, (outputs, inputs), reach=reach))
-        biases.append(_single_uniform(source, (outputs,), reach=reach))
+        weights.append(uniform((outputs, inputs), reach=reach))
+        biases.append(uniform((outputs,), reach=reach))
     return GapNetwork(
         weights=(weights[0], weights[1], weights[2]), biases=(biases[0], biases[1], biases[2])
     )
-
-
-def _single_uniform(
-    source: np.random.RandomState, shape: tuple[int, ...], *, reach: float
-) -> FloatArray:
-    """Uniform within +-``reach``, rounded to single precision once, of 24 random bits each."""
-    bits = np.frombuffer(source.bytes(4 * math.prod(shape)), dtype="<u4") & 0xFFFFFF
-    low, high = np.float32(-reach), np.float32(reach)
-    spread = np.float64(high - low)
-    drawn = bits * 2.0**-24 * spread + np.float64(low)
-    return drawn.astype(np.float32).astype(np.float64).reshape(shape)
 
 
 def fit_gap_network(
@@ -371,6 +329,9 @@ def fit_gap_network(
 ) -> tuple[GapNetwork, float]:
     """Minimise the weighted cross-entropy by full-batch Adam, fresh moments, from ``start``.
 
+    The loss is the cross-entropy of the paper's Algorithm 1, line 9, with weights to sum 1, in
+    double precision.
+
     Args:
         start: Where training begins; it is not changed.
         table: The outcomes.
@@ -380,17 +341,18 @@ def fit_gap_network(
 
     Returns:
         The trained network and its loss [nats a step].
-
-    The loss is the cross-entropy of the paper's Algorithm 1, line 9, with weights to sum 1. Its
-    gradient is that of :mod:`pemviz.proposals.gap_network`, in double precision.
     """
-    at, gradient = _parameters(start), Parameters()
+    at, gradient, step_size = _parameters(start), Parameters(), Parameters()
     loss = GapLoss(
         table.gap_m / start.gap_scale_m,
         detected_weight=table.detected_weight,
         missed_weight=table.missed_weight,
     )
-    adam = Adam(at.flat.size, step_size=_step_sizes(learning_rate).flat)
+    # the last layer's two outputs have opposite gradients, and part twice
+    step_size.flat[:] = learning_rate
+    step_size.weight_3 *= 2.0
+    step_size.bias_3 *= 2.0
+    adam = _Adam(step_size.flat)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for epoch in range(epochs):
             if pause is not None and epoch % EPOCHS_BETWEEN_PAUSES == 0:
@@ -398,22 +360,37 @@ def fit_gap_network(
             loss.gradient(at, into=gradient)
             at.flat -= adam.step(gradient.flat)
         final = loss.value(at)
-    return _network(start, at), final
+    before, signs = _parameters(start), np.array([-0.5, 0.5])
+    moved = at.weight_3 - before.weight_3, at.bias_3 - before.bias_3
+    trained = GapNetwork(
+        weights=(
+            at.layer_1[0][:, None].copy(),
+            at.weight_2.copy(),
+            start.weights[2] + signs[:, None] * moved[0],
+        ),
+        biases=(at.layer_1[1].copy(), at.bias_2.copy(), start.biases[2] + signs * moved[1]),
+        gap_scale_m=start.gap_scale_m,
+    )
+    return trained, final
 
 
-class Adam:
+def _parameters(network: GapNetwork) -> Parameters:
+    """The network's numbers, of its last layer the difference of 'detected' and 'missed'."""
+    at = Parameters()
+    at.layer_1[0], at.layer_1[1] = network.weights[0][:, 0], network.biases[0]
+    at.weight_2[:], at.bias_2[:] = network.weights[1], network.biases[1]
+    at.weight_3[:] = network.weights[2][1] - network.weights[2][0]
+    at.bias_3[:] = network.biases[2][1] - network.biases[2][0]
+    return at
+
+
+class _Adam:
     """Adam (Kingma & Ba 2015, Algorithm 1) with its usual constants, from fresh moments."""
 
-    def __init__(self, size: int, *, step_size: FloatArray) -> None:
-        """Start with moments 0.
-
-        Args:
-            size: How many parameters P.
-            step_size: Of each ``[P]``.
-        """
-        self._first, self._second = np.zeros(size), np.zeros(size)
-        self._step_size = step_size
-        self._steps = 0
+    def __init__(self, step_size: FloatArray) -> None:
+        """Moments 0; the step size is that of each of the parameters ``[P]``."""
+        self._first, self._second = np.zeros(step_size.size), np.zeros(step_size.size)
+        self._step_size, self._steps = step_size, 0
 
     def step(self, gradient: FloatArray) -> FloatArray:
         """What to take from the parameters ``[P]`` after a gradient ``[P]``."""
@@ -430,37 +407,3 @@ class Adam:
         size *= self._step_size
         size /= bias
         return size
-
-
-def _parameters(network: GapNetwork) -> Parameters:
-    """The network's numbers, of its last layer the difference of 'detected' and 'missed'."""
-    at = Parameters()
-    at.layer_1[0], at.layer_1[1] = network.weights[0][:, 0], network.biases[0]
-    at.weight_2[:], at.bias_2[:] = network.weights[1], network.biases[1]
-    at.weight_3[:] = network.weights[2][1] - network.weights[2][0]
-    at.bias_3[:] = network.biases[2][1] - network.biases[2][0]
-    return at
-
-
-def _step_sizes(learning_rate: float) -> Parameters:
-    """Of every parameter: the last layer's two outputs have opposite gradients, and part twice."""
-    sizes = Parameters()
-    sizes.flat[:] = learning_rate
-    sizes.weight_3 *= 2.0
-    sizes.bias_3 *= 2.0
-    return sizes
-
-
-def _network(start: GapNetwork, at: Parameters) -> GapNetwork:
-    """The network that ``start`` has become: its last layer's outputs have moved in opposition."""
-    before, signs = _parameters(start), np.array([-0.5, 0.5])
-    moved = at.weight_3 - before.weight_3, at.bias_3 - before.bias_3
-    return GapNetwork(
-        weights=(
-            at.layer_1[0][:, None].copy(),
-            at.weight_2.copy(),
-            start.weights[2] + signs[:, None] * moved[0],
-        ),
-        biases=(at.layer_1[1].copy(), at.bias_2.copy(), start.biases[2] + signs * moved[1]),
-        gap_scale_m=start.gap_scale_m,
-    )

@@ -38,20 +38,19 @@ h may depend on the state; it has the logit 0 for all states alike where, of the
 as likely as the other (:func:`even_logit`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, Self
 
 import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Rows, log_sum_exp
 from pemviz.latents import log_moved, log_share_moved, log_wide_and_narrow
+from pemviz.proposals.offset_logistic import Monomials
 
 NEVER = 0.03
 """Of rollouts, with no step moved where all steps are as likely."""
-LEAST_SPREAD = 0.2
 START_SPREAD_RIDGE = 5.0
 """So many starts of spread 1 count beside those that a spread is fitted to."""
 LARGEST_MEAN = 8.0
@@ -66,30 +65,110 @@ LARGEST_LOGIT = 5.0
 
 
 def even_logit(step: IntArray, *, steps: int) -> FloatArray:
-    """Logit of moving a step, given none before, by which all ``steps`` are as likely.
+    """Logit of moving a step, given none before, by which all ``steps`` of a rollout are as likely.
 
-    Args:
-        step: Zero-based, any shape.
-        steps: Of a rollout.
+    Steps count from 0 and have any shape.
     """
     return -np.log(steps - 1.0 - step + steps * NEVER / (1.0 - NEVER))
 
 
+def log_waiting(log_waits: FloatArray, share: FloatArray, moved: FloatArray) -> FloatArray:
+    """Log of the probability that no step was moved yet, after one more, ``[n]``.
+
+    Args:
+        log_waits: The same before it, ``[n]``.
+        share: Of moving it, given none before (h), ``[n]``.
+        moved: Log density of moved over unmoved noise, ``[n]``.
+    """
+    stays = log_waits + np.log1p(-share)
+    return stays - log_share_moved(moved, np.exp(log_waits) * share)
+
+
 @dataclass(frozen=True)
-class StepsOfRollouts:
-    """Where L steps of N rollouts lie in a table, a rollout's steps beside each other.
+class LatentDecisions:
+    """The latents of N rollouts, as proposals see them.
 
     Attributes:
-        rollout: Of each step, ascending, ``[L]``.
-        count: N.
+        start: ``[N, S]``.
+        rollout: Of each step with noise that may be moved, ``[L]``, ascending.
+        monomials: Of the state there, ``[L, B]``; of many rollouts not at once.
+        noise: ``[L, M]``.
+        even: :func:`even_logit` there, ``[L]``.
+        broken: Which rules are broken there, ``[L, R]``; ``None`` without several rules.
     """
 
+    start: FloatArray
     rollout: IntArray
-    count: int
+    monomials: FloatArray | Monomials
+    noise: FloatArray
+    even: FloatArray
+    broken: BoolArray | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of rollouts N."""
+        return len(self.start)
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """The monomials themselves, ``[L, B]``."""
+        return self.monomials[:]
+
+    def of(self, rollouts: IntArray) -> "LatentDecisions":
+        """Of the chosen rollouts, which are ascending; their monomials are made."""
+        number = np.full(self.count, -1)
+        number[rollouts] = np.arange(rollouts.size)
+        kept = number[self.rollout] >= 0
+        return self._at(kept, number[self.rollout[kept]].astype(np.int64), self.start[rollouts])
+
+    def between(self, first: int, stop: int) -> "LatentDecisions":
+        """Of the rollouts from ``first`` on, before ``stop``; their monomials are made."""
+        steps = slice(*np.searchsorted(self.rollout, [first, stop]).tolist())
+        return self._at(steps, self.rollout[steps] - first, self.start[first:stop])
+
+    def _at(self, steps: Rows, rollout: IntArray, start: FloatArray) -> "LatentDecisions":
+        broken = None if self.broken is None else self.broken[steps]
+        return LatentDecisions(
+            start, rollout, self.monomials[steps], self.noise[steps], self.even[steps], broken
+        )
+
+    def where(self, kept: BoolArray | None) -> "LatentDecisions":
+        """Of some of the steps, ``[L]``; ``None``: of all."""
+        if kept is None or kept.all():
+            return self
+        known = self.monomials
+        some = known.take(kept) if isinstance(known, Monomials) else known[kept]
+        return LatentDecisions(
+            self.start, self.rollout[kept], some, self.noise[kept], self.even[kept]
+        )
+
+    def joined(self, after: "LatentDecisions") -> "LatentDecisions":
+        """These and those of more rollouts."""
+        known, more = self.monomials, after.monomials
+        if isinstance(known, Monomials) and isinstance(more, Monomials):
+            monomials = Monomials.concatenate([known, more])
+        else:
+            monomials = np.concatenate([known[:], more[:]])
+        broken = None
+        if self.broken is not None and after.broken is not None:
+            broken = np.concatenate([self.broken, after.broken])
+        return LatentDecisions(
+            np.concatenate([self.start, after.start]),
+            np.concatenate([self.rollout, after.rollout + self.count]),
+            monomials,
+            np.concatenate([self.noise, after.noise]),
+            np.concatenate([self.even, after.even]),
+            broken,
+        )
+
+    def by_rollout(self, values: FloatArray) -> FloatArray:
+        """Sums over each rollout's steps, ``[N]`` of ``[L]``."""
+        sums = np.bincount(self.rollout, weights=values, minlength=self.count)
+        return sums.astype(np.float64)
 
     @cached_property
     def place(self) -> IntArray:
-        """Of each step in its rollout, ``[L]``."""
+        """Of each step among its rollout's, ``[L]``."""
         number = np.bincount(self.rollout, minlength=self.count)
         first = np.cumsum(number) - number
         return np.arange(self.rollout.size) - first[self.rollout]
@@ -106,63 +185,23 @@ class StepsOfRollouts:
         table = self.table(values, empty=0.0)
         return (np.cumsum(table, axis=1) - table)[self.rollout, self.place]
 
-    def up_to(self, chosen: FloatArray) -> FloatArray:
-        """1 at the first step of each rollout that is ``chosen`` and at all before, else 0."""
-        return (self.before(chosen) == 0.0).astype(np.float64)
-
-
-def log_ratio_of_one(moved: FloatArray, logit: FloatArray, steps: StepsOfRollouts) -> FloatArray:
-    """Log q / p of the noise of N rollouts, ``[N]``.
-
-    Args:
-        moved: Log density of moved over unmoved noise, ``[L]``.
-        logit: Of moving a step, given none before, ``[L]``.
-        steps: Of which rollouts they are.
-    """
-    each, never = _log_joint(moved, logit, steps)
-    largest = steps.table(each, empty=-np.inf)
-    return np.asarray(log_sum_exp(np.hstack([largest, never[:, None]]), axis=1))
-
-
-def posterior_of_one(
-    moved: FloatArray, logit: FloatArray, steps: StepsOfRollouts
-) -> tuple[FloatArray, FloatArray]:
-    """How likely each step is to be the moved one, and that none before it is, ``[L]`` each."""
-    each, _ = _log_joint(moved, logit, steps)
-    part = np.exp(each - log_ratio_of_one(moved, logit, steps)[steps.rollout])
-    return part, np.maximum(1.0 - steps.before(part), part)
-
-
-def share_of_one(share: FloatArray, steps: StepsOfRollouts) -> FloatArray:
-    """Of draws, with each step moved, for shares ``[L]`` given none before."""
-    return share * np.exp(steps.before(np.log1p(-share)))
-
-
-def log_waiting(log_waits: FloatArray, share: FloatArray, moved: FloatArray) -> FloatArray:
-    """Log of the probability that no step was moved yet, after one more, ``[n]``.
-
-    Args:
-        log_waits: The same before it, ``[n]``.
-        share: Of moving it, given none before (h), ``[n]``.
-        moved: Log density of moved over unmoved noise, ``[n]``.
-    """
-    stays = log_waits + np.log1p(-share)
-    return stays - log_share_moved(moved, np.exp(log_waits) * share)
-
 
 def _log_joint(
-    moved: FloatArray, logit: FloatArray, steps: StepsOfRollouts
+    moved: FloatArray, logit: FloatArray, latents: LatentDecisions
 ) -> tuple[FloatArray, FloatArray]:
-    """Logs of the sum's terms: of each step ``[L]``, and of no step ``[N]``."""
+    """Where one step is moved: log q / p jointly with which it is ``[L]``, and summed up ``[N]``.
+
+    For logs of moved over unmoved density ``[L]``, and logits of moving a step, given none before.
+    """
     stays = -np.logaddexp(0.0, logit)
-    each = steps.before(stays) + stays + logit + moved
-    never = np.bincount(steps.rollout, weights=stays, minlength=steps.count)
-    return each, never.astype(np.float64)
+    each = latents.before(stays) + stays + logit + moved
+    largest, never = latents.table(each, empty=-np.inf), latents.by_rollout(stays)
+    return each, np.asarray(log_sum_exp(np.hstack([largest, never[:, None]]), axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class StartMoves:
-    """Means and spreads.
+    """Means and spreads of the latents at the start.
 
     Attributes:
         mean: ``[S]``; of N rollouts each its own, ``[N, S]``.
@@ -171,18 +210,6 @@ class StartMoves:
 
     mean: FloatArray
     sd: FloatArray
-
-    @staticmethod
-    def none(starts: int) -> "StartMoves":
-        """Those of the model."""
-        return StartMoves(np.zeros(starts), np.ones(starts))
-
-    @staticmethod
-    def of_each(rollouts: Sequence["StartMoves"]) -> "StartMoves":
-        """Of N rollouts, each its own."""
-        return StartMoves(
-            np.stack([one.mean for one in rollouts]), np.stack([one.sd for one in rollouts])
-        )
 
     def rows(self, rows: slice) -> "StartMoves":
         """Of some of the rollouts."""
@@ -194,12 +221,9 @@ class StartMoves:
 
 
 def fit_start(start: FloatArray, weight: FloatArray, *, ridge: float) -> StartMoves:
-    """The moves nearest to weighted starts.
+    """The moves nearest to starts ``[N, S]`` of weights ``[N]``, not negative.
 
-    Args:
-        start: ``[N, S]``.
-        weight: ``[N]``, not negative.
-        ridge: So many starts at 0 count beside those that means are fitted to, above 0.
+    So many starts at 0 as ``ridge`` says, above 0, count beside those that means are fitted to.
     """
     total = float(weight.sum())
     mean = weight @ start / (total + ridge)
@@ -211,11 +235,7 @@ def start_optimism(
 ) -> FloatArray:
     """By how much each start is likelier than if the fit had been made without it, ``[N]`` [nats].
 
-    Args:
-        moves: Fitted by :func:`fit_start` with the other arguments.
-        start: ``[N, S]``.
-        weight: ``[N]``.
-        ridge: Of the means.
+    ``moves`` are those fitted by :func:`fit_start` with the other arguments.
     """
     own = weight[:, None]
     total = (float(weight.sum()) - own).clip(0.0)
@@ -227,128 +247,9 @@ def start_optimism(
 
 
 def _start_spread(squares: FloatArray, total: FloatArray | float) -> FloatArray:
-    """Spreads from sums of weighted squares and of the weights."""
+    """From sums of weighted squares and of the weights."""
     variance = (squares + START_SPREAD_RIDGE) / (total + START_SPREAD_RIDGE)
     return np.sqrt(variance).clip(LEAST_SPREAD, 1.0)
-
-
-class MadeWhenAsked(Protocol):
-    """Monomials ``[L, B]`` of many steps, made of those alone that are asked for."""
-
-    def __getitem__(self, rows: Rows, /) -> FloatArray:
-        """Those of some steps, ``[l, B]``."""
-        ...
-
-    def take(self, rows: Rows) -> Self:
-        """Some of the steps, still not made."""
-        ...
-
-    def joined(self, after: Self) -> Self:
-        """These steps and more."""
-        ...
-
-
-@dataclass(frozen=True)
-class LatentDecisions:
-    """The latents of N rollouts, as proposals see them.
-
-    Attributes:
-        start: ``[N, S]``.
-        rollout: Of each step with noise that may be moved, ``[L]``, ascending.
-        monomials: Of the state there, ``[L, B]``; of many rollouts not at once.
-        noise: ``[L, M]``.
-        even: :func:`pemviz.proposals.latent_moves.even_logit` there, ``[L]``.
-        broken: Which rules are broken there, ``[L, R]``; ``None`` without several rules.
-    """
-
-    start: FloatArray
-    rollout: IntArray
-    monomials: FloatArray | MadeWhenAsked
-    noise: FloatArray
-    even: FloatArray
-    broken: BoolArray | None = None
-
-    @property
-    def count(self) -> int:
-        """Number of rollouts N."""
-        return len(self.start)
-
-    @cached_property
-    def basis(self) -> FloatArray:
-        """The monomials themselves, ``[L, B]``."""
-        return self.monomials[:]
-
-    @property
-    def is_made(self) -> bool:
-        """Whether they are in memory; else ask of few rollouts at a time."""
-        return isinstance(self.monomials, np.ndarray)
-
-    def of(self, rollouts: IntArray) -> "LatentDecisions":
-        """Of the chosen rollouts, which are ascending."""
-        number = np.full(self.count, -1)
-        number[rollouts] = np.arange(rollouts.size)
-        kept = number[self.rollout] >= 0
-        return LatentDecisions(
-            self.start[rollouts],
-            number[self.rollout[kept]].astype(np.int64),
-            self.monomials[kept],
-            self.noise[kept],
-            self.even[kept],
-            None if self.broken is None else self.broken[kept],
-        )
-
-    def between(self, first: int, stop: int) -> "LatentDecisions":
-        """Of the rollouts from ``first`` on, before ``stop``; their monomials are made."""
-        steps = slice(*np.searchsorted(self.rollout, [first, stop]).tolist())
-        return LatentDecisions(
-            self.start[first:stop],
-            self.rollout[steps] - first,
-            self.monomials[steps],
-            self.noise[steps],
-            self.even[steps],
-            None if self.broken is None else self.broken[steps],
-        )
-
-    def where(self, kept: BoolArray | None) -> "LatentDecisions":
-        """Of some of the steps, ``[L]``; ``None``: of all."""
-        if kept is None or kept.all():
-            return self
-        known = self.monomials
-        some = known[kept] if isinstance(known, np.ndarray) else known.take(kept)
-        return LatentDecisions(
-            self.start, self.rollout[kept], some, self.noise[kept], self.even[kept]
-        )
-
-    def joined(self, after: "LatentDecisions") -> "LatentDecisions":
-        """These and those of more rollouts."""
-        return LatentDecisions(
-            np.concatenate([self.start, after.start]),
-            np.concatenate([self.rollout, after.rollout + self.count]),
-            _joined(self.monomials, after.monomials),
-            np.concatenate([self.noise, after.noise]),
-            np.concatenate([self.even, after.even]),
-            None
-            if self.broken is None or after.broken is None
-            else np.concatenate([self.broken, after.broken]),
-        )
-
-    @cached_property
-    def steps(self) -> StepsOfRollouts:
-        """Where they lie in a table of rollouts and steps."""
-        return StepsOfRollouts(self.rollout, self.count)
-
-    def by_rollout(self, values: FloatArray) -> FloatArray:
-        """Sums over each rollout's steps, ``[N]`` of ``[L]``."""
-        sums = np.bincount(self.rollout, weights=values, minlength=self.count)
-        return sums.astype(np.float64)
-
-
-def _joined(
-    first: FloatArray | MadeWhenAsked, second: FloatArray | MadeWhenAsked
-) -> FloatArray | MadeWhenAsked:
-    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
-        return np.concatenate([first[:], second[:]])
-    return first.joined(second)
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,6 +270,12 @@ class LatentMeans:
     sd: FloatArray
     once: bool = False
 
+    @staticmethod
+    def unmoved(*, start: int, noise: int, basis: int) -> "LatentMeans":
+        """Means of 0 and spreads of 1, for S latents at the start, M of a step and B monomials."""
+        at_start = StartMoves(np.zeros(start), np.ones(start))
+        return LatentMeans(at_start, np.zeros((noise, basis)), np.zeros(basis), np.ones(noise))
+
     def at(self, basis: FloatArray) -> FloatArray:
         """Means ``[n, M]`` of moved noise at states with monomials ``[n, B]``."""
         return noise_means(basis, self.noise)
@@ -387,7 +294,7 @@ class LatentMeans:
         of_start = self.start.log_ratio(latents.start)
         moved, logit = self.moved(latents), self.logit(latents)
         if self.once:
-            return of_start + log_ratio_of_one(moved, logit, latents.steps)
+            return of_start + _log_joint(moved, logit, latents)[1]
         return of_start + latents.by_rollout(log_share_moved(moved, expit(logit)))
 
     def arrays(self) -> Mapping[str, AnyArray]:
@@ -415,24 +322,9 @@ def choice_logit(basis: FloatArray, coefficients: FloatArray) -> FloatArray:
     return np.einsum(products, basis, coefficients).clip(-LARGEST_LOGIT, LARGEST_LOGIT)
 
 
-@dataclass(frozen=True)
-class MeansFit:
-    """Fitted means.
-
-    Attributes:
-        means: What was fitted.
-        optimism: By how much the log likelihood of each rollout's start would fall without it,
-            ``[N]`` [nats].
-        noise_optimism: Of its noise: to first order, as
-            :func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`.
-    """
-
-    means: LatentMeans
-    optimism: FloatArray
-    noise_optimism: FloatArray
-
-
-def fit_means(latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray) -> MeansFit:
+def fit_means(
+    latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray
+) -> tuple[LatentMeans, FloatArray, FloatArray]:
     """The means nearest to weighted rollouts' latents.
 
     From three beginnings, the best: all steps moved, or the farthest of each rollout, by itself or
@@ -442,32 +334,48 @@ def fit_means(latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray
         latents: Of N rollouts.
         weight: ``[N]``, not negative.
         ridge: Penalty of each coefficient, above 0, ``[B]``.
+
+    Returns:
+        The means; by how much the log likelihood of each rollout's start would fall without it,
+        ``[N]`` [nats]; and of its noise: to first order, as
+        :func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`.
     """
     rollouts = np.flatnonzero(weight > 0.0)
     chosen, own = latents.of(rollouts), weight[rollouts]
-    all_steps, farthest = np.ones(chosen.rollout.size), _farthest(chosen)
-    none = unmoved(start=latents.start.shape[1], noise=latents.noise.shape[1], basis=ridge.size)
-    tried = [
-        _rounds(_maximised(like, chosen, own, parts, ridge), chosen, own, ridge)
-        for like, parts in (
-            (none, (all_steps, all_steps)),
-            (none, (farthest, all_steps)),
-            (replace(none, once=True), (farthest, chosen.steps.up_to(farthest))),
-        )
-    ]
-    best = max(tried, key=lambda means: _penalised(means, chosen, own, ridge))
+    distance = np.sum(chosen.noise**2, axis=1)
+    largest = np.full(chosen.count, -np.inf)
+    np.maximum.at(largest, chosen.rollout, distance)
+    farthest = (distance >= largest[chosen.rollout]).astype(np.float64)
+    up_to_farthest = (chosen.before(farthest) == 0.0).astype(np.float64)
+    all_steps = np.ones(chosen.rollout.size)
+    none = LatentMeans.unmoved(
+        start=latents.start.shape[1], noise=latents.noise.shape[1], basis=ridge.size
+    )
+    tried: list[LatentMeans] = []
+    for means, parts in (
+        (none, (all_steps, all_steps)),
+        (none, (farthest, all_steps)),
+        (replace(none, once=True), (farthest, up_to_farthest)),
+    ):
+        found = _maximised(means, chosen, own, parts, ridge)
+        for _ in range(ROUNDS if found.noise.size else 0):
+            found = next_round(found, chosen, own, ridge=ridge)
+        tried.append(found)
+
+    def penalised_likelihood(means: LatentMeans) -> float:
+        likelihood = float(own @ means.log_ratio(chosen))
+        return likelihood - 0.5 * float(np.sum(ridge * (means.noise**2).sum(axis=0)))
+
+    best = max(tried, key=penalised_likelihood)
     at_start, of_noise = np.zeros(weight.size), np.zeros(weight.size)
     at_start[rollouts] = start_optimism(best.start, chosen.start, own, ridge=float(ridge[0]))
-    of_noise[rollouts] = _leave_one_out(best, chosen, own, ridge)
-    return MeansFit(best, at_start, of_noise)
+    if best.noise.size:
+        of_noise[rollouts] = _leave_one_out(best, chosen, own, ridge)
+    return best, at_start, of_noise
 
 
 def next_round(
-    means: LatentMeans,
-    latents: LatentDecisions,
-    weight: FloatArray,
-    *,
-    ridge: FloatArray,
+    means: LatentMeans, latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray
 ) -> LatentMeans:
     """One round of expectation and maximisation; arguments as above, weights may be 0."""
     return _maximised(means, latents, weight, _parts(means, latents), ridge)
@@ -485,8 +393,8 @@ def information(
     """Their variance over the means' own draws, ``[S + M B, S + M B]``, with the ridge."""
     at_start, moved = means.start.mean.size, len(means.noise)
     share = expit(means.logit(latents))
-    if means.once:
-        share = share_of_one(share, latents.steps)
+    if means.once:  # of draws, given none before
+        share = share * np.exp(latents.before(np.log1p(-share)))
     by_step = share * weight[latents.rollout]
     one = (latents.basis * by_step[:, None]).T @ latents.basis
     precision = np.diag(0.5 + 0.5 / means.sd**2)
@@ -496,23 +404,14 @@ def information(
     return found
 
 
-def _rounds(
-    means: LatentMeans,
-    latents: LatentDecisions,
-    weight: FloatArray,
-    ridge: FloatArray,
-) -> LatentMeans:
-    for _ in range(ROUNDS if means.noise.size else 0):
-        means = next_round(means, latents, weight, ridge=ridge)
-    return means
-
-
 def _parts(means: LatentMeans, latents: LatentDecisions) -> tuple[FloatArray, FloatArray]:
     """How likely it is that each step's noise was moved, and that it could be, ``[L]`` each."""
     moved, logit = means.moved(latents), means.logit(latents)
-    if means.once:
-        return posterior_of_one(moved, logit, latents.steps)
-    return expit(moved + logit), np.ones(logit.size)
+    if not means.once:
+        return expit(moved + logit), np.ones(logit.size)
+    each, of_all = _log_joint(moved, logit, latents)
+    part = np.exp(each - of_all[latents.rollout])
+    return part, np.maximum(1.0 - latents.before(part), part)
 
 
 def _maximised(
@@ -527,46 +426,30 @@ def _maximised(
     moved = basis * (by_step * part)[:, None]
     solved = np.linalg.solve(moved.T @ basis + np.diag(ridge), moved.T @ latents.noise)
     coefficients = np.asarray(solved.T, dtype=np.float64)
-    narrow = _narrow(before, latents)
     share, able = expit(before.logit(latents)), by_step * able
-    curvature = (basis * (able * share * (1.0 - share))[:, None]).T @ basis + np.diag(ridge)
+    curvature = _curvature(basis, able * share * (1.0 - share), ridge)
     gradient = basis.T @ (by_step * part - able * share) - ridge * before.choice
     change = np.linalg.solve(curvature, gradient).clip(-LARGEST_STEP, LARGEST_STEP)
+    of_spread = by_step * part * _narrow(before, latents)
+    squares = of_spread @ (latents.noise - noise_means(basis, coefficients)) ** 2
+    spread = np.sqrt((squares + SPREAD_RIDGE) / (of_spread.sum() + SPREAD_RIDGE))
     return LatentMeans(
         start=fit_start(latents.start, weight, ridge=float(ridge[0])),
         noise=coefficients,
         choice=before.choice + change,
-        sd=_spread(latents, noise_means(basis, coefficients), by_step * part * narrow),
+        sd=spread.clip(LEAST_SPREAD, 1.0),
         once=before.once,
     )
+
+
+def _curvature(basis: FloatArray, by_step: FloatArray, ridge: FloatArray) -> FloatArray:
+    return (basis * by_step[:, None]).T @ basis + np.diag(ridge)
 
 
 def _narrow(means: LatentMeans, latents: LatentDecisions) -> FloatArray:
     """How likely it is that noise, if it was moved, is of the half with the spreads, ``[L]``."""
     wide, narrow = log_wide_and_narrow(latents.noise, means.at(latents.basis), means.sd)
     return expit(narrow - wide)
-
-
-def _spread(latents: LatentDecisions, mean: FloatArray, by_step: FloatArray) -> FloatArray:
-    """Spreads ``[M]`` around means ``[L, M]``, for how much each step's noise says of them."""
-    squares = by_step @ (latents.noise - mean) ** 2
-    known = by_step.sum() + SPREAD_RIDGE
-    return np.sqrt((squares + SPREAD_RIDGE) / known).clip(LEAST_SPREAD, 1.0)
-
-
-def _farthest(latents: LatentDecisions) -> FloatArray:
-    """1 at the step of each rollout whose noise is farthest from 0, else 0, ``[L]``."""
-    distance = np.sum(latents.noise**2, axis=1)
-    largest = np.full(latents.count, -np.inf)
-    np.maximum.at(largest, latents.rollout, distance)
-    return (distance >= largest[latents.rollout]).astype(np.float64)
-
-
-def _penalised(
-    means: LatentMeans, latents: LatentDecisions, weight: FloatArray, ridge: FloatArray
-) -> float:
-    likelihood = float(weight @ means.log_ratio(latents))
-    return likelihood - 0.5 * float(np.sum(ridge * (means.noise**2).sum(axis=0)))
 
 
 def _noise_scores(means: LatentMeans, latents: LatentDecisions) -> FloatArray:
@@ -595,8 +478,6 @@ def _leave_one_out(
     means: LatentMeans, latents: LatentDecisions, weight: FloatArray, ridge: FloatArray
 ) -> FloatArray:
     """Each rollout's pull on what was fitted, times what that is to its noise, ``[N]`` [nats]."""
-    if not means.noise.size:
-        return np.zeros(weight.size)
     (part, able), by_step = _parts(means, latents), weight[latents.rollout]
     pull = _by_coefficient(_residual(means, latents), latents)
     curved = _curvature(latents.basis, by_step * part, ridge)
@@ -606,26 +487,10 @@ def _leave_one_out(
     choice = _by_coefficient((part - able * share)[:, None], latents)[:, 0]
     curved = _curvature(latents.basis, by_step * able * share * (1.0 - share), ridge)
     found = found + np.sum(choice * np.linalg.solve(curved, choice.T).T, axis=1)
-    return weight * (found + _of_spreads(means, latents, part, by_step))
-
-
-def _curvature(basis: FloatArray, by_step: FloatArray, ridge: FloatArray) -> FloatArray:
-    return (basis * by_step[:, None]).T @ basis + np.diag(ridge)
-
-
-def _of_spreads(
-    means: LatentMeans, latents: LatentDecisions, part: FloatArray, by_step: FloatArray
-) -> FloatArray:
-    """The spreads' part in it, ``[N]``: by their logarithms, where they are free."""
+    # spreads by their logarithms, where they are free
     narrow = part * _narrow(means, latents)
     relative = ((latents.noise - means.at(latents.basis)) / means.sd) ** 2 - 1.0
-    scores = np.stack([latents.by_rollout(narrow * one) for one in relative.T], axis=1)
+    of_spread = np.stack([latents.by_rollout(narrow * one) for one in relative.T], axis=1)
     free = (means.sd > LEAST_SPREAD) & (means.sd < 1.0)
-    return np.sum(scores**2 * free, axis=1) / (2.0 * (by_step @ narrow + SPREAD_RIDGE))
-
-
-def unmoved(*, start: int, noise: int, basis: int) -> LatentMeans:
-    """Means of 0."""
-    return LatentMeans(
-        StartMoves.none(start), np.zeros((noise, basis)), np.zeros(basis), np.ones(noise)
-    )
+    known = 2.0 * (by_step @ narrow + SPREAD_RIDGE)
+    return weight * (found + np.sum(of_spread**2 * free, axis=1) / known)

@@ -4,15 +4,14 @@ At every outcome it is mixed with the error model (defensive mixture: Hesterberg
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, Rows
-from pemviz.proposals.latent_moves import LatentMeans
 from pemviz.types import CERTAIN, Signal, StateBatch
 
 LARGEST_SHARE = 0.1
@@ -34,75 +33,50 @@ def share_for(*, drawn_steps: float, steps: int) -> float:
 def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
     """The mixture of a proposal (weight 1 - share) and the error model, as logits ``[...]``.
 
-    Hesterberg's defensive mixture (1995), applied to every outcome: a single outcome's weight is
-    at most 1 / share, whatever the proposal.
-
-    Args:
-        logit: The proposal's.
-        pem_logit: The error model's.
-        share: Of the error model, in (0, 1).
+    A single outcome's weight is at most 1 / share, whatever the proposal; share is in (0, 1).
     """
     log_share, log_rest = float(np.log(share)), float(np.log1p(-share))
-    detected = np.logaddexp(_log_hit(logit) + log_rest, _log_hit(pem_logit) + log_share)
-    missed = np.logaddexp(_log_miss(logit) + log_rest, _log_miss(pem_logit) + log_share)
+    detected = np.logaddexp(
+        log_rest - np.logaddexp(0.0, -logit), log_share - np.logaddexp(0.0, -pem_logit)
+    )
+    missed = np.logaddexp(
+        log_rest - np.logaddexp(0.0, logit), log_share - np.logaddexp(0.0, pem_logit)
+    )
     return detected - missed
 
 
-@dataclass(frozen=True)
-class AgainstModel:
+def outcome_ratios(
+    miss_logit: FloatArray, missed: BoolArray, *, share: float
+) -> Callable[[FloatArray], FloatArray]:
     """How much likelier outcomes ``[M]`` are under mixtures with proposals than by the error model.
 
     An outcome of logit a under the model and a + d under a proposal is (1 + e^-a) / (1 + e^-(a+d))
     times as likely under the latter. With E = e^-|a| that is (1 + E) / (1 + E e^-d) where a > 0,
     else (1 + E) / (E + e^-d): nothing overflows.
 
-    Attributes:
-        sign: 1 for a miss, -1 for a detection.
-        fixed: The denominator's term without the proposal.
-        moved: What e^-d is multiplied by there.
-        scale: 1 - share times the numerator.
+    Args:
+        miss_logit: The error model's logits of a miss, ``[M]``.
+        missed: The outcomes, ``[M]``.
         share: Of the error model, in (0, 1).
+
+    Returns:
+        Gives log q / p of each outcome, ``[M]``, for how much misses' logits are raised, ``[M]``.
     """
+    sign = np.where(missed, 1.0, -1.0)
+    model = sign * miss_logit
+    small, likely = np.exp(-np.abs(model)), model > 0.0
+    fixed, moved = np.where(likely, 1.0, small), np.where(likely, small, 1.0)
+    scale = (1.0 - share) * (1.0 + small)
 
-    sign: FloatArray
-    fixed: FloatArray
-    moved: FloatArray
-    scale: FloatArray
-    share: float
-
-    @classmethod
-    def of(cls, miss_logit: FloatArray, missed: BoolArray, *, share: float) -> Self:
-        """Of outcomes ``[M]`` and the error model's logits of a miss there."""
-        sign = np.where(missed, 1.0, -1.0)
-        model = sign * miss_logit
-        small = np.exp(-np.abs(model))
-        likely = model > 0.0
-        return cls(
-            sign=sign,
-            fixed=np.where(likely, 1.0, small),
-            moved=np.where(likely, small, 1.0),
-            scale=(1.0 - share) * (1.0 + small),
-            share=share,
-        )
-
-    def log_ratio(self, raised: FloatArray) -> FloatArray:
-        """Log q / p of each outcome, ``[M]``, under proposals that raise misses' logits ``[M]``."""
-        denominator = np.exp(-self.sign * raised)
-        denominator *= self.moved
-        denominator += self.fixed
-        ratio = np.divide(self.scale, denominator, out=denominator)
-        ratio += self.share
+    def log_ratio(raised: FloatArray) -> FloatArray:
+        denominator = np.exp(-sign * raised)
+        denominator *= moved
+        denominator += fixed
+        ratio = np.divide(scale, denominator, out=denominator)
+        ratio += share
         return np.log(ratio, out=ratio)
 
-
-def _log_hit(logit: FloatArray) -> FloatArray:
-    """Log of the probability of a detection, for logits of any shape."""
-    return _log_miss(-logit)
-
-
-def _log_miss(logit: FloatArray) -> FloatArray:
-    """Log of the probability of a miss."""
-    return -np.logaddexp(0.0, logit)
+    return log_ratio
 
 
 class StateFeatures(Protocol):
@@ -134,8 +108,7 @@ class SignalFeatures:
 
     def reacts(self, states: StateBatch) -> BoolArray:
         """True everywhere."""
-        like = states.signals[self.signals[0].name]
-        return np.ones_like(like, dtype=np.bool)
+        return np.ones_like(states.signals[self.signals[0].name], dtype=np.bool)
 
 
 @dataclass(frozen=True)
@@ -151,6 +124,23 @@ class PolynomialBasis:
     mean: FloatArray
     spread: FloatArray
     degree: int
+
+    @staticmethod
+    def standardised_by(values: FloatArray, *, degree: int) -> "PolynomialBasis":
+        """By features ``[n, D]``; a constant one, and all of no rows, keep spread 1."""
+        if values.shape[0] == 0:
+            return PolynomialBasis(np.zeros(values.shape[1]), np.ones(values.shape[1]), degree)
+        spread = np.std(values, axis=0)
+        return PolynomialBasis(np.mean(values, axis=0), np.where(spread > 0.0, spread, 1.0), degree)
+
+    def with_outcome(self) -> "PolynomialBasis":
+        """Monomials for the means of noise, of what outcomes look at and of the outcome itself.
+
+        A step's noise is drawn after its outcomes: an error of a position may matter with a
+        detection alone.
+        """
+        mean, spread = np.append(self.mean, 0.5), np.append(self.spread, 0.5)
+        return PolynomialBasis(mean, spread, min(self.degree, NOISE_DEGREE))
 
     @cached_property
     def exponents(self) -> tuple[tuple[int, ...], ...]:
@@ -179,6 +169,44 @@ class PolynomialBasis:
         return tuple((place[chosen[:-1]], chosen[-1]) for chosen in self.exponents[1:])
 
 
+@dataclass(frozen=True)
+class Monomials(Batch):
+    """Monomials ``[M, B]`` in the memory of the features that they are made of, a sixth of theirs.
+
+    Attributes:
+        features: ``[M, D]``.
+        basis: What they are monomials of.
+    """
+
+    features: FloatArray
+    basis: PolynomialBasis
+
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        """Those of some decisions, ``[m, B]``."""
+        features = self.features[rows]
+        found = np.empty((len(features), len(self.basis.exponents)))
+        for first in range(0, len(found), MADE_AT_ONCE):
+            some = slice(first, first + MADE_AT_ONCE)
+            found[some] = self.basis.evaluate(features[some])
+        return found
+
+    @classmethod
+    def _beside_rows(cls, batches: Sequence[Any]) -> Mapping[str, Any]:
+        return {"basis": batches[0].basis}
+
+
+def some_at_once(count: int) -> list[int]:
+    """Edges of ``count`` rollouts in pieces that their monomials are made of."""
+    return [*range(0, max(count, 1), ROLLOUTS_AT_ONCE), count]
+
+
+def noise_features(features: StateFeatures, states: StateBatch, detected: BoolArray) -> FloatArray:
+    """Features of states ``[...]`` and outcomes there, ``[..., D + 1]``."""
+    values = features.values(states)
+    values = np.broadcast_to(values, (*detected.shape, values.shape[-1]))
+    return np.concatenate([values, detected[..., None]], axis=-1, dtype=np.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class OffsetLogisticProposal:
     """logit q(miss) = logit p(miss) + clip(basis . coefficients), mixed with p at every step.
@@ -192,7 +220,7 @@ class OffsetLogisticProposal:
         coefficients: ``[B]``; or ``[N, B]``, for N rollouts a row each.
         violated: Name of the memory that says whether a rollout has violated already.
         defensive: Share of the error model in every outcome's probability.
-        means: How it moves latents, where there are any.
+        latents: What is stored beside it of how latents are moved.
     """
 
     features: StateFeatures
@@ -200,7 +228,7 @@ class OffsetLogisticProposal:
     coefficients: FloatArray
     violated: str
     defensive: float
-    means: LatentMeans | None = None
+    latents: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]``."""
@@ -220,14 +248,14 @@ class OffsetLogisticProposal:
         return result
 
     def arrays(self) -> Mapping[str, AnyArray]:
-        """Coefficients and standardisation, and means of latents."""
+        """Coefficients and standardisation, and what moves latents."""
         return {
             "coefficients": self.coefficients,
             "mean": self.basis.mean,
             "spread": self.basis.spread,
             "degree": np.array(self.basis.degree),
             "defensive": np.array(self.defensive),
-            **({} if self.means is None else self.means.arrays()),
+            **self.latents,
         }
 
 
@@ -256,58 +284,3 @@ def acting(
 def _filling(values: Any, shape: tuple[int, ...]) -> Any:
     """The values, broadcast where their shape is not yet ``shape``."""
     return values if values.shape == shape else np.broadcast_to(values, shape)
-
-
-@dataclass(frozen=True)
-class Monomials(Batch):
-    """Monomials ``[M, B]`` in the memory of the features that they are made of, a sixth of theirs.
-
-    Attributes:
-        features: ``[M, D]``.
-        basis: What they are monomials of.
-    """
-
-    features: FloatArray
-    basis: PolynomialBasis
-
-    def __getitem__(self, rows: Rows) -> FloatArray:
-        """Those of some decisions, ``[m, B]``."""
-        features = self.features[rows]
-        found = np.empty((len(features), len(self.basis.exponents)))
-        for first in range(0, len(found), MADE_AT_ONCE):
-            some = slice(first, first + MADE_AT_ONCE)
-            found[some] = self.basis.evaluate(features[some])
-        return found
-
-    def joined(self, after: "Monomials") -> "Monomials":
-        """These decisions and more."""
-        return Monomials.concatenate([self, after])
-
-    @classmethod
-    def _beside_rows(cls, batches: Sequence[Any]) -> Mapping[str, Any]:
-        return {"basis": batches[0].basis}
-
-
-def some_at_once(count: int) -> list[int]:
-    """Edges of ``count`` rollouts in pieces that their monomials are made of."""
-    return [*range(0, max(count, 1), ROLLOUTS_AT_ONCE), count]
-
-
-def noise_basis(basis: PolynomialBasis) -> PolynomialBasis:
-    """Monomials for the means of noise, of what outcomes look at and of the outcome itself.
-
-    A step's noise is drawn after its outcomes: an error of a position may matter with a detection
-    alone.
-    """
-    return PolynomialBasis(
-        mean=np.append(basis.mean, 0.5),
-        spread=np.append(basis.spread, 0.5),
-        degree=min(basis.degree, NOISE_DEGREE),
-    )
-
-
-def noise_features(features: StateFeatures, states: StateBatch, detected: BoolArray) -> FloatArray:
-    """Features of states ``[...]`` and outcomes there, ``[..., D + 1]``."""
-    values = features.values(states)
-    values = np.broadcast_to(values, (*detected.shape, values.shape[-1]))
-    return np.concatenate([values, detected[..., None]], axis=-1, dtype=np.float64)

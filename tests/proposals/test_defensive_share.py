@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.proposals.offset_logistic import AgainstModel, defended
+from pemviz.proposals.offset_logistic import defended, outcome_ratios
 
 LOGITS = st.lists(st.floats(-600.0, 600.0), min_size=1, max_size=30)
 
@@ -22,7 +22,7 @@ def test_ratios_are_those_of_the_mixtures_that_outcomes_are_drawn_from(logits, s
     missed = generator.random(model.size) < 0.5
     mixture = -defended(-(model + raised), -model, share=share)
     expected = log_chance(mixture, missed) - log_chance(model, missed)
-    found = AgainstModel.of(model, missed, share=share).log_ratio(raised)
+    found = outcome_ratios(model, missed, share=share)(raised)
     # the difference of two large numbers is known to their last digits
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15 * (1 + np.abs(model).max()))
 
@@ -33,8 +33,8 @@ def test_ratios_are_those_of_the_mixtures_that_outcomes_are_drawn_from(logits, s
 def test_no_model_is_too_sure(model, missed, raised):
     """What is all but certain stays so; what is all but impossible changes by the raise itself."""
     share = 0.01
-    against = AgainstModel.of(np.array([model]), np.array([missed]), share=share)
+    log_ratio = outcome_ratios(np.array([model]), np.array([missed]), share=share)
     likely = (model > 0.0) == missed
     towards = raised if missed else -raised
     expected = 0.0 if likely else np.log(share + (1.0 - share) * np.exp(towards))
-    np.testing.assert_allclose(against.log_ratio(np.array([raised])), expected, atol=1e-15)
+    np.testing.assert_allclose(log_ratio(np.array([raised])), expected, atol=1e-15)

@@ -304,7 +304,7 @@ def test_means_are_found_again():
     moves = generator.random(latents.rollout.size) < 0.2
     mean = 3.0 + 2.0 * latents.basis[:, 1]
     drawn_with = replace(latents, noise=latents.noise + np.where(moves, mean, 0.0)[:, None])
-    found = fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01, 0.1])).means
+    found = fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01, 0.1]))[0]
     assert found.start.mean == pytest.approx([1.5], abs=5.0 / np.sqrt(latents.count))
     assert found.noise[0] == pytest.approx([3.0, 2.0], abs=0.6)
     assert 1.0 / (1.0 + np.exp(-found.choice[0])) == pytest.approx(0.2, abs=0.05)
@@ -342,7 +342,7 @@ def test_one_step_at_most_is_moved():
     noise = np.where(far > 0.0, far, latents.noise.reshape(-1, 6)).reshape(-1, 1)
     basis = latents.basis[:, :1]
     drawn_with = replace(latents, noise=noise, monomials=basis)
-    found = fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01])).means
+    found = fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01]))[0]
     assert found.once
     assert found.noise[0] == pytest.approx([5.0], abs=0.1)
     assert found.sd == pytest.approx([0.3], abs=0.07)

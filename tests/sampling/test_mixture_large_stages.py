@@ -77,7 +77,7 @@ def test_others_stand_for_all_that_hold(few_others):
         watched.progress(size, size)
         return result.scored.take(slice(size))
 
-    InParts(count=23, enough=40).draw(counting, part)
+    InParts(count=23, enough=40).sample(counting, part)
     assert seen == [(0, 8), (1, 8), (2, 7)]
     assert told == [(8, 23), (16, 23), (23, 23)]
 
@@ -86,7 +86,7 @@ def test_weights_do_not_depend_on_what_is_held():
     """The same rollouts and proposals, all in the pool or few: to the last bit."""
     problem = problem_of(WALK, PEM)
     _, state, results = ended(problem, seed=3, enough=400, rollouts=200)
-    moves = state.pool.proposals[:1]
+    moves = state.pool.proposals[0]
     terms = Terms(features=state.features, basis=state.basis, defensive=0.1)
     pools = {"all": None, "few": None}
     for stage in (0, 1, 5):
@@ -99,9 +99,8 @@ def test_weights_do_not_depend_on_what_is_held():
             pools[name] = extended(
                 pool,
                 few if name == "few" and stage < 5 else Joining(scored),
-                drawn_from=component,
-                new=moves if stage == 1 else (),
-                optimism=[np.zeros(known)] if stage == 1 else (),
+                component=component,
+                new=[(moves, np.zeros(known))] if stage == 1 else (),
                 terms=terms,
                 last=stage == 5,
             )

@@ -57,7 +57,7 @@ def test_log_ratio_is_that_of_the_densities():
     start = 2.0 * np.random.default_rng(0).standard_normal((50, 3))
     expected = np.log(mixture_pdf(start, MOVES)) - stats.norm.logpdf(start).sum(axis=1)
     np.testing.assert_allclose(MOVES.log_ratio(start), expected, rtol=1e-12)
-    np.testing.assert_array_equal(StartMoves.none(3).log_ratio(start), 0.0)
+    np.testing.assert_array_equal(StartMoves(np.zeros(3), np.ones(3)).log_ratio(start), 0.0)
 
 
 def test_starts_are_drawn_from_the_density_that_weighs_them():

@@ -142,7 +142,7 @@ def test_elites_teach_the_same_to_the_last_bit_in_batches(seed, cuts, level):
 @given(seed=seeds, cuts=anywhere)
 def test_all_teach_the_same_to_the_last_bit_in_batches(seed, cuts):
     scored = stage(seed)
-    lesson = FromAll.of(COUNT)
+    lesson = FromAll(COUNT)
     for batch in batches(scored, cuts):
         lesson = lesson.extended(batch)
     learned = lesson.learned(scored.robustness)

@@ -14,45 +14,29 @@ weights are divided by their sum; the estimate is of the final rollouts alone.
 """
 
 import time
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol, Self
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray
-from pemviz.drawn import Drawn
+from pemviz.arrays import Batch, BoolArray, FloatArray
+from pemviz.proposals import gap_network
 from pemviz.proposals.fixed import PemProposal
-from pemviz.proposals.gap_network import (
-    GapNetwork,
-    OutcomeSums,
-    OutcomeTable,
-    fit_gap_network,
-    gap_network_from_arrays,
-    initial_gap_network,
-    table_of,
-)
+from pemviz.proposals.gap_network import GapNetwork, OutcomeTable
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.method import (
     VIOLATION_THRESHOLD,
     elite_threshold,
     elites,
-    importance_stage_figures,
+    final_stage,
     network_seed,
     sample_stage,
     stage_seeds,
 )
 from pemviz.sampling.problem import FinishedStage, Problem, sample_batches
-from pemviz.sampling.rollouts.large_stages import (
-    LARGEST_PART,
-    FinalBatch,
-    Thinned,
-    Whole,
-    largest_held,
-    part_sizes,
-)
-from pemviz.types import Estimate, Proposal, ScoredRollouts, StageKind, StageResult
+from pemviz.sampling.rollouts import large_stages
+from pemviz.sampling.rollouts.large_stages import LARGEST_PART, FinalBatch, Thinned, Whole
+from pemviz.types import Estimate, Proposal, ScoredRollouts, StageResult
 
 LOSS = "loss"
 
@@ -72,49 +56,26 @@ class Learned:
     elites: int
 
 
-class Lesson(Protocol):
-    """What is learned from a stage, as far as it is drawn."""
-
-    def extended(self, batch: ScoredRollouts) -> Self:
-        """With the next rollouts."""
-        ...
-
-    def learned(self, robustness: FloatArray) -> Learned:
-        """What the stage teaches, once all its rollouts ``[N]`` are drawn."""
-        ...
-
-
 @dataclass(frozen=True)
 class FromAll:
-    """All rollouts are learned from alike, each as soon as it is drawn.
+    """All of ``count`` rollouts are learned from equally, each as soon as it is sampled."""
 
-    Attributes:
-        weight: Of each.
-        sums: Of their outcomes.
-    """
+    count: int
+    table: OutcomeTable = field(default_factory=OutcomeTable)
 
-    weight: float
-    sums: OutcomeSums
-
-    @staticmethod
-    def of(count: int) -> "FromAll":
-        """Before the first of ``count`` rollouts."""
-        weight = float(smoothed_weights(np.zeros(count), alpha=0.0)[0])
-        return FromAll(weight, OutcomeSums.of_none())
-
-    def extended(self, batch: ScoredRollouts) -> Self:
+    def extended(self, batch: ScoredRollouts) -> "FromAll":
         """With the next rollouts."""
-        count = batch.rollouts.count
-        sums = self.sums.with_rollouts(
+        weight = float(smoothed_weights(np.zeros(self.count), alpha=0.0)[0])
+        table = self.table.with_rollouts(
             gap_m=_gap_m(batch),
             detected=batch.rollouts.detected,
-            rollout_weight=np.full(count, self.weight),
+            rollout_weight=np.full(batch.rollouts.count, weight),
         )
-        return replace(self, sums=sums)
+        return replace(self, table=table)
 
     def learned(self, robustness: FloatArray) -> Learned:
-        """What the stage teaches, once all its rollouts ``[N]`` are drawn."""
-        return Learned(table_of(self.sums), None, robustness.size)
+        """What the stage teaches, once all its rollouts ``[N]`` are sampled."""
+        return Learned(self.table, None, robustness.size)
 
 
 @dataclass(frozen=True)
@@ -136,15 +97,15 @@ class Candidate(Batch):
 
 @dataclass(frozen=True)
 class FromElites:
-    """Elites are learned from; who is one is known once all are drawn.
+    """Elites are learned from; which these are is known once all rollouts are sampled.
 
-    A rollout above the level of those drawn so far is none whatever comes.
+    A rollout above the level of those sampled so far is none whatever comes.
 
     Attributes:
         sigma: Elite quantile.
         alpha: Exponent of the weights.
         least: So many rollouts at least are elites.
-        held: Candidates, in the order in which they were drawn.
+        held: Candidates, in the order in which they were sampled.
         level: No rollout above it is one.
         settled: How many candidates there were when the level was last lowered.
     """
@@ -163,46 +124,38 @@ class FromElites:
         least = int(elites(places, threshold=elite_threshold(places, sigma=sigma)).sum())
         return FromElites(sigma=sigma, alpha=alpha, least=least)
 
-    def extended(self, batch: ScoredRollouts) -> Self:
-        """With the next rollouts."""
-        rollouts = batch.rollouts
+    def extended(self, batch: ScoredRollouts) -> "FromElites":
+        """With the next rollouts; the level falls each time that candidates have doubled."""
         rows = np.flatnonzero(batch.robustness <= self.level)
         some = Candidate(
             robustness=batch.robustness[rows],
-            log_weight=rollouts.log_weight[rows],
+            log_weight=batch.rollouts.log_weight[rows],
             gap_m=_gap_m(batch)[rows],
-            detected=rollouts.detected[rows],
+            detected=batch.rollouts.detected[rows],
         )
-        grown = replace(self, held=(*self.held, some))
-        known = sum(part.robustness.size for part in grown.held)
-        return grown if known < max(self.least, 2 * self.settled) else grown._lowered()
-
-    def _lowered(self) -> Self:
-        """With the level of those drawn so far, and the candidates at or below it."""
-        robustness = np.concatenate([part.robustness for part in self.held])
+        held = (*self.held, some)
+        robustness = np.concatenate([part.robustness for part in held])
+        if robustness.size < max(self.least, 2 * self.settled):
+            return replace(self, held=held)
         level = float(np.partition(robustness, self.least - 1)[self.least - 1])
         level = max(level, VIOLATION_THRESHOLD)
-        held = tuple(part.take(part.robustness <= level) for part in self.held)
+        held = tuple(part.take(part.robustness <= level) for part in held)
         left = sum(part.robustness.size for part in held)
         return replace(self, held=held, level=level, settled=left)
 
     def learned(self, robustness: FloatArray) -> Learned:
-        """What the stage teaches, once all its rollouts ``[N]`` are drawn."""
+        """What the stage teaches, once all its rollouts ``[N]`` are sampled."""
         threshold = elite_threshold(robustness, sigma=self.sigma)
         chosen = [part.take(elites(part.robustness, threshold=threshold)) for part in self.held]
         log_weight = np.concatenate([part.log_weight for part in chosen])
         weight = smoothed_weights(log_weight, alpha=self.alpha)
-        sums, parts = OutcomeSums.of_none(), _split(weight, chosen)
-        for part, rollout_weight in zip(chosen, parts, strict=True):
-            sums = sums.with_rollouts(
+        ends = np.cumsum([part.robustness.size for part in chosen])
+        table = OutcomeTable()
+        for part, rollout_weight in zip(chosen, np.split(weight, ends[:-1]), strict=True):
+            table = table.with_rollouts(
                 gap_m=part.gap_m, detected=part.detected, rollout_weight=rollout_weight
             )
-        return Learned(table_of(sums), threshold, log_weight.size)
-
-
-def _split(weight: FloatArray, parts: list[Candidate]) -> Iterator[FloatArray]:
-    ends = np.cumsum([part.robustness.size for part in parts])
-    return iter(np.split(weight, ends[:-1]))
+        return Learned(table, threshold, log_weight.size)
 
 
 def _gap_m(batch: ScoredRollouts) -> FloatArray:
@@ -218,7 +171,7 @@ class AdaptiveState:
         stage: The stage that ``step`` carries out next.
         network: The proposal learned so far.
         rollouts_simulated: In all stages so far.
-        batch: How far the final rollouts are drawn.
+        batch: How far the final rollouts are sampled.
     """
 
     repetition: int
@@ -226,26 +179,6 @@ class AdaptiveState:
     network: GapNetwork
     batch: FinalBatch
     rollouts_simulated: int = 0
-
-
-@dataclass(frozen=True)
-class _Stage:
-    """A stage's rollouts, and what was learned from them; see :class:`StageResult`."""
-
-    scored: ScoredRollouts
-    drawn: Drawn | None = None
-    network: GapNetwork | None = None
-    threshold: float | None = None
-    elites: int = 0
-    loss: float | None = None
-    timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
-
-    @property
-    def kept(self) -> Mapping[str, AnyArray]:
-        """What another process needs to go on from here."""
-        if self.network is None:
-            return {}
-        return {**self.network.arrays(), LOSS: np.array(self.loss)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,7 +196,7 @@ class AdaptiveSampling:
         epochs: Training steps in each fit.
         learning_rate: Adam's step size.
         seed: Root of all randomness.
-        largest_part: How many final rollouts are drawn at once.
+        largest_part: How many final rollouts are sampled at once.
     """
 
     learning_stages: int
@@ -288,40 +221,37 @@ class AdaptiveSampling:
         return AdaptiveState(
             repetition=repetition,
             stage=0,
-            network=initial_gap_network(seed=seed),
+            network=gap_network.initial_gap_network(seed=seed),
             batch=FinalBatch(self._final_sizes()),
         )
 
     def step(self, problem: Problem, state: AdaptiveState) -> tuple[AdaptiveState, StageResult]:
         """Sample from the proposal; learn from the elites unless the stage is the last."""
-        kind = self._kind(state.stage)
-        stage = self._final(problem, state) if kind == "final" else self._learning(problem, state)
-        failures, probability, log10_probability, ess = importance_stage_figures(
-            stage.scored, stage.drawn
-        )
-        result = StageResult(
-            repetition=state.repetition,
-            stage=state.stage,
-            kind=kind,
-            scored=stage.scored,
-            sampled_from=self._proposal(state),
-            learned=stage.network,
-            threshold=stage.threshold,
-            elites=stage.elites,
-            failures=failures,
-            probability=probability,
-            log10_probability=log10_probability,
-            ess=ess,
-            loss=stage.loss,
-            kept=stage.kept,
-            timings_s=stage.timings_s,
-            drawn=stage.drawn,
-        )
+        network, batch = state.network, state.batch
+        proposal = PemProposal() if state.stage == 0 else network
+        if state.stage <= self.learning_stages:
+            network, result = self._learning(problem, state, proposal)
+        else:
+            scored = sample_stage(
+                problem,
+                proposal=proposal,
+                count=batch.next_size,
+                seed=self.seed,
+                repetition=state.repetition,
+                stage=state.stage,
+            )
+            batch = batch.extended(scored)
+            result = final_stage(
+                repetition=state.repetition,
+                stage=state.stage,
+                scored=scored,
+                sampled_from=proposal,
+            )
         advanced = replace(
             state,
             stage=state.stage + 1,
-            network=stage.network or state.network,
-            batch=state.batch.extended(stage.scored) if kind == "final" else state.batch,
+            network=network,
+            batch=batch,
             rollouts_simulated=state.rollouts_simulated + result.count,
         )
         return advanced, result
@@ -331,53 +261,40 @@ class AdaptiveSampling:
         return replace(state, batch=state.batch.under_rule(rule))
 
     def is_done(self, state: AdaptiveState) -> bool:
-        """Whether the final rollouts are drawn."""
+        """Whether the final rollouts are sampled."""
         return state.batch.is_done
 
     def estimate(self, state: AdaptiveState) -> Estimate:
         """The estimate from the final rollouts.
 
         Raises:
-            ValueError: They are not drawn yet.
+            ValueError: They are not sampled yet.
         """
         return importance_sampling_estimate(
             state.batch.weighed(), method=self.name, rollouts_simulated=state.rollouts_simulated
         )
 
     def _final_sizes(self) -> tuple[int, ...]:
-        return part_sizes(self.final_rollouts, largest=self.largest_part)
+        return large_stages.part_sizes(self.final_rollouts, largest=self.largest_part)
 
-    def _kind(self, stage: int) -> StageKind:
-        if stage == 0:
-            return "pretrain"
-        return "learn" if stage <= self.learning_stages else "final"
-
-    def _proposal(self, state: AdaptiveState) -> Proposal:
-        """What the next stage is drawn from."""
-        return PemProposal() if state.stage == 0 else state.network
-
-    def _final(self, problem: Problem, state: AdaptiveState) -> _Stage:
-        scored = sample_stage(
-            problem,
-            proposal=self._proposal(state),
-            count=state.batch.next_size,
-            seed=self.seed,
-            repetition=state.repetition,
-            stage=state.stage,
-        )
-        return _Stage(scored, timings_s=scored.timings_s)
-
-    def _learning(self, problem: Problem, state: AdaptiveState) -> _Stage:
+    def _learning(
+        self, problem: Problem, state: AdaptiveState, proposal: Proposal
+    ) -> tuple[GapNetwork, StageResult]:
         """A stage that is learned from: a batch at a time, of which all or some rollouts stay."""
         finished = problem.finished(state.repetition, state.stage)
         if finished is not None:
             problem.progress(self.rollouts, self.rollouts)
-            return self._restored(state, finished)
-        large = problem.thins and self.rollouts > self.largest_part
-        lesson, held = self._lesson(state), self._holding(problem, large=large)
+            return self._restored(state, proposal, finished)
+        lesson: FromAll | FromElites = FromAll(self.rollouts)
+        if state.stage > 0:
+            lesson = FromElites.of(self.rollouts, sigma=self.sigma, alpha=self.alpha)
+        held: Thinned | Whole = Whole()
+        if problem.thins and self.rollouts > self.largest_part:
+            most = large_stages.largest_held(states=problem.simulator.states)
+            held = Thinned(count=self.rollouts, most=most)
         for batch in sample_batches(
             problem,
-            proposal=self._proposal(state),
+            proposal=proposal,
             count=self.rollouts,
             seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
         ):
@@ -385,47 +302,72 @@ class AdaptiveSampling:
         scored, drawn = held.done()
         began = time.perf_counter()
         learned = lesson.learned(scored.robustness if drawn is None else drawn.robustness)
-        network, loss = fit_gap_network(
+        network, loss = gap_network.fit_gap_network(
             state.network,
             learned.table,
             epochs=self.epochs,
             learning_rate=self.learning_rate,
             pause=problem.pause,
         )
-        fit_s = time.perf_counter() - began
-        return _Stage(
-            scored,
-            drawn,
-            network=network,
+        result = final_stage(
+            repetition=state.repetition,
+            stage=state.stage,
+            scored=scored,
+            sampled_from=proposal,
+            drawn=drawn,
+        )
+        return network, _taught(
+            result,
+            network,
             threshold=learned.threshold,
             elites=learned.elites,
             loss=loss,
-            timings_s={**scored.timings_s, "fit": fit_s},
+            fit_s=time.perf_counter() - began,
         )
 
-    def _restored(self, state: AdaptiveState, finished: FinishedStage) -> _Stage:
+    def _restored(
+        self, state: AdaptiveState, proposal: Proposal, finished: FinishedStage
+    ) -> tuple[GapNetwork, StageResult]:
         """As an interrupted run left it: what it learned is kept beside its rollouts."""
         scored, drawn = finished.scored, finished.drawn
         robustness = scored.robustness if drawn is None else drawn.robustness
         threshold = None if state.stage == 0 else elite_threshold(robustness, sigma=self.sigma)
         chosen = elites(robustness, threshold=np.inf if threshold is None else threshold)
-        return _Stage(
-            scored,
-            drawn,
-            network=gap_network_from_arrays(finished.kept),
+        network = gap_network.gap_network_from_arrays(finished.kept)
+        result = final_stage(
+            repetition=state.repetition,
+            stage=state.stage,
+            scored=scored,
+            sampled_from=proposal,
+            drawn=drawn,
+        )
+        return network, _taught(
+            result,
+            network,
             threshold=threshold,
             elites=int(chosen.sum()),
             loss=float(finished.kept[LOSS]),
-            timings_s={**scored.timings_s, "fit": 0.0},
+            fit_s=0.0,
         )
 
-    def _lesson(self, state: AdaptiveState) -> Lesson:
-        if state.stage == 0:
-            return FromAll.of(self.rollouts)
-        return FromElites.of(self.rollouts, sigma=self.sigma, alpha=self.alpha)
 
-    def _holding(self, problem: Problem, *, large: bool) -> Thinned | Whole:
-        if not large:
-            return Whole()
-        states = problem.simulator.states
-        return Thinned(count=self.rollouts, most=largest_held(states=states))
+def _taught(
+    result: StageResult,
+    network: GapNetwork,
+    *,
+    threshold: float | None,
+    elites: int,
+    loss: float,
+    fit_s: float,
+) -> StageResult:
+    """The record of a stage with what was learned, and what another process needs to go on."""
+    return replace(
+        result,
+        kind="pretrain" if result.stage == 0 else "learn",
+        learned=network,
+        threshold=threshold,
+        elites=elites,
+        loss=loss,
+        kept={**network.arrays(), LOSS: np.array(loss)},
+        timings_s={**result.timings_s, "fit": fit_s},
+    )

@@ -19,16 +19,8 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans
-from pemviz.proposals.offset_logistic import (
-    AgainstModel,
-    Monomials,
-    PolynomialBasis,
-    StateFeatures,
-    shift,
-    some_at_once,
-)
+from pemviz.proposals.offset_logistic import Monomials, outcome_ratios, shift, some_at_once
 from pemviz.simulators.absorbing import violated_rule
-from pemviz.types import RolloutBatch
 
 EXPLORATION = 0
 """The component that stands for the exploration proposals' family; the fitted proposals count from
@@ -72,10 +64,8 @@ class Planned:
         final = np.zeros(columns, dtype=np.int64)
         for size, times in Counter(sizes).items():
             final += times * np.bincount(components(size), minlength=columns)
-        return Planned(
-            of_all=log_shares(final + np.bincount(before, minlength=columns)),
-            of_final=log_shares(final),
-        )
+        of_all = final + np.bincount(before, minlength=columns)
+        return Planned(of_all=log_shares(of_all), of_final=log_shares(final))
 
 
 @dataclass(frozen=True)
@@ -177,13 +167,6 @@ def still_open(broken: BoolArray | None, rules: Sequence[str], rule: Rule) -> Bo
         return None
     closed = broken.any(axis=-1) if rule is None else broken[..., rules.index(rule)]
     return np.logical_not(np.asarray(closed))
-
-
-def both(first: BoolArray | None, second: BoolArray | None) -> BoolArray | None:
-    """Where both are; ``None`` stands for everywhere."""
-    if first is None or second is None:
-        return second if first is None else first
-    return first & second
 
 
 def where_open(values: AnyArray, open_there: BoolArray | None) -> AnyArray:
@@ -435,30 +418,6 @@ def balance_weights(log_ratio: FloatArray, component: IntArray) -> FloatArray:
     return weights(log_ratio, log_shares(np.bincount(component, minlength=log_ratio.shape[1])))
 
 
-def decisions_of(
-    rollouts: RolloutBatch,
-    acts: BoolArray,
-    *,
-    features: StateFeatures,
-    basis: PolynomialBasis,
-    broken: BoolArray | None = None,
-    many: bool = False,
-) -> Decisions:
-    """The decisions of N rollouts, made where ``acts [N, T-1]``, by the rules broken there.
-
-    Of ``many`` monomials are not made before they are asked for.
-    """
-    values = features.values(rollouts.decision_states())
-    values = np.broadcast_to(values, (*acts.shape, basis.mean.size))[acts]
-    return Decisions(
-        rollout=np.nonzero(acts)[0].astype(np.int64),
-        basis=Monomials(values, basis) if many else basis.evaluate(values),
-        missed=~rollouts.detected[acts],
-        offset=-rollouts.pem_logit[acts],
-        broken=None if broken is None else broken[acts],
-    )
-
-
 def log_ratios(
     decisions: Decisions,
     proposals: Sequence[FittedMoves],
@@ -480,61 +439,48 @@ def log_ratios(
         under: Until when rollouts are judged.
         latents: The rollouts', where there are any.
     """
-    found = _of_outcomes(
-        decisions, proposals, count=count, defensive=defensive, rules=rules, under=under
-    )
-    if latents is not None:
-        moves = [(one.means, one.rule) for one in proposals if one.means is not None]
-        found = [
-            each + latent_ratios(latents, moves, rules=rules, under=rule)
-            for each, rule in zip(found, under, strict=True)
-        ]
-    return found
+    if isinstance(decisions.basis, Monomials):
+        found = _some_at_a_time(decisions, proposals, count, defensive, rules, under)
+    else:
+        found = [np.zeros((count, len(proposals))) for _ in under]
+        log_ratio = outcome_ratios(decisions.offset, decisions.missed, share=defensive)
+        until = [still_open(decisions.broken, rules, rule) for rule in under]
+        for column, one in enumerate(proposals):
+            step = log_ratio(shift(decisions.basis, one.coefficients))
+            own = still_open(decisions.broken, rules, one.rule) if one.rule else None
+            step = where_open(step, own)
+            for each, open_there in zip(found, until, strict=True):
+                weights = where_open(step, open_there)
+                each[:, column] = np.bincount(decisions.rollout, weights=weights, minlength=count)
+    if latents is None:
+        return found
+    moves = [(one.means, one.rule) for one in proposals if one.means is not None]
+    return [
+        each + latent_ratios(latents, moves, rules=rules, under=rule)
+        for each, rule in zip(found, under, strict=True)
+    ]
 
 
-def _of_outcomes(
+def _some_at_a_time(  # noqa: PLR0917  as log_ratios takes them
     decisions: Decisions,
     proposals: Sequence[FittedMoves],
-    *,
     count: int,
     defensive: float,
     rules: Sequence[str],
     under: Sequence[Rule],
-) -> Sequence[FloatArray]:
-    """What :func:`log_ratios` finds of outcomes; of many decisions some rollouts at a time."""
-    if isinstance(decisions.basis, Monomials):
-        edges = some_at_once(count)
-        places = np.searchsorted(decisions.rollout, edges).tolist()
-        some = [
-            _of_outcomes(
-                _made(decisions, slice(*rows), first=first),
-                proposals,
-                count=stop - first,
-                defensive=defensive,
-                rules=rules,
-                under=under,
-            )
-            for (first, stop), rows in zip(
-                itertools.pairwise(edges), itertools.pairwise(places), strict=True
-            )
-        ]
-        return [np.concatenate(parts) for parts in zip(*some, strict=True)]
-    found = [np.zeros((count, len(proposals))) for _ in under]
-    against = AgainstModel.of(decisions.offset, decisions.missed, share=defensive)
-    for column, one in enumerate(proposals):
-        step = against.log_ratio(shift(decisions.basis, one.coefficients))
-        step = where_open(step, still_open(decisions.broken, rules, one.rule) if one.rule else None)
-        for each, rule in zip(found, under, strict=True):
-            until = still_open(decisions.broken, rules, rule)
-            weights = where_open(step, until)
-            each[:, column] = np.bincount(decisions.rollout, weights=weights, minlength=count)
-    return found
-
-
-def _made(decisions: Decisions, rows: slice, *, first: int) -> Decisions:
-    """Some decisions with their monomials, of rollouts that count from ``first``."""
-    some = decisions.take(rows)
-    return replace(some, rollout=some.rollout - first, basis=some.basis[:])
+) -> list[FloatArray]:
+    """What :func:`log_ratios` finds of outcomes, with monomials of some rollouts at a time."""
+    edges = some_at_once(count)
+    places = itertools.pairwise(np.searchsorted(decisions.rollout, edges).tolist())
+    found: list[Sequence[FloatArray]] = []
+    for (first, stop), rows in zip(itertools.pairwise(edges), places, strict=True):
+        some = decisions.take(slice(*rows))
+        some = replace(some, rollout=some.rollout - first, basis=some.basis[:])
+        count = stop - first
+        found.append(
+            log_ratios(some, proposals, count=count, defensive=defensive, rules=rules, under=under)
+        )
+    return [np.concatenate(parts) for parts in zip(*found, strict=True)]
 
 
 def latent_ratios(
@@ -552,7 +498,7 @@ def latent_ratios(
         rules: Names of those that are told apart.
         under: Until when rollouts are judged.
     """
-    if not latents.is_made:
+    if isinstance(latents.monomials, Monomials):
         edges = itertools.pairwise(some_at_once(latents.count))
         pieces = (latents.between(*pair) for pair in edges)
         return np.vstack([latent_ratios(few, moves, rules=rules, under=under) for few in pieces])
@@ -560,7 +506,7 @@ def latent_ratios(
     until = still_open(latents.broken, rules, under)
     for rule in dict.fromkeys(rule for _, rule in moves):
         own = still_open(latents.broken, rules, rule) if rule else None
-        counted = latents.where(both(until, own))
+        counted = latents.where(until if own is None else own if until is None else own & until)
         for column, (means, of) in enumerate(moves):
             if of == rule:
                 found[:, column] = means.log_ratio(counted)

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.latent_moves import LatentMeans, fit_means
-from pemviz.proposals.offset_logistic import PolynomialBasis, noise_basis
+from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import (
     LogisticFit,
     WeightedOutcomes,
@@ -248,10 +248,9 @@ def fitted(
     means = None
     if pool.latents is not None:
         of_noise = noise_ridge(basis, settings, of_state=BLIND if blind else 1.0)
-        moved = fit_means(pool.latents.where(pool.open_noise), weight, ridge=of_noise)
-        means = moved.means
-        beyond = _beyond_first_order(weight)
-        optimism = optimism + moved.optimism + moved.noise_optimism * beyond
+        latents = pool.latents.where(pool.open_noise)
+        means, of_start, first_order = fit_means(latents, weight, ridge=of_noise)
+        optimism = optimism + of_start + first_order * _beyond_first_order(weight)
     return Fit(
         coefficients=found.coefficients,
         optimism=optimism,
@@ -401,7 +400,7 @@ def noise_ridge(
     }
     relative = [
         alone.get(chosen, of_state * NOISE_RIDGE["state"] * 2.0 ** (len(chosen) - 1))
-        for chosen in noise_basis(basis).exponents
+        for chosen in basis.with_outcome().exponents
     ]
     return settings.ridge * np.array(relative)
 
@@ -584,7 +583,7 @@ def _told_apart(
     first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
     means = None
     if few.latents is not None:
-        means = fit_means(few.latents, few.weight, ridge=of_noise).means
+        means = fit_means(few.latents, few.weight, ridge=of_noise)[0]
     return failure_modes_of(
         few,
         first.coefficients,

@@ -47,30 +47,16 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.proposals.fixed import PemProposal
-from pemviz.proposals.offset_logistic import (
-    PolynomialBasis,
-    SignalFeatures,
-    StateFeatures,
-)
+from pemviz.proposals.offset_logistic import PolynomialBasis, SignalFeatures, StateFeatures
 from pemviz.sampling.estimates.diagnostics import not_absorbing
 from pemviz.sampling.estimates.estimate import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
+from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
 from pemviz.sampling.mixture.fit import FitSettings, next_proposals
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
-from pemviz.sampling.mixture.stages import (
-    InParts,
-    Joining,
-    MixtureState,
-    StageDrawn,
-    components,
-    defence,
-    drawn,
-    main_proposal,
-    several_rules,
-    until_settled,
-)
+from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, part_sizes
 from pemviz.simulators.latents import latent_counts
@@ -120,7 +106,7 @@ class MixtureSampling:
             absorbing=absorbing,
             turns=problem.turns,
             starts=latent_counts(problem.simulator).start,
-            rules=several_rules(problem),
+            rules=stages.several_rules(problem),
             many=(self.learning_stages + 1) * self.rollouts > self.largest_part,
         )
 
@@ -128,26 +114,44 @@ class MixtureSampling:
         """Draw from the newest proposals; fit the next one unless the stage is the last."""
         steps = problem.simulator.states - 1
         last = self._is_last(state)
-        drawn = self._drawn(problem, state)
-        basis = state.basis or first_basis(drawn.joining.sample, state.features)
-        pool = self._pooled(state, basis, drawn.joining, self._components(state, drawn.count))
+        sampled = self._sampled(problem, state)
+        basis = state.basis or first_basis(sampled.joining.sample, state.features)
+        pool = self._pooled(state, basis, sampled.joining, self._components(state, sampled.count))
         advanced = replace(
             state,
             stage=state.stage + 1,
             basis=basis,
             pool=pool,
-            frozen=(*state.frozen, drawn.count) if last else (),
+            frozen=(*state.frozen, sampled.count) if last else (),
         )
         result = final_stage(
             repetition=state.repetition,
             stage=state.stage,
-            scored=drawn.scored,
-            sampled_from=main_proposal(state, steps=steps) or PemProposal(),
-            drawn=drawn.drawn,
+            scored=sampled.scored,
+            sampled_from=stages.main_proposal(state, steps=steps) or PemProposal(),
+            drawn=sampled.drawn,
         )
         if last:
             return advanced, result
-        return self._learn(advanced, result, kind_of_first=state.stage == 0)
+        began = time.perf_counter()
+        fits = next_proposals(
+            pool,
+            basis,
+            self.settings,
+            defensive=stages.defence(steps),
+            explores=self._explores(advanced.stage),
+            for_final=self._is_last(advanced),
+        )
+        advanced = replace(advanced, fits=fits)
+        return advanced, replace(
+            result,
+            kind="pretrain" if state.stage == 0 else "learn",
+            learned=stages.main_proposal(advanced, steps=steps),
+            threshold=fits[-1].threshold,
+            elites=fits[-1].elites,
+            loss=fits[0].loss,
+            timings_s={**result.timings_s, "fit": time.perf_counter() - began},
+        )
 
     def under_rule(self, state: MixtureState, rule: str) -> MixtureState:
         """The same rollouts with the verdict of one rule."""
@@ -179,11 +183,9 @@ class MixtureSampling:
             frozen=final,
             adaptation=adaptation(turns=state.turns, starts=state.starts),
         )
-        wrong = [*found.diagnostics, *disagreements(pool, final=final)]
-        found = replace(found, diagnostics=tuple(wrong))
-        if state.absorbing:
-            return found
-        return replace(found, diagnostics=(*found.diagnostics, not_absorbing()))
+        wrong = () if state.absorbing else (not_absorbing(),)
+        disagree = disagreements(pool, final=final)
+        return replace(found, diagnostics=(*found.diagnostics, *disagree, *wrong))
 
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
         """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were drawn.
@@ -198,38 +200,22 @@ class MixtureSampling:
         """What each rollout was drawn from, and its weights by the balance heuristic."""
         return {} if state.pool is None else columns_of(state.pool, final=state.final)
 
-    def _drawn(self, problem: Problem, state: MixtureState) -> StageDrawn:
-        """The next stage, as an interrupted run left it or else drawn."""
+    def _sampled(self, problem: Problem, state: MixtureState) -> SampledStage:
+        """The next stage, as an interrupted run left it or else sampled."""
         seeds = stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage)
-        last, sizes = self._is_last(state), self._final_sizes()
-        if last:
-            size = sizes[len(state.frozen)]
-        elif self._in_parts is not None:
-            return self._drawn_in_parts(problem, state, self._in_parts, seeds)
-        else:
+        in_parts = self._in_parts
+        if self._is_last(state) or in_parts is None:
             size = self.rollouts
-        component = self._components(state, size)
-        return StageDrawn.small(
-            finished_or(
+            if self._is_last(state):
+                size = self._final_sizes()[len(state.frozen)]
+            component = self._components(state, size)
+            scored = finished_or(
                 problem,
-                lambda: drawn(
-                    until_settled(problem),
-                    state,
-                    component,
-                    seeds=seeds,
-                ),
+                lambda: stages.sampled(problem, state, component, seeds=seeds),
                 repetition=state.repetition,
                 stage=state.stage,
             )
-        )
-
-    def _drawn_in_parts(
-        self,
-        problem: Problem,
-        state: MixtureState,
-        in_parts: InParts,
-        seeds: np.random.SeedSequence,
-    ) -> StageDrawn:
+            return SampledStage(scored, None, Joining(scored))
         finished = problem.finished(state.repetition, state.stage)
         if finished is not None:
             problem.progress(self.rollouts, self.rollouts)
@@ -238,16 +224,15 @@ class MixtureSampling:
 
         def part(counting: Problem, number: int, size: int) -> ScoredRollouts:
             component = self._components_of_part(state, size)
-            return drawn(until_settled(counting), state, component, seeds=own[number])
+            return stages.sampled(counting, state, component, seeds=own[number])
 
-        return in_parts.draw(problem, part)
+        return in_parts.sample(problem, part)
 
     @property
     def _in_parts(self) -> InParts | None:
-        """How stages that are learned from are drawn, if they are large."""
-        if self.rollouts <= self.enough:
-            return None
-        return InParts(count=self.rollouts, enough=self.enough)
+        """How stages that are learned from are sampled, if they are large."""
+        large = self.rollouts > self.enough
+        return InParts(count=self.rollouts, enough=self.enough) if large else None
 
     def _is_last(self, state: MixtureState) -> bool:
         return state.stage > self.learning_stages
@@ -260,7 +245,7 @@ class MixtureSampling:
         return 2 * stage <= self.learning_stages
 
     def _components(self, state: MixtureState, count: int) -> IntArray:
-        """What each of the next stage's ``count`` rollouts is drawn from, ``[count]``."""
+        """What each of the next stage's ``count`` rollouts is sampled from, ``[count]``."""
         if self._is_last(state) or self._in_parts is None:
             return self._components_of_part(state, count)
         sizes = self._in_parts.sizes
@@ -268,9 +253,9 @@ class MixtureSampling:
         return np.concatenate([parts[size] for size in sizes])[:count]
 
     def _components_of_part(self, state: MixtureState, count: int) -> IntArray:
-        """Likewise of rollouts that are drawn together."""
+        """Likewise of rollouts that are sampled together."""
         known = len(state.pool.proposals) if state.pool else 0
-        return components(
+        return stages.components(
             count,
             # the parts of the final batch after the first bring no proposal that is new
             first=1 + known - (len(state.fits) if state.frozen else 0),
@@ -282,17 +267,16 @@ class MixtureSampling:
         self, state: MixtureState, basis: PolynomialBasis, joining: Joining, component: IntArray
     ) -> Pool:
         """The pool with the stage's rollouts."""
-        new, last = ([] if state.frozen else state.fits), self._is_last(state)
+        new, last = () if state.frozen else state.fits, self._is_last(state)
         return extended(
             state.pool,
             joining,
-            drawn_from=component,
-            new=[fit.moves for fit in new],
-            optimism=[fit.optimism for fit in new],
+            component=component,
+            new=[(fit.moves, fit.optimism) for fit in new],
             terms=Terms(
                 features=state.features,
                 basis=basis,
-                defensive=defence(joining.scored.rollouts.detected.shape[1]),
+                defensive=stages.defence(joining.scored.rollouts.detected.shape[1]),
                 turns=state.turns,
                 starts=state.starts,
                 rules=state.rules,
@@ -312,30 +296,4 @@ class MixtureSampling:
             lambda size: self._components(state, size),
             before=pool.component[: pool.drawn - sum(state.frozen)],
             proposals=len(pool.proposals) + (0 if state.frozen else len(state.fits)),
-        )
-
-    def _learn(
-        self, state: MixtureState, result: StageResult, *, kind_of_first: bool
-    ) -> tuple[MixtureState, StageResult]:
-        pool, basis = state.pool, state.basis
-        assert pool is not None and basis is not None  # noqa: S101, PT018  just drawn
-        began = time.perf_counter()
-        steps = result.scored.rollouts.detected.shape[1]
-        fits = next_proposals(
-            pool,
-            basis,
-            self.settings,
-            defensive=defence(steps),
-            explores=self._explores(state.stage),
-            for_final=state.stage > self.learning_stages,
-        )
-        fitted = replace(state, fits=fits)
-        return fitted, replace(
-            result,
-            kind="pretrain" if kind_of_first else "learn",
-            learned=main_proposal(fitted, steps=steps),
-            threshold=fits[-1].threshold,
-            elites=fits[-1].elites,
-            loss=fits[0].loss,
-            timings_s={**result.timings_s, "fit": time.perf_counter() - began},
         )

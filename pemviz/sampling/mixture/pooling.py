@@ -7,16 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.proposals import offset_logistic as logistic
 from pemviz.proposals.exploration import ExplorationFamily, LatentFamily
 from pemviz.proposals.latent_moves import LatentDecisions, even_logit
-from pemviz.proposals.offset_logistic import (
-    Monomials,
-    PolynomialBasis,
-    StateFeatures,
-    acting,
-    noise_basis,
-    noise_features,
-)
+from pemviz.proposals.offset_logistic import Monomials, PolynomialBasis, StateFeatures
+from pemviz.sampling.mixture import balance_heuristic as balance
 from pemviz.sampling.mixture.balance_heuristic import (
     Decisions,
     FailingWeights,
@@ -24,10 +19,6 @@ from pemviz.sampling.mixture.balance_heuristic import (
     Planned,
     Pool,
     Rule,
-    broken_at,
-    decisions_of,
-    log_ratios,
-    still_open,
 )
 from pemviz.sampling.mixture.stages import Joining
 from pemviz.simulators.absorbing import VIOLATED
@@ -69,26 +60,21 @@ class Terms:
 
 
 def first_basis(scored: ScoredRollouts, features: StateFeatures) -> PolynomialBasis:
-    """Standardised by the decisions of the first stage; a constant feature keeps spread 1."""
+    """Standardised by the decisions of the first stage."""
     states = scored.rollouts.decision_states()
-    acts = acting(features, states, scored.rollouts.detected.shape, violated=VIOLATED)
+    shape = scored.rollouts.detected.shape
+    acts = logistic.acting(features, states, shape, violated=VIOLATED)
     values = features.values(states)
     values = np.broadcast_to(values, (*acts.shape, values.shape[-1]))[acts]
-    if values.shape[0] == 0:
-        return PolynomialBasis(np.zeros(values.shape[1]), np.ones(values.shape[1]), DEGREE)
-    spread = np.std(values, axis=0)
-    return PolynomialBasis(
-        mean=np.mean(values, axis=0), spread=np.where(spread > 0.0, spread, 1.0), degree=DEGREE
-    )
+    return PolynomialBasis.standardised_by(values, degree=DEGREE)
 
 
 def extended(
     pool: Pool | None,
     joining: Joining,
     *,
-    drawn_from: IntArray,
-    new: Sequence[FittedMoves],
-    optimism: Sequence[FloatArray],
+    component: IntArray,
+    new: Sequence[tuple[FittedMoves, FloatArray]],
     terms: Terms,
     last: bool = False,
     planned: Planned | None = None,
@@ -96,77 +82,90 @@ def extended(
     """The pool with more rollouts.
 
     Args:
-        pool: What was drawn before, or ``None``.
+        pool: What was sampled before, or ``None``.
         joining: More rollouts.
-        drawn_from: Index of each one's proposal in the extended list, ``[n]``, those among them
-            that do not join.
-        new: Proposals that the pool does not know yet.
-        optimism: By how much each new proposal overstates the log likelihood of the pool's
-            rollouts, which it was fitted to, ``[N]``.
+        component: Index of each one's proposal in the extended list, ``[n]``, those among them that
+            do not join.
+        new: Proposals that the pool does not know yet, each with by how much it overstates the log
+            likelihood of the pool's rollouts, which it was fitted to, ``[N]``.
         terms: What likelihoods are taken with.
         last: Nothing is fitted to these rollouts, so that their decisions need not be kept.
         planned: Of a large final batch, of which no more is kept than an average needs: weights of
             those that violate.
     """
-    proposals = (*(pool.proposals if pool else ()), *new)
-    scored = joining.scored
-    if pool is None:
-        return _joining_of(joining, drawn_from, proposals, terms)
-    if planned is None:
-        fresh = _joining_of(joining, drawn_from, proposals, terms)
+    moves = [each for each, _ in new]
+    proposals = (*(pool.proposals if pool else ()), *moves)
+    if pool is not None and planned is not None:
+        fresh = _failing_of(joining.scored, component, proposals, terms, planned, pool.count)
     else:
-        fresh = _failing_of(scored, drawn_from, proposals, terms, planned=planned, first=pool.count)
-    return _joined(_under_new(pool, new, optimism, terms), fresh, last=last)
-
-
-def _joining_of(
-    joining: Joining,
-    drawn_from: IntArray,
-    proposals: tuple[FittedMoves, ...],
-    terms: Terms,
-) -> Pool:
-    """The pool of one stage alone."""
-    own = drawn_from if joining.row is None else drawn_from[joining.row]
-    pool = _pool_of(joining.scored, own, proposals, terms)
-    return replace(
-        pool, component=drawn_from, row=joining.row, log_stands_for=joining.log_stands_for
-    )
+        own = component if joining.row is None else component[joining.row]
+        fresh = replace(
+            _pool_of(joining.scored, own, proposals, terms),
+            component=component,
+            row=joining.row,
+            log_stands_for=joining.log_stands_for,
+        )
+    if pool is None:
+        return fresh
+    if new:
+        before = [pool.log_ratio, *pool.rule_log_ratio.values()]
+        added = _of_fitted(pool.decisions, pool.latents, moves, terms, count=pool.count)
+        flattered = np.stack([optimism for _, optimism in new], axis=1)
+        ratios = [
+            np.hstack([known, each - flattered]) for known, each in zip(before, added, strict=True)
+        ]
+        by_rule = dict(zip(terms.rules, ratios[1:], strict=True))
+        pool = replace(pool, log_ratio=ratios[0], rule_log_ratio=by_rule)
+    return _joined(pool, fresh, last=last)
 
 
 def _pool_of(
-    scored: ScoredRollouts,
-    drawn_from: IntArray,
-    proposals: tuple[FittedMoves, ...],
-    terms: Terms,
+    scored: ScoredRollouts, component: IntArray, proposals: Sequence[FittedMoves], terms: Terms
 ) -> Pool:
     """The pool of ``scored`` alone."""
-    decisions, latents, by_exploration = _fresh(scored.rollouts, terms)
-    by_fitted = _of_fitted(decisions, latents, proposals, terms, count=scored.rollouts.count)
-    after = [
+    rollouts, features, basis = scored.rollouts, terms.features, terms.basis
+    states = rollouts.decision_states()
+    acts = logistic.acting(features, states, rollouts.detected.shape, violated=VIOLATED)
+    broken = balance.broken_at(states.memory, terms.rules)
+    values = features.values(states)
+    values = np.broadcast_to(values, (*acts.shape, basis.mean.size))[acts]
+    decisions = Decisions(
+        rollout=np.nonzero(acts)[0].astype(np.int64),
+        basis=Monomials(values, basis) if terms.many else basis.evaluate(values),
+        missed=~rollouts.detected[acts],
+        offset=-rollouts.pem_logit[acts],
+        broken=None if broken is None else broken[acts],
+    )
+    by_exploration = _by_exploration(rollouts, acts, broken, terms)
+    latents = None
+    if rollouts.latents is not None and (terms.starts or rollouts.latents.noise.shape[2]):
+        latents, moved = _latents_of(rollouts, terms)
+        by_exploration = [a + b for a, b in zip(by_exploration, moved, strict=True)]
+    by_fitted = _of_fitted(decisions, latents, proposals, terms, count=rollouts.count)
+    ratios = [
         np.hstack([exploration[:, None], fitted])
         for exploration, fitted in zip(by_exploration, by_fitted, strict=True)
     ]
     return Pool(
         decisions=decisions,
-        component=drawn_from,
-        proposals=proposals,
-        log_ratio=after[0],
+        component=component,
+        proposals=tuple(proposals),
+        log_ratio=ratios[0],
         robustness=scored.robustness,
         violated=scored.violated,
-        log_p=row_sums(scored.rollouts.log_p),
+        log_p=row_sums(rollouts.log_p),
         rule_robustness=scored.rule_robustness,
         broken=scored.broken,
-        rule_log_ratio=dict(zip(terms.rules, after[1:], strict=True)),
+        rule_log_ratio=dict(zip(terms.rules, ratios[1:], strict=True)),
         latents=latents,
     )
 
 
-def _failing_of(
+def _failing_of(  # noqa: PLR0917  as _pool_of takes them
     scored: ScoredRollouts,
-    drawn_from: IntArray,
-    proposals: tuple[FittedMoves, ...],
+    component: IntArray,
+    proposals: Sequence[FittedMoves],
     terms: Terms,
-    *,
     planned: Planned,
     first: int,
 ) -> Pool:
@@ -177,16 +176,15 @@ def _failing_of(
     rows = np.flatnonzero(scored.violated).astype(np.int64)
     edges = np.linspace(0, rows.size, -(-rows.size // FAILING_AT_ONCE) + 1).astype(int)
     some = [rows[slice(*pair)] for pair in itertools.pairwise(edges.tolist())] or [rows]
-    log_p, failing = np.full(drawn_from.size, np.nan), list[FailingWeights]()
-    none = _pool_of(scored.take(slice(0)), drawn_from[:0], proposals, terms)
+    log_p, failing = np.full(component.size, np.nan), list[FailingWeights]()
     for few in some:
-        part = _pool_of(scored.take(few), drawn_from[few], proposals, terms)
+        part = _pool_of(scored.take(few), component[few], proposals, terms)
         log_p[few] = part.log_p
         by_rule: dict[Rule, FloatArray] = {None: part.log_ratio, **part.rule_log_ratio}
         failing.append(FailingWeights.of(first + few, by_rule, planned))
     return replace(
-        none,
-        component=drawn_from,
+        _pool_of(scored.take(slice(0)), component[:0], proposals, terms),
+        component=component,
         robustness=scored.robustness,
         violated=scored.violated,
         log_p=log_p,
@@ -196,70 +194,60 @@ def _failing_of(
     )
 
 
-def _under_new(
-    pool: Pool, new: Sequence[FittedMoves], optimism: Sequence[FloatArray], terms: Terms
-) -> Pool:
-    """The pool's rollouts under the proposals that were fitted to them, too."""
-    if not new:
-        return pool
-    before = [pool.log_ratio, *pool.rule_log_ratio.values()]
-    added = _of_fitted(pool.decisions, pool.latents, new, terms, count=pool.count)
-    flattered = np.stack(optimism, axis=1)
-    ratios = [
-        np.hstack([known, each - flattered]) for known, each in zip(before, added, strict=True)
-    ]
-    by_rule = dict(zip(terms.rules, ratios[1:], strict=True))
-    return replace(pool, log_ratio=ratios[0], rule_log_ratio=by_rule)
-
-
-def _fresh(
-    rollouts: RolloutBatch, terms: Terms
-) -> tuple[Decisions, LatentDecisions | None, Sequence[FloatArray]]:
-    """Decisions, latents, and log likelihood of exploration over the model's under each rule."""
-    states = rollouts.decision_states()
-    acts = acting(terms.features, states, rollouts.detected.shape, violated=VIOLATED)
-    broken = broken_at(states.memory, terms.rules)
-    decisions = decisions_of(
-        rollouts,
-        acts,
-        features=terms.features,
-        basis=terms.basis,
-        broken=broken,
-        many=terms.many,
-    )
-    by_exploration = _by_exploration(rollouts, acts, broken, terms)
-    latents = fresh_latents(
-        rollouts,
-        features=terms.features,
-        basis=terms.basis,
-        turns=terms.turns,
-        starts=terms.starts,
-        rules=terms.rules,
-        many=terms.many,
-    )
-    if latents is None:
-        return decisions, None, by_exploration
-    both = [
-        first + second for first, second in zip(by_exploration, latents.by_exploration, strict=True)
-    ]
-    return decisions, latents.decisions, both
-
-
 def _by_exploration(
     rollouts: RolloutBatch, acts: BoolArray, broken: BoolArray | None, terms: Terms
-) -> Sequence[FloatArray]:
+) -> list[FloatArray]:
     """Log of the exploration proposals' likelihood over the model's, ``[n]`` under each rule."""
     family = ExplorationFamily.over(acts.shape[1], turns=terms.turns)
     known: dict[bytes, FloatArray] = {}
     found: list[FloatArray] = []
-    for rule in terms.under:
-        until = still_open(broken, terms.rules, rule)
-        within = acts if until is None else acts & until
+    for within in _until_each(acts, broken, terms):
         key = np.packbits(within).tobytes()
         if key not in known:
             known[key] = family.log_ratio(rollouts, within)
         found.append(known[key])
     return found
+
+
+def _latents_of(
+    rollouts: RolloutBatch, terms: Terms
+) -> tuple[LatentDecisions, Sequence[FloatArray]]:
+    """Latents, and log of the exploration proposals' density over the model's under each rule."""
+    latents, turns = rollouts.latents, terms.turns
+    assert latents is not None  # noqa: S101  they are taken of rollouts that have some
+    count, steps = rollouts.detected.shape
+    columns = slice(turns - 1, steps, turns)
+    states = StateBatch(
+        step=np.arange(steps, dtype=np.int64)[None, columns],
+        signals={name: values[:, columns] for name, values in rollouts.signals.items()},
+        memory={name: values[:, columns] for name, values in rollouts.memory.items()},
+    )
+    over = states.memory.get(VIOLATED, np.zeros((count, steps // turns), dtype=np.bool_))
+    start, noise = latents.start[:, : terms.starts], latents.noise.shape[2]
+    family = LatentFamily.over(over.shape[1], start=terms.starts, noise=noise)
+    acts = ~over if noise else np.zeros_like(over)
+    broken = balance.broken_at(states.memory, terms.rules)
+    values = logistic.noise_features(terms.features, states, rollouts.detected[:, columns])[acts]
+    own = terms.basis.with_outcome()
+    rows, step = np.nonzero(acts)
+    decisions = LatentDecisions(
+        start=start,
+        rollout=rows.astype(np.int64),
+        monomials=Monomials(values, own) if terms.many else own.evaluate(values),
+        noise=latents.noise[acts],
+        even=even_logit(step, steps=acts.shape[1]),
+        broken=None if broken is None else broken[acts],
+    )
+    return decisions, [
+        family.log_ratio(start, latents.noise, within)
+        for within in _until_each(acts, broken, terms)
+    ]
+
+
+def _until_each(acts: BoolArray, broken: BoolArray | None, terms: Terms) -> list[BoolArray]:
+    """Where outcomes or noise count under all rules together and under each, ``[N, T-1]``."""
+    until = [balance.still_open(broken, terms.rules, rule) for rule in terms.under]
+    return [acts if each is None else acts & each for each in until]
 
 
 def _of_fitted(
@@ -270,7 +258,7 @@ def _of_fitted(
     *,
     count: int,
 ) -> Sequence[FloatArray]:
-    return log_ratios(
+    return balance.log_ratios(
         decisions,
         proposals,
         count=count,
@@ -283,13 +271,20 @@ def _of_fitted(
 
 def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
     """The rollouts of both."""
-    latents = pool.latents
-    if latents is not None and fresh.latents is not None and not last:
-        latents = latents.joined(fresh.latents)
-    decisions = pool.decisions
+    latents, decisions = pool.latents, pool.decisions
     if not last:
+        if latents is not None and fresh.latents is not None:
+            latents = latents.joined(fresh.latents)
         moved = replace(fresh.decisions, rollout=fresh.decisions.rollout + pool.count)
         decisions = Decisions.concatenate([decisions, moved])
+    row = log_stands_for = None
+    if pool.row is not None or fresh.row is not None:
+        row = np.concatenate([pool.rows, fresh.rows + pool.drawn])
+    if pool.log_stands_for is not None or fresh.log_stands_for is not None:
+        stand_for = [(each.log_stands_for, each.count) for each in (pool, fresh)]
+        log_stands_for = np.concatenate(
+            [np.zeros(count) if own is None else own for own, count in stand_for]
+        )
     return replace(
         fresh,
         decisions=decisions,
@@ -303,98 +298,10 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
         rule_log_ratio=_appended(pool.rule_log_ratio, fresh.rule_log_ratio),
         latents=latents,
         failing=(*pool.failing, *fresh.failing),
-        row=_rows(pool, fresh),
-        log_stands_for=_stand_for(pool, fresh),
+        row=row,
+        log_stands_for=log_stands_for,
     )
-
-
-def _rows(pool: Pool, fresh: Pool) -> IntArray | None:
-    if pool.row is None and fresh.row is None:
-        return None
-    return np.concatenate([pool.rows, fresh.rows + pool.drawn])
-
-
-def _stand_for(*pools: Pool) -> FloatArray | None:
-    if all(pool.log_stands_for is None for pool in pools):
-        return None
-    own = (np.zeros(p.count) if p.log_stands_for is None else p.log_stands_for for p in pools)
-    return np.concatenate([*own])
 
 
 def _appended(before: Mapping[str, AnyArray], after: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     return {name: np.concatenate([values, after[name]]) for name, values in before.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class FreshLatents:
-    """Latents of rollouts that come to the pool.
-
-    Attributes:
-        decisions: As proposals see them.
-        by_exploration: Log of the exploration proposals' density over the model's, ``[n]``, under
-            all rules together and each of several.
-    """
-
-    decisions: LatentDecisions
-    by_exploration: Sequence[FloatArray]
-
-
-def fresh_latents(
-    rollouts: RolloutBatch,
-    *,
-    features: StateFeatures,
-    basis: PolynomialBasis,
-    turns: int,
-    starts: int,
-    rules: Sequence[str] = (),
-    many: bool = False,
-) -> FreshLatents | None:
-    """Of rollouts with latents that can be moved, ``starts`` at the start; ``None`` for others.
-
-    Of ``many`` monomials are not made before they are asked for.
-    """
-    latents = rollouts.latents
-    if latents is None or not (starts or latents.noise.shape[2]):
-        return None
-    states, acts = _last_turns(rollouts, turns)
-    start, noise = latents.start[:, :starts], latents.noise.shape[2]
-    family = LatentFamily.over(acts.shape[1], start=starts, noise=noise)
-    acts = acts if noise else np.zeros_like(acts)
-    broken = broken_at(states.memory, rules)
-    detected = rollouts.detected[:, turns - 1 :: turns]
-    values, own = noise_features(features, states, detected)[acts], noise_basis(basis)
-    return FreshLatents(
-        decisions=LatentDecisions(
-            start=start,
-            rollout=np.nonzero(acts)[0].astype(np.int64),
-            monomials=Monomials(values, own) if many else own.evaluate(values),
-            noise=latents.noise[acts],
-            even=even_logit(np.nonzero(acts)[1], steps=acts.shape[1]),
-            broken=None if broken is None else broken[acts],
-        ),
-        by_exploration=[
-            family.log_ratio(start, latents.noise, within)
-            for within in _until_each(acts, broken, rules)
-        ],
-    )
-
-
-def _until_each(
-    acts: BoolArray, broken: BoolArray | None, rules: Sequence[str]
-) -> Sequence[BoolArray]:
-    """Where noise counts under all rules together and under each, ``[N, T-1]``."""
-    until = [still_open(broken, rules, rule) for rule in (None, *rules)]
-    return [acts if each is None else acts & each for each in until]
-
-
-def _last_turns(rollouts: RolloutBatch, turns: int) -> tuple[StateBatch, BoolArray]:
-    """States before each step's last outcome ``[N, T-1]``, and whether nothing is violated yet."""
-    count, steps = rollouts.detected.shape
-    columns = slice(turns - 1, steps, turns)
-    states = StateBatch(
-        step=np.arange(steps, dtype=np.int64)[None, columns],
-        signals={name: values[:, columns] for name, values in rollouts.signals.items()},
-        memory={name: values[:, columns] for name, values in rollouts.memory.items()},
-    )
-    over = states.memory.get(VIOLATED, np.zeros((count, steps // turns), dtype=np.bool_))
-    return states, ~over
