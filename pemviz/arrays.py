@@ -93,11 +93,6 @@ def read_only(array: AnyArray) -> AnyArray:
     return view
 
 
-def are_alike(one: AnyArray, other: AnyArray) -> bool:
-    """Whether two arrays of any shape are one, or hold the same values."""
-    return one is other or np.array_equal(one, other)
-
-
 def row_sums(values: FloatArray) -> FloatArray:
     """Sums ``[N]`` over all axes but the first of ``[N, M]`` or ``[N, M, K]``.
 

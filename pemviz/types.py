@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -14,14 +15,11 @@ from pemviz.arrays import (
     FloatArray,
     IntArray,
     Rows,
-    are_alike,
     read_only,
     row_sums,
     softplus,
 )
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
-from pemviz.display import ShownInNotebooks
-from pemviz.drawn import Drawn
 from pemviz.latents import Latents
 
 StageKind = Literal["pretrain", "learn", "final"]
@@ -87,8 +85,8 @@ class StateBatch:
     def concatenate(batches: "Sequence[StateBatch]") -> "StateBatch":
         """All rows of at least one batch, in order."""
         step = batches[0].step
-        alike = all(np.array_equal(batch.step, step) for batch in batches)
-        if not alike or any(batch._steps_by_row for batch in batches):
+        equal = all(np.array_equal(batch.step, step) for batch in batches)
+        if not equal or any(batch._steps_by_row for batch in batches):
             step = np.concatenate([np.broadcast_to(b.step, b.shape) for b in batches])
         first = batches[0]
         return StateBatch(
@@ -109,16 +107,12 @@ class StateBatch:
         )
 
 
-@runtime_checkable
-class Simulator(Protocol):
-    """A scenario that moves when told, at each step, whether perception detected.
-
-    ``initial`` and ``step`` are pure: a state may be kept and continued from again.
-    """
+class SimulatorFacts(Protocol):
+    """What every simulator says of itself, whatever its ``initial`` and ``step`` take."""
 
     @property
     def name(self) -> str:
-        """Back end's name for files and tables."""
+        """For files and tables."""
         ...
 
     @property
@@ -136,16 +130,27 @@ class Simulator(Protocol):
         """The signals that a state carries."""
         ...
 
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Signals ``[...]`` to what perception depends on: salient variables ``[..., D]``.
+
+        With K slots, those of each: ``[..., K, D]``.
+        """
+        ...
+
+
+@runtime_checkable
+class Simulator(SimulatorFacts, Protocol):
+    """A scenario that moves when told, at each step, whether perception detected.
+
+    ``initial`` and ``step`` are pure: a state may be kept and continued from again.
+    """
+
     def initial(self, *, count: int) -> StateBatch:
         """``count`` copies of the state in which every rollout starts, arrays ``[count]``."""
         ...
 
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
         """The next states, given perception's outcomes ``[N]`` at ``states``."""
-        ...
-
-    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """Signals ``[...]`` to what perception depends on: salient variables ``[..., D]``."""
         ...
 
 
@@ -222,7 +227,7 @@ class RolloutBatch(Batch):
     @cached_property
     def log_q(self) -> FloatArray:
         """Log likelihood ``[N, T-1]`` of each outcome under the proposal [nats]."""
-        if are_alike(self.proposal_logit, self.pem_logit):  # plain simulation
+        if self._is_plain:
             return self.log_p
         return read_only(outcome_log_likelihood(self.proposal_logit, self.detected))
 
@@ -230,11 +235,17 @@ class RolloutBatch(Batch):
     def log_weight(self) -> FloatArray:
         """Log importance weight ``[N]``: sum over outcomes and latents of log p - log q [nats]."""
         of_outcomes = np.zeros(self.count)
-        if not are_alike(self.proposal_logit, self.pem_logit):
+        if not self._is_plain:
             of_outcomes = row_sums(np.subtract(self.log_p, self.log_q, order="C"))
         if self.latents is None:
             return read_only(of_outcomes)
         return read_only(of_outcomes + self.latents.log_weight)
+
+    @cached_property
+    def _is_plain(self) -> bool:
+        """Whether the model itself was sampled from."""
+        one, other = self.proposal_logit, self.pem_logit
+        return one is other or np.array_equal(one, other)
 
     def decision_states(self) -> StateBatch:
         """The states at which perception acted, arrays ``[N, T-1]``."""
@@ -319,6 +330,21 @@ class Diagnostic:
     text: str
 
 
+VIEWS = {"RunResult": "result_html", "Estimate": "estimate_html", "Rollout": "rollout_html"}
+
+
+class ShownInNotebooks:
+    """A type that a notebook shows as HTML (IPython evaluates ``_repr_html_``).
+
+    The functions lie in parts that import the types, and are imported when a notebook needs them.
+    """
+
+    def _repr_html_(self) -> str:
+        """Itself as HTML; all that others wrote is escaped."""
+        view = next(VIEWS[kind.__name__] for kind in type(self).__mro__ if kind.__name__ in VIEWS)
+        return str(getattr(import_module("pemviz.reports.notebook"), view)(self))
+
+
 @dataclass(frozen=True)
 class Estimate(ShownInNotebooks):
     """A failure probability with what is needed to judge it.
@@ -351,6 +377,50 @@ class Estimate(ShownInNotebooks):
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with it, in words."""
         return tuple(diagnostic.text for diagnostic in self.diagnostics)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What is known of all N rollouts of a large stage that holds M of them, read-only.
+
+    Attributes:
+        row: Which it holds, ascending, ``[M]``.
+        every: Among them is every so many-th, from the first on: an even sample of all.
+        robustness: Of all, ``[N]``.
+        violated: ``[N]``.
+        log_weight: ``[N]`` [nats].
+    """
+
+    row: IntArray
+    every: int
+    robustness: FloatArray
+    violated: BoolArray
+    log_weight: FloatArray
+
+    def __post_init__(self) -> None:
+        """Observers get it: they must not change what a run computes."""
+        for name in ("row", "robustness", "violated", "log_weight"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def count(self) -> int:
+        """Number of rollouts N."""
+        return int(self.violated.size)
+
+    @property
+    def even(self) -> BoolArray:
+        """Which of those held are the even sample, ``[M]``."""
+        return self.row % self.every == 0
+
+
+def place_of(rollout: int, drawn: Drawn | None) -> int:
+    """Where a rollout stands among those that its stage holds; ``None``: it holds all."""
+    return rollout if drawn is None else int(np.searchsorted(drawn.row, rollout))
+
+
+def numbers_of(count: int, drawn: Drawn | None) -> IntArray:
+    """Index in its stage of each of ``count`` rollouts held, ``[count]``."""
+    return np.arange(count, dtype=np.int64) if drawn is None else drawn.row
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ import numpy as np
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
 from pemviz.arrays import FloatArray
 from pemviz.config import ExperimentConfig
-from pemviz.drawn import numbers_of
 from pemviz.errors import InputError, PemvizError
 from pemviz.panel.loading import load_run
 from pemviz.panel.rollout_tables import thinned
@@ -36,7 +35,7 @@ from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
 from pemviz.runs.store import create_run_folder
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import SlotSimulator
-from pemviz.types import Simulator, StageResult
+from pemviz.types import Simulator, StageResult, numbers_of
 
 
 @dataclass(frozen=True)

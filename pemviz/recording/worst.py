@@ -7,7 +7,6 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.colors import PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
-from pemviz.drawn import place_of
 from pemviz.recording import paths
 from pemviz.recording.latents import Randomness, log_noise, randomness
 from pemviz.recording.outcomes import OutcomeRow, log_outcomes
@@ -19,7 +18,7 @@ from pemviz.runs.drawn_rollout import NOT_ASKED, DrawnRollout, drawn_rollout
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.slot_outcomes import faultless, faultless_probability, right_by_slot, slots_of
 from pemviz.simulators.slots import SlotSimulator
-from pemviz.types import Signal, Simulator, StageResult
+from pemviz.types import Signal, Simulator, StageResult, place_of
 
 RANKED_BY_RULE = 3
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pemviz.arrays import AnyArray
-from pemviz.drawn import Drawn
+from pemviz.types import Drawn
 
 ALL = "all."
 """Before the names of what is known of all rollouts."""

@@ -28,7 +28,6 @@ from pemviz.analysis.model_uncertainty import (
 from pemviz.analysis.robustness_tail import robustness_tail
 from pemviz.analysis.starts import Violations
 from pemviz.arrays import FloatArray
-from pemviz.drawn import numbers_of
 from pemviz.pem.judging.reweight import MemberEstimates
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.memory import RunMemory
@@ -53,7 +52,7 @@ from pemviz.sampling.rollouts.batches import run_here
 from pemviz.sampling.state.composed import ComposedSimulator, memory_of_pem, own_pem
 from pemviz.sampling.zero_variance.reference import reference, reference_of_few_states
 from pemviz.simulators.latents import within
-from pemviz.types import StageResult
+from pemviz.types import StageResult, numbers_of
 
 Told = TypeVar("Told", bound=SomeViolations)
 

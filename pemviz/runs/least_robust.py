@@ -9,14 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.display import ShownInNotebooks
-from pemviz.drawn import place_of
 from pemviz.latents import Latents
 from pemviz.runs.events import Event, RunStarted, StageDone
 from pemviz.runs.result import RankedRollout
 from pemviz.runs.slot_outcomes import faultless, right_by_slot, slots_of
 from pemviz.simulators.slots import Slot
-from pemviz.types import StageResult
+from pemviz.types import ShownInNotebooks, StageResult, place_of
 
 
 @dataclass(frozen=True)

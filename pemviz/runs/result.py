@@ -19,15 +19,13 @@ from pemviz.analysis.robustness_tail import RobustnessTail
 from pemviz.analysis.starts import DangerousStarts
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Count, Log10, Range, Share
-from pemviz.display import ShownInNotebooks
-from pemviz.drawn import numbers_of
 from pemviz.latents import LatentCounts
 from pemviz.pem import PositionErrorModel
 from pemviz.runs.memory import RunMemory
 from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.sampling.zero_variance.reference import Reference
-from pemviz.types import Estimate, StageKind, StageResult
+from pemviz.types import Estimate, ShownInNotebooks, StageKind, StageResult, numbers_of
 
 LEAST_ROBUST = 20
 

@@ -8,11 +8,10 @@ import numpy as np
 
 from pemviz.analysis.starts import DangerousStarts, Violations, dangerous_starts
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.drawn import numbers_of
 from pemviz.runs.experiment import Experiment
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.starts import NamesStarts, named_starts
-from pemviz.types import StageResult
+from pemviz.types import StageResult, numbers_of
 
 MOST_VIOLATIONS = 20_000
 """Of a stage that are kept; of more an evenly spaced part, each standing for several."""

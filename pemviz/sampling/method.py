@@ -7,13 +7,12 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.drawn import Drawn
 from pemviz.sampling.estimates.importance_weights import (
     effective_sample_size,
     log_mean_failing_weight,
 )
 from pemviz.sampling.problem import Problem, sample
-from pemviz.types import Estimate, Proposal, ScoredRollouts, StageResult
+from pemviz.types import Drawn, Estimate, Proposal, ScoredRollouts, StageResult
 
 State = TypeVar("State")
 State_contra = TypeVar("State_contra", contravariant=True)

@@ -9,7 +9,6 @@ from typing import TypedDict, TypeVar
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.drawn import Drawn
 from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.batches import (
@@ -29,6 +28,7 @@ from pemviz.sampling.state.composed import (
 from pemviz.simulators.absorbing import Monitor
 from pemviz.simulators.latents import latent_counts, within
 from pemviz.types import (
+    Drawn,
     Proposal,
     RolloutBatch,
     ScoredRollouts,

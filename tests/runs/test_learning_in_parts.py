@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.drawn import Drawn
 from pemviz.panel.loading import load_run
 from pemviz.recording.recorder import Recorder
 from pemviz.runs.drawn_arrays import drawn_arrays, drawn_of
@@ -15,6 +14,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.least_robust import LeastRobust
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts, part_path
+from pemviz.types import Drawn
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.recording.read_back import read_stages
 from tests.runs.recounts import assert_recounted

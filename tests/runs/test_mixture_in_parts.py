@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pemviz.config import ExperimentConfig
-from pemviz.drawn import numbers_of
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import part_path
+from pemviz.types import numbers_of
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.runs.recounts import assert_recounted
 from tests.runs.test_learning_in_parts import Stages

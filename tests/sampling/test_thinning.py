@@ -7,13 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.drawn import numbers_of, place_of
 from pemviz.runs.result import LEAST_ROBUST
 from pemviz.sampling.adaptive.method import FromAll, FromElites
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.method import elite_threshold, elites
 from pemviz.sampling.rollouts.large_stages import LISTED, Thinned, largest_held
-from pemviz.types import RolloutBatch, ScoredRollouts
+from pemviz.types import RolloutBatch, ScoredRollouts, numbers_of, place_of
 from tests.pooled import pool_outcomes
 
 COUNT, STEPS = 400, 6

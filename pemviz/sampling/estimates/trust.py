@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from pemviz.drawn import Drawn
 from pemviz.errors import ConfigError
 from pemviz.sampling.description import MethodDescription, StageInterval
 from pemviz.sampling.estimates.diagnostics import (
@@ -24,7 +23,7 @@ from pemviz.sampling.estimates.importance_weights import (
 )
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.large_stages import weighed
-from pemviz.types import Diagnostic, Estimate, ScoredRollouts
+from pemviz.types import Diagnostic, Drawn, Estimate, ScoredRollouts
 
 STRICTEST: IntervalBasis = "weights"
 """What the interval of a method is taken to rest on that is not known here."""

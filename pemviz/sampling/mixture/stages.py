@@ -23,7 +23,6 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.drawn import Drawn
 from pemviz.faults import counted_from
 from pemviz.proposals import latent_moves
 from pemviz.proposals import offset_logistic as logistic
@@ -42,7 +41,7 @@ from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, 
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.simulators.absorbing import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts
-from pemviz.types import ScoredRollouts, StateBatch
+from pemviz.types import Drawn, ScoredRollouts, StateBatch
 
 EARLY_EXPLORATION_SHARE = 0.25
 """Of the rollouts of the first half of the learning stages, sampled from the exploration proposals'

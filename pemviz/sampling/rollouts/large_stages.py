@@ -11,8 +11,7 @@ from typing import Self
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, Rows, row_sums
-from pemviz.drawn import Drawn
-from pemviz.types import RolloutBatch, ScoredRollouts, outcome_log_likelihood
+from pemviz.types import Drawn, RolloutBatch, ScoredRollouts, outcome_log_likelihood
 
 
 def log_p_of(rollouts: RolloutBatch, rows: Rows) -> FloatArray:
