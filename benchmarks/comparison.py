@@ -216,7 +216,7 @@ def paper_ratios(config: ExperimentConfig, *, turns: int = 2) -> Found:
     pem = load_pem(config.pem)
     assert isinstance(pem, NetworkPem)  # noqa: S101  the preset's
     from benchmarks.plain_torch import paper_loop  # noqa: PLC0415  torch is slow to import
-    from pemviz.pem.fitting.network import single_thread  # noqa: PLC0415  as above
+    from pemviz.pem.fitting.networks import single_thread  # noqa: PLC0415  as above
 
     experiment = build_experiment(config)
     with single_thread(0):

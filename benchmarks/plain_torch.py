@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import torch
 
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.pem.models.encoding import PAPER_INPUTS, paper_inputs
-from pemviz.pem.models.network import NetworkPem
+from pemviz.pem.models.network import PAPER_INPUTS, NetworkPem, paper_inputs
 from pemviz.proposals.gap_network import GAP_SCALE_M, HIDDEN_UNITS
 from pemviz.simulators.braking.scenario import GAP, lead_car_salient
 

@@ -183,7 +183,7 @@ def test_no_folder_of_a_part_imports_itself_by_way_of_its_siblings(package):
 
 
 def sibling(module: str, part: str) -> str | None:
-    """``models`` for ``pemviz.pem.models.card`` and ``pem``; none for what is in no such folder."""
+    """``models`` for ``pemviz.pem.models.cards``, ``pem``; none for what is in no such folder."""
     pieces = module.split(".")
     folder = PACKAGE / part / pieces[2] if len(pieces) > 2 else None
     return pieces[2] if pieces[1:2] == [part] and folder is not None and folder.is_dir() else None

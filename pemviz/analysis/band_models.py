@@ -17,8 +17,7 @@ import numpy as np
 from pemviz.analysis.causes import failures_of
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.pem import PemCard
-from pemviz.pem.data.support import DISTANCE_EDGES_M, SHAPE, cell_of
-from pemviz.pem.judging.support_check import BEHIND_M
+from pemviz.pem.data.support import BEHIND_M, DISTANCE_EDGES_M, SHAPE, cell_of
 from pemviz.pem.models.tabulated import TabulatedPem
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum

@@ -27,7 +27,7 @@ from pemviz.arrays import FloatArray
 from pemviz.config.ranges import AtLeastZero, Count
 from pemviz.pem import Pem
 from pemviz.pem.data.support import DISTANCE_EDGES_M
-from pemviz.pem.models.memory_card import FittedMemory
+from pemviz.pem.models.cards import FittedMemory
 
 LEAST_CONTRIBUTION = 0.1
 MOST_LABELS = 10_000_000

@@ -35,8 +35,8 @@ from pemviz.pem.data.support import (
     DISTANCE_EDGES_M,
     cell_in_words,
     cell_of,
+    kinds_and_bands,
 )
-from pemviz.pem.judging.support_check import kinds_and_bands
 from pemviz.pem.models.pieces import logit_along
 from pemviz.pem.models.protocol import as_rows
 from pemviz.proposals.offset_logistic import StateFeatures

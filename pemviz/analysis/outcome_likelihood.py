@@ -6,7 +6,7 @@ P(missed) in the state, r = exp(-dt / tau) and m = 1 after a miss, 0 after a hit
 p (1 - r) + m r. The first outcome has r = 0, and so has every outcome without a memory.
 
 Where obstacles differ (frailty) a rollout's likelihood is an integral over the obstacle's
-visibility u, a sum over nodes u_j with weights w_j (:mod:`pemviz.pem.models.frailty`)::
+visibility u, a sum over nodes u_j with weights w_j (:mod:`pemviz.pem.models.memory`)::
 
     L = sum_j w_j prod_t P(o_t | s_t, o_{t-1}, u_j)
     d log L = sum_t sum_j P(u_j | all outcomes) d log P(o_t | s_t, o_{t-1}, u_j)
@@ -28,8 +28,7 @@ from scipy.special import expit, log_expit, log_ndtr
 
 from pemviz.analysis.causes import Failures
 from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
-from pemviz.pem.models.frailty import log_sums
-from pemviz.pem.models.memory import Memory, miss_quantile, persistence
+from pemviz.pem.models.memory import Memory, log_sums, miss_quantile, persistence
 from pemviz.sampling.state.composed import ComposedSimulator
 from pemviz.sampling.state.last_outcome import last_outcome
 from pemviz.sampling.state.visibility import Visibility

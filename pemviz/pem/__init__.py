@@ -4,30 +4,39 @@ Running a model needs numpy and scipy; torch and scikit-learn are imported when 
 """
 
 from pemviz.errors import PemError
-from pemviz.pem.data.support import SupportSummary, support_from_json, support_of
-from pemviz.pem.data.table import SalientTable, load_table, save_table
-from pemviz.pem.files.load import ensemble_of, load_ensemble, load_pem, shipped_pems
-from pemviz.pem.files.model_files import save_pem
-from pemviz.pem.files.position_error_files import (
-    load_position_errors,
-    save_position_errors,
-    shipped_position_errors,
+from pemviz.pem.data.support import (
+    SupportReport,
+    SupportSummary,
+    data_bound_pem,
+    support_check,
+    support_from_json,
+    support_of,
 )
+from pemviz.pem.data.table import SalientTable, load_table, save_table
 from pemviz.pem.fitting.fit import KITTI_YOLOV3, Provenance, fit_ensemble, fit_pem
 from pemviz.pem.judging.reweight import compare_pems, pem_interval, reweight
-from pemviz.pem.judging.support_check import SupportReport, data_bound_pem, support_check
-from pemviz.pem.models.card import PemCard
+from pemviz.pem.model_files import (
+    ensemble_of,
+    load_ensemble,
+    load_pem,
+    load_position_errors,
+    save_pem,
+    save_position_errors,
+    shipped_pems,
+    shipped_position_errors,
+)
+from pemviz.pem.models.cards import PemCard, memory_of
 from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.memory import Memory
-from pemviz.pem.models.memory_card import memory_of
-from pemviz.pem.models.own_detector import DetectorModel, as_pem
 from pemviz.pem.models.position_errors import NoiseMemory, PositionErrorModel, constant_errors
 from pemviz.pem.models.protocol import (
     CLASS_NAMES,
     OCCLUSION_NAMES,
     SALIENT_COLUMNS,
+    DetectorModel,
     Pem,
     PemEnsemble,
+    as_pem,
 )
 
 __all__ = [

@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 from pemviz.config.ranges import AtLeastZero, Confidence
 from pemviz.pem import Pem
-from pemviz.pem.models.card import PemCard
-from pemviz.pem.models.memory_card import FittedMemory, fitted_memory
+from pemviz.pem.models.cards import FittedMemory, PemCard, fitted_memory
 from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem
 

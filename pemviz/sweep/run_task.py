@@ -17,8 +17,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import config_from_table, config_text
 from pemviz.errors import InputError, RunError
 from pemviz.files.atomic import write_bytes
-from pemviz.pem.files.load import ENSEMBLE_ENDING, SUFFIX, shipped_pems
-from pemviz.pem.files.position_error_files import shipped_position_errors
+from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, shipped_pems, shipped_position_errors
 from pemviz.processes import ONE_THREAD
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import build_experiment

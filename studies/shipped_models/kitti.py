@@ -14,11 +14,10 @@ import tyro
 from pemviz.errors import InputError, PemError
 from pemviz.files.shipped import asset_path
 from pemviz.pem.data.table import SalientTable, load_table
-from pemviz.pem.files.load import ASSET_FOLDER, SUFFIX
-from pemviz.pem.files.model_files import StoredPem, save_pem
 from pemviz.pem.fitting.fit import KITTI_YOLOV3, ModelKind, fit_ensemble, fit_pem
 from pemviz.pem.judging.cross_validation import card_scores, cross_validate
-from pemviz.pem.models.card import card_markdown
+from pemviz.pem.model_files import ASSET_FOLDER, SUFFIX, StoredPem, save_pem
+from pemviz.pem.models.cards import card_markdown
 from pemviz.pem.models.ensemble import EnsemblePem
 
 MEMBERS = 20

@@ -14,15 +14,11 @@ import tyro
 
 from pemviz.errors import InputError, PemError
 from pemviz.files.shipped import asset_path
-from pemviz.pem.data.collect import CollectOptions
-from pemviz.pem.data.collect_tracks import collect_tracks
-from pemviz.pem.data.nuscenes_errors import load_nuscenes_errors
-from pemviz.pem.data.position_errors import PositionErrorTable, load_error_csv
-from pemviz.pem.files.load import SUFFIX
-from pemviz.pem.files.position_error_files import POSITION_ASSET_FOLDER, save_position_errors
+from pemviz.pem.data.collect import CollectOptions, collect_tracks
+from pemviz.pem.data.position_errors import PositionErrorTable, load_error_csv, load_nuscenes_errors
 from pemviz.pem.judging.position_error_report import FitSettings, fit_position_errors
-from pemviz.pem.models.card import KITTI_LICENCE
-from pemviz.pem.models.position_error_card import position_card_markdown
+from pemviz.pem.model_files import POSITION_ASSET_FOLDER, SUFFIX, save_position_errors
+from pemviz.pem.models.cards import KITTI_LICENCE, position_card_markdown
 from studies.shipped_models.tracked import LABELS_FOLDER, RATE_HZ, SHIPPED_TRACKED, TYPES
 
 NUSCENES_LICENCE = "CC BY-NC-SA 4.0 (nuScenes, from which the model is made; non-commercial)"

@@ -14,16 +14,13 @@ import tyro
 
 from pemviz.errors import InputError, PemError
 from pemviz.files.shipped import asset_path
-from pemviz.pem.data.collect import CollectOptions
-from pemviz.pem.data.collect_tracks import collect_tracks
-from pemviz.pem.data.tracking import SequenceFormat
-from pemviz.pem.data.tracks import TrackTable, load_tracks
-from pemviz.pem.files.load import ASSET_FOLDER, SUFFIX
-from pemviz.pem.files.model_files import save_pem
+from pemviz.pem.data.collect import CollectOptions, collect_tracks
+from pemviz.pem.data.detections import SequenceFormat
+from pemviz.pem.data.table import TrackTable, load_tracks
 from pemviz.pem.fitting.fit import ModelKind, Provenance
-from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report, fit_tracked_pem
-from pemviz.pem.judging.memory_report import memory_line
-from pemviz.pem.models.card import KITTI_LICENCE, card_markdown
+from pemviz.pem.judging.memory_report import cross_fit, fit_report, fit_tracked_pem, memory_line
+from pemviz.pem.model_files import ASSET_FOLDER, SUFFIX, save_pem
+from pemviz.pem.models.cards import KITTI_LICENCE, card_markdown
 
 FLATTERY = (
     "The detector was trained on images of the same drives: its misses close by are fewer than on "

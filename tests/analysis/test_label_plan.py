@@ -19,8 +19,7 @@ from pemviz.analysis.label_plan import (
 from pemviz.analysis.model_uncertainty import data_bound
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.pem import SupportSummary, data_bound_pem, support_of
-from pemviz.pem.data.support import SHAPE
-from pemviz.pem.judging.support_check import kinds_and_bands
+from pemviz.pem.data.support import SHAPE, kinds_and_bands
 from pemviz.pem.models.protocol import as_rows
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.zero_variance.reachable_states import explore

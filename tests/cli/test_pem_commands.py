@@ -9,7 +9,7 @@ import tyro
 from pemviz.cli.pem import collect, evaluate, fit, memory, show
 from pemviz.files.shipped import asset_path
 from pemviz.pem import PemError, load_pem
-from pemviz.pem.models.memory_card import fitted_memory
+from pemviz.pem.models.cards import fitted_memory
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 from tests.pem.synthetic_tracks import draw_tracks
 from tests.pem.test_collect import LABEL, RESULT

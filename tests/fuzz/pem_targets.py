@@ -6,9 +6,9 @@ import numpy as np
 from safetensors.numpy import load
 
 from pemviz.pem import ensemble_of, load_pem, save_pem, support_of
-from pemviz.pem.files.model_files import METADATA_KEY, read_tensors
-from pemviz.pem.judging.support_check import support_check
-from pemviz.pem.models.card import card_markdown
+from pemviz.pem.data.support import support_check
+from pemviz.pem.model_files import METADATA_KEY, read_tensors
+from pemviz.pem.models.cards import card_markdown
 from pemviz.pem.models.network import NetworkPem
 from pemviz.pem.models.protocol import Pem
 from tests.fuzz.containers import damage_safetensors

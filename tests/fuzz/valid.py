@@ -15,9 +15,8 @@ from pemviz.config.toml_files import config_text
 from pemviz.pem import PemCard, load_pem, save_pem, save_table
 from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.synthetic import synthetic_table
-from pemviz.pem.models.encoding import PAPER_INPUTS
 from pemviz.pem.models.ensemble import EnsemblePem
-from pemviz.pem.models.network import Layer, NetworkPem
+from pemviz.pem.models.network import PAPER_INPUTS, Layer, NetworkPem
 from pemviz.pem.models.tabulated import TabulatedPem
 from pemviz.pem.models.trees import LEAF, TreesPem
 from pemviz.proposals.gap_network import GapNetwork

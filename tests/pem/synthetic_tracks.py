@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pemviz.pem.data.tracks import track_table
+from pemviz.pem.data.table import track_table
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
 

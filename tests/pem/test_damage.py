@@ -9,9 +9,8 @@ from safetensors.numpy import save_file
 from pemviz.pem import PemCard, PemError, load_pem, load_table, save_pem, support_from_json
 from pemviz.pem.data.collect import collect
 from pemviz.pem.data.support import DISTANCE_EDGES_M, LATERAL_EDGES_M
-from pemviz.pem.files.model_files import METADATA_KEY, read_tensors
-from pemviz.pem.models.encoding import PAPER_INPUTS
-from pemviz.pem.models.network import Layer, NetworkPem
+from pemviz.pem.model_files import METADATA_KEY, read_tensors
+from pemviz.pem.models.network import PAPER_INPUTS, Layer, NetworkPem
 from pemviz.pem.models.tabulated import TabulatedPem
 from pemviz.pem.models.trees import LEAF, TreesPem
 from tests.fuzz.valid import authors_tensors, label_file, result_file

@@ -9,6 +9,7 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save_file
 
+from pemviz.files.shipped import asset_path
 from pemviz.pem import (
     Pem,
     PemEnsemble,
@@ -19,8 +20,7 @@ from pemviz.pem import (
     save_pem,
     shipped_pems,
 )
-from pemviz.pem.files.load import ASSET_FOLDER, asset_path
-from pemviz.pem.files.model_files import METADATA_KEY, read_tensors
+from pemviz.pem.model_files import ASSET_FOLDER, METADATA_KEY, read_tensors
 from pemviz.pem.models.tabulated import TabulatedPem
 from tests.pem.helpers import braking_rows, random_rows
 

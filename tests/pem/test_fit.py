@@ -16,11 +16,11 @@ from pemviz.pem import (
     save_pem,
 )
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.fitting import bayes, network
-from pemviz.pem.fitting import trees as boosting
+from pemviz.pem.fitting import linear_and_trees as boosting
+from pemviz.pem.fitting import networks
 from pemviz.pem.fitting.fit import MODEL_KINDS
-from pemviz.pem.models.encoding import paper_inputs, pose_statistics
-from pemviz.pem.models.tree_features import tree_features
+from pemviz.pem.models.network import paper_inputs, pose_statistics
+from pemviz.pem.models.trees import tree_features
 from tests.pem.helpers import random_rows
 
 QUICK_KINDS = [kind for kind in MODEL_KINDS if kind != "b-nn"]
@@ -64,7 +64,7 @@ def test_another_seed_gives_another_ensemble_member(kind, table, quick):
 def quick(monkeypatch):
     """Fewer epochs and rounds: these tests are about bookkeeping."""
     monkeypatch.setattr(boosting, "ROUNDS", 15)
-    monkeypatch.setattr(network.NetworkRecipe.__init__, "__defaults__", (3, 256, 1e-3))
+    monkeypatch.setattr(networks.NetworkRecipe.__init__, "__defaults__", (3, 256, 1e-3))
 
 
 def test_guess_mu_answers_with_the_share_detected(table):
@@ -129,7 +129,7 @@ def test_an_unknown_model_and_too_few_members_are_refused(table):
 
 def test_bayesian_network_learns_and_repeats(table, monkeypatch, pyro_installed):
     pyro_installed()
-    monkeypatch.setattr(bayes, "STEPS", 150)
+    monkeypatch.setattr(networks, "BAYES_STEPS", 150)
     first, second = (fit_pem(table, model="b-nn", seed=2) for _ in range(2))
     assert isinstance(first, EnsemblePem)
     assert first.digest == second.digest

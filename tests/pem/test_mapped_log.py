@@ -8,10 +8,8 @@ import pytest
 
 from pemviz.cli.main import main
 from pemviz.files.shipped import asset_path
-from pemviz.pem.data.column_mapping import read_mapping
-from pemviz.pem.data.mapped_log import collect_log
-from pemviz.pem.data.table import load_table
-from pemviz.pem.data.tracks import load_tracks
+from pemviz.pem.data.mapped_log import collect_log, read_mapping
+from pemviz.pem.data.table import load_table, load_tracks
 from pemviz.pem.models.protocol import COLUMN
 
 MAPPING = """

@@ -12,14 +12,14 @@ from scipy.special import expit, logit
 from scipy.stats import norm
 
 from pemviz.pem import PemError
-from pemviz.pem.data.tracks import track_table
+from pemviz.pem.data.table import track_table
 from pemviz.pem.fitting.memory import fit_memory, log_likelihoods
 from pemviz.pem.judging.independence import check_independence
 from pemviz.pem.judging.memory_report import (
-    draw_outcomes,
     report_memory,
     residual_correlation,
     run_lengths,
+    sample_outcomes,
 )
 from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
 from tests.pem.synthetic_tracks import draw_tracks
@@ -223,7 +223,7 @@ def test_drawn_outcomes_follow_the_model():
     rho = float(persistence(0.1, 0.2))
     random = np.random.default_rng(4)
     drawn = np.array(
-        [draw_outcomes(table, own, memory=Memory(tau_s=0.2), random=random) for _ in range(300)]
+        [sample_outcomes(table, own, memory=Memory(tau_s=0.2), random=random) for _ in range(300)]
     )
     rows = np.flatnonzero(table.follows)
     before, after = ~drawn[:, rows - 1], ~drawn[:, rows]

@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 from scipy.stats import t as student_t
 
-from pemviz.pem.data.tracks import track_table
-from pemviz.pem.fitting.memory import FRAILTY_GRID, TAU_GRID_S, fit_memory, log_likelihoods
-from pemviz.pem.fitting.memory_interval import (
+from pemviz.pem.data.table import track_table
+from pemviz.pem.fitting.memory import (
     FRAILTY,
+    FRAILTY_GRID,
     TAU,
+    TAU_GRID_S,
     Surface,
+    fit_memory,
     independence_p_value,
     inflations,
     interval,
+    log_likelihoods,
 )
 from pemviz.pem.judging.independence import (
     POWER,
@@ -22,7 +25,7 @@ from pemviz.pem.judging.independence import (
     expected_gain,
     needed_sample,
 )
-from pemviz.pem.judging.memory_report import draw_outcomes
+from pemviz.pem.judging.memory_report import sample_outcomes
 from pemviz.pem.models.memory import Memory
 from tests.pem.synthetic_tracks import draw_tracks
 
@@ -48,12 +51,12 @@ def as_surface(log_likelihood):
 @pytest.mark.parametrize("sequences", [5, 19])
 def test_an_interval_of_a_quadratic_is_students(inflation, sequences):
     whole = as_surface(quadratic(CENTRE, BENDS))
-    np.testing.assert_allclose(whole.peak.place, CENTRE, atol=1e-5)
+    np.testing.assert_allclose(whole.peak[0], CENTRE, atol=1e-5)
     errors = np.sqrt(np.diag(np.linalg.inv(BENDS)) * inflation)
     reach = student_t.ppf(0.975, sequences - 1) * errors
-    tau_s = interval(whole, TAU, inflation=inflation, sequences=sequences, confidence=0.95)
+    tau_s = interval(whole, TAU, inflation=inflation, sequences=sequences)
     np.testing.assert_allclose(np.log(tau_s), CENTRE[TAU] + reach[TAU] * BOTH, atol=2e-3)
-    f = interval(whole, FRAILTY, inflation=inflation, sequences=sequences, confidence=0.95)
+    f = interval(whole, FRAILTY, inflation=inflation, sequences=sequences)
     expected = np.clip(CENTRE[FRAILTY] + reach[FRAILTY] * BOTH, 0.5, 3.0)
     np.testing.assert_allclose(f, expected, atol=2e-3)
 
@@ -144,7 +147,7 @@ def test_the_expected_gain_is_the_mean_of_gains():
     table, own = draw_tracks(seed=6, tau_s=0.0, frailty=0.0, sequences=6)
     random, gains = np.random.default_rng(8), []
     for _ in range(40):
-        detected = draw_outcomes(table, own, memory=Memory(tau_s=0.1), random=random)
+        detected = sample_outcomes(table, own, memory=Memory(tau_s=0.1), random=random)
         drawn = track_table(
             salient=table.obstacles.salient, detected=detected, sequence=table.sequence,
             track=table.track, frame=table.frame, rate_hz=table.rate_hz, source="drawn",

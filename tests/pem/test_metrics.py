@@ -11,9 +11,14 @@ from sklearn.metrics import brier_score_loss, log_loss, roc_auc_score
 from pemviz.files.shipped import asset_path
 from pemviz.pem import PemError, fit_pem, load_table
 from pemviz.pem.data.synthetic import main, synthetic_table, true_logit
-from pemviz.pem.judging.cross_validation import cross_validate, split_folds
-from pemviz.pem.judging.report import write_report
-from pemviz.pem.judging.scores import calibration_error, reliability, score
+from pemviz.pem.judging.cross_validation import (
+    calibration_error,
+    cross_validate,
+    reliability,
+    score,
+    split_folds,
+    write_report,
+)
 from tests.pem.helpers import seeds
 
 

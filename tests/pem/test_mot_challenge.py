@@ -9,9 +9,8 @@ import pytest
 from pemviz.cli.main import main
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import CollectOptions
-from pemviz.pem.data.collect_mot import collect_mot
-from pemviz.pem.data.table import load_table
-from pemviz.pem.data.tracks import load_tracks
+from pemviz.pem.data.mot_challenge import collect_mot
+from pemviz.pem.data.table import load_table, load_tracks
 
 GROUND_TRUTH = """1, 2, 100, 100, 10, 20, 1, 1, 0.9
 2,2,102,100,10,20,1,1,0.5

@@ -12,10 +12,9 @@ from scipy.spatial.transform import Rotation
 from pemviz.cli.main import main
 from pemviz.errors import PemError
 from pemviz.files.json_text import CHUNK, json_rows
-from pemviz.pem.data.collect_nuscenes import collect_nuscenes
+from pemviz.pem.data.nuscenes import collect_nuscenes
 from pemviz.pem.data.position_errors import load_error_csv, sight_errors
-from pemviz.pem.data.table import load_table
-from pemviz.pem.data.tracks import load_tracks
+from pemviz.pem.data.table import load_table, load_tracks
 from pemviz.pem.models.protocol import COLUMN
 
 from .nuscenes_tables import EGO_M, LIDAR_M, annotation, detection, quaternion, write_nuscenes, yaw

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from pemviz.config import ScenarioConfig
 from pemviz.errors import PemError
 from pemviz.pem import load_pem
-from pemviz.pem.models.encoding import PAPER_INPUTS
 from pemviz.pem.models.ensemble import mean_probability_logit
-from pemviz.pem.models.network import Layer
+from pemviz.pem.models.network import PAPER_INPUTS, Layer
 from pemviz.pem.models.pieces import FEWEST_ROWS, chain_logit_along, kinks, logit_along
 from pemviz.pem.models.protocol import COLUMN
 from pemviz.sampling.state.composed import ComposedPem

@@ -15,13 +15,11 @@ from pemviz.pem import (
     save_position_errors,
     shipped_position_errors,
 )
-from pemviz.pem.data.collect_tracks import collect_tracks
-from pemviz.pem.data.nuscenes_errors import load_error_table, load_nuscenes_errors
-from pemviz.pem.data.position_errors import load_error_csv
-from pemviz.pem.files.model_files import read_tensors
-from pemviz.pem.files.position_error_files import POSITION_METADATA_KEY
+from pemviz.pem.data.collect import collect_tracks
+from pemviz.pem.data.position_errors import load_error_csv, load_error_table, load_nuscenes_errors
 from pemviz.pem.judging.position_error_report import straight_ahead
-from pemviz.pem.models.position_error_card import position_card_markdown
+from pemviz.pem.model_files import POSITION_METADATA_KEY, read_tensors
+from pemviz.pem.models.cards import position_card_markdown
 from studies.shipped_models.position_errors import NAMES, shipped_table
 from tests.conftest import shared
 from tests.pem.test_position_errors import MODEL, drawn_table

@@ -7,12 +7,13 @@ from scipy.optimize import check_grad
 
 from pemviz.pem import NoiseMemory, PemError, PositionErrorModel, constant_errors
 from pemviz.pem.data.position_errors import PositionErrorTable, sight_errors
-from pemviz.pem.fitting.position_error_memory import fit_noise_memory, lag_pairs
 from pemviz.pem.fitting.position_errors import (
     _mean_nats,
     error_features,
     error_nats,
     fit_axis,
+    fit_noise_memory,
+    lag_pairs,
     normal_scores,
 )
 from pemviz.pem.judging.position_error_report import (

@@ -8,10 +8,9 @@ from safetensors.numpy import save_file
 
 from pemviz.files.shipped import asset_path
 from pemviz.pem import Memory, PemError, load_pem, memory_of, save_pem
-from pemviz.pem.files.load import ASSET_FOLDER
-from pemviz.pem.files.model_files import METADATA_KEY, read_tensors
 from pemviz.pem.judging.memory_report import plain_view
-from pemviz.pem.models.memory_card import fitted_memory
+from pemviz.pem.model_files import ASSET_FOLDER, METADATA_KEY, read_tensors
+from pemviz.pem.models.cards import fitted_memory
 from studies.shipped_models.tracked import FLATTERY, SHIPPED_TRACKED, collect_detector
 from tests.conftest import shared
 

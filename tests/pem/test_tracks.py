@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from pemviz.pem import PemError, load_table
-from pemviz.pem.data.collect import CollectOptions
-from pemviz.pem.data.collect_tracks import collect_tracks
-from pemviz.pem.data.tracks import load_tracks
+from pemviz.pem.data.collect import CollectOptions, collect_tracks
+from pemviz.pem.data.table import load_tracks
 from pemviz.pem.judging.cross_validation import split_folds
 from pemviz.pem.models.protocol import COLUMN
 from tests.conftest import shared

@@ -7,7 +7,7 @@ import pytest
 
 from pemviz.pem import load_pem
 from pemviz.pem.models import trees
-from pemviz.pem.models.tree_features import tree_features
+from pemviz.pem.models.trees import tree_features
 from tests.pem.helpers import braking_rows, random_rows
 
 PEM = load_pem("gb-raw")
@@ -50,6 +50,6 @@ def test_rows_on_both_sides_of_a_threshold_are_told_apart():
     threshold = plan.thresholds[depth][plan.thresholds[depth].size // 2]
     features = np.zeros((len(plan.thresholds), 3))
     features[depth] = [np.nextafter(threshold, -np.inf), threshold, np.nextafter(threshold, np.inf)]
-    first, place = plan.alike(features)
+    first, place = plan.equal(features)
     np.testing.assert_array_equal(first, [0, 2])
     np.testing.assert_array_equal(place, [0, 0, 1])

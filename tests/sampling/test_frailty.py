@@ -13,8 +13,7 @@ from pemviz.analysis.outcome_likelihood import FrailOutcomes
 from pemviz.arrays import row_sums
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import ConfigError
-from pemviz.pem.models.frailty import VisibilityNodes, log_sums
-from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.memory import Memory, VisibilityNodes, log_sums
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.reports.terminal import summary_text

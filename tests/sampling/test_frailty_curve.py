@@ -8,7 +8,7 @@ import pytest
 from scipy.special import expit, ndtr, ndtri
 
 from pemviz.charts.svg import svg
-from pemviz.pem.files.load import load_pem
+from pemviz.pem.model_files import load_pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.reports.charts import memory_chart

@@ -10,15 +10,18 @@ from typing import Literal, cast, get_args
 
 from pemviz.cli.progress import progress_bar
 from pemviz.errors import PemError
-from pemviz.pem.data.collect import NUMBERED_CLASSES, CollectOptions, collect
-from pemviz.pem.data.collect_mot import collect_mot
-from pemviz.pem.data.collect_nuscenes import MATCHED_BELOW_M, collect_nuscenes
-from pemviz.pem.data.collect_tracks import collect_tracks
-from pemviz.pem.data.collected import CollectedCounts
-from pemviz.pem.data.detections import DetectionFormat
+from pemviz.pem.data.collect import (
+    NUMBERED_CLASSES,
+    PAPER_IOU,
+    CollectedCounts,
+    CollectOptions,
+    collect,
+    collect_tracks,
+)
+from pemviz.pem.data.detections import DetectionFormat, SequenceFormat
 from pemviz.pem.data.mapped_log import collect_log
-from pemviz.pem.data.matching import PAPER_IOU
-from pemviz.pem.data.tracking import SequenceFormat
+from pemviz.pem.data.mot_challenge import collect_mot
+from pemviz.pem.data.nuscenes import MATCHED_BELOW_M, collect_nuscenes
 
 FASTEST_HZ = 1e4
 DEFAULT_HZ = 10.0

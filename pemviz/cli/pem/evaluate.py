@@ -54,8 +54,13 @@ def run(arguments: EvaluateArguments) -> int:
     _check(arguments)
     table = load_table(arguments.table)
     # scikit-learn and torch take seconds to import: not before the arguments are known good.
-    from pemviz.pem.judging.cross_validation import cross_validate, split_folds  # noqa: PLC0415
-    from pemviz.pem.judging.report import as_json, summary_row, write_report  # noqa: PLC0415
+    from pemviz.pem.judging.cross_validation import (  # noqa: PLC0415
+        as_json,
+        cross_validate,
+        split_folds,
+        summary_row,
+        write_report,
+    )
 
     split_folds(table, folds=arguments.folds)
     with writing(arguments.out):  # now, not after minutes of fitting

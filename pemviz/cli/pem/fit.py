@@ -14,15 +14,13 @@ from pemviz.cli.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
 from pemviz.files.text_files import writing
-from pemviz.pem.data.nuscenes_errors import load_error_table
-from pemviz.pem.data.table import SalientTable, load_table
-from pemviz.pem.data.tracks import load_tracks
-from pemviz.pem.files.load import ENSEMBLE_ENDING, SUFFIX
-from pemviz.pem.files.model_files import StoredPem, save_pem
+from pemviz.pem.data.position_errors import load_error_table
+from pemviz.pem.data.table import SalientTable, load_table, load_tracks
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_ensemble, fit_pem
 from pemviz.pem.fitting.position_errors import TailChoice
 from pemviz.pem.judging.memory_report import memory_line
-from pemviz.pem.models.card import UNKNOWN_LICENCE, card_markdown
+from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, StoredPem, save_pem
+from pemviz.pem.models.cards import UNKNOWN_LICENCE, card_markdown
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ def run(arguments: FitArguments) -> int:
 
 
 def _fit_with_memory(arguments: FitArguments) -> int:
-    from pemviz.pem.judging.cross_fitted_memory import fit_tracked_pem  # noqa: PLC0415  scikit-learn
+    from pemviz.pem.judging.memory_report import fit_tracked_pem  # noqa: PLC0415  scikit-learn
 
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
     held_out, report = fitted_memory(

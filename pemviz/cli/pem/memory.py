@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING
 from pemviz.cli.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
-from pemviz.pem.data.tracks import TrackTable, load_tracks
+from pemviz.pem.data.table import TrackTable, load_tracks
 from pemviz.pem.fitting.fit import ModelKind
 from pemviz.pem.judging.independence import MOST_SEQUENCES, IndependenceCheck, NeededSample
-from pemviz.pem.judging.memory_picture import write_memory_picture
-from pemviz.pem.judging.memory_report import MemoryReport, memory_line, memory_table
-from pemviz.pem.models.memory_card import memory_markdown
+from pemviz.pem.judging.memory_report import (
+    MemoryReport,
+    memory_line,
+    memory_table,
+    write_memory_picture,
+)
+from pemviz.pem.models.cards import memory_markdown
 
 if TYPE_CHECKING:
-    from pemviz.pem.judging.cross_fitted_memory import CrossFitted
+    from pemviz.pem.judging.memory_report import CrossFitted
 
 SMALL_P = 1e-4
 STATELESS: ModelKind = "guess-mu"
@@ -85,7 +89,7 @@ def fitted_memory(
 ) -> "tuple[CrossFitted, MemoryReport]":
     """Cross-fitted P(missed) of tracks and the memory of misses beside it, with progress."""
     # scikit-learn and scipy's distributions take seconds to import
-    from pemviz.pem.judging.cross_fitted_memory import cross_fit, fit_report  # noqa: PLC0415
+    from pemviz.pem.judging.memory_report import cross_fit, fit_report  # noqa: PLC0415
 
     with progress_bar("folds of sequences") as tell:
         held_out = cross_fit(tracks, model=model, folds=folds, seed=seed, on_progress=tell)

@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from pemviz.files.text_files import writing
-from pemviz.pem.files.position_error_files import save_position_errors
-from pemviz.pem.judging.position_error_picture import write_position_picture
-from pemviz.pem.models.position_error_card import AXIS_UNITS, position_card_markdown
+from pemviz.pem.judging.position_error_report import write_position_picture
+from pemviz.pem.model_files import save_position_errors
+from pemviz.pem.models.cards import AXIS_UNITS, position_card_markdown
 from pemviz.pem.models.position_errors import MEAN_FEATURES, SCALE_FEATURES, PositionErrorModel
 
 

@@ -13,19 +13,24 @@ from pemviz.cli.pem.position_errors import show_position_errors
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
 from pemviz.files.text_files import writing
-from pemviz.pem.data.support import support_of
-from pemviz.pem.files.load import ensemble_of, load_ensemble, load_pem, shipped_pems
-from pemviz.pem.files.position_error_files import (
+from pemviz.pem.data.support import support_check, support_of
+from pemviz.pem.judging.distance_curve import (
+    ObstacleView,
+    distance_curve,
+    terminal_table,
+    write_picture,
+)
+from pemviz.pem.judging.memory_report import write_memory_picture
+from pemviz.pem.model_files import (
+    ensemble_of,
     is_position_errors,
+    load_ensemble,
+    load_pem,
     load_position_errors,
+    shipped_pems,
     shipped_position_errors,
 )
-from pemviz.pem.judging.distance_curve import ObstacleView, distance_curve
-from pemviz.pem.judging.distance_curve_picture import terminal_table, write_picture
-from pemviz.pem.judging.memory_picture import write_memory_picture
-from pemviz.pem.judging.support_check import support_check
-from pemviz.pem.models.card import PemCard
-from pemviz.pem.models.memory_card import memory_markdown
+from pemviz.pem.models.cards import PemCard, memory_markdown
 from pemviz.pem.models.protocol import CLASS_NAMES, OCCLUSION_NAMES, Pem
 
 ClassName = Literal["Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram"]

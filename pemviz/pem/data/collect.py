@@ -1,23 +1,55 @@
-"""From label and detection files to the table that models learn from, one frame at a time."""
+"""From label and detection files to the table that models learn from, and what collectors count.
+
+Frames stand alone (:func:`collect`) or make sequences in which obstacles are followed
+(:func:`collect_tracks`).
+"""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import PemError
-from pemviz.files.atomic import is_folder
-from pemviz.pem.data.collected import CollectedCounts, salient_cells, write_table
-from pemviz.pem.data.detections import Detection, DetectionFormat, FrameDetections, open_detections
-from pemviz.pem.data.kitti_labels import MISC, TYPES, UNKNOWN_OCCLUSION, Obstacle, read_labels
-from pemviz.pem.data.matching import PAPER_IOU, assign_boxes
+from pemviz.files.atomic import is_file, is_folder, write_text
+from pemviz.files.text_files import writing
+from pemviz.pem.data.detections import (
+    Detection,
+    DetectionFormat,
+    SequenceFormat,
+    open_detections,
+    read_sequence_detections,
+)
+from pemviz.pem.data.kitti_labels import (
+    MISC,
+    TYPES,
+    UNKNOWN_OCCLUSION,
+    Box,
+    Obstacle,
+    OnBadLine,
+    read_labels,
+    read_tracking_labels,
+)
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
-from pemviz.pem.data.table import OUTCOME_COLUMN
+from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
-TABLE_COLUMNS = ("frame", "type", *SALIENT_COLUMNS, OUTCOME_COLUMN, "iou")
+PAPER_IOU = 0.01
+"""Overlap above which the paper's authors counted a pair as a detection."""
+OBSTACLE_COLUMNS = ("type", *SALIENT_COLUMNS, OUTCOME_COLUMN)
+CLASS_ID = {name: index for index, name in enumerate(TYPES)}
 NUMBERED_CLASSES = TYPES[:-1]
 """Names of the classes 0, 1, ... unless the user gives others: KITTI's, without DontCare."""
+
+Progress = Callable[[int, int], None]
+TrackRow = tuple[int, int, bool, str]
+"""Track, frame, whether it was detected, and the line of the table."""
+Label = TypeVar("Label")
 
 
 @dataclass(frozen=True)
@@ -36,14 +68,72 @@ class CollectOptions:
     """Whether malformed lines are counted and passed over."""
 
 
+DEFAULT_OPTIONS = CollectOptions()
+
+
+@dataclass
+class CollectedCounts:
+    """What happened on the way, of every format."""
+
+    missed: int = 0
+    """Obstacles that the detector missed."""
+    dropped: int = 0
+    """Labels left out: what the options say, else class Misc or unknown occlusion."""
+    bad_lines: int = 0
+    """Malformed lines passed over."""
+    first_bad: str = ""
+    """What was wrong with the first of them."""
+
+    def on_bad_line(self, *, skip_bad: bool) -> OnBadLine:
+        """What a reader does with a malformed line: it is counted, or raised."""
+
+        def on_bad_line(error: PemError) -> None:
+            if not skip_bad:
+                raise error
+            self.bad_lines += 1
+            self.first_bad = self.first_bad or str(error)
+
+        return on_bad_line
+
+
 @dataclass
 class CollectCounts(CollectedCounts):
-    """What happened on the way."""
+    """What happened on the way, where frames stand alone."""
 
     frames: int = 0
     """Frames read."""
     obstacles: int = 0
     """Obstacles written."""
+
+
+@dataclass
+class TrackCounts(CollectedCounts):
+    """What happened on the way, where obstacles are followed."""
+
+    sequences: int = 0
+    """Sequences read."""
+    tracks: int = 0
+    """Obstacles that were followed."""
+    observations: int = 0
+    """Rows written: an obstacle in a frame."""
+    gaps: int = 0
+    """How often a track goes on after frames without a row; its dropped labels are such."""
+    ignored_detections: int = 0
+    """Detections of a lower score than asked for."""
+    other_types: int = 0
+    """Labels left out since they are of another class than asked for."""
+
+    def add_sequence(self, rows: Iterable[TrackRow]) -> list[str]:
+        """Count a sequence's rows; gives their lines, by track and frame."""
+        ordered = sorted(rows, key=lambda row: row[:2])
+        self.sequences += 1
+        self.tracks += len({track for track, *_ in ordered})
+        self.observations += len(ordered)
+        self.missed += sum(not detected for *_, detected, _ in ordered)
+        self.gaps += sum(
+            here[0] == after[0] and after[1] > here[1] + 1 for here, after in pairwise(ordered)
+        )
+        return [line for *_, line in ordered]
 
 
 def collect(
@@ -52,11 +142,11 @@ def collect(
     detections: Path,
     out: Path,
     detection_format: DetectionFormat = "kitti",
-    options: CollectOptions = CollectOptions(),
+    options: CollectOptions = DEFAULT_OPTIONS,
     class_names: tuple[str, ...] = NUMBERED_CLASSES,
     image_sizes: Path | None = None,
     missing_is_empty: bool = False,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> CollectCounts:
     """Match every labelled obstacle with the detections and write one row for it.
 
@@ -73,7 +163,7 @@ def collect(
         class_names: names of numbered classes.
         image_sizes: CSV with frame, width_px, height_px, for YOLO.
         missing_is_empty: whether a frame without detections file means that none were made.
-        on_progress: told (frames done, frames in all).
+        on_progress: called with frames done and frames in all.
 
     Raises:
         PemError: naming file, line and column of what is malformed, or what is missing.
@@ -91,27 +181,186 @@ def collect(
         missing_is_empty=missing_is_empty,
         on_bad_line=on_bad_line,
     )
-    rows: list[_Row] = []
+    rows: list[tuple[str, tuple[str, str] | None]] = []
     for done, file in enumerate(files, start=1):
         obstacles = read_labels(file, on_bad_line=on_bad_line)
-        rows += _rows(file.stem, obstacles, reader, options=options, counts=counts)
+        boxes, types = [each.box_px for each in obstacles], [each.type for each in obstacles]
+        outcomes = _match(boxes, reader(file.stem), options, types=types)
+        for obstacle, (overlap, partner) in zip(obstacles, outcomes, strict=True):
+            if options.drop_unknown and _is_unknown(obstacle):
+                counts.dropped += 1
+                continue
+            detected = overlap > options.iou_above
+            counts.obstacles += 1
+            counts.missed += not detected
+            cells = (file.stem, *_salient_cells(obstacle), str(int(detected)), f"{overlap:.4f}")
+            rows.append((",".join(cells), _place_errors(partner, obstacle) if detected else None))
+        counts.frames += 1
         if on_progress is not None:
             on_progress(done, len(files))
-    placed = any(row.errors is not None for row in rows)
-    header = (*TABLE_COLUMNS, *PLANE_COLUMNS) if placed else TABLE_COLUMNS
-    write_table(
-        out, header, (",".join((row.cells, *(row.errors or ("", "")) * placed)) for row in rows)
-    )
+    header = ("frame", *OBSTACLE_COLUMNS, "iou")
+    if any(errors is not None for _, errors in rows):
+        lines = (",".join((cells, *(errors or ("", "")))) for cells, errors in rows)
+        write_table(out, (*header, *PLANE_COLUMNS), lines)
+    else:
+        write_table(out, header, (cells for cells, _ in rows))
     return counts
 
 
-@dataclass(frozen=True)
-class _Row:
-    cells: str
-    errors: tuple[str, str] | None
+def collect_tracks(
+    *,
+    labels: Path,
+    detections: Path,
+    out: Path,
+    sequence_format: SequenceFormat = "mot",
+    rate_hz: float = 10.0,
+    types: tuple[str, ...] = (),
+    options: CollectOptions = DEFAULT_OPTIONS,
+    on_progress: Progress | None = None,
+) -> TrackCounts:
+    """Match every labelled obstacle of every frame, and write a row for it.
+
+    Rows come by sequence, track and frame. Where detections have a place (``ab3dmot``), two more
+    columns hold how far it is off, to the right and forward; empty if missed. Obstacles of class
+    Misc or of unknown occlusion are left out if the options say so; what is left of their track
+    then has a gap.
+
+    Args:
+        labels: folder of KITTI tracking labels, a file a sequence.
+        detections: folder of detections, a file of the same name a sequence.
+        out: CSV to write; complete or not there.
+        sequence_format: how the detections are written.
+        rate_hz: frames a second of all sequences.
+        types: classes that count as obstacles; all if empty.
+        options: what counts as a detection, and what is left out.
+        on_progress: called with sequences done and sequences in all.
+
+    Raises:
+        PemError: naming file, line and column of what is malformed, or what is missing.
+    """
+    files = sorted(labels.glob("*.txt")) if is_folder(labels) else []
+    if not files:
+        raise PemError(f"{labels}: no folder with KITTI tracking labels (*.txt)")
+    if unknown := [name for name in types if name not in CLASS_ID]:
+        raise PemError(f"types: {unknown[0]!r} is no class, allowed: {', '.join(CLASS_ID)}")
+    counts, lines = TrackCounts(), list[str]()
+    on_bad_line = counts.on_bad_line(skip_bad=options.skip_bad)
+    placed = sequence_format == "ab3dmot"
+    for done, file in enumerate(files, start=1):
+        tracked = read_tracking_labels(file, on_bad_line=on_bad_line)
+        own = detections / file.name
+        if not is_file(own):
+            raise PemError(f"{own}: no detections of this sequence")
+        found = read_sequence_detections(
+            own, sequence_format=sequence_format, on_bad_line=on_bad_line
+        )
+        kept = [each for each in tracked if not types or each.obstacle.type in types]
+        counts.other_types += len(tracked) - len(kept)
+        rows: list[TrackRow] = []
+        boxes = ((each.frame, each.obstacle.box_px, each) for each in kept)
+        for each, overlap, partner in match_frames(boxes, found, options, counts):
+            obstacle = each.obstacle
+            if options.drop_unknown and _is_unknown(obstacle):
+                counts.dropped += 1
+                continue
+            detected = overlap > options.iou_above
+            errors = _place_errors(partner if detected else None, obstacle) or ("", "")
+            who = (file.stem, str(each.frame), str(each.track), f"{rate_hz:g}")
+            cells = (*who, *_salient_cells(obstacle), str(int(detected)), f"{overlap:.4f}")
+            line = ",".join((*cells, *errors) if placed else cells)
+            rows.append((each.track, each.frame, detected, line))
+        lines += counts.add_sequence(rows)
+        if on_progress is not None:
+            on_progress(done, len(files))
+    header = (*TRACK_COLUMNS, *OBSTACLE_COLUMNS, "iou")
+    write_table(out, (*header, *PLANE_COLUMNS) if placed else header, lines)
+    return counts
 
 
-def place_errors(found: Detection | None, obstacle: Obstacle) -> tuple[str, str] | None:
+def match_frames(
+    labels: Iterable[tuple[int, Box, Label]],
+    found: Mapping[int, Sequence[Detection]],
+    options: CollectOptions,
+    counts: TrackCounts,
+) -> Iterator[tuple[Label, float, Detection | None]]:
+    """Each label of a sequence, given with its frame and box, with its partner and their overlap.
+
+    Detections whose score is too low are counted.
+    """
+    by_frame: dict[int, list[tuple[Box, Label]]] = {}
+    for frame, box, label in labels:
+        by_frame.setdefault(frame, []).append((box, label))
+    for frame, present in by_frame.items():
+        seen = found.get(frame, [])
+        counts.ignored_detections += sum(each.score < options.score_from for each in seen)
+        outcomes = _match([box for box, _ in present], seen, options)
+        for (_, label), outcome in zip(present, outcomes, strict=True):
+            yield label, *outcome
+
+
+def _match(
+    boxes: Sequence[Box],
+    seen: Sequence[Detection],
+    options: CollectOptions,
+    *,
+    types: Sequence[str] = (),
+) -> Iterator[tuple[float, Detection | None]]:
+    """The overlap of each box with the detection assigned to it, and which that is."""
+    kept = [each for each in seen if each.score >= options.score_from]
+    class_aware = options.class_aware and bool(types)
+    overlaps, partners = assign_boxes(
+        boxes,
+        [each.box_px for each in kept],
+        types=(types, [each.type for each in kept]) if class_aware else None,
+    )
+    for overlap, partner in zip(overlaps.tolist(), partners.tolist(), strict=True):
+        yield overlap, kept[partner] if partner >= 0 else None
+
+
+def assign_boxes(
+    obstacles: Sequence[Box],
+    detections: Sequence[Box],
+    *,
+    types: tuple[Sequence[str], Sequence[str]] | None = None,
+) -> tuple[FloatArray, IntArray]:
+    """IoU of each obstacle with the detection assigned to it or 0, and which one it is or -1.
+
+    Each box has at most one partner; the assignment maximises the sum of overlaps (Kuhn's
+    Hungarian method, by scipy). With the classes of both only boxes of the same class may be
+    partners.
+
+    Returns:
+        Both of the shape [obstacles].
+    """
+    result = np.zeros(len(obstacles))
+    partner = np.full(len(obstacles), -1, dtype=np.int64)
+    if not obstacles or not detections:
+        return result, partner
+    overlap = iou(np.asarray(obstacles, dtype=np.float64), np.asarray(detections, dtype=np.float64))
+    if types is not None:
+        overlap *= np.asarray(types[0])[:, None] == np.asarray(types[1])[None, :]
+    rows, columns = linear_sum_assignment(overlap, maximize=True)
+    result[rows] = overlap[rows, columns]
+    partner[rows] = columns
+    return result, partner
+
+
+def iou(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Intersection over union of boxes [n, 4] and [m, 4] (left, top, right, bottom), [n, m]."""
+    upper_left = np.maximum(first[:, None, :2], second[None, :, :2])
+    lower_right = np.minimum(first[:, None, 2:], second[None, :, 2:])
+    intersection = np.prod(np.maximum(lower_right - upper_left, 0.0), axis=-1)
+    area, other = (np.prod(boxes[:, 2:] - boxes[:, :2], axis=-1) for boxes in (first, second))
+    union = area[:, None] + other[None, :] - intersection
+    return np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0.0)
+
+
+def _is_unknown(obstacle: Obstacle) -> bool:
+    """Whether no model can be fitted to it."""
+    return obstacle.type == MISC or obstacle.occlusion == UNKNOWN_OCCLUSION
+
+
+def _place_errors(found: Detection | None, obstacle: Obstacle) -> tuple[str, str] | None:
     """Reported minus true place, to the right and forward [m]; ``None`` without a place."""
     if found is None or found.location_m is None:
         return None
@@ -119,42 +368,36 @@ def place_errors(found: Detection | None, obstacle: Obstacle) -> tuple[str, str]
     return f"{reported[0] - true[0]:.6g}", f"{reported[2] - true[2]:.6g}"
 
 
-def _rows(
-    frame: str,
-    obstacles: list[Obstacle],
-    reader: FrameDetections,
-    *,
-    options: CollectOptions,
-    counts: CollectCounts,
-) -> Iterator[_Row]:
-    counts.frames += 1
-    for obstacle, overlap, partner in _outcomes(obstacles, reader(frame), options=options):
-        if options.drop_unknown and is_unknown(obstacle):
-            counts.dropped += 1
-            continue
-        detected = overlap > options.iou_above
-        counts.obstacles += 1
-        counts.missed += not detected
-        cells = (frame, *salient_cells(obstacle))
-        errors = place_errors(partner, obstacle) if detected else None
-        yield _Row(",".join((*cells, str(int(detected)), f"{overlap:.4f}")), errors)
-
-
-def _outcomes(
-    obstacles: list[Obstacle], found: list[Detection], *, options: CollectOptions
-) -> Iterator[tuple[Obstacle, float, Detection | None]]:
-    """Each obstacle with its partner's overlap, and the partner if there is one."""
-    kept = [detection for detection in found if detection.score >= options.score_from]
-    overlaps, partners = assign_boxes(
-        [obstacle.box_px for obstacle in obstacles],
-        [detection.box_px for detection in kept],
-        obstacle_types=[each.type for each in obstacles] if options.class_aware else None,
-        detection_types=[each.type for each in kept] if options.class_aware else None,
+def _salient_cells(obstacle: Obstacle) -> tuple[str, ...]:
+    """An obstacle's type, and its cells in the order of ``SALIENT_COLUMNS``."""
+    values = (
+        CLASS_ID[obstacle.type],
+        obstacle.truncation,
+        obstacle.occlusion,
+        obstacle.alpha_rad,
+        *obstacle.dimensions_m,
+        *obstacle.location_m,
+        obstacle.rotation_y_rad,
     )
-    chosen = [kept[partner] if partner >= 0 else None for partner in partners.tolist()]
-    return zip(obstacles, overlaps.tolist(), chosen, strict=True)
+    return (obstacle.type, *(f"{value:.10g}" for value in values))
 
 
-def is_unknown(obstacle: Obstacle) -> bool:
-    """Whether no model can be fitted to it: class Misc, or unknown occlusion."""
-    return obstacle.type == MISC or obstacle.occlusion == UNKNOWN_OCCLUSION
+def plain(name: object, where: object) -> str:
+    """A name that can stand in a table.
+
+    Raises:
+        PemError: It is none.
+    """
+    if not isinstance(name, str) or not name.isprintable() or "," in name:
+        raise PemError(f"{where}: {str(name)[:40]!r} must be a name without commas")
+    return name
+
+
+def write_table(out: Path, header: Iterable[str], lines: Iterable[str]) -> None:
+    """A CSV that is complete, or not there.
+
+    Raises:
+        PemError: It cannot be written.
+    """
+    with writing(out):
+        write_text(out, "\n".join([",".join(header), *lines]) + "\n")

@@ -1,4 +1,10 @@
-"""What a detector found: KITTI result files, YOLO text files, COCO json; all to boxes in pixels."""
+"""What a detector found: all to boxes in pixels.
+
+One frame at a time: KITTI result files, YOLO text files, COCO json. Whole sequences, a file a
+sequence with commas, are either ``mot`` (frame, left, top, right, bottom, score; MOTChallenge's
+order without its identity) or ``ab3dmot`` (frame, class, the four sides, score, then height, width,
+length, x, y, z, rotation_y, alpha).
+"""
 
 import csv
 import json
@@ -19,15 +25,22 @@ from pemviz.pem.data.kitti_labels import (
     Box,
     OnBadLine,
     box,
-    cells_of_lines,
     numbers,
+    parsed_lines,
+    whole_number,
 )
 
+SequenceFormat = Literal["mot", "ab3dmot"]
 DetectionFormat = Literal["kitti", "yolo", "coco"]
 _WHOLE_NUMBER = re.compile("[0-9]{1,9}")
 UNKNOWN_M = -1000.0
 """What KITTI's results have for a place that the detector does not tell; its sides are then -1."""
 YOLO_COLUMNS = ("class", "centre_x", "centre_y", "width", "height", "score")
+MOT_COLUMNS = ("frame", "left", "top", "right", "bottom", "score")
+AB3DMOT_COLUMNS = (
+    *("frame", "class", "left", "top", "right", "bottom", "score"),
+    *("height", "width", "length", "x", "y", "z", "rotation_y", "alpha"),
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +50,6 @@ class Detection:
     type: str
     """Its class by name; the class's number as text if its name is not known."""
     box_px: Box
-    """Box in the image."""
     score: float
     """The detector's confidence, 0 to 1; 1 where the file gives none."""
     location_m: tuple[float, float, float] | None = None
@@ -85,33 +97,19 @@ def open_detections(
             if missing_is_empty:
                 return []
             raise PemError(f"{file}: no detections of this frame (allow that if none were made)")
-        if detection_format == "kitti":
-            return _read(file, _kitti_detection, on_bad_line=on_bad_line)
-        if frame not in sizes:
+        if detection_format == "yolo" and frame not in sizes:
             raise PemError(f"{image_sizes}: no size of frame {frame}")
-        width_px, height_px = sizes[frame]
 
-        def parse(cells: list[str], where: str) -> Detection:
-            return _yolo_detection(
-                cells, where, width_px=width_px, height_px=height_px, class_names=class_names
-            )
+        def parse(cells: list[str], where: str) -> Detection | None:
+            if cells[0] == NOT_AN_OBSTACLE:
+                return None
+            if detection_format == "kitti":
+                return _kitti_detection(cells, where)
+            return _yolo_detection(cells, where, size_px=sizes[frame], class_names=class_names)
 
-        return _read(file, parse, on_bad_line=on_bad_line)
+        return list(parsed_lines(file, parse, on_bad_line=on_bad_line))
 
     return of_frame
-
-
-def _read(
-    path: Path, parse: Callable[[list[str], str], Detection], *, on_bad_line: OnBadLine
-) -> list[Detection]:
-    found: list[Detection] = []
-    for number, cells in cells_of_lines(path):
-        try:
-            if cells[0] != NOT_AN_OBSTACLE:
-                found.append(parse(cells, f"{path}:{number}"))
-        except PemError as error:
-            on_bad_line(error)
-    return found
 
 
 def _kitti_detection(cells: list[str], where: str) -> Detection:
@@ -128,12 +126,7 @@ def _kitti_detection(cells: list[str], where: str) -> Detection:
 
 
 def _yolo_detection(
-    cells: list[str],
-    where: str,
-    *,
-    width_px: float,
-    height_px: float,
-    class_names: Sequence[str],
+    cells: list[str], where: str, *, size_px: tuple[float, float], class_names: Sequence[str]
 ) -> Detection:
     if len(cells) not in (5, 6):
         raise PemError(f"{where}: {len(cells)} columns where 5 or 6 are needed")
@@ -147,6 +140,7 @@ def _yolo_detection(
             )
     if number < 0 or number != int(number):
         raise PemError(f"{where}: column 1 (class) is {cells[0]}, not a class number")
+    width_px, height_px = size_px
     sides = box(
         (centre_x - width / 2) * width_px,
         (centre_y - height / 2) * height_px,
@@ -176,21 +170,18 @@ def _read_sizes(path: Path | None) -> dict[str, tuple[float, float]]:
             if not {"frame", "width_px", "height_px"} <= set(reader.fieldnames or ()):
                 raise PemError(f"{path}:1: the header must hold frame, width_px, height_px")
             for row in reader:
-                sizes[row["frame"]] = _size(row, where=f"{path}:{reader.line_num}")
+                where = f"{path}:{reader.line_num}"
+                try:
+                    size = float(row["width_px"]), float(row["height_px"])
+                except (TypeError, ValueError):
+                    raise PemError(f"{where}: a size is not a number") from None
+                if not all(0.0 < side <= FARTHEST_PX for side in size):
+                    allowed = f"above 0 and at most {FARTHEST_PX:g} px"
+                    raise PemError(f"{where}: a size must be {allowed}")
+                sizes[row["frame"]] = size
         except csv.Error as error:
             raise PemError(f"{path}:{reader.line_num}: not CSV ({error})") from None
     return sizes
-
-
-def _size(row: Mapping[str, Any], *, where: str) -> tuple[float, float]:
-    """Width and height [px] of a row."""
-    try:
-        size = (float(row["width_px"]), float(row["height_px"]))
-    except (TypeError, ValueError):
-        raise PemError(f"{where}: a size is not a number") from None
-    if not all(0.0 < side <= FARTHEST_PX for side in size):
-        raise PemError(f"{where}: a size must be above 0 and at most {FARTHEST_PX:g} px")
-    return size
 
 
 def _open_coco(
@@ -261,3 +252,30 @@ def _coco_entry(entry: Any, *, where: str) -> tuple[str, str, Detection]:
         raise PemError(f"{where}: field 'category_id' must be a whole number of at most 9 digits")
     sides_px = box(x, y, x + width, y + height, column=3, where=where)
     return str(entry["image_id"]), str(entry["category_id"]), Detection("", sides_px, score)
+
+
+def read_sequence_detections(
+    path: Path, *, sequence_format: SequenceFormat, on_bad_line: OnBadLine
+) -> dict[int, list[Detection]]:
+    """What was detected in each frame of a sequence; a frame without an entry has none.
+
+    Raises:
+        PemError: What ``on_bad_line`` raises of a malformed line.
+    """
+    has_class = sequence_format == "ab3dmot"
+    columns = AB3DMOT_COLUMNS if has_class else MOT_COLUMNS
+    first_side = columns.index("left")
+
+    def parse(cells: list[str], where: str) -> tuple[int, Detection]:
+        if len(cells) != len(columns):
+            raise PemError(f"{where}: {len(cells)} columns where {len(columns)} are needed")
+        frame = whole_number(cells[0], column=1, name="frame", where=where)
+        values = numbers(cells, columns, first=first_side, where=where)
+        sides = box(values[0], values[1], values[2], values[3], column=first_side + 1, where=where)
+        place = (values[8], values[9], values[10]) if has_class else None
+        return frame, Detection(cells[1] if has_class else "", sides, values[4], place)
+
+    by_frame: dict[int, list[Detection]] = {}
+    for frame, found in parsed_lines(path, parse, on_bad_line=on_bad_line, separator=","):
+        by_frame.setdefault(frame, []).append(found)
+    return by_frame

@@ -1,52 +1,43 @@
-"""KITTI label files: the obstacles that were there to be detected."""
+"""KITTI's label and tracking label files: the obstacles that were there to be detected.
+
+A tracking label is a line of frame and track id, then the columns of a label, of which 'truncated'
+is a level, 0 to 2.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from pemviz.errors import PemError
 from pemviz.files.text_files import open_text
 
 LABEL_COLUMNS = (
-    "type",
-    "truncated",
-    "occluded",
-    "alpha",
-    "bbox_left",
-    "bbox_top",
-    "bbox_right",
-    "bbox_bottom",
-    "height",
-    "width",
-    "length",
-    "x",
-    "y",
-    "z",
-    "rotation_y",
+    *("type", "truncated", "occluded", "alpha"),
+    *("bbox_left", "bbox_top", "bbox_right", "bbox_bottom"),
+    *("height", "width", "length", "x", "y", "z", "rotation_y"),
 )
 TYPES = (
-    "Car",
-    "Van",
-    "Truck",
-    "Pedestrian",
-    "Person_sitting",
-    "Cyclist",
-    "Tram",
-    "Misc",
-    "DontCare",
+    *("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram"),
+    *("Misc", "DontCare"),
 )
 NOT_AN_OBSTACLE = "DontCare"
 MISC = "Misc"
 UNKNOWN_OCCLUSION = 3
+TRACKING_NAMES = {"Person": "Person_sitting"}
+"""What the tracking labels call a class of the object labels."""
+MOST_TRUNCATED = 2.0
+FARTHEST_PX = 1e6
+"""No side of a box lies farther from the image's corner than this [px]."""
+LARGEST_NUMBER = 10**9
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom [px]."""
 
-FARTHEST_PX = 1e6
-"""No side of a box lies farther from the image's corner than this [px]."""
-
 OnBadLine = Callable[[PemError], None]
-"""What to do about a malformed line: raise, or count."""
+"""What to do about a malformed line: raise, or count and pass over it."""
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -62,7 +53,6 @@ class Obstacle:
     alpha_rad: float
     """Observation angle [rad]."""
     box_px: Box
-    """Box in the image."""
     dimensions_m: tuple[float, float, float]
     """Height, width, length [m]."""
     location_m: tuple[float, float, float]
@@ -71,39 +61,107 @@ class Obstacle:
     """Rotation about the camera's y axis [rad]."""
 
 
+@dataclass(frozen=True)
+class TrackedObstacle:
+    """A labelled object of one frame, counted from 0, with the number of its track."""
+
+    frame: int
+    track: int
+    obstacle: Obstacle
+    """What was labelled; its truncation is the level's share of the highest."""
+
+
 def read_labels(path: Path, *, on_bad_line: OnBadLine) -> list[Obstacle]:
-    """Obstacles of one frame, 'DontCare' regions left out.
+    """Obstacles of one frame, from a file of ``label_2``, 'DontCare' regions left out."""
+
+    def parse(cells: list[str], where: str) -> Obstacle | None:
+        return None if cells[0] == NOT_AN_OBSTACLE else _obstacle(cells, where=where)
+
+    return list(parsed_lines(path, parse, on_bad_line=on_bad_line))
+
+
+def read_tracking_labels(path: Path, *, on_bad_line: OnBadLine) -> list[TrackedObstacle]:
+    """The tracked obstacles of one sequence, from a file of ``label_02``, 'DontCare' left out."""
+    return list(parsed_lines(path, _tracked, on_bad_line=on_bad_line))
+
+
+def _tracked(cells: list[str], where: str) -> TrackedObstacle | None:
+    if cells[2:3] == [NOT_AN_OBSTACLE]:
+        return None
+    if len(cells) < len(LABEL_COLUMNS) + 2:
+        raise PemError(f"{where}: {len(cells)} columns where {len(LABEL_COLUMNS) + 2} are needed")
+    frame = whole_number(cells[0], column=1, name="frame", where=where)
+    track = whole_number(cells[1], column=2, name="track", where=where)
+    level = cells[3]
+    if level not in ("0", "1", "2"):
+        raise PemError(f"{where}: column 4 (truncated) is {level!r}, allowed: 0, 1, 2")
+    kind = TRACKING_NAMES.get(cells[2], cells[2])
+    label = [kind, str(float(level) / MOST_TRUNCATED), *cells[4:]]
+    return TrackedObstacle(frame, track, _obstacle(label, where=where, columns_before=2))
+
+
+def _obstacle(cells: list[str], *, where: str, columns_before: int = 0) -> Obstacle:
+    """The obstacle of a label's cells, perhaps with a score, as KITTI writes it."""
+    if len(cells) not in (len(LABEL_COLUMNS), len(LABEL_COLUMNS) + 1):
+        needed = len(LABEL_COLUMNS) + columns_before
+        raise PemError(f"{where}: {len(cells) + columns_before} columns where {needed} are needed")
+    shift = columns_before
+    if cells[0] not in TYPES:
+        raise PemError(
+            f"{where}: column {1 + shift} (type) is {cells[0]!r}, allowed: {', '.join(TYPES)}"
+        )
+    names = (*LABEL_COLUMNS, "score")
+    values = numbers(cells, names, first=1, where=where, columns_before=shift)
+    truncation, occlusion, alpha, left, top, right, bottom, *rest = values
+    if not 0.0 <= truncation <= 1.0:
+        raise PemError(f"{where}: column {2 + shift} (truncated) is {cells[1]}, allowed: 0 to 1")
+    if occlusion not in (0.0, 1.0, 2.0, 3.0):
+        raise PemError(f"{where}: column {3 + shift} (occluded) is {cells[2]}, allowed: 0, 1, 2, 3")
+    return Obstacle(
+        type=cells[0],
+        truncation=truncation,
+        occlusion=int(occlusion),
+        alpha_rad=alpha,
+        box_px=box(left, top, right, bottom, column=5 + shift, where=where),
+        dimensions_m=(rest[0], rest[1], rest[2]),
+        location_m=(rest[3], rest[4], rest[5]),
+        rotation_y_rad=rest[6],
+    )
+
+
+def parsed_lines(
+    path: Path,
+    parse: Callable[[list[str], str], Item | None],
+    *,
+    on_bad_line: OnBadLine,
+    separator: str | None = None,
+) -> Iterator[Item]:
+    """What ``parse`` makes of the cells of each line that is not blank, if it makes something.
+
+    It gets file and line too, for the message of the :class:`PemError` that it raises.
 
     Args:
-        path: a file of KITTI's ``label_2`` folder.
-        on_bad_line: called with what is wrong; the line is passed over if that returns.
+        path: The file.
+        parse: Reads a line.
+        on_bad_line: Called with what is wrong; the line is passed over if that returns.
+        separator: Between cells; white space if ``None``.
     """
-    obstacles: list[Obstacle] = []
-    for number, cells in cells_of_lines(path):
-        try:
-            if cells[0] != NOT_AN_OBSTACLE:
-                obstacles.append(obstacle_of(cells, where=f"{path}:{number}"))
-        except PemError as error:
-            on_bad_line(error)
-    return obstacles
-
-
-def cells_of_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line number and white-space separated cells of each line that is not blank."""
     with open_text(path) as stream:
         for number, line in enumerate(stream, start=1):
-            cells = line.split()
-            if cells:
-                yield number, cells
+            if not line.strip():
+                continue
+            cells = [cell.strip() for cell in line.split(separator)]
+            try:
+                item = parse(cells, f"{path}:{number}")
+            except PemError as error:
+                on_bad_line(error)
+                continue
+            if item is not None:
+                yield item
 
 
 def numbers(
-    cells: list[str],
-    names: tuple[str, ...],
-    *,
-    first: int,
-    where: str,
-    columns_before: int = 0,
+    cells: list[str], names: tuple[str, ...], *, first: int, where: str, columns_before: int = 0
 ) -> list[float]:
     """The cells from index ``first`` on as finite numbers.
 
@@ -132,6 +190,17 @@ def numbers(
     return values
 
 
+def whole_number(cell: str, *, column: int, name: str, where: str) -> int:
+    """A cell as a whole number from 0 on.
+
+    Raises:
+        PemError: It is none.
+    """
+    if not (cell.isascii() and cell.isdigit() and int(cell) < LARGEST_NUMBER):
+        raise PemError(f"{where}: column {column} ({name}) is {cell!r}, not a whole number")
+    return int(cell)
+
+
 def box(left: float, top: float, right: float, bottom: float, *, column: int, where: str) -> Box:
     """A box whose sides are in order.
 
@@ -146,41 +215,3 @@ def box(left: float, top: float, right: float, bottom: float, *, column: int, wh
     if right < left or bottom < top:
         raise PemError(f"{where}: column {column} begins a box with a negative side")
     return left, top, right, bottom
-
-
-def obstacle_of(cells: list[str], *, where: str, columns_before: int = 0) -> Obstacle:
-    """The obstacle of a label's cells.
-
-    Args:
-        cells: a label's columns, and perhaps a score.
-        where: file and line.
-        columns_before: how many columns of the line stand before them, for messages.
-
-    Raises:
-        PemError: naming the column that is not as KITTI writes it.
-    """
-    if len(cells) not in (len(LABEL_COLUMNS), len(LABEL_COLUMNS) + 1):
-        needed = len(LABEL_COLUMNS) + columns_before
-        raise PemError(f"{where}: {len(cells) + columns_before} columns where {needed} are needed")
-    shift = columns_before
-    if cells[0] not in TYPES:
-        raise PemError(
-            f"{where}: column {1 + shift} (type) is {cells[0]!r}, allowed: {', '.join(TYPES)}"
-        )
-    names = (*LABEL_COLUMNS, "score")
-    values = numbers(cells, names, first=1, where=where, columns_before=shift)
-    truncation, occlusion, alpha, left, top, right, bottom, *rest = values
-    if not 0.0 <= truncation <= 1.0:
-        raise PemError(f"{where}: column {2 + shift} (truncated) is {cells[1]}, allowed: 0 to 1")
-    if occlusion not in (0.0, 1.0, 2.0, 3.0):
-        raise PemError(f"{where}: column {3 + shift} (occluded) is {cells[2]}, allowed: 0, 1, 2, 3")
-    return Obstacle(
-        type=cells[0],
-        truncation=truncation,
-        occlusion=int(occlusion),
-        alpha_rad=alpha,
-        box_px=box(left, top, right, bottom, column=5 + shift, where=where),
-        dimensions_m=(rest[0], rest[1], rest[2]),
-        location_m=(rest[3], rest[4], rest[5]),
-        rotation_y_rad=rest[6],
-    )

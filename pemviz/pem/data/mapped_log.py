@@ -1,29 +1,130 @@
-"""From somebody's own log to the table that models learn from, by a mapping of columns."""
+"""Somebody's own log as the table that models learn from, by a mapping of its columns.
+
+A log has a row for each obstacle at each moment, with what a detector made of it; in one file, or
+in two whose rows belong together. The mapping, a small TOML, names, for each column of the table, a
+column of the log or a number::
+
+    [labels]                              # and [detections], for the second file
+    separator = ","                       # the default; or ";", "tab", "whitespace"
+    header = ["t", "x", "y"]              # only where the file has no header line
+
+    [columns]
+    class_id = 0                          # a number: the same in every row
+    x_m = "lateral"                       # a column
+    z_m = { column = "range_cm", times = 0.01, plus = -1.5 }
+    occlusion = { column = "visible", values = { full = 0, part = 1 } }
+
+Needed are the salient variables of ``pemviz.pem.SALIENT_COLUMNS`` (without ``alpha_rad`` it follows
+from place and rotation) and ``detected``. ``x_error_m`` and ``z_error_m`` count where detected;
+``sequence``, ``frame``, ``track`` and ``rate_hz`` make a table of tracks of it.
+"""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from pemviz.errors import PemError
+from pemviz.config.records import read_record
+from pemviz.errors import ConfigError, PemError
 from pemviz.files.text_files import open_text
-from pemviz.pem.data.collected import CollectedCounts, write_table
-from pemviz.pem.data.column_mapping import (
-    ALPHA,
-    SEPARATORS,
-    ColumnMapping,
-    FileShape,
-    Source,
-    read_mapping,
-)
-from pemviz.pem.data.position_errors import PLANE_COLUMNS, TRACK_COLUMNS
-from pemviz.pem.data.table import OUTCOME_COLUMN
-from pemviz.pem.models.encoding import check_rows
-from pemviz.pem.models.protocol import SALIENT_COLUMNS
+from pemviz.pem.data.collect import CollectedCounts, write_table
+from pemviz.pem.data.position_errors import PLANE_COLUMNS
+from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
+from pemviz.pem.models.protocol import SALIENT_COLUMNS, check_rows
+
+Separator = Literal[",", ";", "tab", "whitespace"]
+SEPARATORS: Mapping[Separator, str | None] = {",": ",", ";": ";", "tab": "\t", "whitespace": None}
+ALPHA = "alpha_rad"
+NEEDED = (*(name for name in SALIENT_COLUMNS if name != ALPHA), OUTCOME_COLUMN)
+KNOWN = (*NEEDED, ALPHA, *PLANE_COLUMNS, *TRACK_COLUMNS)
+LARGEST_BYTES = 1_000_000
+MOST_LISTED = 20
 
 Cells = Mapping[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileShape:
+    """How one file of a log is written."""
+
+    separator: Separator = ","
+    header: tuple[str, ...] = ()
+    """Names of the columns where the file itself has none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Where a column's values come from: times * value + plus."""
+
+    column: str
+    times: float = 1.0
+    """For other units, or the other direction."""
+    plus: float = 0.0
+    """In the table's unit."""
+    values: Mapping[str, float] = field(default_factory=dict[str, float])
+    """What stands for each text; numbers are read as they are without it."""
+
+
+@dataclass(frozen=True)
+class ColumnMapping:
+    """How the files of a log are written, and where each column of the table is from."""
+
+    labels: FileShape
+    detections: FileShape
+    columns: Mapping[str, Source | float]
+    """A source, or a constant."""
+
+
+def read_mapping(path: Path) -> ColumnMapping:
+    """Read a mapping.
+
+    Raises:
+        PemError: it cannot be read, or a line of it says what, where and what is allowed.
+    """
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(LARGEST_BYTES)
+        table = tomllib.loads(content.decode("utf-8"))
+        if unknown := set(table) - {"labels", "detections", "columns"}:
+            message = f"{min(unknown)}: must be labels, detections or columns"
+            raise ConfigError(message)
+        columns = _columns(table.get("columns"))
+        shapes = [
+            read_record(FileShape, table.get(name, {}), name=name)
+            for name in ("labels", "detections")
+        ]
+    except OSError as error:
+        raise PemError(f"mapping {path}: cannot be read ({error.strerror or error})") from None
+    except (ConfigError, ValueError, RecursionError) as error:
+        raise PemError(f"mapping {path}: {error}") from None
+    return ColumnMapping(labels=shapes[0], detections=shapes[1], columns=columns)
+
+
+def _columns(given: object) -> Mapping[str, Source | float]:
+    """The sources by column."""
+    table: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
+    if missing := [name for name in NEEDED if name not in table]:
+        message = f"columns: lacks {', '.join(missing)}"
+        raise ConfigError(message)
+    found: dict[str, Source | float] = {}
+    for name, value in table.items():
+        if name not in KNOWN:
+            message = f"columns.{name}: must be one of {', '.join(KNOWN)}"
+            raise ConfigError(message)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            found[name] = float(value)
+        else:
+            source = {"column": value} if isinstance(value, str) else value
+            found[name] = read_record(Source, source, name=f"columns.{name}")
+    tracked = [name for name in TRACK_COLUMNS if name in found]
+    if tracked and len(tracked) < len(TRACK_COLUMNS):
+        message = f"columns: of {', '.join(TRACK_COLUMNS)} all or none, here {', '.join(tracked)}"
+        raise ConfigError(message)
+    return found
 
 
 @dataclass
@@ -42,7 +143,7 @@ def collect_log(
     Args:
         labels: The log; or its file of obstacles.
         detections: The same file; or what the detector made of each, row by row.
-        mapping: Where the columns are, see ``pemviz.pem.data.column_mapping``.
+        mapping: Where the columns are, see the module.
         out: CSV to write; complete or not there.
         skip_bad: Whether malformed rows are counted and passed over.
 
@@ -96,13 +197,13 @@ def _file_rows(path: Path, shape: FileShape) -> Iterator[tuple[str, Cells]]:
 
 
 def _row(plan: ColumnMapping, cells: Cells, where: str) -> dict[str, str]:
-    """A row's texts by column of the table.
-
-    Raises:
-        PemError: a value is missing or not allowed.
-    """
-    columns = plan.columns
-    texts = {name: _text(columns[name], cells, where) for name in TRACK_COLUMNS if name in columns}
+    """A row's texts by column of the table."""
+    columns, texts = plan.columns, dict[str, str]()
+    for name in TRACK_COLUMNS:
+        if name in columns:
+            source = columns[name]
+            is_column = isinstance(source, Source)
+            texts[name] = _cell(source, cells, where) if is_column else f"{source:g}"
     values = {
         name: _value(columns[name], name, cells, where)
         for name in (*SALIENT_COLUMNS, OUTCOME_COLUMN)
@@ -125,25 +226,15 @@ def _row(plan: ColumnMapping, cells: Cells, where: str) -> dict[str, str]:
     return texts
 
 
-def _text(source: Source | float, cells: Cells, where: str) -> str:
-    """A name or number that is written as it is."""
-    if not isinstance(source, Source):
-        return f"{source:g}"
-    return _cell(source, cells, where)
-
-
 def _cell(source: Source, cells: Cells, where: str) -> str:
     if source.column not in cells:
-        raise PemError(f"{where}: no column {source.column!r}, there are: {_listed(list(cells))}")
+        names = ", ".join(list(cells)[:MOST_LISTED])
+        raise PemError(f"{where}: no column {source.column!r}, there are: {names}")
     return cells[source.column]
 
 
 def _value(source: Source | float, name: str, cells: Cells, where: str) -> float:
-    """A number of the table, in its unit.
-
-    Raises:
-        PemError: There is none in the log.
-    """
+    """A number of the table, in its unit."""
     if not isinstance(source, Source):
         return source
     text = _cell(source, cells, where)
@@ -153,12 +244,9 @@ def _value(source: Source | float, name: str, cells: Cells, where: str) -> float
     except (KeyError, ValueError):
         value = math.nan
     if not math.isfinite(value):
-        allowed = f"one of {_listed(list(source.values))}" if source.values else "a number"
+        listed = ", ".join(list(source.values)[:MOST_LISTED])
+        allowed = f"one of {listed}" if listed else "a number"
         raise PemError(
             f"{where}: {source.column}, for {name}, is {text[:40]!r}, allowed: {allowed}"
         )
     return value
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:20])

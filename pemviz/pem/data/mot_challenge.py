@@ -1,4 +1,7 @@
-"""MOTChallenge's files: who was where in the image, and what a detector or tracker reported.
+"""MOTChallenge's ground truth and detections to a table of who is missed when.
+
+These files tell nothing of places in the world: the table has no salient variables. It serves
+``pemviz pem memory --model guess-mu``, how misses follow each other; no error model can be fitted.
 
 A line is ``frame, id, left, top, width, height, conf, ...`` (pixels; frame and id from 1). In
 ground truth conf 0 marks what is to be ignored, and since MOT16 a class and the visible share
@@ -7,7 +10,6 @@ a sequence is ``SEQUENCE/gt/gt.txt`` or ``SEQUENCE/det/det.txt``, with its rate 
 ``SEQUENCE/seqinfo.ini``; or, as trackers' results are, ``SEQUENCE.txt``.
 """
 
-from collections.abc import Iterator
 from configparser import ConfigParser
 from configparser import Error as IniError
 from dataclasses import dataclass
@@ -17,9 +19,19 @@ from typing import Literal
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.text_files import open_text
+from pemviz.pem.data.collect import (
+    DEFAULT_OPTIONS,
+    CollectOptions,
+    Progress,
+    TrackCounts,
+    TrackRow,
+    match_frames,
+    plain,
+    write_table,
+)
 from pemviz.pem.data.detections import Detection
-from pemviz.pem.data.kitti_labels import Box, OnBadLine, box, numbers
-from pemviz.pem.data.tracking import LARGEST_NUMBER
+from pemviz.pem.data.kitti_labels import LARGEST_NUMBER, Box, box, numbers, parsed_lines
+from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
 
 COLUMNS = ("frame", "id", "bb_left", "bb_top", "bb_width", "bb_height", "conf")
 CLASSED = (*COLUMNS, "class", "visibility")
@@ -32,6 +44,8 @@ CLASSES = (
 """The classes 1, 2, ...; files with ``x, y, z`` in their place tell of none: pedestrians."""
 SEQUENCE_INFO = "seqinfo.ini"
 FASTEST_HZ = 1e4
+BOX_COLUMNS = ("left_px", "top_px", "right_px", "bottom_px")
+TABLE_COLUMNS = (*TRACK_COLUMNS, "type", "visibility", *BOX_COLUMNS, OUTCOME_COLUMN, "iou")
 
 
 @dataclass(frozen=True)
@@ -55,16 +69,77 @@ class MotObstacle:
     counts: bool
 
 
-def sequence_files(folder: Path, kind: Literal["gt", "det"]) -> dict[str, Path]:
-    """The file of each sequence, by name.
+def collect_mot(
+    *,
+    labels: Path,
+    detections: Path,
+    out: Path,
+    rate_hz: float = 10.0,
+    types: tuple[str, ...] = (),
+    options: CollectOptions = DEFAULT_OPTIONS,
+    on_progress: Progress | None = None,
+) -> TrackCounts:
+    """Match every labelled box of every frame, and write a row for it.
+
+    All labelled boxes take part in the matching, as KITTI's do; those that are marked to be ignored
+    (``dropped``), or of another class than asked for, get no row.
 
     Args:
-        folder: Of sequences' folders, or of a file a sequence.
-        kind: Ground truth or detections.
+        labels: Folder of sequences with ground truth.
+        detections: Folder of sequences with detections; may be the same.
+        out: CSV to write; complete or not there.
+        rate_hz: Frames a second of sequences whose ``seqinfo.ini`` does not tell.
+        types: Classes that get a row, such as pedestrian; all if empty.
+        options: What counts as a detection.
+        on_progress: Called with sequences done and sequences in all.
 
     Raises:
-        PemError: There is none.
+        PemError: Naming file, line and column of what is malformed, or what is missing.
     """
+    if unknown := [name for name in types if name not in CLASSES]:
+        raise PemError(f"types: {unknown[0]!r} is no class, allowed: {', '.join(CLASSES)}")
+    files, reported = _sequence_files(labels, "gt"), _sequence_files(detections, "det")
+    counts, lines = TrackCounts(), list[str]()
+    on_bad_line = counts.on_bad_line(skip_bad=options.skip_bad)
+    for done, (sequence, file) in enumerate(files.items(), start=1):
+        plain(sequence, labels)
+        if sequence not in reported:
+            raise PemError(f"{detections}: no detections of sequence {sequence!r}")
+        found: dict[int, list[Detection]] = {}
+        read = parsed_lines(reported[sequence], _detection, on_bad_line=on_bad_line, separator=",")
+        for frame, detection in read:
+            found.setdefault(frame, []).append(detection)
+        truth = list(parsed_lines(file, _obstacle, on_bad_line=on_bad_line, separator=","))
+        rate = _sequence_rate_hz(file) or rate_hz
+        boxes = ((each.frame, each.box_px, each) for each in truth)
+        rows: list[TrackRow] = []
+        for each, overlap, _ in match_frames(boxes, found, options, counts):
+            if types and each.type not in types:
+                counts.other_types += 1
+            elif not each.counts:
+                counts.dropped += 1
+            else:
+                detected = overlap > options.iou_above
+                line = _line(sequence, rate, each, detected=detected, overlap=overlap)
+                rows.append((each.track, each.frame, detected, line))
+        lines += counts.add_sequence(rows)
+        if on_progress is not None:
+            on_progress(done, len(files))
+    write_table(out, TABLE_COLUMNS, lines)
+    return counts
+
+
+def _line(
+    sequence: str, rate_hz: float, one: MotObstacle, *, detected: bool, overlap: float
+) -> str:
+    visible = "" if one.visibility is None else f"{one.visibility:.6g}"
+    who = (sequence, str(one.frame), str(one.track), f"{rate_hz:g}", one.type, visible)
+    sides = (f"{side:.10g}" for side in one.box_px)
+    return ",".join((*who, *sides, str(int(detected)), f"{overlap:.4f}"))
+
+
+def _sequence_files(folder: Path, kind: Literal["gt", "det"]) -> dict[str, Path]:
+    """The file of each sequence, by name."""
     found: dict[str, Path] = {}
     if is_folder(folder):
         found = {path.parents[1].name: path for path in folder.glob(f"*/{kind}/{kind}.txt")}
@@ -74,12 +149,8 @@ def sequence_files(folder: Path, kind: Literal["gt", "det"]) -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-def sequence_rate_hz(file: Path) -> float | None:
-    """Frames a second of a sequence by its file of ground truth; ``None`` if nothing tells.
-
-    Raises:
-        PemError: What should tell it is malformed.
-    """
+def _sequence_rate_hz(file: Path) -> float | None:
+    """Frames a second of a sequence by its file of ground truth; ``None`` if nothing tells."""
     info = file.parents[1] / SEQUENCE_INFO
     if file.name != "gt.txt" or not is_file(info):
         return None
@@ -95,78 +166,38 @@ def sequence_rate_hz(file: Path) -> float | None:
     return rate_hz
 
 
-def read_ground_truth(path: Path, *, on_bad_line: OnBadLine) -> list[MotObstacle]:
-    """The labelled boxes of a sequence.
-
-    Args:
-        path: A file of ground truth.
-        on_bad_line: Called with what is wrong; the line is passed over if that returns.
-    """
-    found: list[MotObstacle] = []
-    for where, cells in _lines(path):
-        try:
-            found.append(_obstacle(cells, where))
-        except PemError as error:
-            on_bad_line(error)
-    return found
-
-
-def read_detections(path: Path, *, on_bad_line: OnBadLine) -> dict[int, list[Detection]]:
-    """What was reported in each frame of a sequence; a frame without a line has nothing.
-
-    Args:
-        path: A file of detections, or of tracks.
-        on_bad_line: Called with what is wrong; the line is passed over if that returns.
-    """
-    found: dict[int, list[Detection]] = {}
-    for where, cells in _lines(path):
-        try:
-            frame, _, values = _values(cells, where)
-            found.setdefault(frame, []).append(Detection("", _box(values, where), values[4]))
-        except PemError as error:
-            on_bad_line(error)
-    return found
-
-
-def _lines(path: Path) -> Iterator[tuple[str, list[str]]]:
-    with open_text(path) as stream:
-        for number, line in enumerate(stream, start=1):
-            if line.strip():
-                yield f"{path}:{number}", [cell.strip() for cell in line.split(",")]
-
-
-def _values(cells: list[str], where: str) -> tuple[int, int, list[float]]:
-    """Frame, identity, and the numbers from ``bb_left`` on."""
+def _values(cells: list[str], where: str) -> tuple[int, int, Box, list[float]]:
+    """Frame, identity, box, and the numbers from ``conf`` on."""
     if not len(COLUMNS) <= len(cells) <= len(WORLD):
         wanted = f"{len(COLUMNS)} to {len(WORLD)}"
         raise PemError(f"{where}: {len(cells)} columns where {wanted} are needed")
     names = WORLD if len(cells) == len(WORLD) else CLASSED
-    values = numbers(cells, names, first=0, where=where)
-    frame, identity = values[:2]
+    frame, identity, left, top, width, height, *rest = numbers(cells, names, first=0, where=where)
     if not (1 <= frame < LARGEST_NUMBER and frame == int(frame)):
         raise PemError(f"{where}: column 1 (frame) is {cells[0]!r}, not a whole number from 1 on")
     if not (abs(identity) < LARGEST_NUMBER and identity == int(identity)):
         raise PemError(f"{where}: column 2 (id) is {cells[1]!r}, not a whole number")
-    return int(frame), int(identity), values[2:]
+    sides = box(left, top, left + width, top + height, column=3, where=where)
+    return int(frame), int(identity), sides, rest
 
 
-def _box(values: list[float], where: str) -> Box:
-    left, top, width, height = values[:4]
-    return box(left, top, left + width, top + height, column=3, where=where)
+def _detection(cells: list[str], where: str) -> tuple[int, Detection]:
+    frame, _, sides, (score, *_) = _values(cells, where)
+    return frame, Detection("", sides, score)
 
 
 def _obstacle(cells: list[str], where: str) -> MotObstacle:
-    frame, track, values = _values(cells, where)
+    frame, track, sides, (counts, *others) = _values(cells, where)
     kind, visibility = CLASSES[0], None
     if len(COLUMNS) < len(cells) < len(WORLD):
-        if not (1 <= values[5] <= len(CLASSES) and values[5] == int(values[5])):
+        if not (1 <= others[0] <= len(CLASSES) and others[0] == int(others[0])):
             raise PemError(
                 f"{where}: column 8 (class) is {cells[7]!r}, allowed: 1 to {len(CLASSES)}"
             )
-        kind = CLASSES[int(values[5]) - 1]
-        visibility = values[6] if len(values) > 6 else None
+        kind = CLASSES[int(others[0]) - 1]
+        visibility = others[1] if len(others) > 1 else None
     if visibility is not None and not 0.0 <= visibility <= 1.0:
         raise PemError(f"{where}: column 9 (visibility) is {cells[8]!r}, allowed: 0 to 1")
     if track < 0:
         raise PemError(f"{where}: column 2 (id) is {cells[1]!r}, not a whole number from 0 on")
-    return MotObstacle(frame, track, _box(values, where), kind, visibility, values[4] != 0.0)
+    return MotObstacle(frame, track, sides, kind, visibility, counts != 0.0)

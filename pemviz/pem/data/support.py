@@ -1,20 +1,23 @@
 """How many training obstacles lie near what a scenario visits, and what they alone would allow.
 
 Training obstacles are counted in cells of class, occlusion, lateral offset, heading and distance.
-The counts ship with the model, the data does not.
+The counts ship with the model, the data does not. Where a scenario evaluates a model on what its
+training data never showed is told in words.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.binomial import exact_interval, exact_upper_bound
 from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.models.card import PemCard
+from pemviz.pem.models.cards import PemCard
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN, OCCLUSION_NAMES, Pem, as_rows
+from pemviz.pem.models.tabulated import TabulatedPem
 
 DISTANCE_EDGES_M = (0.0, 3.0, 5.0, 7.0, 13.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0)
 """Between the distance bands; the first band lies behind the camera, the last beyond 80 m."""
@@ -37,15 +40,22 @@ SHAPE = (
 )
 """Cells: class, occlusion, lateral band, heading, distance band."""
 
+THIN_OBSTACLES = 30
+"""Fewer training obstacles than this in a band count as thin data."""
+
+BEHIND_M = -1e6
+"""Lower edge of the band behind the camera."""
+
+NEVER_DETECTED_LOGIT = -28.0
+"""Logit of P(detected) where no data bounds P(missed): about 1e-12."""
+
 
 @dataclass(frozen=True, eq=False)
 class SupportSummary:
-    """Counts of training obstacles and of the missed ones among them."""
+    """Counts of training obstacles and of the missed ones among them, of the shape SHAPE."""
 
     obstacles: IntArray
-    """Shape SHAPE."""
     missed: IntArray
-    """Shape SHAPE."""
 
     def to_json(self) -> dict[str, Any]:
         """The cells that are not empty, as plain numbers."""
@@ -114,7 +124,12 @@ def cell_of(salient: FloatArray) -> tuple[IntArray, ...]:
     """Index arrays [n] into SHAPE of salient variables [..., 11]."""
     rows, _ = as_rows(salient)
     rotation = rows[:, COLUMN["rotation_y_rad"]]
-    heading = np.select([_near(rotation, -np.pi / 2), _near(rotation, np.pi / 2)], [0, 1], 2)
+
+    def near(target_rad: float) -> Any:
+        difference = np.angle(np.exp(1j * (rotation - target_rad)))
+        return np.abs(difference) < HEADING_TOLERANCE_RAD
+
+    heading = np.select([near(-np.pi / 2), near(np.pi / 2)], [0, 1], 2)
     return (
         rows[:, COLUMN["class_id"]].astype(np.int64),
         rows[:, COLUMN["occlusion"]].astype(np.int64),
@@ -122,11 +137,6 @@ def cell_of(salient: FloatArray) -> tuple[IntArray, ...]:
         heading,
         np.searchsorted(DISTANCE_EDGES_M, rows[:, COLUMN["z_m"]], side="right"),
     )
-
-
-def _near(angle_rad: FloatArray, target_rad: float) -> Any:
-    difference = np.angle(np.exp(1j * (angle_rad - target_rad)))
-    return np.abs(difference) < HEADING_TOLERANCE_RAD
 
 
 def cell_in_words(class_id: int, occlusion: int, lateral: int, heading: int) -> str:
@@ -147,3 +157,149 @@ def band_in_words(band: int) -> str:
     if band == 0:
         return f"z < {high:g} m"
     return f"z from {low:g} to {high:g} m" if np.isfinite(high) else f"z > {low:g} m"
+
+
+@dataclass(frozen=True)
+class BandSupport:
+    """Training data in one distance band, of obstacles like those that the scenario shows."""
+
+    index: int
+    low_m: float | None
+    """Lower edge of z [m]; None for the band behind the camera."""
+    high_m: float | None
+    """Upper edge of z [m]; None for the farthest band."""
+    visits: int
+    """Rows of the scenario in the band."""
+    obstacles: int
+    """Training obstacles of the same class, occlusion, lateral band and heading."""
+    missed: int
+    """Those among them that the detector missed."""
+    miss_low: float
+    """Exact 95 % interval for P(missed) by the data alone: its lower end."""
+    miss_high: float
+    """Its upper end."""
+    miss_bound: float
+    """Exact one-sided upper 95 % bound for P(missed) by the data alone."""
+    model_miss: float | None
+    """The model's mean P(missed) over the visits; None without visits."""
+
+
+@dataclass(frozen=True)
+class SupportReport:
+    """What the support check found."""
+
+    obstacle: str
+    """The kinds of obstacle that the scenario shows, in words."""
+    bands: tuple[BandSupport, ...]
+    warnings: tuple[str, ...]
+    """Where the model extrapolates or contradicts the data, near to far; empty if nowhere."""
+
+
+def support_check(salient: FloatArray, *, support: SupportSummary, pem: Pem) -> SupportReport:
+    """Compare what a scenario visits, salient variables [..., 11], with the training data."""
+    rows, _ = as_rows(salient)
+    kinds, band = kinds_and_bands(rows)
+    obstacles = support.obstacles[tuple(kinds.T)].sum(axis=0)
+    missed = support.missed[tuple(kinds.T)].sum(axis=0)
+    visits = np.bincount(band, minlength=SHAPE[-1])
+    model_miss = np.exp(-np.logaddexp(0.0, pem.logit(rows)))
+    model_misses = np.bincount(band, weights=model_miss, minlength=SHAPE[-1])
+    edges = (None, *DISTANCE_EDGES_M, None)
+    bands: list[BandSupport] = []
+    for index in range(SHAPE[-1]):
+        count, misses = int(obstacles[index]), int(missed[index])
+        low, high = exact_interval(misses, count)
+        band_support = BandSupport(
+            index=index,
+            low_m=edges[index],
+            high_m=edges[index + 1],
+            visits=int(visits[index]),
+            obstacles=count,
+            missed=misses,
+            miss_low=low,
+            miss_high=high,
+            miss_bound=exact_upper_bound(misses, count),
+            model_miss=float(model_misses[index]) / int(visits[index]) if visits[index] else None,
+        )
+        bands.append(band_support)
+    words = "; ".join(cell_in_words(*(int(part) for part in kind)) for kind in kinds)
+    return SupportReport(words, tuple(bands), tuple(_warnings(bands, obstacle=words)))
+
+
+def data_bound_pem(
+    salient: FloatArray, *, support: SupportSummary, confidence: float = 0.95
+) -> TabulatedPem:
+    """The largest P(missed) that the data alone allow, as a model: for an upper bound on mu.
+
+    In each distance band P(missed) is the exact (Clopper-Pearson) upper bound for obstacles like
+    those that the scenario shows, and practically 1 where there are none. The bounds hold
+    together with the given confidence: each visited band with data takes its share of the error
+    probability. Where more misses make a violation more likely, as in braking for an obstacle,
+    mu under this model bounds mu under every model that is constant within bands and
+    compatible with the data.
+
+    Args:
+        salient: salient variables of the steps that a scenario visits, shape [..., 11].
+        support: counts of the training data.
+        confidence: of all bands' bounds together.
+    """
+    rows, _ = as_rows(salient)
+    kinds, band = kinds_and_bands(rows)
+    obstacles = support.obstacles[tuple(kinds.T)].sum(axis=0)
+    missed = support.missed[tuple(kinds.T)].sum(axis=0)
+    with_data = int(np.count_nonzero(obstacles[np.unique(band)]))
+    each = 1.0 - (1.0 - confidence) / max(with_data, 1)
+    logits: list[float] = []
+    for count, misses in zip(obstacles.tolist(), missed.tolist(), strict=True):
+        bound = exact_upper_bound(misses, count, confidence=each)
+        certain = bound >= 1.0
+        logits.append(NEVER_DETECTED_LOGIT if certain else float(np.log1p(-bound) - np.log(bound)))
+    card = PemCard(
+        name="data-bound",
+        model="table",
+        data=f"exact upper bounds for P(missed) by distance band, jointly {confidence:.0%}",
+        licence="as the training data that the counts come from",
+        recipe=f"Clopper-Pearson, each band at {each:.2%}",
+    )
+    lower_edges = np.asarray((BEHIND_M, *DISTANCE_EDGES_M))
+    return TabulatedPem(card, lower_edges, np.asarray(logits), between="step")
+
+
+def kinds_and_bands(rows: FloatArray) -> tuple[IntArray, IntArray]:
+    """The kinds of obstacle among rows [n, 11], shape [kinds, 4], and each row's band, [n]."""
+    *kind, band = cell_of(rows)
+    visited = np.bincount(np.ravel_multi_index(kind, SHAPE[:-1]))
+    return np.stack(np.unravel_index(np.flatnonzero(visited), SHAPE[:-1]), axis=1), band
+
+
+def _warnings(bands: Sequence[BandSupport], *, obstacle: str) -> Iterator[str]:
+    visits = sum(band.visits for band in bands)
+    for band in bands:
+        if band.model_miss is None:
+            continue
+        where = band_in_words(band.index)
+        share = f"{band.visits / visits:.0%} of the scenario's steps"
+        model = f"the model's P(missed) of {band.model_miss:.2g} there"
+        if band.obstacles == 0:
+            yield (
+                f"extrapolation: no training obstacle ({obstacle}) with {where}, where {share} "
+                f"fall; {model} is a guess"
+            )
+        elif band.missed == 0:
+            yield (
+                f"no misses in the data: {band.obstacles} training obstacles ({obstacle}) with "
+                f"{where}, none missed, so the data allow P(missed) up to {band.miss_bound:.2g} "
+                f"(95 %, exact); {model} is the model's own"
+            )
+        elif band.obstacles < THIN_OBSTACLES:
+            yield (
+                f"thin data: {band.missed} of {band.obstacles} training obstacles ({obstacle}) "
+                f"with {where} were missed, P(missed) {band.miss_low:.2g} to {band.miss_high:.2g} "
+                f"(95 %, exact); {model} is close to a guess"
+            )
+        elif not band.miss_low <= band.model_miss <= band.miss_high:
+            yield (
+                f"misfit: {band.missed} of {band.obstacles} training obstacles ({obstacle}) with "
+                f"{where} were missed, P(missed) {band.miss_low:.2g} to {band.miss_high:.2g} "
+                f"(95 %, exact), where {share} fall; {model} lies outside"
+            )

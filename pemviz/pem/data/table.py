@@ -1,39 +1,51 @@
-"""The table that perception error models learn from: one obstacle a row, and was it detected."""
+"""The tables that perception error models learn from: one obstacle a row, and was it detected.
+
+In a table of tracks obstacles are followed over time: who was seen when.
+"""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.text_files import open_text, read_numbers
-from pemviz.pem.models.encoding import check_rows
-from pemviz.pem.models.protocol import SALIENT_COLUMNS
+from pemviz.pem.models.protocol import SALIENT_COLUMNS, check_rows
 
 OUTCOME_COLUMN = "detected"
 INPUTS_FILE = "salient_inputs.txt"
 LABELS_FILE = "salient_labels.txt"
+RATE_COLUMN = "rate_hz"
+TRACK_COLUMNS = ("sequence", "frame", "track", RATE_COLUMN)
+REQUIRED = ("sequence", "frame", "track", OUTCOME_COLUMN)
+
+Lines = list[tuple[int, list[str]]]
+"""Number and cells of each line of a table."""
 
 
 @dataclass(frozen=True, eq=False)
 class SalientTable:
-    """Obstacles and what a detector made of them."""
+    """Obstacles and what a detector made of them.
+
+    Attributes:
+        salient: Salient variables ``[n, 11]``.
+        detected: Outcomes ``[n]``.
+        source: Where the table comes from, in words.
+        sequence: Which sequence of video each is from ``[n]``; ``None``: obstacles stand alone.
+    """
 
     salient: FloatArray
-    """Salient variables, shape [n, 11]."""
     detected: BoolArray
-    """Outcomes, shape [n]."""
     source: str
-    """Where the table comes from, in words."""
     sequence: IntArray | None = None
-    """Which sequence of video each obstacle is from, shape [n]; None: obstacles stand alone."""
 
     def __len__(self) -> int:
-        """Number of obstacles n."""
         return len(self.detected)
 
     @cached_property
@@ -58,10 +70,26 @@ def load_table(path: Path | str) -> SalientTable:
     path = Path(path)
     sequence = None
     if is_folder(path):
-        salient, detected = _read_folder(path)
+        for name in (INPUTS_FILE, LABELS_FILE):
+            if not is_file(path / name):
+                raise PemError(f"{path / name}: no such file")
+        salient = read_numbers(path / INPUTS_FILE, separator=None, columns=SALIENT_COLUMNS)
+        labels = (OUTCOME_COLUMN, *(f"column {index}" for index in range(2, 10)))
+        detected = read_numbers(path / LABELS_FILE, separator=None, columns=labels)[:, 0]
+        if len(salient) != len(detected):
+            raise PemError(f"{path}: {len(salient)} rows of inputs but {len(detected)} of labels")
     elif path.suffix == ".csv" and is_file(path):
-        salient, detected = _read_csv(path)
-        sequence = _sequences(path)
+        with open_text(path) as stream:
+            header = tuple(name.strip() for name in stream.readline().split(","))
+        wanted = (*SALIENT_COLUMNS, OUTCOME_COLUMN)
+        check_header(path, header, wanted)
+        picked = tuple(header.index(name) for name in wanted)
+        values = read_numbers(path, separator=",", columns=header, picked=picked, skip_lines=1)
+        salient, detected = values[:, :-1], values[:, -1]
+        if {"sequence", "track"} <= set(header):
+            column = header.index("sequence")
+            names = [cells[column] for _, cells in read_cells(path)[1]]
+            sequence = np.unique(names, return_inverse=True)[1].astype(np.int64)
     else:
         raise PemError(
             f"{path}: no table; need a .csv of 'pemviz pem collect' or a folder with "
@@ -86,51 +114,25 @@ def save_table(table: SalientTable, path: Path) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _read_folder(folder: Path) -> tuple[FloatArray, FloatArray]:
-    for name in (INPUTS_FILE, LABELS_FILE):
-        if not is_file(folder / name):
-            raise PemError(f"{folder / name}: no such file")
-    salient = read_numbers(folder / INPUTS_FILE, separator=None, columns=SALIENT_COLUMNS)
-    labels = (OUTCOME_COLUMN, *(f"column {index}" for index in range(2, 10)))
-    detected = read_numbers(folder / LABELS_FILE, separator=None, columns=labels)[:, 0]
-    if len(salient) != len(detected):
-        raise PemError(f"{folder}: {len(salient)} rows of inputs but {len(detected)} of labels")
-    return salient, detected
+def check_header(path: Path, header: Sequence[str], wanted: Sequence[str]) -> None:
+    """Whether a CSV has all columns that are wanted.
 
-
-def _read_csv(path: Path) -> tuple[FloatArray, FloatArray]:
-    with open_text(path) as stream:
-        header = tuple(name.strip() for name in stream.readline().split(","))
-    wanted = (*SALIENT_COLUMNS, OUTCOME_COLUMN)
-    missing = [name for name in wanted if name not in header]
-    if missing:
+    Raises:
+        PemError: It lacks some.
+    """
+    if missing := [name for name in wanted if name not in header]:
         raise PemError(f"{path}:1: the header lacks {', '.join(missing)}")
-    picked = tuple(header.index(name) for name in wanted)
-    values = read_numbers(path, separator=",", columns=header, picked=picked, skip_lines=1)
-    return values[:, :-1], values[:, -1]
 
 
-def _sequences(path: Path) -> IntArray | None:
-    """Numbers of the sequences in a table of tracks; None in another."""
-    with open_text(path) as stream:
-        header = [name.strip() for name in stream.readline().split(",")]
-    if not {"sequence", "track"} <= set(header):
-        return None
-    _, lines = read_cells(path)
-    column = header.index("sequence")
-    _, numbers = np.unique([cells[column] for _, cells in lines], return_inverse=True)
-    return numbers.astype(np.int64)
-
-
-def read_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """A CSV's header, and line number and cells of each line that is neither blank nor a comment.
+def read_cells(path: Path) -> tuple[list[str], Lines]:
+    """A CSV's header, and its lines that are neither blank nor comments.
 
     Raises:
         PemError: it cannot be read, or a line has not as many cells as the header.
     """
     with open_text(path) as stream:
         header = [name.strip() for name in stream.readline().split(",")]
-        lines: list[tuple[int, list[str]]] = []
+        lines: Lines = []
         for number, line in enumerate(stream, start=2):
             if not line.strip() or line.lstrip().startswith("#"):
                 continue
@@ -141,3 +143,209 @@ def read_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
                 )
             lines.append((number, cells))
     return header, lines
+
+
+@dataclass(frozen=True, eq=False)
+class TrackTable:
+    """Observations in the order of sequence, track and frame.
+
+    Attributes:
+        obstacles: The n observations as a table that error models learn from.
+        sequence: Which sequence each belongs to, ``[n]``, counted from 0.
+        track: Which obstacle, ``[n]``, counted from 0 over all sequences.
+        frame: ``[n]``, as labelled.
+        rate_hz: Frames a second, ``[n]``.
+        has_state: Whether the salient variables are known; else they are all 0.
+    """
+
+    obstacles: SalientTable
+    sequence: IntArray
+    track: IntArray
+    frame: IntArray
+    rate_hz: FloatArray
+    has_state: bool = True
+
+    def __len__(self) -> int:
+        return len(self.obstacles)
+
+    @property
+    def detected(self) -> BoolArray:
+        """Outcomes ``[n]``."""
+        return self.obstacles.detected
+
+    @cached_property
+    def follows(self) -> BoolArray:
+        """Whether the row before is of the same track, ``[n]``."""
+        same = np.zeros(len(self), dtype=np.bool_)
+        same[1:] = self.track[1:] == self.track[:-1]
+        return same
+
+    @cached_property
+    def since_s(self) -> FloatArray:
+        """Time since the track's observation before [s], ``[n]``; infinite at its first."""
+        frames = np.diff(self.frame, prepend=self.frame[:1]).astype(np.float64)
+        return np.where(self.follows, frames / self.rate_hz, np.inf)
+
+    @cached_property
+    def missed_before(self) -> BoolArray:
+        """Whether the track's observation before was missed, ``[n]``; false at its first."""
+        before = np.zeros(len(self), dtype=np.bool_)
+        before[1:] = ~self.detected[:-1]
+        return before & self.follows
+
+    @property
+    def gaps(self) -> int:
+        """How often a track goes on after frames in which it was not observed."""
+        return int(np.count_nonzero(self.follows & (self._frames_since > 1)))
+
+    @property
+    def rate_changes(self) -> int:
+        """How often the rate changes within a track."""
+        changed = np.diff(self.rate_hz, prepend=self.rate_hz[:1]) != 0.0
+        return int(np.count_nonzero(changed & self.follows))
+
+    @property
+    def _frames_since(self) -> IntArray:
+        return np.diff(self.frame, prepend=self.frame[:1])
+
+
+def track_table(
+    *,
+    salient: FloatArray,
+    detected: BoolArray,
+    sequence: NDArray[np.str_] | IntArray,
+    track: NDArray[np.str_] | IntArray,
+    frame: IntArray,
+    rate_hz: FloatArray,
+    source: str,
+    has_state: bool = True,
+) -> TrackTable:
+    """Observations ``[n]`` in any order as a table in order.
+
+    Sequences and tracks are names or numbers, a track's its own within its sequence; the rest is as
+    in :class:`TrackTable`, salient variables ``[n, 11]``.
+
+    Raises:
+        PemError: A track is observed twice in a frame.
+    """
+    sequences, of_sequence = np.unique(sequence, return_inverse=True)
+    tracks, of_track = np.unique(track, return_inverse=True)
+    pair = of_sequence.astype(np.int64) * tracks.size + of_track
+    _, one_track = np.unique(pair, return_inverse=True)
+    order = np.lexsort((frame, one_track))
+    ordered = of_sequence[order].astype(np.int64)
+    table = TrackTable(
+        obstacles=SalientTable(salient[order], detected[order], source, sequence=ordered),
+        sequence=ordered,
+        track=one_track[order].astype(np.int64),
+        frame=frame[order],
+        rate_hz=rate_hz[order],
+        has_state=has_state,
+    )
+    twice = table.follows & (np.diff(table.frame, prepend=-1) == 0)
+    if twice.any():
+        row = int(np.argmax(twice))
+        who = tracks[of_track[order][row]]
+        where = sequences[of_sequence[order][row]]
+        raise PemError(
+            f"{source}: track {who} of sequence {where} is there twice in frame {table.frame[row]}"
+        )
+    return table
+
+
+def load_tracks(
+    path: Path | str, *, rate_hz: float | None = None, needs_state: bool = True
+) -> TrackTable:
+    """Read a CSV with sequence, frame, track, the salient columns and the outcome.
+
+    Args:
+        path: as ``pemviz pem collect --tracks`` writes it, or one of the user's own.
+        rate_hz: frames a second where the table has no column ``rate_hz``.
+        needs_state: whether the salient columns must be there; else a table without any of them
+            will do.
+
+    Raises:
+        PemError: the file is missing or malformed; the message names file, line and column.
+    """
+    path = Path(path)
+    if not is_file(path):
+        raise PemError(f"{path}: no such table of tracks")
+    header, lines = read_cells(path)
+    has_state = needs_state or any(name in header for name in SALIENT_COLUMNS)
+    wanted = (*REQUIRED, *SALIENT_COLUMNS) if has_state else REQUIRED
+    check_header(path, header, wanted)
+    if RATE_COLUMN not in header and rate_hz is None:
+        raise PemError(f"{path}:1: the header lacks {RATE_COLUMN}; give the rate of the frames")
+    text = {
+        name: np.array([cells[header.index(name)] for _, cells in lines])
+        for name in ("sequence", "track")
+    }
+    number = {
+        name: column_numbers(path, header, lines, name) for name in wanted if name not in text
+    }
+    rates = np.full(len(lines), rate_hz)
+    if RATE_COLUMN in header:
+        rates = column_numbers(path, header, lines, RATE_COLUMN)
+    nothing = np.zeros(len(lines))
+    salient = np.stack([number.get(name, nothing) for name in SALIENT_COLUMNS], axis=1)
+    _check(path, number, rates, salient)
+    return track_table(
+        salient=salient,
+        detected=number[OUTCOME_COLUMN] == 1.0,
+        sequence=text["sequence"],
+        track=text["track"],
+        frame=number["frame"].astype(np.int64),
+        rate_hz=rates,
+        source=path.stem,
+        has_state=has_state,
+    )
+
+
+def _check(
+    path: Path, number: dict[str, FloatArray], rates: FloatArray, salient: FloatArray
+) -> None:
+    if len(salient) == 0:
+        raise PemError(f"{path}: the table has no rows")
+    if not np.isin(number[OUTCOME_COLUMN], (0.0, 1.0)).all():
+        raise PemError(f"{path}: column {OUTCOME_COLUMN!r} must hold 0 or 1 only")
+    if not ((rates > 0.0) & np.isfinite(rates)).all():
+        raise PemError(f"{path}: column {RATE_COLUMN!r} must be above 0 and finite")
+    frame = number["frame"]
+    if not ((frame >= 0.0) & (frame == np.floor(frame)) & (frame < 2.0**53)).all():
+        raise PemError(f"{path}: column 'frame' must hold whole numbers from 0 on")
+    try:
+        check_rows(salient)
+    except PemError as error:
+        raise PemError(f"{path}: {error}") from None
+
+
+def column_numbers(
+    path: Path, header: Sequence[str], lines: Lines, name: str, *, largest: float | None = None
+) -> FloatArray:
+    """A column's numbers ``[n]``.
+
+    Args:
+        path: The table, for the message.
+        header: Names of its columns.
+        lines: Its lines.
+        name: The column.
+        largest: What no number may be beyond; else any will do.
+
+    Raises:
+        PemError: naming line and column of what is no number, or too large.
+    """
+    index = header.index(name)
+    allowed = "not a number"
+    if largest is not None:
+        allowed = f"allowed: a number from {-largest:g} to {largest:g}"
+    values = np.empty(len(lines))
+    for row, (line, cells) in enumerate(lines):
+        try:
+            values[row] = float(cells[index])
+            wrong = largest is not None and not abs(values[row]) <= largest
+        except ValueError:
+            wrong = True
+        if wrong:
+            where = f"{path}:{line}: column {index + 1} ({name})"
+            raise PemError(f"{where} is {cells[index]!r}, {allowed}")
+    return values

@@ -9,25 +9,22 @@ import numpy as np
 from pemviz.errors import PemError
 from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.models.card import KITTI_LICENCE, UNKNOWN_LICENCE, PemCard
+from pemviz.pem.models.cards import KITTI_LICENCE, UNKNOWN_LICENCE, PemCard
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
-from pemviz.pem.models.tree_features import FeatureSet
+from pemviz.pem.models.trees import FeatureSet
 
 ModelKind = Literal["guess-mu", "lr", "ml-nn", "b-nn", "gb-paper", "gb-raw"]
 MODEL_KINDS: tuple[ModelKind, ...] = get_args(ModelKind)
 
 Progress = Callable[[int, int], None]
-"""Told (steps done, steps in all)."""
-
 _FEATURE_SETS: dict[ModelKind, FeatureSet] = {"gb-paper": "paper", "gb-raw": "raw"}
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What the card of a fitted model says about its data."""
+    """What the card of a fitted model says about its data, in words."""
 
     data: str
-    """The training data, in words."""
     licence: str = UNKNOWN_LICENCE
     """Terms that the data puts on the model."""
 
@@ -56,11 +53,11 @@ def fit_pem(
     Args:
         table: obstacles and outcomes; normalisation is fitted on it too. On video boosted trees
             are calibrated on sequences that they have not seen.
-        model: the kind of model; ``b-nn`` gives an ensemble of posterior draws.
+        model: ``b-nn`` gives an ensemble of posterior samples.
         seed: of everything random.
         name: of the model; its kind if None.
         provenance: for the card; taken from the table's source if None.
-        on_progress: told (steps done, steps in all).
+        on_progress: called with steps done and steps in all.
 
     Raises:
         PemError: unknown kind, a missing optional package, or a table without both outcomes.
@@ -88,7 +85,7 @@ def fit_ensemble(
         seed: of everything random.
         name: of the ensemble; its kind and ``-ensemble`` if None.
         provenance: for the card; taken from the table's source if None.
-        on_progress: told (members done, members in all).
+        on_progress: called with members done and members in all.
 
     Raises:
         PemError: fewer than two members, or what fit_pem raises.
@@ -124,13 +121,13 @@ def fit_ensemble(
 def _card(
     table: SalientTable, *, model: str, name: str, seed: int, provenance: Provenance | None
 ) -> PemCard:
-    told = provenance or Provenance(data=table.source)
+    given = provenance or Provenance(data=table.source)
     return PemCard(
         name=name,
         model=model,
-        data=told.data,
+        data=given.data,
         data_digest=table.digest,
-        licence=told.licence,
+        licence=given.licence,
         seed=seed,
         support=summarise_support(table).to_json(),
     )
@@ -145,27 +142,31 @@ def _fit(
     on_progress: Progress | None,
 ) -> SingleModel | EnsemblePem:
     # torch, scikit-learn and pyro take seconds to import: each only for the models it fits.
-    if model == "ml-nn":
-        from pemviz.pem.fitting.network import NetworkRecipe, fit_network  # noqa: PLC0415
+    if model in ("ml-nn", "b-nn"):
+        from pemviz.pem.fitting import networks  # noqa: PLC0415
 
-        recipe = NetworkRecipe()
-        card = replace(card, recipe=recipe.in_words())
-        return fit_network(table, card=card, seed=seed, recipe=recipe, on_progress=on_progress)
-    if model == "b-nn":
-        from pemviz.pem.fitting.bayes import RECIPE, fit_bayes  # noqa: PLC0415
-
-        card = replace(card, recipe=RECIPE)
-        return fit_bayes(table, card=card, seed=seed, on_progress=on_progress)
-    if model in _FEATURE_SETS:
-        from pemviz.pem.fitting.trees import fit_trees, recipe_in_words  # noqa: PLC0415
-
-        sees = _FEATURE_SETS[model]
-        card = replace(card, recipe=recipe_in_words(sees, by_sequence=table.sequence is not None))
-        return fit_trees(table, card=card, feature_set=sees, seed=seed, on_progress=on_progress)
+        if model == "b-nn":
+            card = replace(card, recipe=networks.BAYES_RECIPE)
+            return networks.fit_bayes(table, card=card, seed=seed, on_progress=on_progress)
+        recipe = networks.NetworkRecipe()
+        return networks.fit_network(
+            table,
+            card=replace(card, recipe=recipe.in_words()),
+            seed=seed,
+            recipe=recipe,
+            on_progress=on_progress,
+        )
     if model in MODEL_KINDS:
-        from pemviz.pem.fitting import linear  # noqa: PLC0415
+        from pemviz.pem.fitting import linear_and_trees as fits  # noqa: PLC0415
 
         if model == "lr":
-            return linear.fit_logistic(table, card=replace(card, recipe=linear.LR_RECIPE))
-        return linear.fit_guess_mu(table, card=replace(card, recipe=linear.GUESS_MU_RECIPE))
+            return fits.fit_logistic(table, card=replace(card, recipe=fits.LR_RECIPE))
+        if model == "guess-mu":
+            return fits.fit_guess_mu(table, card=replace(card, recipe=fits.GUESS_MU_RECIPE))
+        sees = _FEATURE_SETS[model]
+        words = fits.trees_recipe(sees, by_sequence=table.sequence is not None)
+        card = replace(card, recipe=words)
+        return fits.fit_trees(
+            table, card=card, feature_set=sees, seed=seed, on_progress=on_progress
+        )
     raise PemError(f"unknown model {model!r}, allowed: {', '.join(MODEL_KINDS)}")

@@ -3,7 +3,8 @@
 Heteroscedastic regression with Gaussian or Student's t errors (Lange, Little, Taylor 1989, JASA
 84:881). Each kind of error is fitted on its own; coefficients other than the first of mean and log
 scale have a weak prior, normal with deviation 1, so that a feature that the data hardly vary (the
-bearing of a camera's obstacles) does not run away.
+bearing of a camera's obstacles) does not run away. How the noise of one obstacle hangs together
+over time is fitted to tracks.
 """
 
 from collections.abc import Callable
@@ -11,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import digamma, gammaln, ndtri_exp, stdtr
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
@@ -22,6 +22,7 @@ from pemviz.pem.models.position_errors import (
     MEAN_FEATURES,
     SCALE_FEATURES,
     ErrorAxis,
+    NoiseMemory,
     features,
 )
 
@@ -32,6 +33,13 @@ ENDS = (0.002, 0.998)
 """Quantiles of distance and bearing beyond which the model is held constant."""
 LOWEST_FREEDOM, HIGHEST_FREEDOM = 1.01, 1000.0
 SMALLEST_SCALE = 1e-9
+LAG_FRAMES = (1, 2, 5, 10, 20, 30)
+FEWEST_PAIRS = 100
+FEWEST_LAGS = 3
+LONGEST_TAU_S = 60.0
+SHORTEST_TAU_S = 1e-3
+RESAMPLES = 200
+CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,16 +106,12 @@ def _ends(values: FloatArray) -> tuple[float, float]:
 
 
 def fit_axis(explained: ErrorFeatures, error: FloatArray, *, name: str, heavy: bool) -> ErrorAxis:
-    """The likeliest mean, scale and tail of one kind of error.
+    """The likeliest mean, scale and tail of one kind of error ``[n]`` [m, or m/s].
 
-    Args:
-        explained: What explains it, n rows.
-        error: ``[n]`` [m, or m/s].
-        name: Kind of error.
-        heavy: Whether its family is Student's t, else Gaussian.
+    Its family is Student's t if ``heavy``, else Gaussian.
 
     Raises:
-        PemError: All errors are alike, or the fit does not settle.
+        PemError: All errors are equal, or the fit does not settle.
     """
     spread = float(np.std(error))
     if not spread > SMALLEST_SCALE:
@@ -119,6 +123,8 @@ def fit_axis(explained: ErrorFeatures, error: FloatArray, *, name: str, heavy: b
     if heavy:
         start[-1] = np.log(4.0)
         bounds += [(np.log(LOWEST_FREEDOM), np.log(HIGHEST_FREEDOM))]
+    from scipy.optimize import minimize  # noqa: PLC0415  slow to import
+
     found = minimize(
         _mean_nats,
         start,
@@ -130,17 +136,12 @@ def fit_axis(explained: ErrorFeatures, error: FloatArray, *, name: str, heavy: b
     )
     if not np.isfinite(found.fun):
         raise PemError(f"{name}: the fit does not settle ({found.message})")
-    return _axis(found.x, name=name, heavy=heavy)
-
-
-def _axis(values: FloatArray, *, name: str, heavy: bool) -> ErrorAxis:
     edge = len(MEAN_FEATURES)
-    freedom = float(np.exp(values[-1])) if heavy else GAUSSIAN
     return ErrorAxis(
         name=name,
-        mean=values[:edge].copy(),
-        log_scale=values[edge : edge + len(SCALE_FEATURES)].copy(),
-        degrees_of_freedom=freedom,
+        mean=found.x[:edge].copy(),
+        log_scale=found.x[edge : edge + len(SCALE_FEATURES)].copy(),
+        degrees_of_freedom=float(np.exp(found.x[-1])) if heavy else GAUSSIAN,
     )
 
 
@@ -208,9 +209,9 @@ def cross_fit_axis(
     *,
     groups: IntArray,
     name: str,
-    on_fit: Callable[[], None] | None = None,
+    on_fit: Callable[[], None],
 ) -> HeldOut:
-    """Scores of every error by models of the other groups.
+    """Scores of every error ``[n]`` [m, or m/s] by models of the other groups.
 
     Args:
         explained: What explains it, n rows.
@@ -227,9 +228,9 @@ def cross_fit_axis(
     noise = {family: np.empty(len(error)) for family in ("gaussian", "student-t")}
     for each in range(FOLDS):
         held, seen = fold == each, fold != each
-        mean, sd = float(np.mean(error[seen])), float(np.std(error[seen]))
-        constant = -log_density(error[held], mean=mean, sd=max(sd, SMALLEST_SCALE))
-        nats["constant"][held] = constant
+        mean, sd = np.mean(error[seen]), max(float(np.std(error[seen])), SMALLEST_SCALE)
+        apart = (error[held] - mean) / sd
+        nats["constant"][held] = 0.5 * apart**2 + np.log(sd) + 0.5 * np.log(2.0 * np.pi)
         of_held = explained.take(held)
         for family, scores in noise.items():
             axis = fit_axis(
@@ -237,8 +238,7 @@ def cross_fit_axis(
             )
             nats[family][held] = error_nats(axis, of_held, error[held])
             scores[held] = normal_scores(axis, of_held, error[held])
-            if on_fit is not None:
-                on_fit()
+            on_fit()
     return HeldOut({family: float(np.mean(each)) for family, each in nats.items()}, noise)
 
 
@@ -259,6 +259,123 @@ def group_folds(groups: IntArray) -> IntArray:
     return fold_of[groups]
 
 
-def log_density(values: FloatArray, *, mean: float, sd: float) -> FloatArray:
-    """Log density of a Gaussian ``[n]`` [nats]."""
-    return -0.5 * ((values - mean) / sd) ** 2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi)
+@dataclass(frozen=True, eq=False)
+class LagPairs:
+    """Pairs of one obstacle's errors, so many seconds apart.
+
+    Attributes:
+        lag_s: Time between the two [s].
+        first: Rows of the earlier ``[m]``.
+        second: Rows of the later ``[m]``.
+    """
+
+    lag_s: float
+    first: IntArray
+    second: IntArray
+
+
+@dataclass(frozen=True)
+class FittedNoiseMemory:
+    """A memory of noise with its intervals.
+
+    Attributes:
+        memory: As fitted.
+        share_interval: Of the lasting share.
+        tau_interval_s: Of the memory time [s].
+        correlations: Measured, by lag; in the order of the pairs.
+    """
+
+    memory: NoiseMemory
+    share_interval: tuple[float, float]
+    tau_interval_s: tuple[float, float]
+    correlations: tuple[float, ...]
+
+
+def lag_pairs(table: PositionErrorTable) -> tuple[LagPairs, ...]:
+    """Pairs at 1 to 30 frames apart, where there are enough; none without tracks.
+
+    A frame is the most common time between two sightings of an obstacle.
+    """
+    if table.track is None or table.time_s is None:
+        return ()
+    order = np.lexsort((table.time_s, table.track))
+    steps = np.diff(table.time_s[order])[np.diff(table.track[order]) == 0]
+    if steps.size == 0:
+        return ()
+    lengths, counts = np.unique(np.round(steps, 6), return_counts=True)
+    frame_s = float(lengths[np.argmax(counts)])
+    frame = np.round(table.time_s / frame_s).astype(np.int64)
+    frame -= frame.min()
+    key = table.track * (int(frame.max()) + LAG_FRAMES[-1] + 1) + frame
+    sorting = np.argsort(key, kind="stable")
+    pairs: list[LagPairs] = []
+    for lag in LAG_FRAMES:
+        place = np.minimum(np.searchsorted(key[sorting], key + lag), len(key) - 1)
+        second = sorting[place]
+        first = np.flatnonzero(key[second] == key + lag)
+        if first.size >= FEWEST_PAIRS:
+            pairs.append(LagPairs(lag * frame_s, first, second[first]))
+    return tuple(pairs)
+
+
+def fit_noise_memory(
+    noise: FloatArray, pairs: tuple[LagPairs, ...], *, groups: IntArray, seed: int
+) -> FittedNoiseMemory | None:
+    """Lasting share and memory time by least squares on correlations; ``None``: too few lags.
+
+    Intervals are percentiles over resampled groups (Efron, Tibshirani 1993, chapter 13).
+
+    Args:
+        noise: Held-out normal scores ``[n]``.
+        pairs: Rows of the same obstacle.
+        groups: What is taken as independent ``[n]``, counted from 0.
+        seed: Of the resampling.
+    """
+    if len(pairs) < FEWEST_LAGS:
+        return None
+    lag_s = np.array([each.lag_s for each in pairs])
+    weight = np.sqrt([each.first.size for each in pairs])
+    sums = np.stack([_sums(noise, each, groups) for each in pairs])
+    measured = _correlations(sums.sum(axis=2))
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
+    present = np.flatnonzero(np.bincount(groups))
+    resampled: list[tuple[float, float]] = []
+    for _ in range(RESAMPLES):
+        chosen = random.choice(present, present.size)
+        memory = _nearest_memory(_correlations(sums[:, :, chosen].sum(axis=2)), lag_s, weight)
+        resampled.append((memory.lasting_share, memory.tau_s))
+    edge = 50.0 * (1.0 - CONFIDENCE)
+    low, high = np.percentile(resampled, (edge, 100.0 - edge), axis=0)
+    return FittedNoiseMemory(
+        memory=_nearest_memory(measured, lag_s, weight),
+        share_interval=(float(low[0]), float(high[0])),
+        tau_interval_s=(float(low[1]), float(high[1])),
+        correlations=tuple(measured.tolist()),
+    )
+
+
+def _sums(noise: FloatArray, pairs: LagPairs, groups: IntArray) -> FloatArray:
+    """Sums of products and squares by group ``[3, G]``."""
+    one, other, of = noise[pairs.first], noise[pairs.second], groups[pairs.first]
+    size = int(groups.max()) + 1
+    totals = [np.bincount(of, weights, size) for weights in (one * other, one**2, other**2)]
+    return np.stack(totals).astype(np.float64)
+
+
+def _correlations(sums: FloatArray) -> FloatArray:
+    """Of summed products and squares ``[L, 3]``: ``[L]``."""
+    return sums[:, 0] / np.sqrt(np.maximum(sums[:, 1] * sums[:, 2], np.finfo(float).tiny))
+
+
+def _nearest_memory(measured: FloatArray, lag_s: FloatArray, weight: FloatArray) -> NoiseMemory:
+    """The memory whose curve is nearest to correlations ``[L]``."""
+    from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
+
+    def misfit(values: FloatArray) -> FloatArray:
+        share, log_tau = values
+        return weight * (NoiseMemory(share, np.exp(log_tau)).correlation(lag_s) - measured)
+
+    low, high = np.log(SHORTEST_TAU_S), np.log(LONGEST_TAU_S)
+    start = np.array([np.clip(measured[-1], 0.01, 0.9), np.log(2.0 * lag_s[0])])
+    found = least_squares(misfit, start, bounds=([0.0, low], [0.999, high]))
+    return NoiseMemory(lasting_share=float(found.x[0]), tau_s=float(np.exp(found.x[1])))

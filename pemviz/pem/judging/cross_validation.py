@@ -1,22 +1,29 @@
-"""Cross-validated scores of every kind of model: the paper's Table I and beyond."""
+"""Cross-validated scores of every kind of model, the paper's Table I and beyond, and their report.
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+A report is markdown, CSV, JSON and a picture of the reliability diagrams.
+"""
+
+import csv
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from itertools import count
+from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
-from sklearn.model_selection import GroupKFold, StratifiedKFold
+from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.pem.data.support import DISTANCE_EDGES_M, band_in_words
 from pemviz.pem.data.table import SalientTable
 from pemviz.pem.fitting.fit import ModelKind, fit_pem
-from pemviz.pem.judging.scores import ReliabilityBin, Scores, calibration_error, reliability, score
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN
 from pemviz.processes import map_in_processes
 
+RELIABILITY_BINS = 15
 PAPER_TABLE_1: dict[ModelKind, tuple[float, float]] = {
     "guess-mu": (0.260, 0.5),
     "lr": (0.244, 0.688),
@@ -24,6 +31,81 @@ PAPER_TABLE_1: dict[ModelKind, tuple[float, float]] = {
     "b-nn": (0.238, 0.726),
 }
 """(binary cross-entropy, ROC-AUC) as printed in the paper's Table I."""
+COLUMNS = (
+    *("model", "bce", "bce_std", "roc_auc", "roc_auc_std", "brier", "calibration_error"),
+    *("fit_s", "paper_bce", "paper_roc_auc"),
+)
+
+
+@dataclass(frozen=True)
+class ReliabilityBin:
+    """Obstacles of similar predicted probability: its mean, and the share that was detected."""
+
+    obstacles: int
+    predicted: float
+    observed: float
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of one model on one set of obstacles."""
+
+    obstacles: int
+    missed: int
+    bce: float
+    """Binary cross-entropy [nats per obstacle]."""
+    roc_auc: float | None
+    """Area under the ROC curve; None if only one outcome occurs."""
+    brier: float
+    """Mean squared error of the probability."""
+    mean_miss: float
+    """Mean predicted P(missed)."""
+
+
+def score(logit: FloatArray, detected: BoolArray) -> Scores:
+    """All scores of logits [n] against outcomes [n]."""
+    probability = expit(logit)
+    missed = int((~detected).sum())
+    positives = len(detected) - missed
+    area = None
+    if positives and missed:
+        from scipy.stats import rankdata  # noqa: PLC0415  slow to import
+
+        # by ranks (Mann and Whitney), ties counting half
+        rank_sum = float(rankdata(logit)[detected].sum())
+        area = (rank_sum - positives * (positives + 1) / 2.0) / (positives * missed)
+    return Scores(
+        obstacles=len(detected),
+        missed=missed,
+        bce=float(np.mean(np.logaddexp(0.0, np.where(detected, -logit, logit)))),
+        roc_auc=area,
+        brier=float(np.mean((probability - detected) ** 2)),
+        mean_miss=float(np.mean(expit(-logit))),
+    )
+
+
+def reliability(
+    logit: FloatArray, detected: BoolArray, *, bins: int = RELIABILITY_BINS
+) -> tuple[ReliabilityBin, ...]:
+    """Bins of equal numbers of obstacles, in order of predicted probability; arrays [n]."""
+    order: IntArray = np.argsort(logit, kind="stable")
+    probability = expit(logit)
+    return tuple(
+        ReliabilityBin(
+            obstacles=len(rows),
+            predicted=float(probability[rows].mean()),
+            observed=float(detected[rows].mean()),
+        )
+        for rows in np.array_split(order, bins)
+        if len(rows)
+    )
+
+
+def calibration_error(bins: tuple[ReliabilityBin, ...]) -> float:
+    """Expected calibration error: mean gap of predicted and observed, weighted by obstacles."""
+    total = sum(each.obstacles for each in bins)
+    gaps = sum(each.obstacles * abs(each.predicted - each.observed) for each in bins)
+    return gaps / total
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +113,6 @@ class ModelEvaluation:
     """Scores of one kind of model, each obstacle judged by a fit that had not seen it."""
 
     model: ModelKind
-    """The kind."""
     folds: tuple[Scores, ...]
     """Scores on each held-out part."""
     pooled: Scores
@@ -41,9 +122,7 @@ class ModelEvaluation:
     bins: tuple[ReliabilityBin, ...]
     """The reliability diagram."""
     by_class: dict[str, Scores]
-    """Scores by class."""
     by_distance: dict[str, Scores]
-    """Scores by distance band."""
     fit_s: float
     """Mean time to fit one fold [s]."""
     logit: FloatArray
@@ -77,6 +156,9 @@ def split_folds(table: SalientTable, *, folds: int) -> list[tuple[IntArray, IntA
     Raises:
         PemError: fewer obstacles of one outcome, or fewer sequences, than folds.
     """
+    # slow to import
+    from sklearn.model_selection import GroupKFold, StratifiedKFold  # noqa: PLC0415
+
     sequence = kept_whole(table)
     if sequence is not None:
         sequences = int(np.unique(sequence).size)
@@ -110,7 +192,7 @@ def cross_validate(
         seed: of the fits; fold k uses seed + k.
         workers: how many folds are fitted at once, each in a process of its own if above 1;
             the result is the same.
-        on_progress: told (folds done, folds in all).
+        on_progress: called with folds done and folds in all.
 
     Raises:
         PemError: fewer obstacles of one outcome than folds.
@@ -136,14 +218,26 @@ def cross_validate(
         scores.append(score(of_fold, table.detected[held_out]))
         fit_s += fold_s / folds
     bins = reliability(logit, table.detected)
+    class_id, z_m = table.salient[:, COLUMN["class_id"]], table.salient[:, COLUMN["z_m"]]
+    band = np.searchsorted(DISTANCE_EDGES_M, z_m, side="right")
+    classes = {name: class_id == index for index, name in enumerate(CLASS_NAMES)}
+    bands = {band_in_words(index): band == index for index in range(len(DISTANCE_EDGES_M) + 1)}
+
+    def scores_by(groups: Mapping[str, BoolArray]) -> dict[str, Scores]:
+        return {
+            name: score(logit[rows], table.detected[rows])
+            for name, rows in groups.items()
+            if rows.any()
+        }
+
     return ModelEvaluation(
         model=model,
         folds=tuple(scores),
         pooled=score(logit, table.detected),
         calibration_error=calibration_error(bins),
         bins=bins,
-        by_class=_scores_by(_class_names(table), logit, table.detected),
-        by_distance=_scores_by(_distance_names(table), logit, table.detected),
+        by_class=scores_by(classes),
+        by_distance=scores_by(bands),
         fit_s=fit_s,
         logit=logit,
     )
@@ -151,7 +245,7 @@ def cross_validate(
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """One fold's work."""
+    """One fold's work, which another process can take."""
 
     table: SalientTable
     train: IntArray
@@ -178,22 +272,123 @@ def card_scores(evaluation: ModelEvaluation) -> dict[str, float]:
     }
 
 
-def _class_names(table: SalientTable) -> list[tuple[str, BoolArray]]:
-    classes = table.salient[:, COLUMN["class_id"]]
-    return [(name, classes == index) for index, name in enumerate(CLASS_NAMES)]
-
-
-def _distance_names(table: SalientTable) -> list[tuple[str, BoolArray]]:
-    z_m = table.salient[:, COLUMN["z_m"]]
-    band = np.searchsorted(DISTANCE_EDGES_M, z_m, side="right")
-    return [(band_in_words(index), band == index) for index in range(len(DISTANCE_EDGES_M) + 1)]
-
-
-def _scores_by(
-    groups: Sequence[tuple[str, BoolArray]], logit: FloatArray, detected: BoolArray
-) -> dict[str, Scores]:
-    return {name: score(logit[rows], detected[rows]) for name, rows in groups if rows.any()}
-
-
 def _mean_and_spread(values: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(values)), float(np.std(values, ddof=1))
+
+
+def write_report(
+    evaluations: Sequence[ModelEvaluation], *, table: SalientTable, folder: Path
+) -> tuple[Path, ...]:
+    """Write evaluation.md, .csv, .json and reliability.png into a folder; gives their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = tuple(folder / f"evaluation.{ending}" for ending in ("md", "csv", "json"))
+    page = "\n".join(_lines(evaluations, table=table)) + "\n"
+    paths[0].write_text(page, encoding="utf-8")
+    with paths[1].open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, COLUMNS)
+        writer.writeheader()
+        writer.writerows(summary_row(evaluation) for evaluation in evaluations)
+    paths[2].write_text(
+        json.dumps(as_json(evaluations, table=table), indent=1, allow_nan=False), encoding="utf-8"
+    )
+    picture = folder / "reliability.png"
+    _write_reliability(evaluations, picture)
+    return (*paths, picture)
+
+
+def summary_row(evaluation: ModelEvaluation) -> dict[str, Any]:
+    """One line of the table; None where the paper gives no figure."""
+    values = (
+        evaluation.model,
+        *evaluation.bce,
+        *evaluation.roc_auc,
+        evaluation.pooled.brier,
+        evaluation.calibration_error,
+        evaluation.fit_s,
+        *PAPER_TABLE_1.get(evaluation.model, (None, None)),
+    )
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+def as_json(evaluations: Sequence[ModelEvaluation], *, table: SalientTable) -> dict[str, Any]:
+    """Everything but the single obstacles' logits."""
+    return {
+        "schema": 1,
+        "table": {"source": table.source, "digest": table.digest, "obstacles": len(table)},
+        "models": [
+            {
+                **summary_row(evaluation),
+                "folds": [asdict(fold) for fold in evaluation.folds],
+                "pooled": asdict(evaluation.pooled),
+                "reliability": [asdict(each) for each in evaluation.bins],
+                "by_class": {name: asdict(of) for name, of in evaluation.by_class.items()},
+                "by_distance": {name: asdict(of) for name, of in evaluation.by_distance.items()},
+            }
+            for evaluation in evaluations
+        ],
+    }
+
+
+def _lines(evaluations: Sequence[ModelEvaluation], *, table: SalientTable) -> Iterator[str]:
+    missed = int((~table.detected).sum())
+    folds = len(evaluations[0].folds) if evaluations else 0
+    kind = "Stratified" if kept_whole(table) is None else "Over whole sequences of video,"
+    yield "# Perception error models, cross-validated"
+    yield ""
+    yield (
+        f"{len(table)} obstacles, {missed} missed; table `{table.source}`, SHA-256 "
+        f"`{table.digest[:16]}`. {kind} {folds}-fold cross-validation: mean ± standard "
+        "deviation between folds. The paper's figures are those of its Table I."
+    )
+    yield ""
+    yield "| model | BCE | ROC-AUC | Brier | calibration error | paper BCE / ROC-AUC |"
+    yield "|---|---|---|---|---|---|"
+    for evaluation in evaluations:
+        row = summary_row(evaluation)
+        paper = "" if row["paper_bce"] is None else f"{row['paper_bce']} / {row['paper_roc_auc']}"
+        yield (
+            f"| {row['model']} | {row['bce']:.4f} ± {row['bce_std']:.4f} "
+            f"| {row['roc_auc']:.4f} ± {row['roc_auc_std']:.4f} | {row['brier']:.4f} "
+            f"| {row['calibration_error']:.4f} | {paper} |"
+        )
+    models = [evaluation.model for evaluation in evaluations]
+    for title, groups in (
+        ("class", [evaluation.by_class for evaluation in evaluations]),
+        ("distance", [evaluation.by_distance for evaluation in evaluations]),
+    ):
+        yield ""
+        yield f"## By {title}"
+        yield ""
+        yield f"| {title} | obstacles | missed | " + " | ".join(f"BCE {m}" for m in models) + " |"
+        yield "|---" * (3 + len(models)) + "|"
+        for name, first in (groups[0] if groups else {}).items():
+            scores = " | ".join(f"{group[name].bce:.4f}" for group in groups)
+            yield f"| {name} | {first.obstacles} | {first.missed} | {scores} |"
+    yield ""
+    yield "![Reliability diagrams](reliability.png)"
+
+
+def _write_reliability(evaluations: Sequence[ModelEvaluation], path: Path) -> None:
+    """Observed against predicted P(missed) in bins of equal mass, both on log axes."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 (slow to import)
+
+    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0, label="perfect")
+    for evaluation in evaluations:
+        axes.plot(
+            [1.0 - each.predicted for each in evaluation.bins],
+            [1.0 - each.observed for each in evaluation.bins],
+            marker="o",
+            markersize=3.5,
+            linewidth=1.0,
+            label=f"{evaluation.model} (error {evaluation.calibration_error:.4f})",
+        )
+    axes.set_xscale("symlog", linthresh=0.005)
+    axes.set_yscale("symlog", linthresh=0.005)
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_xlabel("predicted P(missed)")
+    axes.set_ylabel("share missed")
+    axes.legend()
+    figure.savefig(path, dpi=150)

@@ -1,7 +1,7 @@
 """Are a detector's misses compatible with independence, and what sample would tell?
 
 The test is the likelihood ratio of tau = 0, with the frailty free and sequences as what is
-independent, see :mod:`pemviz.pem.fitting.memory_interval`. What a sample would tell follows from
+independent, see :mod:`pemviz.pem.fitting.memory`. What a sample would tell follows from
 what an outcome is expected to add to that ratio (Kullback & Leibler 1951).
 """
 
@@ -11,13 +11,13 @@ import numpy as np
 from scipy.special import expit, ndtri, stdtrit, xlogy
 
 from pemviz.arrays import FloatArray
-from pemviz.pem.data.tracks import TrackTable
+from pemviz.pem.data.table import TrackTable
 from pemviz.pem.fitting.memory import MemoryFit
 from pemviz.pem.models.memory import frail_logit, persistence
 
 FALSE_ALARM = 0.05
 POWER = 0.8
-ASKED_TAUS_S = (0.02, 0.05, 0.1, 0.2)
+JUDGED_TAUS_S = (0.02, 0.05, 0.1, 0.2)
 MOST_SEQUENCES = 10**9
 LEAST = 1e-15
 """No probability of a miss or a hit counts as less."""
@@ -64,13 +64,7 @@ class IndependenceCheck:
 def check_independence(
     tracks: TrackTable, logit: FloatArray, *, fit: MemoryFit
 ) -> IndependenceCheck:
-    """Judge tracks by their fitted memory.
-
-    Args:
-        tracks: n observations.
-        logit: Out-of-fold logits of P(detected | state), ``[n]``.
-        fit: Their memory.
-    """
+    """Judge tracks by their memory and what it was fitted with: out-of-fold logits ``[n]``."""
     miss = expit(-logit)
     pairs = np.flatnonzero(tracks.follows)
     return IndependenceCheck(
@@ -79,7 +73,7 @@ def check_independence(
         p_value=fit.p_value,
         compatible=fit.p_value >= FALSE_ALARM,
         tau_interval_s=fit.tau_interval_s,
-        needed=tuple(needed_sample(tracks, logit, fit=fit, tau_s=tau_s) for tau_s in ASKED_TAUS_S),
+        needed=tuple(needed_sample(tracks, logit, fit=fit, tau_s=tau_s) for tau_s in JUDGED_TAUS_S),
     )
 
 
@@ -96,7 +90,7 @@ def needed_sample(
         tracks: n observations, as an example.
         logit: Logits of P(detected | state), ``[n]``.
         fit: Their memory; its frailty is kept.
-        tau_s: The memory time to be told from 0 [s].
+        tau_s: The memory time [s].
     """
     gain = expected_gain(tracks, logit, frailty=fit.memory.frailty, tau_s=tau_s)
     each = 2.0 * gain * fit.efficiency / fit.inflation / fit.sequences
@@ -108,11 +102,7 @@ def needed_sample(
 def expected_gain(tracks: TrackTable, logit: FloatArray, *, frailty: float, tau_s: float) -> float:
     """Expected log likelihood of tau over that of 0, if tau is true, summed over pairs [nats].
 
-    Args:
-        tracks: n observations.
-        logit: Logits of P(detected | state), ``[n]``.
-        frailty: f, known.
-        tau_s: The memory time [s].
+    Given logits of P(detected | state), ``[n]``, and a known frailty.
     """
     pairs = np.flatnonzero(tracks.follows)
     rho = persistence(tracks.since_s[pairs], tau_s)

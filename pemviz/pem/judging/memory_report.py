@@ -1,26 +1,33 @@
-"""How misses follow each other on video, and how well a fitted memory tells it."""
+"""How misses follow each other on video, and how well a fitted memory tells it; and its picture.
 
-from dataclasses import asdict, dataclass
+An error model and its memory are fitted to the same video: P(missed | state) of an observation is
+that of a model which saw none of its sequence.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.colors import BLACK, BLUE, GREY, VERMILLION
 from pemviz.errors import PemError
-from pemviz.pem.data.tracks import TrackTable
+from pemviz.pem.data.table import TrackTable
+from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_pem
 from pemviz.pem.fitting.memory import MemoryFit, fit_memory
-from pemviz.pem.models.memory import (
-    FRAILTY_MEANS,
-    TAU_MEANS,
-    Memory,
-    frail_logit,
-    persistence,
-    remembering_logit,
-)
-from pemviz.pem.models.memory_card import FLATTERY_IF
+from pemviz.pem.judging.cross_validation import score
+from pemviz.pem.models import memory as memory_law
+from pemviz.pem.models.cards import FLATTERY_IF, as_pemviz_writes
+from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
+from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.protocol import COLUMN, OCCLUSION_NAMES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LAGS_S = (0.1, 0.2, 0.5, 1.0, 3.0)
 LAG_TOLERANCE = 0.5
@@ -32,6 +39,12 @@ FEWEST_MISSES = 20
 """In a band, for a memory time of its own."""
 SIMULATED = 40
 LONGEST_RUN = 10
+FOLDS = 5
+MEASURED, FITTED, INDEPENDENT = BLACK, VERMILLION, GREY
+FEWEST_RUNS = 0.3
+"""Where the axis of the counts begins: what is expected less often is not seen."""
+
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -42,7 +55,7 @@ class LagCorrelation:
         lag_s: Time between the two [s].
         pairs: Pairs of observations.
         measured: In the data; ``None`` without pairs.
-        fitted: Mean over outcomes drawn from the fitted model on the same tracks.
+        fitted: Mean over outcomes sampled from the fitted model on the same tracks.
     """
 
     lag_s: float
@@ -99,7 +112,7 @@ class MemoryReport:
         fit: The fitted memory.
         correlations: By lag.
         run_lengths: How many runs of misses have 1, 2, ... and LONGEST_RUN or more frames.
-        expected_run_lengths: Mean over outcomes drawn from the fitted model.
+        expected_run_lengths: Mean over outcomes sampled from the fitted model.
         independent_run_lengths: Mean over independent outcomes.
         groups: All observations, by distance, by occlusion.
         plain_view: Misses of obstacles neither occluded nor truncated.
@@ -123,27 +136,40 @@ class MemoryReport:
 def report_memory(
     tracks: TrackTable, logit: FloatArray, *, fit: MemoryFit, seed: int = 0
 ) -> MemoryReport:
-    """Compare the data with the fitted model.
+    """Compare the data with outcomes that are sampled from the fitted model.
 
     Args:
         tracks: n observations.
         logit: The out-of-fold logits that the memory was fitted with, ``[n]``.
         fit: The fitted memory.
-        seed: Of the outcomes that are drawn from the model.
+        seed: Of the sampling.
     """
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
-    drawn = [draw_outcomes(tracks, logit, memory=fit.memory, random=random)
-             for _ in range(SIMULATED)]  # fmt: skip
-    independent = [draw_outcomes(tracks, logit, memory=Memory(), random=random)
-                   for _ in range(SIMULATED)]  # fmt: skip
+
+    def sampled(memory: Memory) -> list[BoolArray]:
+        return [
+            sample_outcomes(tracks, logit, memory=memory, random=random) for _ in range(SIMULATED)
+        ]
+
+    def mean_runs(outcomes: list[BoolArray]) -> tuple[float, ...]:
+        return tuple(np.mean([run_lengths(tracks, each) for each in outcomes], axis=0).tolist())
+
+    remembered, independent = sampled(fit.memory), sampled(Memory())
+    correlations: list[LagCorrelation] = []
+    for lag_s in LAGS_S:
+        measured, pairs = residual_correlation(tracks, logit, tracks.detected, lag_s=lag_s)
+        values = (residual_correlation(tracks, logit, each, lag_s=lag_s)[0] for each in remembered)
+        known = [value for value in values if value is not None]
+        fitted = float(np.mean(known)) if known else None
+        correlations.append(LagCorrelation(lag_s, pairs, measured, fitted))
     rates, counts = np.unique(tracks.rate_hz, return_counts=True)
     return MemoryReport(
         fit=fit,
-        correlations=tuple(_correlation(tracks, logit, drawn, lag_s=lag) for lag in LAGS_S),
+        correlations=tuple(correlations),
         run_lengths=tuple(int(n) for n in run_lengths(tracks, tracks.detected)),
-        expected_run_lengths=_mean_runs(tracks, drawn),
-        independent_run_lengths=_mean_runs(tracks, independent),
-        groups=_groups(tracks, logit),
+        expected_run_lengths=mean_runs(remembered),
+        independent_run_lengths=mean_runs(independent),
+        groups=tuple(_group(tracks, logit, *part) for part in _parts(tracks)),
         plain_view=plain_view(tracks),
         gaps=tracks.gaps,
         rate_changes=tracks.rate_changes,
@@ -151,14 +177,14 @@ def report_memory(
     )
 
 
-def draw_outcomes(
+def sample_outcomes(
     tracks: TrackTable, logit: FloatArray, *, memory: Memory, random: np.random.Generator
 ) -> BoolArray:
-    """Outcomes ``[n]`` (true: detected) of the same tracks, drawn from the model of memory."""
+    """Outcomes ``[n]`` (true: detected) of the same tracks, sampled from the model of memory."""
     obstacles = int(tracks.track.max()) + 1
     visibility = random.standard_normal(obstacles)[tracks.track]
-    own = frail_logit(logit, visibility=visibility, frailty=memory.frailty)
-    rho = persistence(tracks.since_s, memory.tau_s)
+    own = memory_law.frail_logit(logit, visibility=visibility, frailty=memory.frailty)
+    rho = memory_law.persistence(tracks.since_s, memory.tau_s)
     uniforms = random.random(len(tracks))
     detected = np.empty(len(tracks), dtype=np.bool_)
     starts = np.flatnonzero(~tracks.follows)
@@ -168,7 +194,7 @@ def draw_outcomes(
     for first, last in pairwise(edges.tolist()):
         rows = order[first:last]
         before = np.zeros(rows.size, dtype=np.bool_) if first == 0 else ~detected[rows - 1]
-        chance = expit(remembering_logit(own[rows], missed_before=before, rho=rho[rows]))
+        chance = expit(memory_law.remembering_logit(own[rows], missed_before=before, rho=rho[rows]))
         detected[rows] = uniforms[rows] < chance
     return detected
 
@@ -177,7 +203,15 @@ def residual_correlation(
     tracks: TrackTable, logit: FloatArray, detected: BoolArray, *, lag_s: float
 ) -> tuple[float | None, int]:
     """Correlation of residuals of one obstacle ``lag_s`` apart, and the number of pairs."""
-    first, second = _pairs(tracks, lag_s=lag_s)
+    steps = np.where(tracks.follows, tracks.since_s, 0.0)
+    time_s = np.cumsum(steps)
+    # tracks are moved apart so that one sorted list of times serves all
+    apart = (float(time_s[-1]) + 10.0 * lag_s) * tracks.track + time_s
+    wanted, tolerance = apart + lag_s, LAG_TOLERANCE / tracks.rate_hz
+    second = np.minimum(np.searchsorted(apart, wanted - tolerance), len(tracks) - 1)
+    close = np.abs(apart[second] - wanted) < tolerance
+    first = np.flatnonzero(close & (tracks.track[second] == tracks.track))
+    second = second[first]
     if first.size == 0:
         return None, 0
     residual = (~detected) - expit(-logit)
@@ -197,45 +231,15 @@ def run_lengths(tracks: TrackTable, detected: BoolArray) -> IntArray:
     return np.bincount(np.minimum(sizes, LONGEST_RUN), minlength=LONGEST_RUN + 1)[1:]
 
 
-def _pairs(tracks: TrackTable, *, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the same track whose times are ``lag_s`` apart, to within half a frame."""
-    steps = np.where(tracks.follows, tracks.since_s, 0.0)
-    time_s = np.cumsum(steps)
-    # tracks are moved apart so that one sorted list of times serves all
-    apart = (float(time_s[-1]) + 10.0 * lag_s) * tracks.track + time_s
-    wanted = apart + lag_s
-    found = np.searchsorted(apart, wanted - LAG_TOLERANCE / tracks.rate_hz)
-    found = np.minimum(found, len(tracks) - 1)
-    close = np.abs(apart[found] - wanted) < LAG_TOLERANCE / tracks.rate_hz
-    matched = np.flatnonzero(close & (tracks.track[found] == tracks.track))
-    return matched, found[matched]
-
-
-def _correlation(
-    tracks: TrackTable, logit: FloatArray, drawn: list[BoolArray], *, lag_s: float
-) -> LagCorrelation:
-    measured, pairs = residual_correlation(tracks, logit, tracks.detected, lag_s=lag_s)
-    values = [residual_correlation(tracks, logit, each, lag_s=lag_s)[0] for each in drawn]
-    known = [value for value in values if value is not None]
-    return LagCorrelation(lag_s, pairs, measured, float(np.mean(known)) if known else None)
-
-
-def _mean_runs(tracks: TrackTable, drawn: list[BoolArray]) -> tuple[float, ...]:
-    return tuple(np.mean([run_lengths(tracks, each) for each in drawn], axis=0).tolist())
-
-
 def plain_view(tracks: TrackTable) -> tuple[PlainView, ...]:
     """Counts of obstacles in plain view: by distance, and straight ahead."""
     if not tracks.has_state:
         return ()
     salient = tracks.obstacles.salient
-    z_m, x_m = salient[:, COLUMN["z_m"]], salient[:, COLUMN["x_m"]]
     plain = (salient[:, COLUMN["occlusion"]] == 0.0) & (salient[:, COLUMN["truncation"]] == 0.0)
-    parts = [
-        (f"{low:g} to {high:g} m", (z_m >= low) & (z_m < high)) for low, high in DISTANCE_BANDS_M
-    ]
-    ahead = (np.abs(x_m) < AHEAD_M) & (z_m < AHEAD_WITHIN_M)
-    parts.append((f"straight ahead, nearer than {AHEAD_WITHIN_M:g} m", ahead))
+    ahead = np.abs(salient[:, COLUMN["x_m"]]) < AHEAD_M
+    ahead &= salient[:, COLUMN["z_m"]] < AHEAD_WITHIN_M
+    parts = [*_bands(tracks), (f"straight ahead, nearer than {AHEAD_WITHIN_M:g} m", ahead)]
     missed = ~tracks.detected
     return tuple(
         PlainView(
@@ -248,59 +252,56 @@ def plain_view(tracks: TrackTable) -> tuple[PlainView, ...]:
     )
 
 
-def _groups(tracks: TrackTable, logit: FloatArray) -> tuple[GroupMemory, ...]:
-    salient = tracks.obstacles.salient
-    z_m, occlusion = salient[:, COLUMN["z_m"]], salient[:, COLUMN["occlusion"]]
-    parts = [("all", np.ones(len(tracks), dtype=np.bool_))]
-    parts += [
+def _bands(tracks: TrackTable) -> list[tuple[str, BoolArray]]:
+    """Parts of the observations by distance, ``[n]`` each."""
+    z_m = tracks.obstacles.salient[:, COLUMN["z_m"]]
+    return [
         (f"{low:g} to {high:g} m", (z_m >= low) & (z_m < high)) for low, high in DISTANCE_BANDS_M
     ]
-    parts += [
+
+
+def _parts(tracks: TrackTable) -> list[tuple[str, BoolArray]]:
+    """All observations, by distance, by occlusion."""
+    everything = ("all", np.ones(len(tracks), dtype=np.bool_))
+    if not tracks.has_state:
+        return [everything]
+    occlusion = tracks.obstacles.salient[:, COLUMN["occlusion"]]
+    levels = [
         (f"occlusion {name}", occlusion == level) for level, name in enumerate(OCCLUSION_NAMES)
     ]
-    kept = parts if tracks.has_state else parts[:1]
-    return tuple(_group(tracks, logit, name, chosen) for name, chosen in kept)
+    return [everything, *_bands(tracks), *levels]
 
 
 def _group(tracks: TrackTable, logit: FloatArray, name: str, chosen: BoolArray) -> GroupMemory:
     """A part counts where the observation itself lies, whatever the one before was."""
     missed = ~tracks.detected
-    after_miss = chosen & tracks.missed_before
-    after_hit = chosen & tracks.follows & ~tracks.missed_before
-    tau_s, interval = _tau_of(tracks, logit, chosen)
+    misses = int(missed[chosen].sum())
+    tau_s, interval = None, None
+    if misses >= FEWEST_MISSES:
+        try:
+            fit = fit_memory(tracks, logit, with_frailty=False, chosen=chosen)
+            tau_s, interval = fit.memory.tau_s, fit.tau_interval_s
+        except PemError:
+            pass
+
+    def share(among: BoolArray) -> float | None:
+        return float(missed[among].mean()) if among.any() else None
+
     return GroupMemory(
         name=name,
         observations=int(chosen.sum()),
-        misses=int(missed[chosen].sum()),
-        missed_after_miss=_share(missed, after_miss),
-        missed_after_hit=_share(missed, after_hit),
+        misses=misses,
+        missed_after_miss=share(chosen & tracks.missed_before),
+        missed_after_hit=share(chosen & tracks.follows & ~tracks.missed_before),
         tau_s=tau_s,
         tau_interval_s=interval,
     )
 
 
-def _tau_of(
-    tracks: TrackTable, logit: FloatArray, chosen: BoolArray
-) -> tuple[float | None, tuple[float, float] | None]:
-    if np.count_nonzero(chosen & ~tracks.detected) < FEWEST_MISSES:
-        return None, None
-    try:
-        fit = fit_memory(tracks, logit, with_frailty=False, chosen=chosen)
-    except PemError:
-        return None, None
-    return fit.memory.tau_s, fit.tau_interval_s
-
-
-def _share(missed: BoolArray, among: BoolArray) -> float | None:
-    return float(missed[among].mean()) if among.any() else None
-
-
 def memory_table(report: MemoryReport, *, flattery: str = FLATTERY_IF) -> dict[str, Any]:
     """A report as JSON values for the card.
 
-    Args:
-        report: What the card shows.
-        flattery: What the training of the detector does to these figures, in words.
+    ``flattery`` says in words what the training of the detector does to these figures.
     """
     return {**asdict(report), "flattery": flattery}
 
@@ -313,5 +314,172 @@ def memory_line(report: MemoryReport) -> str:
         f"memory time {fit.memory.tau_s:.3f} s ({low:.3f} to {high:.3f}), frailty "
         f"{fit.memory.frailty:.2f}; {fit.nats_independent:.3f} nats an outcome if independent, "
         f"{fit.nats:.3f} with memory\n"
-        f"  memory time tau: {TAU_MEANS}; frailty: {FRAILTY_MEANS}, 0 for not at all"
+        f"  memory time tau: {memory_law.TAU_MEANS}; frailty: {memory_law.FRAILTY_MEANS}, "
+        "0 for not at all"
     )
+
+
+@dataclass(frozen=True)
+class CrossFitted:
+    """What models that saw none of an observation's own sequence say of it.
+
+    Attributes:
+        logit: Of P(detected | state), ``[n]``.
+        folds: How many parts the sequences were put into.
+    """
+
+    logit: FloatArray
+    folds: int
+
+
+def cross_fit(
+    tracks: TrackTable,
+    *,
+    model: ModelKind,
+    folds: int = FOLDS,
+    seed: int = 0,
+    on_progress: Progress | None = None,
+) -> CrossFitted:
+    """Fit a model to all but a part of the sequences, and evaluate it on that part.
+
+    ``on_progress`` is called with folds done and folds in all.
+
+    Raises:
+        PemError: There are fewer sequences than folds, or a part lacks an outcome.
+    """
+    from sklearn.model_selection import GroupKFold  # noqa: PLC0415  slow to import
+
+    count = int(np.unique(tracks.sequence).size)
+    if not 2 <= folds <= count:
+        raise PemError(f"folds is {folds}, allowed: 2 to the number of sequences, {count}")
+    logit = np.empty(len(tracks))
+    parts = GroupKFold(folds).split(logit, groups=tracks.sequence)
+    for done, (train, held_out) in enumerate(parts, start=1):
+        pem = fit_pem(tracks.obstacles.take(train), model=model, seed=seed)
+        logit[held_out] = pem.logit(tracks.obstacles.salient[held_out])
+        if on_progress is not None:
+            on_progress(done, folds)
+    return CrossFitted(logit=logit, folds=folds)
+
+
+def fit_report(
+    tracks: TrackTable, cross_fitted: CrossFitted, *, seed: int = 0,
+    on_progress: Progress | None = None,
+) -> MemoryReport:  # fmt: skip
+    """The memory of tracks and how well it tells them; see :func:`fit_memory`.
+
+    ``on_progress`` is called with tracks done and tracks in all.
+
+    Raises:
+        PemError: There is nothing to fit a memory to.
+    """
+    fit = fit_memory(tracks, cross_fitted.logit, on_progress=on_progress)
+    return report_memory(tracks, cross_fitted.logit, fit=fit, seed=seed)
+
+
+def fit_tracked_pem(
+    tracks: TrackTable,
+    *,
+    model: ModelKind,
+    name: str,
+    provenance: Provenance,
+    cross_fitted: CrossFitted,
+    report: MemoryReport,
+    flattery: str = FLATTERY_IF,
+    seed: int = 0,
+) -> SingleModel | EnsemblePem:
+    """A model of all tracks whose card holds their memory and scores by held-out sequences.
+
+    ``flattery`` says in words what the training of the detector does to its figures.
+
+    Raises:
+        PemError: The table cannot be fitted.
+    """
+    pem = fit_pem(tracks.obstacles, model=model, seed=seed, name=name, provenance=provenance)
+    words = f"{cross_fitted.folds} folds of sequences"
+    held_out = score(cross_fitted.logit, tracks.detected)
+    scores = {f"bce, {words}": held_out.bce, f"brier, {words}": held_out.brier}
+    if held_out.roc_auc is not None:
+        scores[f"roc_auc, {words}"] = held_out.roc_auc
+    card = replace(pem.card, scores=scores, memory=memory_table(report, flattery=flattery))
+    return replace(pem, card=card)
+
+
+def write_memory_picture(memory: Mapping[str, Any], path: Path, *, title: str) -> None:
+    """Three charts beside each other, as PNG.
+
+    Args:
+        memory: A card's table, see :func:`memory_table`.
+        path: File to write.
+        title: Whose memory it is.
+
+    Raises:
+        PemError: The table is not as :func:`memory_table` makes it.
+    """
+    from matplotlib.figure import Figure  # noqa: PLC0415 (slow to import)
+
+    figure = Figure(figsize=(13.0, 4.6), layout="constrained")
+    runs, lags, parts = figure.subplots(1, 3)
+    with as_pemviz_writes("metadata field 'memory'"):
+        _draw_runs(runs, memory)
+        _draw_parts(parts, memory)
+        draw_lags(lags, memory["correlations"])
+        lags.set_xlabel("time between two frames of one obstacle [s]")
+        lags.set_ylabel("correlation of residuals")
+        lags.set_title("How long a miss is remembered")
+        tau_s = float(memory["fit"]["memory"]["tau_s"])
+        frailty = float(memory["fit"]["memory"]["frailty"])
+    figure.suptitle(f"{title}: memory time {tau_s:.2f} s, frailty {frailty:.2f}")
+    figure.savefig(path, dpi=130)
+
+
+def _draw_runs(axes: "Axes", memory: Mapping[str, Any]) -> None:
+    counts = np.asarray(memory["run_lengths"], dtype=np.float64)
+    length = np.arange(1, counts.size + 1)
+    axes.bar(length, counts, color=MEASURED, alpha=0.25, label="measured")
+    for key, color, label in (
+        ("expected_run_lengths", FITTED, "fitted model"),
+        ("independent_run_lengths", INDEPENDENT, "if independent"),
+    ):
+        axes.plot(length, np.asarray(memory[key], dtype=np.float64), "o-", color=color, label=label)
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=FEWEST_RUNS)
+    axes.set_xticks(length, [*map(str, length[:-1]), f"{length[-1]}+"])
+    axes.set_xlabel(f"misses in a row [frames, {float(memory['rate_hz']):g} Hz]")
+    axes.set_ylabel("runs")
+    axes.set_title("How long bursts last")
+    axes.legend()
+
+
+def draw_lags(axes: "Axes", correlations: Sequence[Mapping[str, Any]]) -> None:
+    """Correlations between two observations of one obstacle, by the time between them."""
+    rows = [row for row in correlations if row["measured"] is not None]
+    fitted = [row for row in rows if row["fitted"] is not None]
+    lag_s = [float(row["lag_s"]) for row in rows]
+    measured = [float(row["measured"]) for row in rows]
+    axes.plot(lag_s, measured, "s-", color=MEASURED, label="measured")
+    told = [float(row["fitted"]) for row in fitted]
+    axes.plot(
+        [float(row["lag_s"]) for row in fitted], told, "o-", color=FITTED, label="fitted model"
+    )
+    axes.axhline(0.0, color=INDEPENDENT, label="if independent")
+    axes.set_xscale("log")
+    axes.set_xticks(lag_s, [f"{lag:g}" for lag in lag_s])
+    axes.minorticks_off()
+    axes.set_ylim(-0.05, 1.0)
+    axes.legend()
+
+
+def _draw_parts(axes: "Axes", memory: Mapping[str, Any]) -> None:
+    rows = [row for row in memory["groups"] if row["tau_s"] is not None][::-1]
+    place = np.arange(len(rows))
+    tau_s = np.asarray([row["tau_s"] for row in rows], dtype=np.float64)
+    ends = np.asarray([row["tau_interval_s"] for row in rows], dtype=np.float64).reshape(-1, 2)
+    reach = np.stack([tau_s - ends[:, 0], ends[:, 1] - tau_s])
+    axes.errorbar(tau_s, place, xerr=np.maximum(reach, 0.0), fmt="o", color=BLUE, capsize=3)
+    names = [f"{row['name']} ({row['misses']} missed)" for row in rows]
+    axes.set_yticks(place, names)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel("memory time tau [s], fitted without frailty")
+    axes.set_title("By distance and occlusion")
+    axes.grid(axis="x", alpha=0.3)

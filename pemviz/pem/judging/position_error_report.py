@@ -1,38 +1,27 @@
 """A model of position errors fitted to a table, with what its card shows of how well it fits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any
+from itertools import count, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.colors import BLACK, BLUE, GREY, VERMILLION
+from pemviz.errors import PemError
 from pemviz.pem.data.position_errors import PositionErrorTable
-from pemviz.pem.fitting.position_error_memory import (
-    FittedNoiseMemory,
-    LagPairs,
-    fit_noise_memory,
-    lag_pairs,
-)
-from pemviz.pem.fitting.position_errors import (
-    FOLDS,
-    ErrorFeatures,
-    HeldOut,
-    TailChoice,
-    cross_fit_axis,
-    error_features,
-    fit_axis,
-)
-from pemviz.pem.models.position_error_card import PositionErrorCard
-from pemviz.pem.models.position_errors import (
-    INDEPENDENT,
-    ErrorAxis,
-    PositionErrorModel,
-    standard_quantile,
-)
+from pemviz.pem.fitting import position_errors as fitting
+from pemviz.pem.fitting.position_errors import ErrorFeatures, FittedNoiseMemory, HeldOut, LagPairs
+from pemviz.pem.judging.memory_report import draw_lags
+from pemviz.pem.models.cards import AXIS_UNITS, AXIS_WORDS, PositionErrorCard, as_pemviz_writes
+from pemviz.pem.models.position_errors import INDEPENDENT, ErrorAxis, PositionErrorModel
 from pemviz.pem.models.protocol import COLUMN, SALIENT_COLUMNS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 EDGES_M = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 120.0, 1e4)
 FEWEST_IN_BAND = 50
@@ -47,6 +36,8 @@ RESAMPLES = 400
 HALF = (0.158655253931457, 0.841344746068543)
 """Quantiles of a normal at -1 and 1 standard deviation."""
 LARGEST_CORRELATION = 0.99
+MEASURED, FITTED, GAUSSIAN = BLACK, VERMILLION, GREY
+FARTHEST_SHOWN_M = 120.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +55,7 @@ class FitSettings:
     name: str
     data: str
     licence: str
-    tails: TailChoice = "auto"
+    tails: fitting.TailChoice = "auto"
     seed: int = 0
 
 
@@ -76,20 +67,22 @@ def fit_position_errors(
 ) -> PositionErrorModel:
     """Fit mean, spread, tails, correlation and memory, and write the card.
 
-    Args:
-        table: Errors of detected obstacles.
-        settings: How.
-        on_progress: Told (fits done, fits in all).
+    ``on_progress`` is called with fits done and fits in all.
 
     Raises:
         PemError: The table has too few rows, drives or obstacles, or no spread.
     """
-    explained = error_features(table)
+    explained = fitting.error_features(table)
     words, groups = table.groups
     groups = np.unique(groups, return_inverse=True)[1].astype(np.int64)
-    steps = _Steps(on_progress, in_all=(2 * FOLDS + 1) * len(table.axes))
-    parts = _Parts(table, explained, groups, lag_pairs(table), settings)
-    fits = [_fit_axis(parts, place, steps) for place in range(len(table.axes))]
+    steps, in_all = count(1), (2 * fitting.FOLDS + 1) * len(table.axes)
+
+    def on_fit() -> None:
+        if on_progress is not None:
+            on_progress(next(steps), in_all)
+
+    parts = _Parts(table, explained, groups, fitting.lag_pairs(table), settings)
+    fits = [_fit_axis(parts, place, on_fit) for place in range(len(table.axes))]
     correlation = _correlation(np.stack([fit.noise for fit in fits]))
     model = PositionErrorModel(
         tuple(fit.axis for fit in fits), correlation, explained.distance_m, explained.bearing_rad
@@ -107,7 +100,20 @@ def fit_position_errors(
             for place, fit in enumerate(fits)
         ],
     }
-    return replace(model, card=_card(table, settings, report))
+    heading = "known" if table.alpha_rad is not None else "unknown, left out"
+    card = PositionErrorCard(
+        name=settings.name,
+        data=settings.data,
+        data_digest=table.digest,
+        licence=settings.licence,
+        recipe=(
+            "maximum likelihood; mean and log scale linear in functions of distance, bearing and "
+            f"aspect (headings {heading}); family of tails: {settings.tails}; correlation of "
+            f"held-out normal scores; intervals by resampling, seed {settings.seed}"
+        ),
+        report=report,
+    )
+    return replace(model, card=card)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,17 +136,17 @@ class _FittedAxis:
     row: dict[str, Any]
 
 
-def _fit_axis(parts: _Parts, place: int, steps: "_Steps") -> _FittedAxis:
+def _fit_axis(parts: _Parts, place: int, on_fit: Callable[[], None]) -> _FittedAxis:
     name, error = parts.table.axes[place], parts.table.errors[:, place]
     explained, groups, settings = parts.explained, parts.groups, parts.settings
-    held = cross_fit_axis(explained, error, groups=groups, name=name, on_fit=steps.done)
+    held = fitting.cross_fit_axis(explained, error, groups=groups, name=name, on_fit=on_fit)
     family = held.best if settings.tails == "auto" else settings.tails
-    axis = fit_axis(explained, error, name=name, heavy=family == "student-t")
-    gaussian = fit_axis(explained, error, name=name, heavy=False)
+    axis = fitting.fit_axis(explained, error, name=name, heavy=family == "student-t")
+    gaussian = fitting.fit_axis(explained, error, name=name, heavy=False)
     noise = held.noise[family]
-    memory = fit_noise_memory(noise, parts.pairs, groups=groups, seed=settings.seed)
+    memory = fitting.fit_noise_memory(noise, parts.pairs, groups=groups, seed=settings.seed)
     axis = replace(axis, memory=INDEPENDENT if memory is None else memory.memory)
-    steps.done()
+    on_fit()
     row = {
         **_axis_scores(axis, held, noise, groups, seed=settings.seed),
         **_axis_memory(axis, memory, parts.pairs),
@@ -157,39 +163,6 @@ def _correlation(noises: FloatArray) -> FloatArray:
     correlation = 0.5 * (correlation + correlation.T)
     np.fill_diagonal(correlation, 1.0)
     return correlation
-
-
-@dataclass
-class _Steps:
-    """Counts the fits."""
-
-    tell: Callable[[int, int], None] | None
-    in_all: int
-    count: int = 0
-
-    def done(self) -> None:
-        """One more."""
-        self.count += 1
-        if self.tell is not None:
-            self.tell(self.count, self.in_all)
-
-
-def _card(
-    table: PositionErrorTable, settings: FitSettings, report: dict[str, Any]
-) -> PositionErrorCard:
-    heading = "known" if table.alpha_rad is not None else "unknown, left out"
-    return PositionErrorCard(
-        name=settings.name,
-        data=settings.data,
-        data_digest=table.digest,
-        licence=settings.licence,
-        recipe=(
-            "maximum likelihood; mean and log scale linear in functions of distance, bearing and "
-            f"aspect (headings {heading}); family of tails: {settings.tails}; correlation of "
-            f"held-out normal scores; intervals by resampling, seed {settings.seed}"
-        ),
-        report=report,
-    )
 
 
 def straight_ahead(distance_m: float) -> FloatArray:
@@ -264,23 +237,22 @@ def _axis_memory(
 ) -> dict[str, Any]:
     if fitted is None:
         return {"lags": [], "memory": None}
-    told = axis.memory.correlation(np.array([each.lag_s for each in pairs])).tolist()
-    rows = zip(pairs, fitted.correlations, told, strict=True)
-    share, tau_s = fitted.share_interval, fitted.tau_interval_s
+    of_model = axis.memory.correlation(np.array([each.lag_s for each in pairs])).tolist()
+    rows = zip(pairs, fitted.correlations, of_model, strict=True)
+
+    def with_ends(value: float, ends: tuple[float, float]) -> dict[str, float]:
+        return {"value": value, "low": ends[0], "high": ends[1]}
+
     return {
         "lags": [
             {"lag_s": each.lag_s, "pairs": int(each.first.size), "measured": seen, "fitted": said}
             for each, seen, said in rows
         ],
         "memory": {
-            "lasting_share": _with_ends(axis.memory.lasting_share, share),
-            "tau_s": _with_ends(axis.memory.tau_s, tau_s),
+            "lasting_share": with_ends(axis.memory.lasting_share, fitted.share_interval),
+            "tau_s": with_ends(axis.memory.tau_s, fitted.tau_interval_s),
         },
     }
-
-
-def _with_ends(value: float, ends: tuple[float, float]) -> dict[str, float]:
-    return {"value": value, "low": ends[0], "high": ends[1]}
 
 
 def _by_distance(
@@ -305,14 +277,9 @@ def _by_distance(
             "sd": float(np.std(own)),
             "fitted_sd": _finite(float(np.sqrt(squares))),
             "half_width": float(upper - lower) / 2.0,
-            "fitted_half_width": float(np.mean(scale[inside]) * _unit(axis)),
+            "fitted_half_width": float(np.mean(scale[inside]) * axis.half_width_factor),
         })  # fmt: skip
     return rows
-
-
-def _unit(axis: ErrorAxis) -> float:
-    one = standard_quantile(np.ones(1), degrees_of_freedom=axis.degrees_of_freedom)
-    return float(one[0])
 
 
 def _extreme(explained: ErrorFeatures, axis: ErrorAxis, gaussian: ErrorAxis) -> dict[str, float]:
@@ -332,3 +299,84 @@ def _extreme(explained: ErrorFeatures, axis: ErrorAxis, gaussian: ErrorAxis) -> 
 
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
+
+
+def write_position_picture(model: PositionErrorModel, path: Path) -> None:
+    """Four charts for each kind of error, as PNG: spread, calibration, tails and memory.
+
+    Raises:
+        PemError: The card has no report, or one that pemviz did not write.
+    """
+    from matplotlib.figure import Figure  # noqa: PLC0415 (slow to import)
+
+    report = model.card.report
+    if not report:
+        raise PemError(f"{model.name}: its card has no report to draw")
+    figure = Figure(figsize=(15.0, 3.7 * len(model.axes)), layout="constrained")
+    rows = figure.subplots(len(model.axes), 4)
+    with as_pemviz_writes(f"{model.name}: its report"):
+        for charts, axis in zip(rows, report["axes"], strict=True):
+            _draw_distances(charts[0], axis)
+            _draw_pit(charts[1], axis)
+            _draw_quantiles(charts[2], axis)
+            charts[3].set_title("The same obstacle over time")
+            if axis["lags"]:
+                draw_lags(charts[3], axis["lags"])
+                charts[3].set_xlabel("time between two frames [s]")
+                charts[3].set_ylabel("correlation of the noise")
+            else:
+                charts[3].text(0.5, 0.5, "no tracks:\nindependence is assumed", ha="center",
+                               va="center", transform=charts[3].transAxes)  # fmt: skip
+                charts[3].set_axis_off()
+        words = f"{report['rows']:,} errors, {report['groups']:,} {report['grouped_by']}"
+    figure.suptitle(f"Position errors {model.name}: {words}; calibration is held out")
+    figure.savefig(path, dpi=110)
+
+
+def _draw_distances(axes: "Axes", axis: Mapping[str, Any]) -> None:
+    rows = axis["distances"]
+    middle = [(row["low_m"] + min(row["high_m"], FARTHEST_SHOWN_M)) / 2 for row in rows]
+    for key, fitted, mark, words in (
+        ("half_width", "fitted_half_width", "o", "68 % within +-"),
+        ("sd", "fitted_sd", "s", "standard deviation"),
+        ("mean", "fitted_mean", "^", "mean"),
+    ):
+        axes.plot(middle, [row[key] for row in rows], mark, color=MEASURED, label=words)
+        curve = [np.nan if row[fitted] is None else row[fitted] for row in rows]
+        axes.plot(middle, curve, "-", color=FITTED)
+    axes.plot([], [], "-", color=FITTED, label="fitted")
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    axes.set_xlabel("distance [m]")
+    axes.set_ylabel(f"error {AXIS_WORDS[axis['name']]} [{AXIS_UNITS[axis['name']]}]")
+    axes.set_title("By distance")
+    axes.legend()
+
+
+def _draw_pit(axes: "Axes", axis: Mapping[str, Any]) -> None:
+    counts = np.asarray(axis["pit"], dtype=np.float64)
+    edges = np.linspace(0.0, 1.0, counts.size + 1)
+    axes.stairs(counts / counts.mean(), edges, fill=True, color=BLUE, alpha=0.4)
+    axes.axhline(1.0, color=FITTED, label="calibrated")
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("share of the model's errors that are smaller")
+    axes.set_ylabel("density of the data")
+    axes.set_title("Calibration")
+    axes.legend()
+
+
+def _draw_quantiles(axes: "Axes", axis: Mapping[str, Any]) -> None:
+    freedom = axis["degrees_of_freedom"]
+    family = "Gaussian" if freedom is None else f"Student's t, {freedom:.1f} d.o.f."
+    for key, color, words in (
+        ("gaussian_quantiles", GAUSSIAN, "were it Gaussian"),
+        ("quantiles", FITTED, family),
+    ):
+        share, measured = np.asarray(axis[key], dtype=np.float64).T
+        axes.plot(ndtri(share), measured, ".", color=color, label=words)
+    reach = 1.3 * float(np.abs(ndtri(np.asarray(axis["quantiles"])[:, 0])).max())
+    axes.plot([-reach, reach], [-reach, reach], color=MEASURED, linewidth=0.8, label="calibrated")
+    axes.set_ylim(-2.5 * reach, 2.5 * reach)
+    axes.set_xlabel("quantile of a standard normal")
+    axes.set_ylabel("quantile of the noise")
+    axes.set_title("Tails")
+    axes.legend()

@@ -22,7 +22,6 @@ class MemberEstimates:
     """The failure probability under each of M models, from the same N rollouts."""
 
     names: tuple[str, ...]
-    """The models' names."""
     log_mu: FloatArray
     """Log of mu [nats], shape [M]; -inf if no rollout violated."""
     relative_std_error: FloatArray
@@ -38,13 +37,10 @@ class PemInterval:
     log10_low: float
     """Lower end, log10 of mu; -inf if no rollout violated."""
     log10_median: float
-    """Median over the members."""
     log10_high: float
-    """Upper end."""
     confidence: float
     """Share of the members inside, interpolated."""
     members: int
-    """Number of models."""
     worst_effective_failures: float
     """Smallest effective number of violating rollouts of any member."""
     warnings: tuple[str, ...]
@@ -56,11 +52,8 @@ class RatioInterval:
     """Ratio of mu under a new model to mu under an old one."""
 
     log10_ratio: float
-    """The estimate."""
     log10_low: float
-    """Lower end of the interval."""
     log10_high: float
-    """Upper end."""
     confidence: float
     """Level of the interval, which covers sampling alone."""
     effective_failures: float

@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike
 from pemviz.arrays import AnyArray, FloatArray, log_sum_exp
 from pemviz.chunks import map_rows
 from pemviz.errors import PemError
-from pemviz.pem.models.card import Carded, PemCard
+from pemviz.pem.models.cards import Carded, PemCard
 from pemviz.pem.models.network import NetworkPem
-from pemviz.pem.models.protocol import as_rows
-from pemviz.pem.models.tensors import tensors_digest
+from pemviz.pem.models.protocol import as_rows, tensors_digest
 from pemviz.pem.models.trees import TreesPem
 
 SingleModel = NetworkPem | TreesPem
@@ -23,20 +22,18 @@ LARGEST_LOGIT = 700.0
 
 @dataclass(frozen=True, eq=False)
 class EnsemblePem(Carded):
-    """Members of one kind; as a model of its own it answers with their mean probability."""
+    """Two members or more, of one kind; as a model it answers with their mean probability.
+
+    Raises:
+        PemError: there is one, or they are of different kinds.
+    """
 
     kind: ClassVar[str] = "ensemble"
 
     card: PemCard
     members: tuple[SingleModel, ...]
-    """The members, at least two."""
 
     def __post_init__(self) -> None:
-        """Refuse an ensemble of one, or of different kinds.
-
-        Raises:
-            PemError: what is wrong, in one line.
-        """
         if len(self.members) < 2:
             raise PemError(f"{self.card.name}: an ensemble needs at least two members")
         first = self.members[0]
@@ -83,11 +80,7 @@ def mean_probability_logit(logits: FloatArray) -> FloatArray:
         found = np.log(detected) - np.log(missed)
     if size.max(initial=0.0) <= LARGEST_LOGIT:
         return found
-    return np.where(size.max(axis=1) > LARGEST_LOGIT, _mean_by_logs(logits), found)
-
-
-def _mean_by_logs(logits: FloatArray) -> FloatArray:
-    """The same where probabilities may be too small for a number."""
+    # where probabilities may be too small for a number
     log_detected = np.asarray(log_sum_exp(-np.logaddexp(0.0, -logits), axis=1))
     log_missed = np.asarray(log_sum_exp(-np.logaddexp(0.0, logits), axis=1))
-    return log_detected - log_missed
+    return np.where(size.max(axis=1) > LARGEST_LOGIT, log_detected - log_missed, found)

@@ -5,7 +5,6 @@ sign. These kinks are found layer by layer; the network itself answers at them, 
 answers are interpolated: the same but for rounding.
 """
 
-from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -13,11 +12,9 @@ from numpy.typing import ArrayLike
 
 from pemviz.arrays import FloatArray
 from pemviz.chunks import map_distinct, map_rows
-from pemviz.pem.models.encoding import POSE_INDEX, paper_inputs
 from pemviz.pem.models.ensemble import EnsemblePem, mean_probability_logit
-from pemviz.pem.models.network import Layer, NetworkPem
-from pemviz.pem.models.own_detector import DetectorModel
-from pemviz.pem.models.protocol import Pem, as_rows
+from pemviz.pem.models.network import POSE_INDEX, NetworkPem, paper_inputs
+from pemviz.pem.models.protocol import DetectorModel, Pem, as_rows
 
 
 @runtime_checkable
@@ -39,26 +36,31 @@ class Remembers(Protocol):
 
 
 FEWEST_ROWS = 1000
-"""Fewer are asked for one by one: kinks are some sixty rows, and take time to find."""
+"""Fewer are evaluated one by one: kinks are some sixty rows, and take time to find."""
 
 
 def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
     """As ``pem.logit``, within 1e-12, and faster for many rows that differ in one pose variable.
 
-    Args:
-        pem: The model; any but a network of the paper's inputs, or an ensemble of such, is asked
-            as it is.
-        salient: Salient variables ``[..., 11]``.
+    Any model but a network of the paper's inputs, or an ensemble of such, is evaluated as it is.
 
-    Returns:
-        Logits of 'detected' ``[...]``.
+    Args:
+        pem: The model.
+        salient: Salient variables ``[..., 11]``, of which the logits are ``[...]``.
 
     Raises:
         PemError: The rows are not ones that the model was made for.
     """
     if type(pem) is EnsemblePem:
         rows, shape = as_rows(salient)
-        return map_distinct(lambda distinct: _mean_along(pem, distinct), rows).reshape(shape)
+        members = pem.members
+
+        def mean_along(rows: FloatArray) -> FloatArray:
+            column = _varying_pose(rows)
+            logits = np.stack([_along(member, rows, column) for member in members], axis=1)
+            return map_rows(mean_probability_logit, logits)
+
+        return map_distinct(mean_along, rows).reshape(shape)
     if type(pem) is not NetworkPem:
         return pem.logit(np.asarray(salient))
     rows, shape = as_rows(salient)
@@ -88,17 +90,10 @@ def _along(pem: DetectorModel, rows: FloatArray, column: int | None) -> FloatArr
         return pem.logit(rows)
     along = rows[:, column]
     low, high = float(along.min()), float(along.max())
-    asked = kinks(pem, rows[0], column=column, low=low, high=high)
-    at_kinks = np.repeat(rows[:1], asked.size, axis=0)
-    at_kinks[:, column] = asked
-    return np.interp(along, asked, pem.logit(at_kinks))
-
-
-def _mean_along(pem: EnsemblePem, rows: FloatArray) -> FloatArray:
-    """Logit ``[n]`` of the members' mean P(detected)."""
-    column = _varying_pose(rows)
-    logits = np.stack([_along(member, rows, column) for member in pem.members], axis=1)
-    return map_rows(mean_probability_logit, logits)
+    bends = kinks(pem, rows[0], column=column, low=low, high=high)
+    at_kinks = np.repeat(rows[:1], bends.size, axis=0)
+    at_kinks[:, column] = bends
+    return np.interp(along, bends, pem.logit(at_kinks))
 
 
 def kinks(pem: NetworkPem, row: FloatArray, *, column: int, low: float, high: float) -> FloatArray:
@@ -109,10 +104,7 @@ def kinks(pem: NetworkPem, row: FloatArray, *, column: int, low: float, high: fl
         row: Salient variables ``[11]``, of which the others are held.
         column: The pose variable's.
         low: From where.
-        high: To where.
-
-    Returns:
-        Ascending ``[k]``, at least two.
+        high: To where, the last of the answer, ascending ``[k]``.
     """
     at_zero = np.array(row, dtype=np.float64)
     at_zero[column] = 0.0
@@ -120,26 +112,8 @@ def kinks(pem: NetworkPem, row: FloatArray, *, column: int, low: float, high: fl
     slope = np.zeros_like(offset)
     pose = POSE_INDEX.index(column)
     slope[len(slope) - len(POSE_INDEX) + pose] = 1.0 / pem.pose_std[pose]
-    return bends(pem.layers[:-1], slope, offset, low=low, high=high)
-
-
-def bends(
-    layers: Sequence[Layer], slope: FloatArray, offset: FloatArray, *, low: float, high: float
-) -> FloatArray:
-    """Where a rectified network bends along one number that goes from ``low`` to ``high``.
-
-    Args:
-        layers: Its hidden layers.
-        slope: By which its inputs grow with the number, ``[inputs, 1]``.
-        offset: What they are at 0, ``[inputs, 1]``.
-        low: From where.
-        high: To where.
-
-    Returns:
-        Ascending ``[k]``, both ends included.
-    """
     edges = np.array([low, high])
-    for layer in layers:
+    for layer in pem.layers[:-1]:
         slope, offset = layer.weight @ slope, layer.weight @ offset + layer.bias[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = -offset / slope  # of each unit, if it keeps on as in each piece

@@ -29,7 +29,8 @@ from scipy.special import ndtr, stdtrit
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.errors import PemError
-from pemviz.pem.models.position_error_card import PositionErrorCard
+from pemviz.pem.models.cards import PositionErrorCard
+from pemviz.pem.models.memory import persistence
 from pemviz.pem.models.protocol import COLUMN, as_rows
 
 REFERENCE_M = 20.0
@@ -48,17 +49,15 @@ class NoiseMemory:
     Attributes:
         lasting_share: Share c of its variance that an obstacle keeps, 0 to 1.
         tau_s: Memory time of the rest [s]; 0: steps are independent.
+
+    Raises:
+        PemError: A value is out of range.
     """
 
     lasting_share: float = 0.0
     tau_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no memory.
-
-        Raises:
-            PemError: A value is out of range.
-        """
         if not 0.0 <= self.lasting_share <= 1.0:
             raise PemError(f"lasting_share is {self.lasting_share:g}, allowed: 0 to 1")
         if not 0.0 <= self.tau_s < np.inf:
@@ -69,12 +68,9 @@ class NoiseMemory:
         return self.lasting_share + (1.0 - self.lasting_share) * self._forgotten(since_s)
 
     def after(self, before: FloatArray, fresh: FloatArray, *, since_s: float) -> FloatArray:
-        """The forgetful part of the noise a step on ``[N]``; standard normal if both are.
+        """The forgetful part of the noise ``[N]``, ``since_s`` seconds after ``before [N]``.
 
-        Args:
-            before: The same a step before ``[N]``.
-            fresh: Standard normals ``[N]``.
-            since_s: Time between the two [s].
+        Standard normal if that and ``fresh [N]`` are.
         """
         rho = float(self._forgotten(since_s))
         return rho * before + np.sqrt(1.0 - rho**2) * fresh
@@ -85,10 +81,7 @@ class NoiseMemory:
         return np.sqrt(share) * lasting + np.sqrt(1.0 - share) * forgetful
 
     def _forgotten(self, since_s: FloatArray | float) -> FloatArray:
-        since = np.asarray(since_s, dtype=np.float64)
-        if self.tau_s == 0.0:
-            return np.where(since == 0.0, 1.0, 0.0)
-        return np.exp(-since / self.tau_s)
+        return np.where(np.equal(since_s, 0.0), 1.0, persistence(since_s, self.tau_s))
 
 
 INDEPENDENT = NoiseMemory()
@@ -115,13 +108,16 @@ class ErrorAxis:
     @property
     def sd_factor(self) -> float:
         """Standard deviation over scale; infinite where the tails are too heavy to have one."""
-        if np.isinf(self.degrees_of_freedom):
+        nu = self.degrees_of_freedom
+        if np.isinf(nu):
             return 1.0
-        return (
-            float(np.sqrt(self.degrees_of_freedom / (self.degrees_of_freedom - 2.0)))
-            if self.degrees_of_freedom > 2.0
-            else np.inf
-        )
+        return float(np.sqrt(nu / (nu - 2.0))) if nu > 2.0 else np.inf
+
+    @property
+    def half_width_factor(self) -> float:
+        """Half the width of the central 68 % over scale."""
+        one = standard_quantile(np.ones(1), degrees_of_freedom=self.degrees_of_freedom)
+        return float(one[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +130,9 @@ class PositionErrorModel:
         distance_m: Least and greatest distance of the training data [m].
         bearing_rad: Least and greatest bearing of the training data [rad].
         card: Name, data, licence, and how well it fits.
+
+    Raises:
+        PemError: A parameter has another shape, or is out of range.
     """
 
     axes: tuple[ErrorAxis, ...]
@@ -143,12 +142,7 @@ class PositionErrorModel:
     card: PositionErrorCard = field(default_factory=PositionErrorCard)
 
     def __post_init__(self) -> None:
-        """Refuse what is no model.
-
-        Raises:
-            PemError: A parameter has another shape, or is out of range.
-        """
-        check_parameters(self)
+        _check_parameters(self)
 
     @property
     def name(self) -> str:
@@ -229,11 +223,7 @@ class PositionErrorModel:
 
     def half_width(self, salient: FloatArray) -> FloatArray:
         """Half the width of the central 68 % of the errors ``[N, M]`` [m, m/s]."""
-        unit = [
-            float(standard_quantile(np.ones(1), degrees_of_freedom=a.degrees_of_freedom)[0])
-            for a in self.axes
-        ]
-        return self.scale(salient) * np.array(unit)
+        return self.scale(salient) * np.array([axis.half_width_factor for axis in self.axes])
 
     def tensors(self) -> dict[str, AnyArray]:
         """The parameters by name, as they are stored."""
@@ -263,12 +253,7 @@ class PositionErrorModel:
 def constant_errors(
     *, range_sd_m: float = 0.0, cross_range_sd_m: float = 0.0, memory: NoiseMemory = INDEPENDENT
 ) -> PositionErrorModel:
-    """Gaussian errors without bias, alike wherever the obstacle is.
-
-    Args:
-        range_sd_m: Standard deviation along the line of sight [m]; 0: none.
-        cross_range_sd_m: The same across it [m].
-        memory: How the noise of an obstacle hangs together over time.
+    """Gaussian errors without bias, equal wherever the obstacle is; a deviation of 0: none.
 
     Raises:
         PemError: A deviation is below 0 or not finite.
@@ -330,12 +315,7 @@ def sum_in_order(coefficients: FloatArray, columns: FloatArray) -> FloatArray:
     return total
 
 
-def check_parameters(model: PositionErrorModel) -> None:
-    """Refuse parameters that are none.
-
-    Raises:
-        PemError: One has another shape, or is out of range.
-    """
+def _check_parameters(model: PositionErrorModel) -> None:
     names = tuple(axis.name for axis in model.axes)
     if names not in (("range", "cross_range"), ("range", "cross_range", "speed")):
         raise PemError(f"kinds of error are {names}, must be range, cross_range and perhaps speed")

@@ -11,10 +11,8 @@ from pemviz.arrays import AnyArray, FloatArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
 from pemviz.files.text_files import open_text, read_numbers
-from pemviz.pem.models.card import Carded, PemCard
-from pemviz.pem.models.encoding import check_rows
-from pemviz.pem.models.protocol import COLUMN, as_rows
-from pemviz.pem.models.tensors import check_finite, tensors_digest
+from pemviz.pem.models.cards import Carded, PemCard
+from pemviz.pem.models.protocol import COLUMN, as_rows, check_finite, check_rows, tensors_digest
 
 Between = Literal["linear", "step"]
 
@@ -23,7 +21,11 @@ CSV_COLUMNS = ("distance_m", "p_detected")
 
 @dataclass(frozen=True, eq=False)
 class TabulatedPem(Carded):
-    """P(detected) by distance z; outside the table the nearest point's value holds."""
+    """P(detected) by distance z; outside the table the nearest point's value holds.
+
+    Raises:
+        PemError: it is no table; one line says why.
+    """
 
     kind: ClassVar[str] = "table"
 
@@ -36,25 +38,19 @@ class TabulatedPem(Carded):
     """Between points the logit is linear, or (step) stays what it was at the lower distance."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no table.
-
-        Raises:
-            PemError: what is wrong, in one line.
-        """
-        check_finite(self.tensors(), where=self.card.name)
+        name = self.card.name
+        check_finite(self.tensors(), where=name)
         if self.distance_m.ndim != 1 or self.distance_m.shape != self.table_logit.shape:
-            raise PemError(f"{self.card.name}: distances and probabilities differ in shape")
+            raise PemError(f"{name}: distances and probabilities differ in shape")
         if len(self.distance_m) == 0 or (self.distance_m[1:] <= self.distance_m[:-1]).any():
-            raise PemError(f"{self.card.name}: distances must be there and increase")
+            raise PemError(f"{name}: distances must be there and increase")
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             slope = np.diff(self.table_logit) / np.diff(self.distance_m)
             extent_m = np.ptp(self.distance_m)
         if not (np.isfinite(slope).all() and np.isfinite(extent_m)):
-            raise PemError(
-                f"{self.card.name}: points so far apart that lines between them overflow"
-            )
+            raise PemError(f"{name}: points so far apart that lines between them overflow")
         if self.between not in ("linear", "step"):
-            raise PemError(f"{self.card.name}: between is {self.between!r}, allowed: linear, step")
+            raise PemError(f"{name}: between is {self.between!r}, allowed: linear, step")
 
     @property
     def digest(self) -> str:
@@ -73,13 +69,11 @@ class TabulatedPem(Carded):
         """Logit of P(detected), shape [...], of salient variables [..., 11]."""
         rows, shape = as_rows(salient)
         check_rows(rows)
-        return self._logit_at(rows[:, COLUMN["z_m"]]).reshape(shape)
-
-    def _logit_at(self, z_m: FloatArray) -> FloatArray:
+        z_m = rows[:, COLUMN["z_m"]]
         if self.between == "step":
             index = np.searchsorted(self.distance_m, z_m, side="right") - 1
-            return self.table_logit[np.maximum(index, 0)]
-        return np.interp(z_m, self.distance_m, self.table_logit)
+            return self.table_logit[np.maximum(index, 0)].reshape(shape)
+        return np.interp(z_m, self.distance_m, self.table_logit).reshape(shape)
 
 
 def load_csv(path: Path) -> TabulatedPem:

@@ -1,8 +1,12 @@
-"""Boosted decision trees as plain arrays, evaluated by numpy."""
+"""Boosted decision trees as plain arrays, evaluated by numpy.
+
+A tree splits one number at a time, so ratios such as the angle under which an obstacle appears are
+given to it ready-made.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,11 +14,30 @@ from numpy.typing import ArrayLike
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import ROWS, distinct, map_distinct
 from pemviz.errors import PemError
-from pemviz.pem.models.card import Carded, PemCard
-from pemviz.pem.models.encoding import check_rows
-from pemviz.pem.models.protocol import as_rows
-from pemviz.pem.models.tensors import check_finite, tensors_digest
-from pemviz.pem.models.tree_features import FEATURES, FeatureSet, tree_features
+from pemviz.pem.models.cards import Carded, PemCard
+from pemviz.pem.models.protocol import (
+    COLUMN,
+    SALIENT_COLUMNS,
+    as_rows,
+    check_finite,
+    check_rows,
+    tensors_digest,
+)
+
+FeatureSet = Literal["paper", "raw"]
+
+NEAREST_DEPTH_M = 0.5
+"""Depth below which an obstacle's apparent size no longer grows."""
+
+PAPER_COLUMNS = ("class_id", "occlusion", "x_m", "y_m", "z_m", "rotation_y_rad")
+_FROM_POSE = ("x_over_z", "y_over_z", "range_m", "sin_view", "cos_view")
+_FROM_SIZE = ("top_over_z", "height_over_z", "extent_over_z")
+
+FEATURES: dict[FeatureSet, tuple[str, ...]] = {
+    "paper": (*PAPER_COLUMNS, *_FROM_POSE),
+    "raw": (*SALIENT_COLUMNS, *_FROM_POSE, *_FROM_SIZE),
+}
+"""Names of the features of each set, in order."""
 
 BLOCK_ROWS = 4 * ROWS
 """Rows that go down the trees together."""
@@ -29,19 +52,45 @@ LARGEST_SUM = 4096
 """Of absolute leaf values over all trees: with LEAF_UNIT, within the 53 bits of a float64."""
 
 LARGEST_CALIBRATION = 1e100
-
 LARGEST_CELL = 2**62
 """Numbers of cells between thresholds stay below it, within an int64."""
-
-
 MOST_TREES = 10_000
 DEEPEST = 200
 """Levels of a tree; boosted trees have about ten."""
 
 
+def tree_features(rows: FloatArray, *, feature_set: FeatureSet) -> FloatArray:
+    """Features [features, n] of salient variables [n, 11].
+
+    Args:
+        rows: salient variables.
+        feature_set: ``paper`` uses only what the paper's 14 inputs hold, ``raw`` all columns.
+    """
+    named = {name: np.ascontiguousarray(rows[:, index]) for name, index in COLUMN.items()}
+    x_m, y_m, z_m = named["x_m"], named["y_m"], named["z_m"]
+    depth = np.maximum(z_m, NEAREST_DEPTH_M)
+    # the obstacle's heading relative to the line of sight
+    view = named["rotation_y_rad"] - np.arctan2(x_m, z_m)
+    named["x_over_z"], named["y_over_z"] = x_m / depth, y_m / depth
+    named["range_m"] = np.sqrt(x_m**2 + z_m**2)
+    named["sin_view"], named["cos_view"] = np.sin(view), np.cos(view)
+    if feature_set == "raw":
+        # the upper edge, apparent height and apparent width, as tangents of angles
+        extent = np.abs(named["length_m"] * named["sin_view"])
+        extent = extent + np.abs(named["width_m"] * named["cos_view"])
+        named["top_over_z"] = (y_m - named["height_m"]) / depth
+        named["height_over_z"] = named["height_m"] / depth
+        named["extent_over_z"] = extent / depth
+    return np.stack([named[name] for name in FEATURES[feature_set]])
+
+
 @dataclass(frozen=True, eq=False)
 class TreesPem(Carded):
-    """A sum of trees, mapped to the logit of P(detected) by a calibration line."""
+    """A sum of trees, mapped to the logit of P(detected) by a calibration line.
+
+    Raises:
+        PemError: the arrays do not form trees, or such that take too much memory or time.
+    """
 
     kind: ClassVar[str] = "trees"
 
@@ -60,13 +109,9 @@ class TreesPem(Carded):
     """Slope and intercept from the sum of leaves to the logit; shape [2]."""
 
     def __post_init__(self) -> None:
-        """Refuse arrays that do not form trees.
-
-        Raises:
-            PemError: what is wrong, in one line.
-        """
         check_finite(self.tensors(), where=self.card.name)
-        check_trees(self)
+        _check_trees(self)
+        _check_size(self)
 
     @property
     def digest(self) -> str:
@@ -98,24 +143,21 @@ class TreesPem(Carded):
         """Sum over trees of the leaf values, shape [n], of salient variables [n, 11]."""
         if not len(rows):
             return np.empty(0)
-        features = self._features(rows)
-        first, place = self._plan.alike(features)
-        apart = features[:, first]
-        sums = [
-            self._leaf_sums(apart[:, start : start + BLOCK_ROWS])
-            for start in range(0, first.size, BLOCK_ROWS)
-        ]
-        return np.concatenate(sums)[place]
-
-    def _features(self, rows: FloatArray) -> FloatArray:
-        """Features [features, n], computed in chunks of fixed size."""
+        # in chunks of fixed size, so that a row's last digits do not depend on how many there are
         padded = np.zeros((-(-len(rows) // ROWS) * ROWS, rows.shape[1]))
         padded[: len(rows)] = rows
         chunks = [
             tree_features(padded[start : start + ROWS], feature_set=self.feature_set)
             for start in range(0, len(padded), ROWS)
         ]
-        return np.concatenate(chunks, axis=1)[:, : len(rows)]
+        features = np.concatenate(chunks, axis=1)[:, : len(rows)]
+        first, place = self._plan.equal(features)
+        apart = features[:, first]
+        sums = [
+            self._leaf_sums(apart[:, start : start + BLOCK_ROWS])
+            for start in range(0, first.size, BLOCK_ROWS)
+        ]
+        return np.concatenate(sums)[place]
 
     def _leaf_sums(self, features: FloatArray) -> FloatArray:
         """Sum over trees of the leaf values, shape [n], of features [features, n]."""
@@ -158,7 +200,7 @@ class _Plan:
     number: FloatArray
     left: IntArray
 
-    def alike(self, features: FloatArray) -> tuple[IntArray, IntArray]:
+    def equal(self, features: FloatArray) -> tuple[IntArray, IntArray]:
         """Of rows [features, n], the first [m] of those that no split parts, and which each is [n].
 
         Along one variable trees are a staircase of few steps, however many rows there are.
@@ -189,13 +231,10 @@ class _Plan:
             jump = further
 
 
-def check_trees(pem: TreesPem) -> None:
+def _check_trees(pem: TreesPem) -> None:
     """Refuse trees with dangling, backward or shared children, or unknown features.
 
     Children must come after their parent, so that going down a tree ends.
-
-    Raises:
-        PemError: what is wrong, in one line.
     """
     where, nodes = pem.card.name, len(pem.feature)
     if pem.feature_set not in FEATURES:
@@ -217,15 +256,11 @@ def check_trees(pem: TreesPem) -> None:
         raise PemError(f"{where}: a tree's root lies outside the nodes")
     if not pem.calibration[0] > 0.0:
         raise PemError(f"{where}: the calibration's slope must be above 0")
-    _check_size(pem, inner=inner, where=where)
 
 
-def _check_size(pem: TreesPem, *, inner: BoolArray, where: str) -> None:
-    """Refuse sound trees that take too much memory or time, or whose sums are not exact.
-
-    Raises:
-        PemError: what is wrong, in one line.
-    """
+def _check_size(pem: TreesPem) -> None:
+    """Refuse sound trees that take too much memory or time, or whose sums are not exact."""
+    where, inner = pem.card.name, pem.feature != LEAF
     if len(pem.root) > MOST_TREES:
         raise PemError(f"{where}: has {len(pem.root)} trees, allowed: at most {MOST_TREES}")
     level = pem.root.astype(np.int64)

@@ -2,7 +2,7 @@
 
 With misses that hang together as ``memory`` says (:mod:`pemviz.pem.models.memory`), an obstacle's
 visibility u is integrated out by the nodes u_j and weights w_j of
-:class:`pemviz.pem.models.frailty.VisibilityNodes`::
+:class:`pemviz.pem.models.memory.VisibilityNodes`::
 
     log p(o_1 .. o_t) = log sum_j w_j prod_s P(o_s | s, o_{s-1}, u_j)
 """
@@ -16,8 +16,7 @@ from scipy.special import log_ndtr, ndtr
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.pem import Pem
-from pemviz.pem.models.frailty import VisibilityNodes
-from pemviz.pem.models.memory import Memory, miss_quantile, persistence
+from pemviz.pem.models.memory import Memory, VisibilityNodes, miss_quantile, persistence
 from pemviz.proposals.exploration import ExplorationFamily
 from pemviz.proposals.offset_logistic import (
     OffsetLogisticProposal,

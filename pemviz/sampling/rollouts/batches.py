@@ -13,7 +13,7 @@ import numpy as np
 from pemviz.arrays import LARGEST_NUMBER, FloatArray
 from pemviz.faults import SimulationError, counted_from
 from pemviz.latents import StandardNormals
-from pemviz.pem.models.card import Carded
+from pemviz.pem.models.cards import Carded
 from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED
 from pemviz.proposals.fixed import PemProposal

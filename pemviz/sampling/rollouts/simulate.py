@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame, counted_from
 from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved
-from pemviz.pem.models.own_detector import DetectorModel
+from pemviz.pem.models.protocol import DetectorModel
 from pemviz.proposals.latent_moves import log_waiting
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.state.composed import kept_with_rollouts

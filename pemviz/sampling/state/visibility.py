@@ -1,6 +1,6 @@
 """Frailty: what outcomes tell of the obstacle's visibility as part of the state.
 
-:mod:`pemviz.pem.models.frailty` gives the formulas. The state carries the posterior of the
+:mod:`pemviz.pem.models.memory` gives the formulas. The state carries the posterior of the
 obstacle's visibility u, and P(detected | outcomes so far) is a function of the state: methods need
 to know nothing of u, and weights are those of outcomes with u integrated out.
 """
@@ -15,8 +15,14 @@ from scipy.special import log_ndtr
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import FEWEST, distinct_rows
-from pemviz.pem.models.frailty import VisibilityNodes, log_sums, remembered_outcomes
-from pemviz.pem.models.memory import Memory, frail_logit, persistence
+from pemviz.pem.models.memory import (
+    Memory,
+    VisibilityNodes,
+    frail_logit,
+    log_sums,
+    persistence,
+    remembered_outcomes,
+)
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.state.hidden import CARRIED, AskModel, HiddenProperty, Known, OwnLogit
 from pemviz.sampling.state.last_outcome import last_outcome

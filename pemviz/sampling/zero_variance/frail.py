@@ -6,7 +6,7 @@ graph of states. Outcomes so far tell of u alone: the value of a state with a hi
 
     V(s, history) = sum_j P(u_j | history) V(s | u_j)
 
-with the nodes u_j of :mod:`pemviz.pem.models.frailty`, and the proposal that conditions on
+with the nodes u_j of :mod:`pemviz.pem.models.memory`, and the proposal that conditions on
 violation, with s' the state after an outcome::
 
     q(o | s, history) = P(o | s, history) V(s', history and o) / V(s, history)
@@ -25,7 +25,7 @@ from scipy.special import log_expit, logsumexp
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct_rows
 from pemviz.pem import Pem
-from pemviz.pem.models.frailty import VisibilityNodes, log_sums
+from pemviz.pem.models.memory import VisibilityNodes, log_sums
 from pemviz.proposals.offset_logistic import defended
 from pemviz.proposals.zero_variance import ZeroVarianceProposal, cell_keys
 from pemviz.sampling.state.composed import (

@@ -14,7 +14,7 @@ from scipy.special import expit, logsumexp
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
 from pemviz.faults import of_no_rollouts
-from pemviz.pem.models.own_detector import DetectorModel
+from pemviz.pem.models.protocol import DetectorModel
 from pemviz.sampling.rollouts.simulate import logit_of
 from pemviz.sampling.zero_variance.reachable_states import (
     SAFE_NODE,

@@ -14,8 +14,8 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct
 from pemviz.faults import blame, of_no_rollouts
-from pemviz.pem.models.own_detector import DetectorModel
 from pemviz.pem.models.pieces import logit_along
+from pemviz.pem.models.protocol import DetectorModel
 from pemviz.proposals.zero_variance import cell_keys
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.zero_variance.unsafe_states import (

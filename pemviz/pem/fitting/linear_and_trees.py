@@ -1,4 +1,4 @@
-"""Gradient-boosted trees, better than the paper's models, with a calibrated output.
+"""The paper's two baselines, as networks without hidden layers, and gradient-boosted trees.
 
 Boosting minimises the cross-entropy of its training data, so its logits are a little off on
 new data. Their slope and intercept are corrected by a logistic regression of the outcomes on
@@ -15,10 +15,27 @@ from sklearn.model_selection import GroupKFold, StratifiedKFold
 from threadpoolctl import threadpool_limits
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.models.card import PemCard
-from pemviz.pem.models.tree_features import FEATURES, FeatureSet, tree_features
-from pemviz.pem.models.trees import LEAF, LEAF_UNIT, TreesPem
+from pemviz.pem.models.cards import PemCard
+from pemviz.pem.models.network import (
+    PAPER_INPUTS,
+    Layer,
+    NetworkPem,
+    paper_inputs,
+    pose_statistics,
+)
+from pemviz.pem.models.trees import (
+    FEATURES,
+    LEAF,
+    LEAF_UNIT,
+    FeatureSet,
+    TreesPem,
+    tree_features,
+)
+
+GUESS_MU_RECIPE = "the same probability for every obstacle: the share detected in training"
+LR_RECIPE = "scikit-learn LogisticRegression (L2, C = 1) on the paper's 14 inputs"
 
 ROUNDS = 300
 LEARNING_RATE = 0.03
@@ -31,8 +48,46 @@ MOST_UNEVEN = 30
 """Obstacles of the rarer outcome below which the logits are left uncalibrated."""
 
 
-def recipe_in_words(feature_set: FeatureSet, *, by_sequence: bool = False) -> str:
-    """For the model card."""
+def fit_guess_mu(table: SalientTable, *, card: PemCard) -> NetworkPem:
+    """A model that answers with the training data's share of detected obstacles.
+
+    Raises:
+        PemError: all obstacles have the same outcome, so that the logit is infinite.
+    """
+    _require_both_outcomes(table)
+    share = float(table.detected.mean())
+    pose_mean, pose_std = pose_statistics(table.salient)
+    layer = Layer(
+        weight=np.zeros((1, len(PAPER_INPUTS))), bias=np.asarray([np.log(share / (1.0 - share))])
+    )
+    return NetworkPem(card, pose_mean, pose_std, (layer,))
+
+
+def fit_logistic(table: SalientTable, *, card: PemCard) -> NetworkPem:
+    """Logistic regression on the paper's inputs.
+
+    Raises:
+        PemError: all obstacles have the same outcome.
+    """
+    _require_both_outcomes(table)
+    pose_mean, pose_std = pose_statistics(table.salient)
+    inputs = paper_inputs(table.salient, pose_mean=pose_mean, pose_std=pose_std).T
+    regression = LogisticRegression(max_iter=10_000).fit(inputs, table.detected)
+    layer = Layer(
+        weight=np.asarray(regression.coef_, dtype=np.float64),
+        bias=np.asarray(regression.intercept_, dtype=np.float64),
+    )
+    return NetworkPem(card, pose_mean, pose_std, (layer,))
+
+
+def _require_both_outcomes(table: SalientTable) -> None:
+    if table.detected.all() or not table.detected.any():
+        outcome = "detected" if table.detected.all() else "missed"
+        raise PemError(f"{table.source}: all {len(table)} obstacles were {outcome}")
+
+
+def trees_recipe(feature_set: FeatureSet, *, by_sequence: bool) -> str:
+    """How trees are fitted, for the model card."""
     return (
         f"scikit-learn HistGradientBoostingClassifier on {', '.join(FEATURES[feature_set])}; "
         f"{ROUNDS} rounds, learning rate {LEARNING_RATE:g}, at most {LEAVES} leaves of at least "
@@ -51,12 +106,8 @@ def fit_trees(
 ) -> TreesPem:
     """Train and calibrate; the same table and seed give the same arrays.
 
-    Args:
-        table: the training part; the folds of its calibration are of sequences if it has enough.
-        card: the model's provenance.
-        feature_set: what the trees may look at.
-        seed: of the trees' construction.
-        on_progress: told (fits done, fits in all).
+    Folds of the calibration are of sequences if the table has enough; ``on_progress`` is called
+    with fits done and fits in all.
     """
     features = tree_features(table.salient, feature_set=feature_set).T
     steps = CROSS_FITS + 1
@@ -99,10 +150,7 @@ def _calibrate(
     if min(detected.sum(), (~detected).sum()) < MOST_UNEVEN:
         return 1.0, 0.0
     logits = np.empty(len(detected))
-    if sequence is None or np.unique(sequence).size < CROSS_FITS:
-        fold = _fold_of_row(features, detected, seed=seed)
-    else:
-        fold = _fold_of_sequence(sequence)
+    fold = _folds(features, detected, sequence, seed=seed)
     for index in range(CROSS_FITS):
         train, held_out = fold != index, fold == index
         if np.unique(detected[train]).size < BOTH_OUTCOMES:
@@ -115,23 +163,24 @@ def _calibrate(
     return (slope, float(np.asarray(platt.intercept_)[0])) if slope > 0.0 else (1.0, 0.0)
 
 
-def _fold_of_row(features: FloatArray, detected: BoolArray, *, seed: int) -> IntArray:
-    """Fold of each row, shape [n]; equal rows, as a bootstrap sample has, share one."""
-    _, first, group = np.unique(features, axis=0, return_index=True, return_inverse=True)
-    fold_of_group = np.empty(len(first), dtype=np.int64)
-    splitter = StratifiedKFold(CROSS_FITS, shuffle=True, random_state=seed)
-    for index, (_, held_out) in enumerate(splitter.split(first, detected[first])):
+def _folds(
+    features: FloatArray, detected: BoolArray, sequence: IntArray | None, *, seed: int
+) -> IntArray:
+    """Fold of each row, shape [n].
+
+    Sequences stay whole if there are enough; else equal rows, as a bootstrap sample has, do.
+    """
+    if sequence is None or np.unique(sequence).size < CROSS_FITS:
+        _, first, group = np.unique(features, axis=0, return_index=True, return_inverse=True)
+        splitter = StratifiedKFold(CROSS_FITS, shuffle=True, random_state=seed)
+        parts = splitter.split(first, detected[first])
+    else:
+        group = np.arange(len(sequence))
+        parts = GroupKFold(CROSS_FITS).split(sequence, groups=sequence)
+    fold_of_group = np.empty(int(np.max(group)) + 1, dtype=np.int64)
+    for index, (_, held_out) in enumerate(parts):
         fold_of_group[held_out] = index
     return fold_of_group[np.ravel(group)]
-
-
-def _fold_of_sequence(sequence: IntArray) -> IntArray:
-    """Fold of each row, shape [n]: sequences stay whole, and folds are of about equal size."""
-    fold = np.empty(len(sequence), dtype=np.int64)
-    parts = GroupKFold(CROSS_FITS).split(sequence, groups=sequence)
-    for index, (_, held_out) in enumerate(parts):
-        fold[held_out] = index
-    return fold
 
 
 def _to_arrays(

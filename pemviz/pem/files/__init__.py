@@ -1,1 +1,0 @@
-"""Perception error models on disk, with their cards."""
