@@ -72,11 +72,11 @@ class ZeroVarianceTables:
 
     Attributes:
         states: Logits of single states; keys of all ``names``, cells ``distance`` wide.
-        coarse: Averages over ever larger cells of the signals alone.
+        coarse: Averages over ever larger cells of the signals alone, by their number.
     """
 
     states: CellTable
-    coarse: Sequence[CellTable]
+    coarse: Mapping[int, CellTable]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

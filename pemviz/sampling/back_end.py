@@ -1,6 +1,5 @@
 """The simulator of an experiment, and what proposals see of its states."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,71 +12,6 @@ from pemviz.simulators.slots import ERROR, UnrolledSimulator
 from pemviz.simulators.tracking.tracker import Tracker
 from pemviz.types import Simulator, StateBatch
 
-
-@dataclass(frozen=True)
-class SlotFeatures:
-    """What proposals look at in a slot's turn; slots share a proposal's coefficients.
-
-    These are the signals that are no slot's, the slot's own, its number, how many slots before it
-    erred in this step, and the step.
-
-    Attributes:
-        simulator: The scenario.
-    """
-
-    simulator: UnrolledSimulator
-
-    def values(self, states: StateBatch) -> FloatArray:
-        """Numbers ``[..., D]``."""
-        turns, signals = self.simulator.turns, states.signals
-        slot = self.simulator.slot_of(signals)
-        columns: list[FloatArray] = [signals[name] for name in self._shared]
-        for place in zip(*(slot.signals for slot in self.simulator.slots), strict=True):
-            of_all = np.stack([signals[name] for name in place], axis=-1)
-            columns.append(np.take_along_axis(of_all, slot[..., None], axis=-1)[..., 0])
-        if turns > 1:
-            errors = [states.memory[f"{ERROR}{before}"] for before in range(turns - 1)]
-            columns.append(slot.astype(np.float64))
-            columns.append(np.stack(errors, axis=-1).sum(axis=-1, dtype=np.float64))
-        step = np.asarray(states.step // turns, dtype=np.float64)
-        columns.append(np.broadcast_to(step, slot.shape))
-        return np.stack(columns, axis=-1)
-
-    def reacts(self, states: StateBatch) -> BoolArray:
-        """Where the scenario says that it reacts to the slot's outcome, ``[...]``."""
-        return self.simulator.reacts_at(states)
-
-    @property
-    def _shared(self) -> Sequence[str]:
-        owned = {name for slot in self.simulator.slots for name in slot.signals}
-        names = [signal.name for signal in self.simulator.scenario.signals]
-        return [name for name in names if name not in owned]
-
-
-@dataclass(frozen=True)
-class StepFeatures:
-    """Features of the user's own, which count steps as the scenario does.
-
-    Attributes:
-        features: They are asked in every slot's turn, ``slot`` is among the signals.
-        turns: Outcomes of a step.
-    """
-
-    features: StateFeatures
-    turns: int
-
-    def values(self, states: StateBatch) -> FloatArray:
-        """The user's own, ``[..., D]``."""
-        return self.features.values(self._in_steps(states))
-
-    def reacts(self, states: StateBatch) -> BoolArray:
-        """The user's own, ``[...]``."""
-        return self.features.reacts(self._in_steps(states))
-
-    def _in_steps(self, states: StateBatch) -> StateBatch:
-        return replace(states, step=states.step // self.turns)
-
-
 GAP = "gap"
 
 
@@ -86,7 +20,7 @@ class BackEnd:
     """A simulator and what methods and views may know about it.
 
     Attributes:
-        simulator: The simulator.
+        simulator: The scenario.
         features: What proposals may look at.
         twin: A fast simulator of the same scenario, if there is one.
         batch_rollouts: How many rollouts are simulated at a time.
@@ -114,6 +48,63 @@ class BackEnd:
         if all(signal.name != GAP for signal in self.simulator.signals):
             return None
         return float(np.max(begun(self.simulator, count=1).signals[GAP]))
+
+
+@dataclass(frozen=True)
+class SlotFeatures:
+    """What proposals look at in a slot's turn; slots share a proposal's coefficients.
+
+    These are the signals that are no slot's, the slot's own, its number, how many slots before it
+    erred in this step, and the step.
+    """
+
+    simulator: UnrolledSimulator
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """Numbers ``[..., D]``."""
+        turns, signals = self.simulator.turns, states.signals
+        slot = self.simulator.slot_of(signals)
+        owned = {name for slot in self.simulator.slots for name in slot.signals}
+        names = [signal.name for signal in self.simulator.scenario.signals]
+        columns: list[FloatArray] = [signals[name] for name in names if name not in owned]
+        for place in zip(*(slot.signals for slot in self.simulator.slots), strict=True):
+            of_all = np.stack([signals[name] for name in place], axis=-1)
+            columns.append(np.take_along_axis(of_all, slot[..., None], axis=-1)[..., 0])
+        if turns > 1:
+            errors = [states.memory[f"{ERROR}{before}"] for before in range(turns - 1)]
+            columns.append(slot.astype(np.float64))
+            columns.append(np.stack(errors, axis=-1).sum(axis=-1, dtype=np.float64))
+        step = np.asarray(states.step // turns, dtype=np.float64)
+        columns.append(np.broadcast_to(step, slot.shape))
+        return np.stack(columns, axis=-1)
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """Where the scenario says that it reacts to the slot's outcome, ``[...]``."""
+        return self.simulator.reacts_at(states)
+
+
+@dataclass(frozen=True)
+class StepFeatures:
+    """Features of the user's own, which count steps as the scenario does.
+
+    Attributes:
+        features: Evaluated in every slot's turn, ``slot`` is among the signals.
+        turns: Outcomes of a step.
+    """
+
+    features: StateFeatures
+    turns: int
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """The user's own, ``[..., D]``."""
+        return self.features.values(self._in_steps(states))
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """The user's own, ``[...]``."""
+        return self.features.reacts(self._in_steps(states))
+
+    def _in_steps(self, states: StateBatch) -> StateBatch:
+        return replace(states, step=states.step // self.turns)
 
 
 @dataclass(frozen=True)

@@ -70,11 +70,14 @@ class Folding:
 
     def folded(self, rollouts: RolloutBatch) -> RolloutBatch:
         """Rollouts in the scenario's own steps; outcomes are what perception reported."""
-        kept = {n: v for n, v in rollouts.memory.items() if not _is_added(n)}
         nominal, sign = self.simulator.nominal, self._sign
         return RolloutBatch(
             signals=self.signals(rollouts.signals),
-            memory={name: values[:, :: self.turns] for name, values in kept.items()},
+            memory={
+                name: values[:, :: self.turns]
+                for name, values in rollouts.memory.items()
+                if not (UnrolledSimulator.is_own(name) or name.startswith(LAST))
+            },
             detected=self._by_slot(rollouts.detected) ^ ~nominal,
             pem_logit=self._by_slot(rollouts.pem_logit) * sign,
             proposal_logit=self._by_slot(rollouts.proposal_logit) * sign,
@@ -183,10 +186,6 @@ def declared_signals(simulator: Simulator) -> tuple[Signal, ...]:
     """The signals that specifications, observers and files know of a simulator."""
     scenario = unrolled(simulator)
     return simulator.signals if scenario is None else scenario.scenario.signals
-
-
-def _is_added(name: str) -> bool:
-    return UnrolledSimulator.is_own(name) or name.startswith(LAST)
 
 
 def _with_last(values: AnyArray) -> AnyArray:

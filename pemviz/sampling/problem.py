@@ -1,6 +1,7 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
 import itertools
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,6 @@ from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.batches import (
     BatchRunner,
     BatchTask,
-    call_within,
     check_numbers,
     run_here,
 )
@@ -27,14 +27,11 @@ from pemviz.sampling.state.composed import (
 )
 from pemviz.simulators.absorbing import Monitor
 from pemviz.simulators.latents import latent_counts, within
-from pemviz.types import (
-    Drawn,
-    Proposal,
-    RolloutBatch,
-    ScoredRollouts,
-    Simulator,
-    StateBatch,
-)
+from pemviz.types import Drawn, Proposal, RolloutBatch, ScoredRollouts, Simulator, StateBatch
+
+Signals = Mapping[str, FloatArray]
+Result = TypeVar("Result")
+BATCH_ROLLOUTS = 4096
 
 
 @dataclass(frozen=True)
@@ -55,11 +52,6 @@ class FinishedStage:
 def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001
     """Every stage is carried out."""
     return None
-
-
-Signals = Mapping[str, FloatArray]
-Result = TypeVar("Result")
-BATCH_ROLLOUTS = 4096
 
 
 def _no_progress(done: int, total: int) -> None:
@@ -162,7 +154,7 @@ def sample(
     count: int,
     seeds: np.random.SeedSequence,
 ) -> ScoredRollouts:
-    """Draw and score ``count`` rollouts, in batches that do not change the result.
+    """Sample and score ``count`` rollouts, in batches that do not change the result.
 
     Raises:
         SimulationError: In a batch something raises, is no finite number, or takes too long.
@@ -178,13 +170,7 @@ def sample_batches(
     count: int,
     seeds: np.random.SeedSequence,
 ) -> Iterator[ScoredRollouts]:
-    """What :func:`sample` draws, batch by batch, for use where not all must be kept.
-
-    Args:
-        problem: What is drawn and how it is scored.
-        proposal: What outcomes are drawn from.
-        count: Number of rollouts.
-        seeds: Of these rollouts.
+    """What :func:`sample` gives, batch by batch, for use where not all must be kept.
 
     Raises:
         SimulationError: In a batch something raises, is no finite number, or takes too long.
@@ -212,7 +198,8 @@ def sample_batches(
     for size in sizes:
         began = time.perf_counter()
         with counted_from(done, size):
-            rollouts = _next_batch(problem, simulated)
+            rollouts = in_time(problem, lambda: next(simulated))
+            check_numbers(rollouts, simulator=problem.simulator.name, turns=problem.turns)
         simulation_s = time.perf_counter() - began
         scored = score(problem, rollouts)
         robustness_s = time.perf_counter() - began - simulation_s
@@ -222,26 +209,39 @@ def sample_batches(
         yield replace(scored, timings_s=timings_s)
 
 
-def _next_batch(problem: Problem, simulated: Iterator[RolloutBatch]) -> RolloutBatch:
-    rollouts = in_time(problem, lambda: next(simulated))
-    check_numbers(rollouts, simulator=problem.simulator.name, turns=problem.turns)
-    return rollouts
-
-
 def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
-    """What ``simulate`` returns, within the problem's time limit for a batch.
+    """What ``simulate`` returns, or what it raises, within the problem's time limit for a batch.
+
+    A call that takes longer is left behind in a thread of its own, which does not keep the
+    process alive: Python cannot end it.
 
     Raises:
         SimulationError: It takes longer.
     """
-    try:
-        return call_within(problem.batch_time_limit_s, simulate)
-    except TimeoutError as error:
+    limit_s = problem.batch_time_limit_s
+    if limit_s is None:
+        return simulate()
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            results.append(simulate())
+        except BaseException as error:  # handed on to the caller
+            errors.append(error)
+
+    thread = threading.Thread(target=work, name="pemviz-batch", daemon=True)
+    thread.start()
+    thread.join(limit_s)
+    if errors:
+        raise errors[0]
+    if not results:
         message = (
             f"simulator {problem.simulator.name}: a batch of rollouts took longer than "
-            f"batch_time_limit_s = {problem.batch_time_limit_s:g}"
+            f"batch_time_limit_s = {limit_s:g}"
         )
-        raise SimulationError(message) from error
+        raise SimulationError(message)
+    return results[0]
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:

@@ -1,8 +1,9 @@
-"""Scenarios with slots, for methods: error model and features of a slot in its turn.
+"""Scenarios with slots, for methods: the error model of a slot in its turn.
 
 :mod:`pemviz.simulators.slots` makes of a scenario with K slots one with a single outcome a step.
-Here an error model of the user's becomes one of that scenario, and proposals get what a slot's turn
-offers to look at. :mod:`pemviz.sampling.folding` leads back to the scenario's own steps.
+Here an error model of the user's becomes one of that scenario;
+:class:`pemviz.sampling.back_end.SlotFeatures` is what proposals look at in a slot's turn, and
+:mod:`pemviz.sampling.folding` leads back to the scenario's own steps.
 """
 
 import hashlib
@@ -67,10 +68,16 @@ class SlotPem:
         present, slot = salient[..., -2] > 0.5, salient[..., -1].astype(np.int64)
         own, result = salient[..., :-2], np.full(salient.shape[:-1], CERTAIN_LOGIT)
         for model in self._distinct:
-            asked = np.array([each is model for each in self.models])
-            chosen = present if asked.all() else present & asked[slot]
+            answers = np.array([each is model for each in self.models])
+            chosen = present if answers.all() else present & answers[slot]
             if chosen.any():
-                logit = self._answer(model, own[chosen])
+                logit = np.asarray(model.logit(own[chosen]))
+                if logit.shape != (count := int(np.count_nonzero(chosen)),):
+                    message = (
+                        f"pem = {model.name!r}: logit of salient variables "
+                        f"{[count, own.shape[-1]]} has shape {list(logit.shape)}: must be {[count]}"
+                    )
+                    raise PemError(message)
                 if not self.nominal.all():
                     logit = np.where(self.nominal[slot[chosen]], logit, -logit)
                 result[chosen] = logit
@@ -79,17 +86,6 @@ class SlotPem:
     @property
     def _distinct(self) -> Sequence[Pem]:
         return list({id(model): model for model in self.models}.values())
-
-    @staticmethod
-    def _answer(model: Pem, salient: FloatArray) -> FloatArray:
-        logit = np.asarray(model.logit(salient))
-        if logit.shape != salient.shape[:1]:
-            message = (
-                f"pem = {model.name!r}: logit of salient variables {list(salient.shape)} has shape "
-                f"{list(logit.shape)}: must be {list(salient.shape[:1])}"
-            )
-            raise PemError(message)
-        return logit
 
 
 def unrolled(simulator: object) -> UnrolledSimulator | None:

@@ -54,7 +54,12 @@ def build(pem, pause) -> ZeroVarianceProposal:
 
 
 def content(proposal: ZeroVarianceProposal) -> list[np.ndarray]:
-    tables = [cells for layer in proposal.tables for cells in (layer.states, *layer.coarse)]
+    sizes = range(len(proposal.coarse_cells))
+    tables = [
+        cells
+        for layer in proposal.tables
+        for cells in (layer.states, *(layer.coarse[size] for size in sizes))
+    ]
     return [part for cells in tables for part in (cells.keys, cells.logit)]
 
 

@@ -266,12 +266,12 @@ def test_dynamics_of_the_twin_are_those_of_the_simulator():
                 )
 
 
-def test_averages_are_made_when_asked_for_and_once():
+def test_averages_are_made_when_looked_up_and_once():
     simulator, pem = ToySimulator(initial_gap=3, states=12), ToyPem(at_zero=1.0)
     proposal = build_zero_variance_proposal(twin=simulator, pem=pem, unsafe=toy_unsafe)
     coarse = proposal.tables[2].coarse
-    assert len(coarse) == len(proposal.coarse_cells) > 1
+    assert len(coarse) == 0 < 1 < len(proposal.coarse_cells)
     assert coarse[1] is coarse[1]
-    assert list(coarse[1:]) == [coarse[index] for index in range(1, len(coarse))]
+    assert len(coarse) == 1
     with pytest.raises(IndexError):
-        coarse[len(coarse)]
+        coarse[len(proposal.coarse_cells)]

@@ -1,7 +1,7 @@
 """Stages too large to be kept whole.
 
-Of a final batch, drawn in parts, the violations' weights stay; of a stage that is learned from, the
-scores of all rollouts and the least robust themselves.
+Of a final batch, sampled in parts, the violations' weights stay; of a stage that is learned from,
+the scores of all rollouts and the least robust themselves.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,6 +13,15 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, IntArray, Rows, row_sums
 from pemviz.types import Drawn, RolloutBatch, ScoredRollouts, outcome_log_likelihood
 
+LARGEST_PART = 20_000
+"""Rollouts of 100 states sampled at once: about 0.1 GB with signals, memory and logits."""
+HELD = 5_000
+"""Rollouts of 100 states that are held of a stage, the least robust first: about 25 MB."""
+EVEN = 1_000
+"""Others that are held, evenly spaced: what views tell of all they tell from these."""
+LISTED = 100
+"""Least robust by each rule that are held: more than a result lists."""
+
 
 def log_p_of(rollouts: RolloutBatch, rows: Rows) -> FloatArray:
     """Log likelihood ``[M]`` of all outcomes of chosen rollouts under the error model [nats].
@@ -22,10 +31,6 @@ def log_p_of(rollouts: RolloutBatch, rows: Rows) -> FloatArray:
     if "log_p" in vars(rollouts):
         return row_sums(rollouts.log_p[rows])
     return row_sums(outcome_log_likelihood(rollouts.pem_logit[rows], rollouts.detected[rows]))
-
-
-LARGEST_PART = 20_000
-"""Rollouts of 100 states drawn at once: about 0.1 GB with signals, memory and logits."""
 
 
 @dataclass(frozen=True)
@@ -97,17 +102,17 @@ def part_sizes(count: int, *, largest: int) -> tuple[int, ...]:
 
 
 def largest_part(*, states: int) -> int:
-    """How many rollouts of ``states`` states are drawn at once."""
+    """How many rollouts of ``states`` states are sampled at once."""
     return max(1, LARGEST_PART * 100 // states)
 
 
 @dataclass(frozen=True)
 class FinalBatch:
-    """How far the final batch is drawn; each part is a stage of its own.
+    """How far the final batch is sampled; each part is a stage of its own.
 
     Attributes:
         sizes: Of the parts.
-        drawn: Their weights, as far as they are drawn.
+        drawn: Their weights, as far as they are sampled.
     """
 
     sizes: tuple[int, ...]
@@ -120,7 +125,7 @@ class FinalBatch:
 
     @property
     def is_done(self) -> bool:
-        """Whether all parts are drawn."""
+        """Whether all parts are sampled."""
         return len(self.drawn) == len(self.sizes)
 
     def extended(self, scored: ScoredRollouts) -> Self:
@@ -135,20 +140,12 @@ class FinalBatch:
         """All of it.
 
         Raises:
-            ValueError: It is not drawn yet.
+            ValueError: It is not sampled yet.
         """
         if not self.is_done:
-            message = "the final rollouts have not been drawn yet"
+            message = "the final rollouts have not been sampled yet"
             raise ValueError(message)
         return WeighedRollouts.concatenate(self.drawn)
-
-
-HELD = 5_000
-"""Rollouts of 100 states that are held of a stage, the least robust first: about 25 MB."""
-EVEN = 1_000
-"""Others that are held, evenly spaced: what views tell of all they tell from these."""
-LISTED = 100
-"""Least robust by each rule that are held: more than a result lists."""
 
 
 def largest_held(*, states: int) -> int:
@@ -158,7 +155,7 @@ def largest_held(*, states: int) -> int:
 
 @dataclass(frozen=True)
 class Whole:
-    """The rollouts of a stage that all stay, as far as they are drawn."""
+    """The rollouts of a stage that all stay, as far as they are sampled."""
 
     held: tuple[ScoredRollouts, ...] = ()
 
@@ -173,7 +170,7 @@ class Whole:
 
 @dataclass(frozen=True)
 class Thinned:
-    """How far a stage is drawn.
+    """How far a stage is sampled.
 
     Attributes:
         count: How many rollouts it will have.
@@ -182,7 +179,7 @@ class Thinned:
         row: Their indices.
         worst: Whether the last of ``most`` rollouts holds, and its robustness: no later one that
             is as good stays. ``None`` while there are fewer.
-        robustness: Of all that are drawn, batch by batch.
+        robustness: Of all that are sampled, batch by batch.
         violated: Likewise.
         log_weight: Likewise [nats].
     """
@@ -241,7 +238,7 @@ class Thinned:
         return np.flatnonzero(stays).astype(np.int64)
 
     def done(self) -> tuple[ScoredRollouts, Drawn]:
-        """What stays, and what is known of all, once all are drawn."""
+        """What stays, and what is known of all, once all are sampled."""
         settled = self.settled()
         return settled.held[0], Drawn(
             row=settled.row[0],
@@ -253,5 +250,5 @@ class Thinned:
 
 
 def least_robust(robustness: FloatArray, violated: BoolArray) -> IntArray:
-    """Rollouts ``[N]``, violations first, then by robustness; ties as they were drawn."""
+    """Rollouts ``[N]``, violations first, then by robustness; ties in the order of sampling."""
     return np.lexsort((robustness, ~violated)).astype(np.int64)

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import NoReturn, Protocol, runtime_checkable
 
 import numpy as np
-from scipy import special
-from scipy.special import ndtr
+from scipy.special import expit, ndtr
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame, counted_from
@@ -56,17 +55,11 @@ class NormalSource:
     """Standard normals for a stage's rollouts, one batch after the other.
 
     They have a random generator of their own: outcomes are the same with latents and without.
-    A rollout's do not depend on how many are drawn at a time.
+    A rollout's do not depend on how many are sampled at a time.
     """
 
     def __init__(self, seeds: np.random.SeedSequence, *, counts: LatentCounts, steps: int) -> None:
-        """Prepare.
-
-        Args:
-            seeds: Of the stage.
-            counts: Latents of a rollout.
-            steps: At so many, ``counts.noise`` each.
-        """
+        """For the stage of ``seeds``, whose rollouts have ``counts.noise`` at each of ``steps``."""
         self._generator = np.random.default_rng(_child(seeds, SPAWN_KEY))
         self._choices = np.random.default_rng(_child(seeds, CHOICE_KEY))
         self._counts, self._steps = counts, steps
@@ -94,11 +87,11 @@ def _child(seeds: np.random.SeedSequence, key: int) -> np.random.SeedSequence:
 
 @dataclass(frozen=True)
 class LatentTrack:
-    """The latents of N rollouts while they are drawn, a step of all in one piece.
+    """The latents of N rollouts while they are sampled, a step of all in one piece.
 
     Attributes:
         normals: Without their means.
-        latents: As far as they are drawn; written to.
+        latents: As far as they are sampled; written to.
         turns: Outcomes of a step: noise comes with the last of them.
         once: In which rollouts one step's noise is moved at most, ``[N]``.
         log_waits: Log of how likely it is that none was yet, ``[N]``; written to.
@@ -112,13 +105,7 @@ class LatentTrack:
 
     @staticmethod
     def begun(normals: StandardNormals, proposal: Proposal, *, outcomes: int) -> "LatentTrack":
-        """With those at the start.
-
-        Args:
-            normals: Of N rollouts.
-            proposal: What the means come from.
-            outcomes: Of a rollout.
-        """
+        """With those at the start, of rollouts with so many ``outcomes``."""
         count, steps, _ = normals.noise.shape
         mean, once = np.zeros(normals.start.shape), np.zeros(count, dtype=np.bool_)
         if isinstance(proposal, MovesLatents):
@@ -146,11 +133,7 @@ class LatentTrack:
     ) -> FloatArray | None:
         """Of the step that follows an outcome, ``[N, M]``; ``None`` before a step's last outcome.
 
-        Args:
-            step: The outcome's index.
-            states: At which it was, ``[N]``.
-            detected: The outcome, ``[N]``.
-            proposal: What the means come from.
+        The outcome ``detected [N]`` was the one with index ``step``, at ``states [N]``.
         """
         if (step + 1) % self.turns:
             return None
@@ -163,15 +146,12 @@ class LatentTrack:
             chance, sd = ndtr(normals.choice[:, of_step]), latents.noise_sd[:, of_step]
             noise = np.where((chance < 0.5 * due)[:, None], sd * noise, noise)
             noise = noise + np.where((chance < due)[:, None], mean, 0.0)
-            self._wait(share, log_moved(noise, mean, sd))
+            if self.once.any():
+                moved = log_moved(noise, mean, sd)
+                given_none = np.where(self.once, share, 0.0)
+                self.log_waits[:] = log_waiting(self.log_waits, given_none, moved)
         latents.noise[:, of_step] = noise
         return latents.noise[:, of_step]
-
-    def _wait(self, share: FloatArray, moved: FloatArray) -> None:
-        """After a step that was moved with a share, given none before, whose log ratio is known."""
-        if self.once.any():
-            after = log_waiting(self.log_waits, np.where(self.once, share, 0.0), moved)
-            self.log_waits[:] = after
 
 
 def simulate(
@@ -184,19 +164,12 @@ def simulate(
 ) -> RolloutBatch:
     """Roll out the scenario once for each row of ``uniforms``.
 
-    Args:
-        simulator: The scenario.
-        pem: The perception error model.
-        proposal: What outcomes are drawn from.
-        uniforms: ``[N, T-1]`` independent draws from [0, 1); a step misses where its draw
-            is below the probability of a miss.
-        normals: Of a scenario with latents.
-
-    Returns:
-        N rollouts; of environments side by side as many at a time as there are.
+    These are independent uniforms ``[N, T-1]`` from [0, 1); a step misses where its own is below
+    the probability of a miss under the proposal. Of environments side by side, as many rollouts
+    are carried out at a time as there are.
 
     Raises:
-        SimulationError: Something that is asked raises something, or gives what does not fit.
+        SimulationError: A part of the user's raises something, or gives what does not fit.
     """
     count, steps = uniforms.shape
     pieces = _pieces(simulator, count)
@@ -216,47 +189,43 @@ def simulate(
     track = None
     if normals is not None:
         track = LatentTrack.begun(normals, proposal, outcomes=steps)
-    return roll_out(
+    return _roll_out(
         begun(simulator, count=count, start=None if track is None else track.latents.start),
         simulator=simulator,
         pem=pem,
         proposal=proposal,
-        draws=uniforms.T,
+        uniforms=uniforms.T,
         track=track,
     )
 
 
-def roll_out(
+def _roll_out(
     states: StateBatch,
     *,
     simulator: Simulator,
     pem: DetectorModel,
     proposal: Proposal,
-    draws: FloatArray,
+    uniforms: FloatArray,
     track: LatentTrack | None = None,
 ) -> RolloutBatch:
-    """Rollouts from initial ``states [N]`` for draws ``[T-1, N]``; latents go on by ``track``.
-
-    Raises:
-        SimulationError: Something that is asked raises something, or gives what does not fit.
-    """
-    steps, step = draws.shape[0], 0
-    detected = np.empty(draws.shape, dtype=np.bool_)
-    under_pem = np.empty(draws.shape)
-    under_proposal = np.empty(draws.shape)
+    """Rollouts from initial ``states [N]`` for ``uniforms [T-1, N]``, latents by ``track``."""
+    steps, step = uniforms.shape[0], 0
+    detected = np.empty(uniforms.shape, dtype=np.bool_)
+    under_pem = np.empty(uniforms.shape)
+    under_proposal = np.empty(uniforms.shape)
     signals = _Track(states.signals, steps + 1, simulator=simulator)
     memory = _Track(kept_with_rollouts(states.memory), steps + 1, simulator=simulator)
     try:
         for step in range(steps):
             under_pem[step] = logit_of(pem, salient_of(simulator, states))
             under_proposal[step] = proposal.logit(states, under_pem[step])
-            detected[step] = draws[step] >= special.expit(-under_proposal[step])
+            detected[step] = uniforms[step] >= expit(-under_proposal[step])
             noise = None if track is None else track.noise(step, states, detected[step], proposal)
             states = stepped(simulator, states, detected[step], noise)
             signals.record(step + 1, states.signals)
             memory.record(step + 1, kept_with_rollouts(states.memory))
     except BaseException as error:  # parts of the user's may raise anything
-        rollouts = range(draws.shape[1])
+        rollouts = range(uniforms.shape[1])
         blame(error, "proposal", step=step // turns_of(simulator), rollouts=rollouts)
     return RolloutBatch(
         signals=signals.by_rollout(),
@@ -291,13 +260,10 @@ def replay(
     start: FloatArray | None = None,
     noise: FloatArray | None = None,
 ) -> Mapping[str, FloatArray]:
-    """Signals ``[N, T]`` of rollouts with given outcomes and latents.
+    """Signals ``[N, T]`` of rollouts with given outcomes ``[N, T-1]`` and latents.
 
-    Args:
-        simulator: The scenario; one with K slots as it was declared, or unrolled.
-        detected: ``[N, T-1]``, or ``[N, T-1, K]``.
-        start: ``[N, S]``; ``None``: all 0.
-        noise: ``[N, T-1, M]``, with slots not unrolled; ``None`` likewise.
+    A scenario with K slots is as it was declared, with outcomes ``[N, T-1, K]``, or unrolled.
+    ``start`` is ``[N, S]``, ``noise`` of its own steps ``[N, T-1, M]``; ``None``: all 0.
 
     Raises:
         SimulationError: The simulator raises something, or gives what does not fit.
@@ -326,7 +292,7 @@ def replay(
 
 
 def _pieces(simulator: Simulator, count: int) -> list[slice]:
-    """Which of ``count`` rollouts are carried out at a time: all, but of environments few."""
+    """Which of ``count`` rollouts are carried out at a time: all, with environments few."""
     places = episodic(simulator)
     at_a_time = count if places is None else places.count
     return [slice(row, row + at_a_time) for row in range(0, count, max(at_a_time, 1))]
@@ -337,12 +303,12 @@ class RowBoundProposal(Proposal, Protocol):
     """A proposal of N rollouts that differs from one to the next."""
 
     def rows(self, rows: slice) -> Proposal:
-        """What some of the rollouts are drawn from."""
+        """What some of the rollouts are sampled from."""
         ...
 
 
 def of_rows(proposal: Proposal, rows: slice) -> Proposal:
-    """What the chosen ones of the rollouts that ``proposal`` is for are drawn from."""
+    """What the chosen ones of the rollouts that ``proposal`` is for are sampled from."""
     return proposal.rows(rows) if isinstance(proposal, RowBoundProposal) else proposal
 
 
@@ -357,11 +323,9 @@ class _Track:
         self._values, self._simulator = dict(first), simulator
         self._shapes = {name: array.shape for name, array in first.items()}
         for dtype in {array.dtype for array in first.values()}:
-            alike = {name: array for name, array in first.items() if array.dtype == dtype}
-            array = next(iter(alike.values()))
-            shape = (len(alike), states, *array.shape)
-            block = np.empty(shape, dtype=dtype)
-            self._values.update(zip(alike, block, strict=True))
+            names = [name for name, array in first.items() if array.dtype == dtype]
+            block = np.empty((len(names), states, *first[names[0]].shape), dtype=dtype)
+            self._values.update(zip(names, block, strict=True))
         self.record(0, first)
 
     def record(self, index: int, values: Mapping[str, AnyArray]) -> None:

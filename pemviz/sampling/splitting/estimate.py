@@ -27,15 +27,10 @@ from pemviz.types import Diagnostic, Estimate
 def interval_between_runs(
     log_probability: FloatArray, *, least_variance: float
 ) -> tuple[float, float]:
-    """Interval of the probability that independent runs estimate without bias.
+    """95 % interval of the probability that R independent runs estimate without bias, R at least 2.
 
-    Args:
-        log_probability: Logarithms of the runs' estimates, ``[R]``, R at least 2, all finite.
-        least_variance: The variance of such a logarithm is at least this, above 0: the
-            spread of few runs may be smaller by chance.
-
-    Returns:
-        Lower and upper end at 95 % confidence; the upper is at most 1.
+    Their logarithms ``[R]`` are all finite. The variance of one is at least ``least_variance``,
+    above 0: the spread of few runs may be smaller by chance.
     """
     runs, freedom = log_probability.size, log_probability.size - 1
     level = 0.5 + CONFIDENCE / 2.0
@@ -87,11 +82,8 @@ def spread_diagnostics(
 ) -> tuple[Diagnostic, ...]:
     """Of independent runs of splitting that all reached a violation: why there is no interval.
 
-    Args:
-        runs: How many.
-        spread_nats: Standard deviation of the logarithms of their estimates; ``None`` for one.
-        common_ancestry: Of two violating particles of a run, how often both descend from one
-            particle at its start; the mean over runs.
+    ``spread_nats`` is the standard deviation of the logarithms of their estimates, ``None`` for
+    one run; ``common_ancestry`` as in :class:`SplittingRun`, the mean over runs.
     """
     found: list[Diagnostic] = []
     limit = largest_spread(runs)
@@ -198,13 +190,13 @@ def _of_count(runs: Sequence[RunFigures]) -> tuple[Error, tuple[Diagnostic, ...]
 
 
 SHARED = ("least_variance", "common_ancestry", "simulated", "levels")
-"""Fields of a run that all of its particles have alike."""
+"""Fields of a run that all of its particles share."""
 UNKNOWN = {"least_variance": 1.0, "common_ancestry": 0.0, "simulated": 0, "levels": 1}
 """In place of them where nothing violates, or they were not kept."""
 
 
 def columns_of(runs: Sequence[SplittingRun]) -> dict[str, AnyArray]:
-    """Of each particle ``[N]``: what its run's are alike in, common ancestry by each rule too."""
+    """Of each particle ``[N]``: what its run's share, common ancestry by each rule too."""
     counts = [run.scored.rollouts.count for run in runs]
     values = {name: [getattr(run, name) for run in runs] for name in SHARED}
     for rule in runs[0].rule_ancestry:

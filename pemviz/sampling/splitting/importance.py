@@ -15,17 +15,28 @@ from scipy.special import log_expit
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct_rows
 from pemviz.sampling.problem import Problem, ranked
-from pemviz.sampling.state.composed import dynamics_of, kept_with_rollouts
+from pemviz.sampling.state.composed import dynamics_of
 from pemviz.simulators.latents import stepped
 from pemviz.types import CERTAIN, RolloutBatch, Simulator, StateBatch
 
+MOST_EVALUATIONS = 64
+"""States of one rollout at which the importance function is computed at most, so that what a
+rollout costs grows with its length and not with its square; half of them may be at its start,
+the rest come evenly over the steps."""
+EVALUATION_COUNT = np.int16
+"""Of their numbers."""
+OUT_OF_REACH = 1e9
+"""Added where neither extreme continuation violates: above what any other state has."""
+BLOCK_VALUES = 1 << 20
+"""Values of one signal that continuations take up at a time."""
 
-def states_at(rollouts: RolloutBatch, step: int, active: int) -> StateBatch:
-    """The kept states of the first ``active`` rollouts."""
+
+def states_at(rollouts: RolloutBatch, step: int, rows: slice | IntArray) -> StateBatch:
+    """The kept states of some rollouts."""
     return StateBatch(
         step=np.array(step, dtype=np.int64),
-        signals={name: values[:active, step] for name, values in rollouts.signals.items()},
-        memory={name: values[:active, step] for name, values in rollouts.memory.items()},
+        signals={name: values[rows, step] for name, values in rollouts.signals.items()},
+        memory={name: values[rows, step] for name, values in rollouts.memory.items()},
     )
 
 
@@ -35,18 +46,10 @@ def is_last_of_step(rollouts: RolloutBatch, outcome: int, *, turns: int) -> bool
     return latents is not None and latents.noise.shape[2] > 0 and (outcome + 1) % turns == 0
 
 
-MOST_EVALUATIONS = 64
-"""States of one rollout at which the importance function is computed at most, so that what a
-rollout costs grows with its length and not with its square; half of them may be at its start,
-the rest come evenly over the steps."""
-EVALUATION_COUNT = np.int16
-"""Of their numbers."""
-
-
 def evaluated_at(
     problem: Problem, rollouts: RolloutBatch, *, cut: IntArray, evaluations: AnyArray
 ) -> BoolArray:
-    """At which states ``[N, T]`` after ``cut [N]``, ascending, it is computed.
+    """At which states ``[N, T]`` after ``cut [N]``, ascending, the importance function is computed.
 
     That is where an outcome that was not the likelier one has just led elsewhere than the
     other would have: outcomes that change nothing, and those that were to be expected, bring
@@ -71,115 +74,29 @@ def evaluated_at(
             unlikely = np.flatnonzero(detected != (rollouts.pem_logit[:active, step] >= 0.0))
             if unlikely.size:
                 pending[unlikely] |= _mattered(problem.simulator, rollouts, step, unlikely)
-        # where the outcome is certain, the state's logit says nothing about the way to a violation
-        certain = (
-            rollouts.memory[CERTAIN][:active, step + 1] if CERTAIN in rollouts.memory else False
-        )
-        ready = pending[:active] & ~np.asarray(certain)
-        pending[:active] &= ~_marked(to_evaluate, evaluations, ready, step + 1)
+        ready = pending[:active].copy()
+        if CERTAIN in rollouts.memory:
+            # where the outcome is certain, its logit says nothing about the way to a violation
+            ready &= ~rollouts.memory[CERTAIN][:active, step + 1]
+        after = step + 1
+        allowed = MOST_EVALUATIONS * (steps + after) // (2 * steps) if after < steps else 0
+        before = evaluations[:active, step]
+        chosen = ready & (before < allowed)
+        to_evaluate[:active, after] = chosen
+        evaluations[:active, after] = before + chosen
+        pending[:active] &= ~chosen
     return to_evaluate
-
-
-def _marked(
-    to_evaluate: BoolArray, evaluations: AnyArray, ready: BoolArray, step: int
-) -> BoolArray:
-    """Decide and tell which of the first particles, ``ready [M]``, are evaluated at ``step``."""
-    last, active = evaluations.shape[1] - 1, ready.size
-    allowed = MOST_EVALUATIONS * (last + step) // (2 * last) if step < last else 0
-    before = evaluations[:active, step - 1]
-    chosen = ready & (before < allowed)
-    to_evaluate[:active, step] = chosen
-    evaluations[:active, step] = before + chosen
-    return chosen
 
 
 def _mattered(simulator: Simulator, rollouts: RolloutBatch, step: int, rows: IntArray) -> BoolArray:
     """Whether the other outcome at ``step`` would have led the ``rows [M]`` elsewhere."""
-    before, after = (_rows_at(rollouts, moment, rows) for moment in (step, step + 1))
+    before, after = (states_at(rollouts, moment, rows) for moment in (step, step + 1))
     other = stepped(dynamics_of(simulator), before, ~rollouts.detected[rows, step])
     differs = np.zeros(rows.size, dtype=np.bool_)
     for reached, instead in ((after.signals, other.signals), (after.memory, other.memory)):
         for name, values in instead.items():
             differs |= np.asarray(reached[name] != values, dtype=np.bool_)
     return differs
-
-
-def _rows_at(rollouts: RolloutBatch, step: int, rows: IntArray) -> StateBatch:
-    return states_at(rollouts, step, rollouts.count).take(rows)
-
-
-@dataclass(frozen=True, eq=False)
-class Prefixes:
-    """M prefixes, each to a state, in the order of the states' steps.
-
-    Attributes:
-        rollouts: Whose prefixes they are.
-        row: Which rollout, ``[M]``.
-        step: To which of its states, ``[M]``, ascending.
-    """
-
-    rollouts: RolloutBatch
-    row: IntArray
-    step: IntArray
-
-    def take(self, chosen: IntArray) -> "Prefixes":
-        """Some of them, in their order."""
-        return Prefixes(self.rollouts, self.row[chosen], self.step[chosen])
-
-    def carried_on(self, problem: Problem, *, others: IntArray, then: BoolArray) -> FloatArray:
-        """Robustness ``[M]``, `ranked`, of rollouts that go on to their ends with given outcomes.
-
-        Args:
-            problem: The scenario and the metric.
-            others: How many of the next outcomes are not ``then``, ``[M]``.
-            then: All later outcomes, ``[M]``.
-        """
-        simulator, until = dynamics_of(problem.simulator), self.step + others
-        self._go_on(simulator, until, then)
-        return ranked(problem, self._signals)
-
-    @cached_property
-    def _signals(self) -> Mapping[str, FloatArray]:
-        """By name, ``[M, T]``; what lies after the states is overwritten by each going on."""
-        # neighbours in memory are the rollouts of one step, which is written at a time
-        return {
-            name: np.asfortranarray(values.T.take(self.row, axis=-1).T)
-            for name, values in self.rollouts.signals.items()
-        }
-
-    def _go_on(self, simulator: Simulator, until: IntArray, then: BoolArray) -> None:
-        """Overwrite the signals after the states."""
-        states = self._at(slice(0, 0), moment=0)
-        for moment in range(int(self.step[0]), simulator.states - 1):
-            before = states.shape[0]
-            active = int(np.searchsorted(self.step, moment, side="right"))
-            if active > before:
-                arriving = self._at(slice(before, active), moment=moment)
-                states = StateBatch.concatenate([replace(states, step=arriving.step), arriving])
-            reached = stepped(simulator, states, then[:active] ^ (moment < until[:active]))
-            for name, values in reached.signals.items():
-                self._signals[name][:active, moment + 1] = values
-            states = replace(
-                reached,
-                signals={**states.signals, **reached.signals},
-                memory={**states.memory, **reached.memory},
-            )
-
-    def _at(self, prefixes: slice, *, moment: int) -> StateBatch:
-        """The states that some of the prefixes lead to, all of the step ``moment``."""
-        row, step = self.row[prefixes], self.step[prefixes]
-        kept = kept_with_rollouts(self.rollouts.memory)
-        return StateBatch(
-            step=np.array(moment, dtype=np.int64),
-            signals={name: values[row, step] for name, values in self.rollouts.signals.items()},
-            memory={name: values[row, step] for name, values in kept.items()},
-        )
-
-
-OUT_OF_REACH = 1e9
-"""Added where neither extreme continuation violates: above what any other state has."""
-BLOCK_VALUES = 1 << 20
-"""Values of one signal that continuations take up at a time."""
 
 
 def importance(
@@ -197,14 +114,7 @@ def importance(
       the smallest such j that violates, and q the probability of the other outcome here, the
       function is ``-j log q``; j is interpolated so that it tells how near the robustness came.
 
-    Args:
-        problem: The scenario and the metric.
-        rollouts: N rollouts; the function at a state depends on the states up to it alone.
-        row: Which rollout.
-        step: Which of its states but the last.
-
-    Returns:
-        ``[M]``.
+    It depends on the rollouts up to the states alone, none of which is a last one.
     """
     result = np.empty(row.size)
     order = np.argsort(step, kind="stable")
@@ -225,11 +135,11 @@ def _of_block(
     problem: Problem, rollouts: RolloutBatch, row: IntArray, step: IntArray
 ) -> FloatArray:
     """The function for few enough states, in the order of their steps."""
-    alike = _alike(rollouts, row, step)
-    if alike is not None:
-        first, which = alike
+    same = _led_to_by_the_same(rollouts, row, step)
+    if same is not None:
+        first, which = same
         return _of_block(problem, rollouts, row[first], step[first])[which]
-    prefixes = Prefixes(rollouts, row, step)
+    prefixes = _Prefixes(rollouts, row, step)
     none = np.zeros(row.size, dtype=np.int64)
     detected, missed = (
         prefixes.carried_on(problem, others=none, then=np.full(row.size, outcome))
@@ -239,7 +149,8 @@ def _of_block(
     result = np.where(best < 0.0, best, OUT_OF_REACH + worst)
     between = np.flatnonzero((best >= 0.0) & (worst < 0.0))
     if between.size:
-        prefixes = prefixes if between.size == row.size else prefixes.take(between)
+        if between.size < row.size:
+            prefixes = _Prefixes(rollouts, row[between], step[between])
         better = detected[between] >= missed[between]
         needed = _needed_on_end(
             lambda others: prefixes.carried_on(problem, others=others, then=better),
@@ -252,12 +163,12 @@ def _of_block(
     return result
 
 
-def _alike(
+def _led_to_by_the_same(
     rollouts: RolloutBatch, row: IntArray, step: IntArray
 ) -> tuple[IntArray, IntArray] | None:
-    """Which states were led to by the same outcomes: see :func:`pemviz.chunks.distinct_rows`.
+    """Which states the same outcomes led to: see :func:`pemviz.chunks.distinct_rows`.
 
-    ``None`` where chance has more to say than outcomes, or few are alike.
+    ``None`` where chance has more to say than outcomes, or few states are equal.
     """
     if rollouts.latents is not None:
         return None
@@ -278,13 +189,8 @@ def _needed_on_end(
 ) -> FloatArray:
     """How many of the next outcomes must be the other one for a robustness of 0, ``[M]``.
 
-    Bisection; between two whole numbers the robustness is taken to be linear.
-
-    Args:
-        robustness: How many they are, ``[M]``, to the robustness then.
-        best: With none, at least 0.
-        worst: With all that are left, below 0.
-        steps_left: How many those are.
+    Bisection; between two whole numbers the robustness is taken to be linear. With none it is
+    ``best``, at least 0, with all that are left ``worst``, below 0.
     """
     low, high = np.zeros_like(steps_left), steps_left
     above, below = best, worst
@@ -295,3 +201,50 @@ def _needed_on_end(
         low, high = np.where(fails, low, middle), np.where(fails, middle, high)
         above, below = np.where(fails, above, found), np.where(fails, found, below)
     return low + (high - low) * (above / (above - below))
+
+
+@dataclass(frozen=True, eq=False)
+class _Prefixes:
+    """Rollouts up to M of their states, gone on with outcomes that are given.
+
+    Attributes:
+        rollouts: Whose prefixes they are.
+        row: Which rollout, ``[M]``.
+        step: To which of its states, ``[M]``, ascending.
+    """
+
+    rollouts: RolloutBatch
+    row: IntArray
+    step: IntArray
+
+    def carried_on(self, problem: Problem, *, others: IntArray, then: BoolArray) -> FloatArray:
+        """Robustness ``[M]``, `ranked`, of rollouts that go on to their ends with given outcomes.
+
+        The next outcomes, ``others [M]`` of them, are not ``then [M]``; all later ones are.
+        """
+        simulator, until = dynamics_of(problem.simulator), self.step + others
+        states = states_at(self.rollouts, 0, self.row[:0])
+        for moment in range(int(self.step[0]), simulator.states - 1):
+            before = states.shape[0]
+            active = int(np.searchsorted(self.step, moment, side="right"))
+            if active > before:
+                arriving = states_at(self.rollouts, moment, self.row[before:active])
+                states = StateBatch.concatenate([replace(states, step=arriving.step), arriving])
+            reached = stepped(simulator, states, then[:active] ^ (moment < until[:active]))
+            for name, values in reached.signals.items():
+                self._signals[name][:active, moment + 1] = values
+            states = replace(
+                reached,
+                signals={**states.signals, **reached.signals},
+                memory={**states.memory, **reached.memory},
+            )
+        return ranked(problem, self._signals)
+
+    @cached_property
+    def _signals(self) -> Mapping[str, FloatArray]:
+        """By name, ``[M, T]``; what lies after the states is overwritten by each going on."""
+        # neighbours in memory are the rollouts of one step, which is written at a time
+        return {
+            name: np.asfortranarray(values.T.take(self.row, axis=-1).T)
+            for name, values in self.rollouts.signals.items()
+        }

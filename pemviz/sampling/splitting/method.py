@@ -55,7 +55,7 @@ class SplittingSampling:
     name: str = "splitting"
 
     def init(self, problem: Problem, *, repetition: int) -> SplittingState:  # noqa: ARG002
-        """Nothing is drawn yet."""
+        """Nothing is sampled yet."""
         return SplittingState(repetition=repetition)
 
     def step(self, problem: Problem, state: SplittingState) -> tuple[SplittingState, StageResult]:

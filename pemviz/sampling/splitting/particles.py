@@ -33,62 +33,6 @@ from pemviz.simulators.slots import SeenStates
 from pemviz.types import RolloutBatch, Simulator, StateBatch
 
 
-@dataclass(frozen=True, eq=False)
-class CutRollouts:
-    """M rollouts that are to go on, each from one of its states.
-
-    Attributes:
-        rollouts: With all that is known of them; overwritten after ``cut``.
-        cut: The last state that each keeps, ``[M]``, ascending.
-        uniforms: ``[T-1, M]`` draws from [0, 1) for the outcomes after it.
-        noise: Latents of all steps, ``[M, T-1, ...]``, of which those after it count.
-    """
-
-    rollouts: RolloutBatch
-    cut: IntArray
-    uniforms: FloatArray
-    noise: FloatArray
-
-
-def moved_on(problem: Problem, started: CutRollouts) -> RolloutBatch:
-    """The rollouts to their ends, under the error model; the given ones are overwritten."""
-    simulator, rollouts, cut = problem.simulator, started.rollouts, started.cut
-    slots = unrolled(simulator)
-    arriving = carried_at(simulator, rollouts, step=cut)
-    carried = {name: values[:0] for name, values in arriving.items()}
-    for step in range(int(cut[0]), rollouts.detected.shape[1]):
-        problem.pause()
-        active = int(np.searchsorted(cut, step, side="right"))
-        before = states_at(rollouts, step, active)
-        carried = {
-            name: np.concatenate([values, arriving[name][len(values) : active]])
-            for name, values in carried.items()
-        }
-        before = replace(before, memory={**before.memory, **carried})
-        before = before if slots is None else slots.seen(before)
-        salient = salient_of(simulator, before)
-        logit = logit_of(problem.pem, salient, step=step // problem.turns)
-        detected = started.uniforms[step, :active] >= expit(-logit)
-        noise = _drawn_noise(started, step, active, turns=problem.turns)
-        after = stepped(simulator, before, detected, noise)
-        rollouts.pem_logit[:active, step] = logit
-        rollouts.detected[:active, step] = detected
-        carried = {name: v for name, v in after.memory.items() if name not in rollouts.memory}
-        for kept, reached in ((rollouts.signals, after.signals), (rollouts.memory, after.memory)):
-            for name in kept:
-                kept[name][:active, step + 1] = reached[name]
-    return replace(rollouts, proposal_logit=rollouts.pem_logit)
-
-
-def _drawn_noise(started: CutRollouts, step: int, active: int, *, turns: int) -> FloatArray | None:
-    """The noise ``[active, M]`` of the step that an outcome belongs to, written to the rollouts."""
-    latents = started.rollouts.latents
-    if latents is None or not is_last_of_step(started.rollouts, step, turns=turns):
-        return None
-    latents.noise[:active, step // turns] = started.noise[:active, step // turns]
-    return latents.noise[:active, step // turns]
-
-
 @dataclass(frozen=True)
 class Particles(Batch):
     """N rollouts under the error model.
@@ -112,8 +56,8 @@ class Particles(Batch):
         return int(self.ancestor.size)
 
     @property
-    def drawn(self) -> RolloutBatch:
-        """The rollouts as they were drawn, from the error model."""
+    def with_proposal(self) -> RolloutBatch:
+        """The rollouts with the logits of what they were sampled from: the error model."""
         return replace(self.rollouts, proposal_logit=self.rollouts.pem_logit)
 
     @property
@@ -128,9 +72,9 @@ class Continuation:
 
     Attributes:
         paths: M particles, overwritten after ``cut``.
-        cut: The last state that each keeps, ``[M]``, ascending; 0 draws them whole but for the
+        cut: The last state that each keeps, ``[M]``, ascending; 0 samples them whole but for the
             latents at their start.
-        uniforms: ``[T-1, M]`` draws from [0, 1) for the outcomes after it.
+        uniforms: ``[T-1, M]`` from [0, 1) for the outcomes after it.
         noise: Latents of all steps, ``[M, T-1, ...]``, of which those after it count.
     """
 
@@ -141,7 +85,7 @@ class Continuation:
 
 
 def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -> Continuation:
-    """``count`` independent rollouts, to be drawn.
+    """``count`` independent rollouts, to be sampled.
 
     Raises:
         ConfigError: The simulator's states hold more than can be kept.
@@ -152,49 +96,44 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
     start = begun(problem.simulator, count=count, start=normals)
     _check_can_be_kept(problem.simulator, start)
     noise = generator.standard_normal((count, (states - 1) // problem.turns, counts.noise))
+    latents = None
+    if counts:
+        still, one = np.ones(noise.shape[:2]), np.ones(noise.shape)
+        no_mean, start_sd = 0.0 * normals, np.ones(normals.shape)
+        latents = Latents(normals, no_mean, start_sd, noise, 0.0 * noise, still, one)
+
+    def first_column(values: AnyArray) -> AnyArray:
+        """``[N, T]`` with ``values [N]`` at the first state."""
+        result = np.zeros((values.size, states), dtype=values.dtype)
+        result[:, 0] = values
+        return result
+
     unknown = np.zeros((count, states - 1))
+    memory = kept_with_rollouts(start.memory)
     blank = Particles(
         rollouts=RolloutBatch(
-            signals={name: _first_column(v, states) for name, v in start.signals.items()},
-            memory={
-                name: _first_column(v, states)
-                for name, v in kept_with_rollouts(start.memory).items()
-            },
+            signals={name: first_column(values) for name, values in start.signals.items()},
+            memory={name: first_column(values) for name, values in memory.items()},
             detected=unknown.astype(np.bool_),
             pem_logit=unknown,
             proposal_logit=unknown[:, :0],
-            latents=_unmoved(normals, noise) if counts else None,
+            latents=latents,
         ),
         score=np.full((count, states), np.inf),
         evaluations=np.zeros((count, states), dtype=EVALUATION_COUNT),
         ancestor=np.arange(count),
     )
-    return Continuation(
-        paths=blank.map(np.asfortranarray),
-        cut=np.zeros(count, dtype=np.int64),
-        uniforms=uniforms,
-        noise=noise,
-    )
-
-
-def _unmoved(start: FloatArray, noise: FloatArray) -> Latents:
-    still, one = np.ones(noise.shape[:2]), np.ones(noise.shape)
-    return Latents(start, 0.0 * start, np.ones(start.shape), noise, 0.0 * noise, still, one)
+    cut = np.zeros(count, dtype=np.int64)
+    return Continuation(blank.map(np.asfortranarray), cut, uniforms, noise)
 
 
 def restart(
     particles: Particles, *, parent: IntArray, cut: IntArray, generator: np.random.Generator
 ) -> Continuation:
-    """New particles that go on independently from states of others.
+    """New particles that go on independently from states of others, which stay as they are.
 
-    Args:
-        particles: Some of them are gone on from; they stay as they are.
-        parent: Which particle each new one shares its states with, ``[M]``.
-        cut: The last state that they share, ``[M]``.
-        generator: Source of the outcomes after it.
-
-    Returns:
-        M particles in the order of ``cut``; those with the same keep theirs.
+    Each shares the states up to ``cut [M]`` with its ``parent [M]``. They come in the order of
+    ``cut``; those with the same keep theirs.
     """
     order, latents = np.argsort(cut, kind="stable"), particles.rollouts.latents
     noise = (0, 0) if latents is None else latents.noise.shape[1:]
@@ -245,19 +184,11 @@ def _check_can_be_kept(simulator: Simulator, states: StateBatch) -> None:
         raise ConfigError(message)
 
 
-def _first_column(values: AnyArray, states: int) -> AnyArray:
-    """``[N, T]`` with ``values [N]`` at the first state."""
-    result = np.zeros((values.size, states), dtype=values.dtype)
-    result[:, 0] = values
-    return result
-
-
 def _continued(problem: Problem, run: Continuation) -> Particles:
     """A run's particles, gone on after the states ``cut``."""
     paths, cut = run.paths, run.cut
-    rollouts = moved_on(problem, CutRollouts(paths.rollouts, cut, run.uniforms, run.noise))
-    name = problem.simulator.name
-    check_numbers(rollouts, simulator=name, turns=problem.turns)
+    rollouts = _moved_on(problem, run)
+    check_numbers(rollouts, simulator=problem.simulator.name, turns=problem.turns)
     with of_no_rollouts():  # what might have been
         to_evaluate = evaluated_at(problem, rollouts, cut=cut, evaluations=paths.evaluations)
         step, row = np.nonzero(to_evaluate.T)
@@ -269,3 +200,38 @@ def _continued(problem: Problem, run: Continuation) -> Particles:
     score = np.minimum.accumulate(np.where(shared, paths.score, fresh), axis=1)
     rollouts = replace(rollouts, proposal_logit=rollouts.pem_logit[:, :0])
     return replace(paths, rollouts=rollouts, score=score)
+
+
+def _moved_on(problem: Problem, run: Continuation) -> RolloutBatch:
+    """The rollouts to their ends, under the error model; the given ones are overwritten."""
+    simulator, rollouts, cut = problem.simulator, run.paths.rollouts, run.cut
+    slots, latents = unrolled(simulator), rollouts.latents
+    arriving = carried_at(simulator, rollouts, step=cut)
+    carried = {name: values[:0] for name, values in arriving.items()}
+    for step in range(int(cut[0]), rollouts.detected.shape[1]):
+        problem.pause()
+        active = int(np.searchsorted(cut, step, side="right"))
+        before = states_at(rollouts, step, slice(active))
+        carried = {
+            name: np.concatenate([values, arriving[name][len(values) : active]])
+            for name, values in carried.items()
+        }
+        before = replace(before, memory={**before.memory, **carried})
+        before = before if slots is None else slots.seen(before)
+        salient = salient_of(simulator, before)
+        logit = logit_of(problem.pem, salient, step=step // problem.turns)
+        detected = run.uniforms[step, :active] >= expit(-logit)
+        noise = None
+        if latents is not None and is_last_of_step(rollouts, step, turns=problem.turns):
+            latents.noise[:active, step // problem.turns] = run.noise[
+                :active, step // problem.turns
+            ]
+            noise = latents.noise[:active, step // problem.turns]
+        after = stepped(simulator, before, detected, noise)
+        rollouts.pem_logit[:active, step] = logit
+        rollouts.detected[:active, step] = detected
+        carried = {name: v for name, v in after.memory.items() if name not in rollouts.memory}
+        for kept, reached in ((rollouts.signals, after.signals), (rollouts.memory, after.memory)):
+            for name in kept:
+                kept[name][:active, step + 1] = reached[name]
+    return replace(rollouts, proposal_logit=rollouts.pem_logit)

@@ -28,14 +28,8 @@ MOST_LEVELS = 10_000
 class RunFigures:
     """What an estimate needs of a run of ``count`` particles, F of which violate.
 
-    Attributes:
-        log_probability: As in :class:`SplittingRun`, like the next four.
-        least_variance: Likewise.
-        common_ancestry: Likewise.
-        simulated: Likewise.
-        levels: Likewise.
-        count: How many particles.
-        log_p: Log likelihood of those that violate under the error model, ``[F]`` [nats].
+    The first five are those of :class:`SplittingRun`; ``log_p [F]`` is the log likelihood of the
+    violating particles under the error model [nats].
     """
 
     log_probability: float
@@ -181,22 +175,27 @@ def _levels(
     generator: np.random.Generator,
     report: Callable[[int], None],
 ) -> Levels:
-    """One run; ``report`` is told how many of ``count`` particles are as good as done."""
+    """One run; ``report`` gets how many of ``count`` particles are as good as done."""
     particles = yield beginning(problem, count=count, generator=generator)
     shares: list[float] = []
     simulated = count
     while len(shares) < MOST_LEVELS:
-        level = _level(particles)
+        # the score from which on particles are replaced: the median, the higher if there are two
+        place = math.ceil((1.0 - KILLED_SHARE) * (particles.count - 1))
+        level = float(np.partition(particles.lowest, place)[place])
         report(_on_the_way(sum(map(_log, shares)), level, count=count))
         killed = particles.lowest >= level
         if level < VIOLATION_THRESHOLD or killed.all():
             break
         shares.append(1.0 - float(killed.mean()))
         simulated += int(killed.sum())
-        new = yield _replacement(particles, level, generator)
+        # each killed one continues a survivor from where that first came below the level
+        parent = np.flatnonzero(~killed)[_copies(killed, generator)]
+        cut = np.argmax(particles.score[parent] < level, axis=1)
+        new = yield restart(particles, parent=parent, cut=cut, generator=generator)
         particles = Particles.concatenate([particles.take(np.flatnonzero(~killed)), new])
     report(count)
-    scored = score(problem, particles.drawn)
+    scored = score(problem, particles.with_proposal)
     shares.append(float(scored.violated.mean()))
     return SplittingRun(
         log_probability=sum(map(_log, shares)),
@@ -216,12 +215,6 @@ def _log(value: float) -> float:
     return math.log(value) if value > 0.0 else -math.inf
 
 
-def _level(particles: Particles) -> float:
-    """The score from which on particles are replaced: the median, the higher if there are two."""
-    place = math.ceil((1.0 - KILLED_SHARE) * (particles.count - 1))
-    return float(np.partition(particles.lowest, place)[place])
-
-
 def _on_the_way(log_share: float, level: float, *, count: int) -> int:
     """``count`` times the share of the way to a violation that is done.
 
@@ -234,7 +227,7 @@ def _on_the_way(log_share: float, level: float, *, count: int) -> int:
 
 
 def _copies(killed: BoolArray, generator: np.random.Generator) -> IntArray:
-    """Which of the survivors replaces each of the killed, ``[K]``: all alike but for one."""
+    """Which of the survivors replaces each of the killed, ``[K]``: each as often but for one."""
     lost = int(killed.sum())
     survivors = killed.size - lost
     whole, rest = divmod(lost, survivors)
@@ -242,18 +235,8 @@ def _copies(killed: BoolArray, generator: np.random.Generator) -> IntArray:
     return np.concatenate([np.tile(np.arange(survivors), whole), some]).astype(np.int64)
 
 
-def _replacement(
-    particles: Particles, level: float, generator: np.random.Generator
-) -> Continuation:
-    """Continuations of survivors from where they first came below the level."""
-    killed = particles.lowest >= level
-    parent = np.flatnonzero(~killed)[_copies(killed, generator)]
-    cut = np.argmax(particles.score[parent] < level, axis=1)
-    return restart(particles, parent=parent, cut=cut, generator=generator)
-
-
 def _common_ancestry(ancestor: IntArray) -> float:
-    """Of two of the particles ``[M]``, drawn with replacement, how often both have one ancestor.
+    """Of two of the particles ``[M]``, with replacement, how often both have one ancestor.
 
     What Lee and Whiteley 2018 (section 2.3) estimate a particle approximation's relative variance
     from: near it where few pairs do, and at most 1 however large the variance is.

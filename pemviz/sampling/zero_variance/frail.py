@@ -15,14 +15,13 @@ Values are kept for fewer nodes than the posterior has; between them their logar
 smooth in u, is interpolated by a cubic spline. What that costs is variance, not truth.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import partial
 
 import numpy as np
 from scipy.special import log_expit, logsumexp
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.chunks import distinct_rows
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import VisibilityNodes, log_sums
@@ -44,7 +43,6 @@ from pemviz.sampling.zero_variance.reachable_states import (
     MERGE_DISTANCE,
     SAFE_NODE,
     UNSAFE_NODE,
-    Layer,
     Pause,
     StateGraph,
     Unsafe,
@@ -54,6 +52,19 @@ from pemviz.sampling.zero_variance.reachable_states import (
 )
 from pemviz.sampling.zero_variance.values import Values, log_value_at_start, log_values, solve
 from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
+
+LOWEST, HIGHEST = -2.5, 8.5
+"""Of the nodes that values are kept for; beyond, their logarithm goes on as a straight line."""
+WIDEST, MOST = 1.0, 32
+"""Largest distance of these nodes, and how many there are at most."""
+LARGEST_LOG = 1e6
+POOLED_OF = 3
+"""One of so many nodes is pooled: that decides what is kept, and what unknown states get."""
+QUANTILES = (0.1, 0.5, 0.9)
+"""Of u given a violation, at which it is tried what an approximate value function leaves out."""
+
+ByVisibility = Callable[[float], StateGraph]
+"""The graph given a visibility."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +84,7 @@ class FrailModel:
 
     @staticmethod
     def of(pem: Pem) -> "FrailModel | None":
-        """The parts of an error model; ``None`` where obstacles are all alike."""
+        """The parts of an error model; ``None`` where all obstacles are equal."""
         properties = hidden_in(pem)
         visibility = property_in(properties, Visibility)
         if visibility is None:
@@ -101,68 +112,36 @@ def frail_log_probability(
 ) -> float:
     """Log of the failure probability, u integrated out; -inf where it is 0.
 
-    Args:
-        graph: Explored with the model.
-        model: The error model.
-        pause: Called now and then; may raise to stop.
+    The graph was explored with the model; ``pause`` is called now and then.
     """
     given = by_visibility(graph, model)
     log_given = [log_value_at_start(given(float(u)), pause=pause) for u in model.nodes.u]
     return float(np.asarray(logsumexp(np.array(log_given) + model.nodes.log_weight)))
 
 
-def by_visibility(graph: StateGraph, model: FrailModel) -> Callable[[float], StateGraph]:
+def by_visibility(graph: StateGraph, model: FrailModel) -> ByVisibility:
     """The graph with the logits of 'detected' of an obstacle of a visibility u.
 
-    States whose outcomes are alike are many, and looked for once.
+    What decides the outcomes of states, the model's own logit and the outcome before, is the same
+    for many of them, and evaluated once.
     """
-    alike = [_Alike.of(layer) for layer in graph.layers]
+    decisive: list[tuple[FloatArray, FloatArray, IntArray | slice]] = []
+    for layer in graph.layers:
+        own = layer.pem_logit
+        last = last_outcome(layer.states.signals, otherwise=own)
+        found = distinct_rows(np.column_stack([own, last]))
+        first, which = (slice(None), slice(None)) if found is None else found
+        decisive.append((own[first], last[first][:, None], which))
 
     def given(u: float) -> StateGraph:
+        pem = model.given(u)
         layers = (
-            replace(layer, pem_logit=same.logit(model, u))
-            for layer, same in zip(graph.layers, alike, strict=True)
+            replace(layer, pem_logit=pem.after(own, last)[which])
+            for layer, (own, last, which) in zip(graph.layers, decisive, strict=True)
         )
         return replace(graph, layers=tuple(layers))
 
     return given
-
-
-@dataclass(frozen=True, eq=False)
-class _Alike:
-    """What decides the outcomes of n states: M different things.
-
-    Attributes:
-        own: Logits of the model of single outcomes, ``[M]``.
-        last: The outcomes before, ``[M]``.
-        which: Of each state, ``[n]``; ``None``: all are different.
-    """
-
-    own: FloatArray
-    last: FloatArray
-    which: IntArray | None
-
-    @staticmethod
-    def of(layer: Layer) -> "_Alike":
-        """Of a layer's states."""
-        own = layer.pem_logit
-        last = last_outcome(layer.states.signals, otherwise=own)
-        found = distinct_rows(np.column_stack([own, last]))
-        if found is None:
-            return _Alike(own, last, None)
-        first, which = found
-        return _Alike(own[first], last[first], which)
-
-    def logit(self, model: FrailModel, u: float) -> FloatArray:
-        """Of 'detected' given the obstacle's visibility, ``[n]``."""
-        logit = model.given(u).after(self.own, self.last[:, None])
-        return logit if self.which is None else logit[self.which]
-
-
-LOWEST, HIGHEST = -2.5, 8.5
-"""Of the nodes that values are kept for; beyond, their logarithm goes on as a straight line."""
-WIDEST, MOST = 1.0, 32
-"""Largest distance of these nodes, and how many there are at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,31 +212,6 @@ class FrailZeroVarianceProposal(ZeroVarianceProposal):
         return result
 
 
-def value_nodes(frailty: float) -> FloatArray:
-    """The u_k ``[K]`` that values are kept for: their logarithm changes within 1 / frailty."""
-    distance = min(WIDEST, 1.0 / frailty)
-    count = min(1 + round((HIGHEST - LOWEST) / distance), MOST)
-    return np.linspace(LOWEST, HIGHEST, count)
-
-
-def between_nodes(kept: FloatArray, nodes: VisibilityNodes) -> FloatArray:
-    """Weights ``[K, J]`` that interpolate values at ``kept [K]`` to ``nodes``; linear beyond."""
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  slow to import
-
-    spline = make_interp_spline(kept, np.eye(kept.size), k=3)
-    u, slope = np.clip(nodes.u, kept[0], kept[-1]), spline.derivative()
-    return np.asarray(spline(u) + slope(u) * (nodes.u - u)[:, None], dtype=np.float64).T
-
-
-ByVisibility = Callable[[float], StateGraph]
-"""The graph given a visibility."""
-LARGEST_LOG = 1e6
-POOLED_OF = 3
-"""One of so many nodes is pooled: that decides what is kept, and what unknown states get."""
-QUANTILES = (0.1, 0.5, 0.9)
-"""Of u given a violation, at which it is tried what an approximate value function leaves out."""
-
-
 def build_frail_proposal(
     *,
     twin: Simulator,
@@ -266,33 +220,22 @@ def build_frail_proposal(
     largest_layer: int = LARGEST_LAYER,
     pause: Pause = no_pause,
 ) -> ZeroVarianceProposal:
-    """Explore the twin, solve for the probability of violation given u, tabulate the proposal.
-
-    Args:
-        twin: A scenario whose ``step`` is cheap for many states.
-        model: The error model.
-        unsafe: What violates the specification.
-        largest_layer: Above so many states a step, neighbours are taken for one.
-        pause: Called every few tenths of a second; may raise to stop.
-    """
-    scenario = without_following(twin)
-    graph = explore(
-        twin=scenario,
-        pem=model,
-        unsafe=unsafe,
-        largest_layer=largest_layer,
-        pause=pause,
-    )
+    """As :func:`~pemviz.sampling.zero_variance.proposal.build_zero_variance_proposal`, given u."""
+    twin = without_following(twin)
+    graph = explore(twin=twin, pem=model, unsafe=unsafe, largest_layer=largest_layer, pause=pause)
     given_visibility = by_visibility(graph, model)
     solved = _solved(graph, model, given_visibility, pause)
     left_out = 0.0
     if not graph.exact:
-        tried = partial(left_out_share, twin=scenario, unsafe=unsafe, pause=pause)
-        left_out = max(
-            tried(given, solve(given, pause=pause), pem=model.given(u))
-            for u, given in _typical(solved, model, given_visibility)
-        )
-    plain = tabulated(graph, solved.pooled, twin=scenario, left_out=left_out, pause=pause)
+        # tried at quantiles of u given a violation
+        log_share = solved.log_given + model.nodes.log_weight
+        share = np.cumsum(np.exp(log_share - log_share.max()))
+        for u in model.nodes.u[np.searchsorted(share / share[-1], QUANTILES)].tolist():
+            given, pem = given_visibility(u), model.given(u)
+            values = solve(given, pause=pause)
+            of_u = left_out_share(given, values, twin=twin, pem=pem, unsafe=unsafe, pause=pause)
+            left_out = max(left_out, of_u)
+    plain = tabulated(graph, solved.pooled, twin=twin, left_out=left_out, pause=pause)
     return FrailZeroVarianceProposal(
         **{part.name: getattr(plain, part.name) for part in fields(plain)},
         known=_known(graph, solved),
@@ -309,113 +252,84 @@ class _Solved:
     between: FloatArray
     log_value: tuple[AnyArray, ...]
     pooled: Values
+    """As if the obstacle's visibility were sampled anew at every state."""
 
 
 def _solved(
     graph: StateGraph, model: FrailModel, given_visibility: ByVisibility, pause: Pause
 ) -> _Solved:
     """Backward at every node; forward too at those that are pooled."""
-    u = value_nodes(model.visibility.memory.frailty)
-    log_value = tuple(np.empty((layer.count, u.size), dtype=np.float32) for layer in graph.layers)
-    log_start = np.full(u.size, 0.0 if np.all(graph.start == UNSAFE_NODE) else -LARGEST_LOG)
-    pool = _Pool.of([layer.count for layer in graph.layers])
-    for k in range(u.size):
-        given = given_visibility(float(u[k]))
+    nodes = _value_nodes(model.visibility.memory.frailty)
+    counts = [layer.count for layer in graph.layers]
+    log_value = tuple(np.empty((count, nodes.size), dtype=np.float32) for count in counts)
+    log_start = np.full(nodes.size, 0.0 if np.all(graph.start == UNSAFE_NODE) else -LARGEST_LOG)
+    # what leads by way of each state, and on after a miss and a hit, over visibilities
+    reached, miss, hit = ([np.full(count, -np.inf) for count in counts] for _ in range(3))
+    for k, u in enumerate(nodes.tolist()):
+        given = given_visibility(u)
         if k % POOLED_OF == 1:
             values = solve(given, pause=pause)
-            pool.add(values, log_weight=-0.5 * float(u[k]) ** 2)
             found = values.log_value
+            for index, value in enumerate(found):
+                through = values.log_reached[index] - 0.5 * u**2
+                np.logaddexp(reached[index], through, out=reached[index])
+                for pooled, is_hit in ((miss[index], False), (hit[index], True)):
+                    outcome = np.full(value.size, is_hit)
+                    log_p = outcome_log_likelihood(values.proposal_logit[index], outcome)
+                    np.logaddexp(pooled, through + value + log_p, out=pooled)
         else:
             found = log_values(given, pause=pause)
         for index, value in enumerate(found):
             log_value[index][:, k] = value
             log_start[k] = found[0][0]
-    between = between_nodes(u, model.nodes)
+    between = _between_nodes(nodes, model.nodes)
     log_given = np.minimum(log_start @ between, 0.0)
-    log_probability = float(np.asarray(logsumexp(log_given + model.nodes.log_weight)))
-    return _Solved(log_given, between, log_value, pool.values(log_probability))
+    pooled = Values(
+        log_value=tuple(
+            np.logaddexp(m, h) - through for m, h, through in zip(miss, hit, reached, strict=True)
+        ),
+        log_reached=tuple(reached),
+        proposal_logit=tuple(h - m for h, m in zip(hit, miss, strict=True)),
+        log_probability=float(np.asarray(logsumexp(log_given + model.nodes.log_weight))),
+    )
+    return _Solved(log_given, between, log_value, pooled)
 
 
-@dataclass(frozen=True, eq=False)
-class _Pool:
-    """What leads by way of each state, over visibilities, by layer ``[n]``."""
+def _value_nodes(frailty: float) -> FloatArray:
+    """The u_k ``[K]`` that values are kept for: their logarithm changes within 1 / frailty."""
+    distance = min(WIDEST, 1.0 / frailty)
+    count = min(1 + round((HIGHEST - LOWEST) / distance), MOST)
+    return np.linspace(LOWEST, HIGHEST, count)
 
-    reached: tuple[FloatArray, ...]
-    miss: tuple[FloatArray, ...]
-    hit: tuple[FloatArray, ...]
 
-    @staticmethod
-    def of(counts: list[int]) -> "_Pool":
-        """Nothing so far."""
-        return _Pool(*(tuple(np.full(count, -np.inf) for count in counts) for _ in range(3)))
+def _between_nodes(kept: FloatArray, nodes: VisibilityNodes) -> FloatArray:
+    """Weights ``[K, J]`` that interpolate values at ``kept [K]`` to ``nodes``; linear beyond."""
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  slow to import
 
-    def add(self, values: Values, *, log_weight: float) -> None:
-        """One more visibility."""
-        for index, value in enumerate(values.log_value):
-            through = values.log_reached[index] + log_weight
-            np.logaddexp(self.reached[index], through, out=self.reached[index])
-            for pooled, is_hit in ((self.miss, False), (self.hit, True)):
-                outcome = np.full(value.size, is_hit)
-                log_p = outcome_log_likelihood(values.proposal_logit[index], outcome)
-                np.logaddexp(pooled[index], through + value + log_p, out=pooled[index])
-
-    def values(self, log_probability: float) -> Values:
-        """As if the obstacle's visibility were drawn anew at every state."""
-        return Values(
-            log_value=tuple(
-                np.logaddexp(miss, hit) - reached
-                for miss, hit, reached in zip(self.miss, self.hit, self.reached, strict=True)
-            ),
-            log_reached=self.reached,
-            proposal_logit=tuple(h - m for h, m in zip(self.hit, self.miss, strict=True)),
-            log_probability=log_probability,
-        )
+    spline = make_interp_spline(kept, np.eye(kept.size), k=3)
+    u, slope = np.clip(nodes.u, kept[0], kept[-1]), spline.derivative()
+    return np.asarray(spline(u) + slope(u) * (nodes.u - u)[:, None], dtype=np.float64).T
 
 
 def _known(graph: StateGraph, solved: _Solved) -> tuple[KnownValues, ...]:
     """What the proposal looks up, of states that more than a negligible share leads by."""
-    chosen = [counting(solved.pooled, index) for index in range(len(graph.layers))]
-    keys = [_keys(layer.states, counts) for layer, counts in zip(graph.layers, chosen, strict=True)]
-    orders = [np.argsort(each) for each in keys]
-    places = [_places(counts, order) for counts, order in zip(chosen, orders, strict=True)]
-    places.append(np.empty(0, dtype=np.int64))
-    return tuple(
-        KnownValues(
-            keys=keys[index][order],
-            after_miss=_moved(layer.after_miss[counts][order], places[index + 1]),
-            after_hit=_moved(layer.after_hit[counts][order], places[index + 1]),
-            log_value=solved.log_value[index][counts][order],
+    known: list[KnownValues] = []
+    following = np.empty(0, dtype=np.int64)
+    for index in reversed(range(len(graph.layers))):
+        layer = graph.layers[index]
+        chosen = np.flatnonzero(counting(solved.pooled, index))
+        columns = [column[chosen] for column in state_columns(layer.states)]
+        keys = cell_keys(columns, [MERGE_DISTANCE] * len(columns))
+        order = np.argsort(keys)
+        chosen = chosen[order]
+        place = np.append(following, [UNSAFE_NODE, SAFE_NODE])  # indices -2 and -1
+        one = KnownValues(
+            keys=keys[order],
+            after_miss=place[layer.after_miss[chosen]],
+            after_hit=place[layer.after_hit[chosen]],
+            log_value=solved.log_value[index][chosen],
         )
-        for index, (layer, counts, order) in enumerate(
-            zip(graph.layers, chosen, orders, strict=True)
-        )
-    )
-
-
-def _keys(states: StateBatch, counts: BoolArray) -> IntArray:
-    columns = [column[counts] for column in state_columns(states)]
-    return cell_keys(columns, [MERGE_DISTANCE] * len(columns))
-
-
-def _places(counts: BoolArray, order: IntArray) -> IntArray:
-    """Where each state of a layer stands among the known ones; SAFE_NODE where it does not."""
-    place = np.full(counts.size, SAFE_NODE, dtype=np.int64)
-    place[np.flatnonzero(counts)[order]] = np.arange(order.size)
-    return place
-
-
-def _moved(node: IntArray, places: IntArray) -> IntArray:
-    result = node.astype(np.int64)
-    live = result >= 0
-    result[live] = places[result[live]]
-    return result
-
-
-def _typical(
-    solved: _Solved, model: FrailModel, given_visibility: ByVisibility
-) -> Iterator[tuple[float, StateGraph]]:
-    """Quantiles of u given a violation, and the graph given each."""
-    log_share = solved.log_given + model.nodes.log_weight
-    share = np.cumsum(np.exp(log_share - log_share.max()))
-    for u in model.nodes.u[np.searchsorted(share / share[-1], QUANTILES)].tolist():
-        yield u, given_visibility(u)
+        known.insert(0, one)
+        following = np.full(layer.count, SAFE_NODE, dtype=np.int64)
+        following[chosen] = np.arange(chosen.size)
+    return tuple(known)

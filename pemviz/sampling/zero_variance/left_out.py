@@ -3,7 +3,7 @@
 Where neighbouring states are taken for one, a state can be called safe from which a violation
 is possible. Every rollout that violates by way of such a state enters the safe ones at some
 step, so that the probability left out is the sum, over all moves from a live state to a safe
-one, of the probability of that move times that of violation from there on. Moves are drawn at
+one, of the probability of that move times that of violation from there on. Moves are sampled at
 random, and rollouts go on from them with miss rates that know nothing of the value function.
 """
 
@@ -31,7 +31,7 @@ from pemviz.types import Simulator, StateBatch, outcome_log_likelihood
 ROLLOUTS = 20_000
 SEED = 2**62 + 13
 LOGITS = (-4.0, -1.5, 0.0, 1.5, 4.0)
-"""Of 'detected': one of them up to a step drawn at random, one of them from there on."""
+"""Of 'detected': one of them up to a step chosen at random, one of them from there on."""
 STANDARD_ERRORS = 2.0
 LARGEST_LOG = 700.0
 
@@ -50,19 +50,11 @@ def left_out_share(
     """The share of the failure probability that leads by way of states called safe, 0 to 1.
 
     By a figure two standard errors above an unbiased estimate; 0 if no rollout from such states
-    violates.
-
-    Args:
-        graph: Where states may have been taken for one that differ.
-        values: Of the graph.
-        twin: What the graph was explored on.
-        pem: The error model.
-        unsafe: What violates the specification.
-        rollouts: How many go on from states called safe.
-        pause: Called once a step.
+    violates. In ``graph``, which was explored on the ``twin``, states may have been taken for one
+    that differ; so many ``rollouts`` go on from those called safe. ``pause`` is called once a step.
     """
     generator = np.random.default_rng(SEED)
-    moves = _drawn_moves(graph, values, rollouts, generator)
+    moves = _sampled_moves(graph, values, rollouts, generator)
     trials = _Trials.begun(*_safe_starts(graph, twin, rollouts), twin, generator)
     violating: list[FloatArray] = []
     for step in range(twin.states - 1):
@@ -71,17 +63,16 @@ def left_out_share(
         chosen = moves.take(moves.step == step)
         if chosen.step.size:
             entered = stepped(twin, graph.layers[step].states.take(chosen.node), chosen.hit)
-            begun = _Trials.begun(entered, chosen.log_weight, twin, generator)
-            trials = _Trials.joined(trials, begun)
+            trials = trials.joined(_Trials.begun(entered, chosen.log_weight, twin, generator))
         bad = unsafe(trials.states)
-        violating.append(trials.take(bad).log_weight())
+        violating.append(trials.take(bad).chains.log_weight())
         trials = trials.take(~bad)
     return _upper_share(np.concatenate(violating) - values.log_probability, rollouts)
 
 
 def _safe_starts(graph: StateGraph, twin: Simulator, count: int) -> tuple[StateBatch, FloatArray]:
     """``count`` states at starts that are called safe, each as often, and their log weights."""
-    safe = np.flatnonzero(np.atleast_1d(graph.start) == SAFE_NODE)
+    safe = np.flatnonzero(graph.start == SAFE_NODE)
     chosen = np.resize(safe, count if safe.size else 0)
     log_weight = graph.log_start[chosen] + np.log(max(safe.size, 1))
     cells = start_cells(twin)
@@ -97,7 +88,7 @@ class _Moves(Batch):
         step: Of the live state.
         node: Its index in its layer.
         hit: The outcome.
-        log_weight: Log of the probability of the move, over that with which it was drawn.
+        log_weight: Log of the probability of the move, over that with which it was sampled.
     """
 
     step: IntArray
@@ -106,7 +97,7 @@ class _Moves(Batch):
     log_weight: FloatArray
 
 
-def _drawn_moves(
+def _sampled_moves(
     graph: StateGraph, values: Values, count: int, generator: np.random.Generator
 ) -> _Moves:
     """``count`` moves to safe states: half any, half by the square root of their probability."""
@@ -125,82 +116,25 @@ def _drawn_moves(
     root = np.exp((every.log_weight - every.log_weight.max()) / 2.0)
     share = 0.5 / every.step.size + 0.5 * root / root.sum()
     chosen = generator.choice(every.step.size, size=count, p=share / share.sum())
-    drawn = every.take(chosen)
-    return replace(drawn, log_weight=drawn.log_weight - np.log(share[chosen]))
+    sampled = every.take(chosen)
+    return replace(sampled, log_weight=sampled.log_weight - np.log(share[chosen]))
 
 
 @dataclass(frozen=True)
-class _Trials:
-    """Rollouts on their way, all at one step.
+class _Chains(Batch):
+    """The outcomes of n trials so far.
 
     Attributes:
-        states: Where they are.
-        log_p: Log of the probability of the outcomes so far, and of the weight before, ``[n]``.
-        switch: The step up to which the first of two logits is drawn from, ``[n]``.
+        log_p: Log of their probability, and of the weight before, ``[n]``.
+        switch: The step up to which the first of two logits is sampled from, ``[n]``.
         logits: The two, ``[n, 2]``.
         outcomes: How many misses and detections there were under either, ``[n, 2, 2]``.
     """
 
-    states: StateBatch
     log_p: FloatArray
     switch: IntArray
     logits: FloatArray
     outcomes: IntArray
-
-    @classmethod
-    def begun(
-        cls,
-        states: StateBatch,
-        log_weight: FloatArray,
-        twin: Simulator,
-        generator: np.random.Generator,
-    ) -> "_Trials":
-        count = log_weight.size
-        return cls(
-            states=states,
-            log_p=log_weight,
-            switch=generator.integers(0, twin.states, size=count),
-            logits=generator.choice(LOGITS, size=(count, 2)),
-            outcomes=np.zeros((count, 2, 2), dtype=np.int64),
-        )
-
-    @classmethod
-    def joined(cls, one: "_Trials", other: "_Trials") -> "_Trials":
-        return cls(
-            states=StateBatch.concatenate([one.states, other.states]),
-            log_p=np.concatenate([one.log_p, other.log_p]),
-            switch=np.concatenate([one.switch, other.switch]),
-            logits=np.concatenate([one.logits, other.logits]),
-            outcomes=np.concatenate([one.outcomes, other.outcomes]),
-        )
-
-    def take(self, rows: BoolArray) -> "_Trials":
-        return _Trials(
-            self.states.take(rows),
-            self.log_p[rows],
-            self.switch[rows],
-            self.logits[rows],
-            self.outcomes[rows],
-        )
-
-    def stepped(
-        self, twin: Simulator, pem: DetectorModel, generator: np.random.Generator
-    ) -> "_Trials":
-        """One step on, with outcomes drawn by the trials' own logits."""
-        count = self.log_p.size
-        if count == 0:
-            return replace(self, states=replace(self.states, step=self.states.step + 1))
-        rows, part = np.arange(count), (self.states.step >= self.switch).astype(np.int64)
-        hit = generator.random(count) >= expit(-self.logits[rows, part])
-        outcomes = self.outcomes.copy()
-        outcomes[rows, part, hit.astype(np.int64)] += 1
-        under_pem = outcome_log_likelihood(logit_of(pem, twin.salient(self.states.signals)), hit)
-        return replace(
-            self,
-            states=stepped(twin, self.states, hit),
-            log_p=self.log_p + under_pem,
-            outcomes=outcomes,
-        )
 
     def log_weight(self) -> FloatArray:
         """Over the probability of the outcomes under any of the logits (balance heuristic)."""
@@ -210,6 +144,54 @@ class _Trials:
         ]
         log_q = logsumexp(self.outcomes @ np.stack(under), axis=2) - np.log(len(LOGITS))
         return self.log_p - log_q.sum(axis=1)
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """Rollouts on their way, all at one step: where they are, and what led there."""
+
+    states: StateBatch
+    chains: _Chains
+
+    @staticmethod
+    def begun(
+        states: StateBatch, log_weight: FloatArray, twin: Simulator, generator: np.random.Generator
+    ) -> "_Trials":
+        count = log_weight.size
+        chains = _Chains(
+            log_p=log_weight,
+            switch=generator.integers(0, twin.states, size=count),
+            logits=generator.choice(LOGITS, size=(count, 2)),
+            outcomes=np.zeros((count, 2, 2), dtype=np.int64),
+        )
+        return _Trials(states, chains)
+
+    def joined(self, other: "_Trials") -> "_Trials":
+        return _Trials(
+            StateBatch.concatenate([self.states, other.states]),
+            _Chains.concatenate([self.chains, other.chains]),
+        )
+
+    def take(self, rows: BoolArray) -> "_Trials":
+        return _Trials(self.states.take(rows), self.chains.take(rows))
+
+    def stepped(
+        self, twin: Simulator, pem: DetectorModel, generator: np.random.Generator
+    ) -> "_Trials":
+        """One step on, with outcomes sampled by the trials' own logits."""
+        states, chains = self.states, self.chains
+        count = chains.log_p.size
+        if count == 0:
+            return replace(self, states=replace(states, step=states.step + 1))
+        rows, part = np.arange(count), (states.step >= chains.switch).astype(np.int64)
+        hit = generator.random(count) >= expit(-chains.logits[rows, part])
+        outcomes = chains.outcomes.copy()
+        outcomes[rows, part, hit.astype(np.int64)] += 1
+        under_pem = outcome_log_likelihood(logit_of(pem, twin.salient(states.signals)), hit)
+        return _Trials(
+            stepped(twin, states, hit),
+            replace(chains, log_p=chains.log_p + under_pem, outcomes=outcomes),
+        )
 
 
 def _upper_share(log_terms: FloatArray, count: int) -> float:

@@ -13,6 +13,7 @@ With d = 0 and a twin that is right, every violating rollout has the weight V(s_
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from pemviz.errors import InputError
 from pemviz.pem.models.protocol import Pem
@@ -35,7 +36,7 @@ from pemviz.types import Estimate, Simulator, StageResult
 
 @dataclass(frozen=True)
 class ZeroVarianceState:
-    """The repetition, its proposal, and how far its rollouts are drawn."""
+    """The repetition, its proposal, and how far its rollouts are sampled."""
 
     repetition: int
     proposal: ZeroVarianceProposal
@@ -44,7 +45,7 @@ class ZeroVarianceState:
 
 @dataclass(frozen=True, kw_only=True)
 class ZeroVarianceSampling:
-    """Rollouts that are steered towards violation by the twin's values; stage k draws part k.
+    """Rollouts that are steered towards violation by the twin's values; stage k samples part k.
 
     Unbiased on any simulator; the closer the twin, the less the weights vary.
 
@@ -53,9 +54,9 @@ class ZeroVarianceSampling:
         rollouts: How many.
         seed: Root of all randomness.
         largest_layer: Above so many states a step, the value function is approximate.
-        defensive_steps: How many of a rollout's steps are drawn from the error model itself, on
+        defensive_steps: How many of a rollout's steps are sampled from the error model itself, on
             average.
-        largest_part: How many rollouts are drawn at once.
+        largest_part: How many rollouts are sampled at once.
     """
 
     twin: Simulator
@@ -78,7 +79,7 @@ class ZeroVarianceSampling:
             InputError: Single states do not decide the specification.
         """
         wanted = _Wanted(self.twin, problem.pem, require_unsafe(problem), self.largest_layer)
-        proposal = _last_built.get(wanted, pause=problem.pause)
+        proposal = _built(wanted, pause=problem.pause)
         proposal = with_defence(
             proposal, defensive_steps=self.defensive_steps, steps=self.twin.states - 1
         )
@@ -88,7 +89,7 @@ class ZeroVarianceSampling:
     def step(
         self, problem: Problem, state: ZeroVarianceState
     ) -> tuple[ZeroVarianceState, StageResult]:
-        """Draw and score the next part."""
+        """Sample and score the next part."""
         stage = len(state.batch.drawn)
         scored = sample_stage(
             with_absorbing_violation(problem),
@@ -108,14 +109,14 @@ class ZeroVarianceSampling:
         return replace(state, batch=state.batch.under_rule(rule))
 
     def is_done(self, state: ZeroVarianceState) -> bool:
-        """Whether all is drawn."""
+        """Whether all is sampled."""
         return state.batch.is_done
 
     def estimate(self, state: ZeroVarianceState) -> Estimate:
         """The estimate from all rollouts.
 
         Raises:
-            ValueError: They are not drawn yet.
+            ValueError: They are not sampled yet.
         """
         estimate = importance_sampling_estimate(
             state.batch.weighed(), method=self.name, rollouts_simulated=self.rollouts
@@ -126,7 +127,7 @@ class ZeroVarianceSampling:
 
 
 def require_unsafe(problem: Problem, *, method: str = "zero-variance") -> Unsafe:
-    """What single states violate the specification; ``method`` is what asks for them.
+    """What single states violate the specification; ``method`` is what wants them.
 
     Raises:
         InputError: There is no such answer for it.
@@ -158,44 +159,22 @@ class _Wanted:
     unsafe: Unsafe
     largest_layer: int
 
-    def is_same_as(self, other: "_Wanted") -> bool:
-        """Whether both give the same value function."""
+
+_last_built: list[tuple[_Wanted, ZeroVarianceProposal]] = []
+"""At most one proposal: large, and the same for all repetitions and the reference."""
+
+
+def _built(wanted: _Wanted, *, pause: Pause) -> ZeroVarianceProposal:
+    """The proposal built last, where it is what is wanted; a build that is stopped leaves it."""
+    for last, proposal in _last_built:
         # a model of the user's own need not know how to compare
-        return self.pem is other.pem and self == other
-
-
-class _LastBuilt:
-    """Holds the proposal built last: large, and the same for all repetitions and the reference.
-
-    A build that is stopped leaves what was there before.
-    """
-
-    def __init__(self) -> None:
-        self._held: tuple[_Wanted, ZeroVarianceProposal] | None = None
-
-    def get(self, wanted: _Wanted, *, pause: Pause) -> ZeroVarianceProposal:
-        held = self._held
-        if held is not None and held[0].is_same_as(wanted):
-            return held[1]
-        frail = FrailModel.of(wanted.pem)
-        if frail is not None:
-            built = build_frail_proposal(
-                twin=wanted.twin,
-                model=frail,
-                unsafe=wanted.unsafe,
-                largest_layer=wanted.largest_layer,
-                pause=pause,
-            )
-        else:
-            built = build_zero_variance_proposal(
-                twin=wanted.twin,
-                pem=wanted.pem,
-                unsafe=wanted.unsafe,
-                largest_layer=wanted.largest_layer,
-                pause=pause,
-            )
-        self._held = (wanted, built)
-        return built
-
-
-_last_built = _LastBuilt()
+        if last.pem is wanted.pem and last == wanted:
+            return proposal
+    build, frail = partial(build_zero_variance_proposal, pem=wanted.pem), FrailModel.of(wanted.pem)
+    if frail is not None:
+        build = partial(build_frail_proposal, model=frail)
+    built = build(
+        twin=wanted.twin, unsafe=wanted.unsafe, largest_layer=wanted.largest_layer, pause=pause
+    )
+    _last_built[:] = [(wanted, built)]
+    return built

@@ -8,7 +8,6 @@ share d, one is chosen with q_k; within its cell the start has its distribution 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import overload
 
 import numpy as np
 from scipy.special import ndtr
@@ -45,7 +44,12 @@ from pemviz.sampling.zero_variance.values import (
 from pemviz.simulators.absorbing import VIOLATED
 from pemviz.simulators.latents import begun
 from pemviz.simulators.quantised import StartCells, start_cells
-from pemviz.types import Signal, Simulator
+from pemviz.types import Simulator
+
+COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
+NEGLIGIBLE_SHARE = 1e-12
+DEFENSIVE_STEPS = 2.0
+APPROXIMATE_DEFENCE = 2.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,38 +66,19 @@ class StartZeroVarianceProposal(ZeroVarianceProposal):
 
     def chosen_start(self, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Latents ``[N, S]`` made of standard normals ``[N, S]``, and log p - log q, ``[N]``."""
-        share = self._shares()
+        share = np.exp(self.cells.log_p)
+        if np.isfinite(self.log_probability):
+            given = np.exp(self.cells.log_p + self.log_start_value - self.log_probability)
+            share = (1.0 - self.defensive) * given + self.defensive * share
         bounds = np.cumsum(share)
         uniform = ndtr(normals)
-        drawn = uniform[:, 0] * bounds[-1]
-        cell = np.minimum(np.searchsorted(bounds, drawn, side="right"), share.size - 1)
-        # what is left of the first draw within its cell is uniform again
+        place_in_all = uniform[:, 0] * bounds[-1]
+        cell = np.minimum(np.searchsorted(bounds, place_in_all, side="right"), share.size - 1)
+        # what is left of the first number within its cell is uniform again
         place = uniform.copy()
-        place[:, 0] = np.clip((drawn - bounds[cell]) / share[cell] + 1.0, 0.0, 1.0)
+        place[:, 0] = np.clip((place_in_all - bounds[cell]) / share[cell] + 1.0, 0.0, 1.0)
         log_q = np.log(share[cell]) - np.log(bounds[-1])
         return self.cells.within(cell, place), self.cells.log_p[cell] - log_q
-
-    def _shares(self) -> FloatArray:
-        """q_k, ``[K]``."""
-        under_model = np.exp(self.cells.log_p)
-        if not np.isfinite(self.log_probability):
-            return under_model
-        given = np.exp(self.cells.log_p + self.log_start_value - self.log_probability)
-        return (1.0 - self.defensive) * given + self.defensive * under_model
-
-
-def with_starts(
-    proposal: ZeroVarianceProposal, *, cells: StartCells, values: Values
-) -> StartZeroVarianceProposal:
-    """A proposal for the states of a twin with a quantised start, and for its starts."""
-    plain = {part.name: getattr(proposal, part.name) for part in fields(ZeroVarianceProposal)}
-    return StartZeroVarianceProposal(**plain, cells=cells, log_start_value=values.log_start_value)
-
-
-COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
-NEGLIGIBLE_SHARE = 1e-12
-DEFENSIVE_STEPS = 2.0
-APPROXIMATE_DEFENCE = 2.5
 
 
 def build_zero_variance_proposal(
@@ -120,24 +105,23 @@ def build_zero_variance_proposal(
         left_out = left_out_share(graph, values, twin=twin, pem=pem, unsafe=unsafe, pause=pause)
     proposal = tabulated(graph, values, twin=twin, left_out=left_out, pause=pause)
     cells = start_cells(twin)
-    return proposal if cells is None else with_starts(proposal, cells=cells, values=values)
+    if cells is None:
+        return proposal
+    plain = {part.name: getattr(proposal, part.name) for part in fields(proposal)}
+    return StartZeroVarianceProposal(**plain, cells=cells, log_start_value=values.log_start_value)
 
 
 def tabulated(
     graph: StateGraph, values: Values, *, twin: Simulator, left_out: float, pause: Pause = no_pause
 ) -> ZeroVarianceProposal:
-    """The proposal that follows from the values of a graph's states.
+    """The proposal that follows from the values of the states of a graph, explored on the twin.
 
-    Args:
-        graph: Explored on the twin.
-        values: Of the graph.
-        twin: The scenario.
-        left_out: Share of the failure probability that leads by way of states called safe.
-        pause: Called every few tenths of a second; may raise to stop.
+    ``left_out`` is the share of the failure probability that leads by way of states called safe;
+    ``pause`` is called every few tenths of a second.
     """
+    signals = sorted(twin.signals, key=lambda signal: signal.name)
     cells = tuple(
-        tuple(share * (signal.high - signal.low) for signal in _sorted_signals(twin))
-        for share in COARSE_SHARES
+        tuple(share * (signal.high - signal.low) for signal in signals) for share in COARSE_SHARES
     )
     return ZeroVarianceProposal(
         tables=tuple(
@@ -145,7 +129,7 @@ def tabulated(
             for index, layer in enumerate(graph.layers)
         ),
         names=state_names(begun(twin, count=1)),
-        signal_names=tuple(signal.name for signal in _sorted_signals(twin)),
+        signal_names=tuple(signal.name for signal in signals),
         distance=MERGE_DISTANCE,
         coarse_cells=cells,
         violated=VIOLATED,
@@ -160,23 +144,22 @@ def tabulated(
 def with_defence(
     proposal: ZeroVarianceProposal, *, defensive_steps: float, steps: int
 ) -> ZeroVarianceProposal:
-    """The proposal with so many of a rollout's ``steps`` drawn from the error model, on average.
+    """The proposal with so many of a rollout's ``steps`` sampled from the error model, on average.
 
     That is the price of bounded weights where the twin is wrong; it is raised where states
     had to be merged.
     """
-    drawn = defensive_steps * (1.0 if proposal.exact else APPROXIMATE_DEFENCE)
-    return replace(proposal, defensive=share_for(drawn_steps=drawn, steps=steps))
+    from_model = defensive_steps * (1.0 if proposal.exact else APPROXIMATE_DEFENCE)
+    return replace(proposal, defensive=share_for(drawn_steps=from_model, steps=steps))
 
 
 def counting(values: Values, index: int) -> BoolArray:
     """Which states ``[n]`` of a layer more than a negligible share of the probability leads by."""
-    log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
-    return log_share > np.log(NEGLIGIBLE_SHARE)
+    return _log_share(values, index) > np.log(NEGLIGIBLE_SHARE)
 
 
-def _sorted_signals(twin: Simulator) -> Sequence[Signal]:
-    return sorted(twin.signals, key=lambda signal: signal.name)
+def _log_share(values: Values, index: int) -> FloatArray:
+    return values.log_value[index] + values.log_reached[index] - values.log_probability
 
 
 def _tables(
@@ -187,23 +170,24 @@ def _tables(
     cells: tuple[tuple[float, ...], ...],
     pause: Pause,
 ) -> ZeroVarianceTables:
-    logit = values.proposal_logit[index]
-    log_share = values.log_value[index] + values.log_reached[index] - values.log_probability
     counts = counting(values, index)
+    logit, log_share = values.proposal_logit[index][counts], _log_share(values, index)[counts]
     columns = [column[counts] for column in state_columns(layer.states)]
     keys = cell_keys(columns, [MERGE_DISTANCE] * len(columns))
+    order = np.argsort(keys)  # no key is there twice: states that share one were merged
     signals = columns[: len(layer.states.signals)]
-    miss, hit = both_log_likelihoods(logit[counts])
-    miss += log_share[counts]
-    hit += log_share[counts]
+    miss, hit = both_log_likelihoods(logit)
+    miss += log_share
+    hit += log_share
     pause()
     return ZeroVarianceTables(
-        states=_sorted(keys, logit[counts]), coarse=_WhenAsked(cells, signals, miss, hit)
+        states=CellTable(keys=keys[order], logit=logit[order]),
+        coarse=_CoarseTables(cells, signals, miss, hit),
     )
 
 
-class _WhenAsked(Sequence[CellTable]):
-    """Averages over cells of several sizes, each made when it is first asked for.
+class _CoarseTables(dict[int, CellTable]):
+    """Averages over cells of several sizes, each made when it is first looked up.
 
     Rollouts of a twin that is right come to single states that are known, or hardly count.
     """
@@ -215,44 +199,24 @@ class _WhenAsked(Sequence[CellTable]):
         log_miss: FloatArray,
         log_hit: FloatArray,
     ) -> None:
-        self._cells = cells
-        self._of_states = (signals, log_miss, log_hit)
-        self._made: dict[int, CellTable] = {}
+        super().__init__()
+        self._of_states = (cells, signals, log_miss, log_hit)
 
-    def __len__(self) -> int:
-        return len(self._cells)
-
-    @overload
-    def __getitem__(self, index: int) -> CellTable: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[CellTable]: ...
-    def __getitem__(self, index: int | slice) -> CellTable | Sequence[CellTable]:
-        if isinstance(index, slice):
-            return [self[one] for one in range(len(self))[index]]
-        one = range(len(self))[index]
-        if one not in self._made:
-            signals, log_miss, log_hit = self._of_states
-            keys = cell_keys(signals, self._cells[one])
-            self._made[one] = averaged(keys, log_miss=log_miss, log_hit=log_hit)
-        return self._made[one]
+    def __missing__(self, size: int) -> CellTable:
+        cells, signals, log_miss, log_hit = self._of_states
+        keys = cell_keys(signals, cells[size])
+        self[size] = averaged(keys, log_miss=log_miss, log_hit=log_hit)
+        return self[size]
 
 
 def averaged(keys: IntArray, *, log_miss: FloatArray, log_hit: FloatArray) -> CellTable:
     """One logit for each distinct key: that of the mean probability, weighted by states' shares.
 
-    The mean is the constant with the least cross-entropy from the states' own probabilities.
-
-    Args:
-        keys: Of each state ``[n]``.
-        log_miss: Log of the state's share times its probability of a miss, ``[n]``.
-        log_hit: The same of a hit.
+    The mean is the constant with the least cross-entropy from the states' own probabilities. Of
+    states ``[n]``: their ``keys``, and the log of their share times their probability of either
+    outcome.
     """
     first, group = distinct(keys)
     order = np.argsort(keys[first])
     hit, miss = (log_sum_by(group, parts, first.size)[order] for parts in (log_hit, log_miss))
     return CellTable(keys=keys[first][order], logit=hit - miss)
-
-
-def _sorted(keys: IntArray, logit: FloatArray) -> CellTable:
-    order = np.argsort(keys)  # no key is there twice: states that share one were merged
-    return CellTable(keys=keys[order], logit=logit[order])

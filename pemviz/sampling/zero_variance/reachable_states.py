@@ -25,11 +25,13 @@ from pemviz.sampling.zero_variance.unsafe_states import (
 )
 from pemviz.simulators.bounds import signal_bounds, tells_bounds
 from pemviz.simulators.latents import begun, stepped
-from pemviz.simulators.quantised import StartCells, start_cells
+from pemviz.simulators.quantised import start_cells
 from pemviz.types import Simulator, StateBatch
 
 Pause = Callable[[], None]
 """Called now and then during long work; may raise to stop it."""
+Unsafe = Callable[[StateBatch], BoolArray]
+"""States ``[N]`` to whether being in them violates the specification ``[N]``."""
 
 MERGE_DISTANCE = 1e-6
 LARGEST_LAYER = 2_000_000
@@ -38,6 +40,11 @@ COARSE_LAYER = 300_000
 COARSE_LAYER_SHARE = 0.25
 FIRST_COARSE_SHARE = 3e-4
 COARSENING = 1.5
+SAFE_NODE = -1
+UNSAFE_NODE = -2
+KEPT_STATES = 4_000_000
+"""So many states in all are kept until it is known which are live; of more, live ones are walked to
+once more."""
 
 
 def no_pause() -> None:
@@ -90,7 +97,8 @@ class Merger:
             TooManyStates: There are more by now than ``most_states``.
             MustMergeNeighbours: It can no longer be done ``exactly``.
         """
-        columns = _varying(state_columns(states))
+        # columns that are the same throughout tell no states apart
+        columns = [one for one in state_columns(states) if one.size and (one != one[0]).any()]
         if not columns:
             return states.take(slice(0, 1)), np.zeros(states.shape[0], dtype=np.int64)
         self._pause()
@@ -134,21 +142,6 @@ def state_columns(states: StateBatch) -> list[FloatArray]:
     ]
 
 
-def _varying(columns: list[FloatArray]) -> list[FloatArray]:
-    """Columns ``[n]`` that are not the same throughout: the others tell no states apart."""
-    return [column for column in columns if column.size and (column != column[0]).any()]
-
-
-Unsafe = Callable[[StateBatch], BoolArray]
-"""States ``[N]`` to whether being in them violates the specification ``[N]``."""
-
-SAFE_NODE = -1
-UNSAFE_NODE = -2
-KEPT_STATES = 4_000_000
-"""So many states in all are kept until it is known which are live; of more, live ones are walked to
-once more."""
-
-
 @dataclass(frozen=True)
 class Layer:
     """The live states of one step: some sequence of outcomes leads to violation, but none must.
@@ -179,8 +172,8 @@ class StateGraph:
 
     Attributes:
         layers: Live states by step, up to the last step that has any.
-        start: Where rollouts start: an index in the first layer, or SAFE_NODE or UNSAFE_NODE; of a
-            quantised start one for each of its K cells, ``[K]``.
+        start: Where rollouts start, an index in the first layer, or SAFE_NODE or UNSAFE_NODE: one
+            for each of a quantised start's K cells, else a single one, ``[K]``.
         exact: Whether only states closer than MERGE_DISTANCE were taken for one. A state is then
             left out if and only if no sequence of outcomes leads from it to a violation, or every
             one for certain.
@@ -189,7 +182,7 @@ class StateGraph:
     """
 
     layers: tuple[Layer, ...]
-    start: int | IntArray
+    start: IntArray
     exact: bool
     log_start: FloatArray = field(default_factory=lambda: np.zeros(1))
     certain: CertainViolation | None = None
@@ -214,7 +207,7 @@ def explore(
 
     Args:
         twin: A scenario whose ``step`` is cheap for many states.
-        pem: The error model, asked about live states only.
+        pem: The error model, evaluated at live states only.
         unsafe: What violates the specification.
         largest_layer: Above so many states a step, neighbouring states are taken for one.
         most_states: Above so many reachable states in all, nothing is explored.
@@ -225,22 +218,14 @@ def explore(
     """
     certain = certain_violation(twin, unsafe)
     walk = _Walk(twin, unsafe, pause, bounded=tells_bounds(twin), certain=certain)
-
-    def explored(walk: _Walk) -> StateGraph:
-        exactly = walk.bounded or walk.certain is not None
-        merger = Merger(largest_layer, pause, most_states=most_states, exactly=exactly)
-        cells = start_cells(twin)
-        if cells is not None:
-            graph = _from_cells(walk, cells, pem, merger)
-        else:
-            graph = _from_start(walk, pem, merger)
-        return replace(graph, certain=walk.certain)
-
     try:
-        return explored(walk)
+        exactly = walk.bounded or certain is not None
+        merger = Merger(largest_layer, pause, most_states=most_states, exactly=exactly)
+        return _graph(walk, pem, merger)
     except MustMergeNeighbours:
-        # an approximation by neighbours asks those too whose value is known
-        return explored(replace(walk, bounded=False, certain=None))
+        # an approximation by neighbours follows those too whose value is known
+        merger = Merger(largest_layer, pause, most_states=most_states, exactly=False)
+        return _graph(replace(walk, bounded=False, certain=None), pem, merger)
 
 
 @dataclass(frozen=True)
@@ -269,7 +254,11 @@ class _Walk:
 
     def children(self, states: StateBatch) -> StateBatch:
         """The states ``[2n]`` after a miss, then after a hit, at states ``[n]``."""
-        return StateBatch.concatenate([self._after(states, hit=hit) for hit in (False, True)])
+        after: list[StateBatch] = []
+        for hit in (False, True):
+            after.append(stepped(self.twin, states, np.full(states.shape[0], hit)))
+            self.pause()
+        return StateBatch.concatenate(after)
 
     def must_violate(self, states: StateBatch) -> BoolArray:
         """Whether states are unsafe, or lead to unsafe ones for certain, ``[N]``."""
@@ -287,40 +276,25 @@ class _Walk:
         bounds = signal_bounds(self.twin, states, steps=self.last_step - step)
         return self.unsafe.possible(bounds, after=step)
 
-    def _after(self, states: StateBatch, *, hit: bool) -> StateBatch:
-        result = stepped(self.twin, states, np.full(states.shape[0], hit))
-        self.pause()
-        return result
 
-
-def _from_start(walk: _Walk, pem: DetectorModel, merger: Merger) -> StateGraph:
-    """The graph of all states that matter from one start."""
-    start = begun(walk.twin, count=1)
-    if walk.must_violate(start)[0]:
-        return StateGraph(layers=(), start=UNSAFE_NODE, exact=True)
-    explored = _explored(walk, start, merger)
-    live = _live(explored.moves)
-    if not live or not live[0].any():
-        return StateGraph(layers=(), start=SAFE_NODE, exact=merger.exact)
-    return StateGraph(
-        layers=_live_layers(walk, start, explored, live, pem), start=0, exact=merger.exact
-    )
-
-
-def _from_cells(walk: _Walk, cells: StartCells, pem: DetectorModel, merger: Merger) -> StateGraph:
-    """The graph of all states that matter from any of a quantised start's cells."""
-    starts = begun(walk.twin, count=cells.count, start=cells.medians)
+def _graph(walk: _Walk, pem: DetectorModel, merger: Merger) -> StateGraph:
+    """The graph of all states that matter from the start, or any of a quantised start's cells."""
+    cells = start_cells(walk.twin)
+    if cells is None:
+        starts, log_start = begun(walk.twin, count=1), np.zeros(1)
+    else:
+        starts, log_start = begun(walk.twin, count=cells.count, start=cells.medians), cells.log_p
     node = np.where(walk.must_violate(starts), UNSAFE_NODE, SAFE_NODE)
     layers: tuple[Layer, ...] = ()
     open_ = np.flatnonzero(node == SAFE_NODE)
     if open_.size:
-        distinct, index = merger.merge(starts.take(open_))
-        explored = _explored(walk, distinct, merger)
+        first, index = merger.merge(starts.take(open_))
+        explored = _explored(walk, first, merger)
         live = _live(explored.moves)
         if live and live[0].any():
-            layers = _live_layers(walk, distinct.take(live[0]), explored, live, pem)
+            layers = _live_layers(walk, first.take(live[0]), explored, live, pem)
             node[open_] = np.where(live[0], np.cumsum(live[0]) - 1, SAFE_NODE)[index]
-    return StateGraph(layers, start=node, exact=merger.exact, log_start=cells.log_p)
+    return StateGraph(layers, node, merger.exact, log_start, walk.certain)
 
 
 @dataclass(frozen=True)
@@ -394,17 +368,12 @@ def _live_layers(
         if not after.any():
             break
         if explored.kept is None:
-            first = _first_arrivals(node.ravel(), int(after.sum()))
+            # of the moves to a state the first, as in merging: the last one written stays
+            arriving = np.flatnonzero(node.ravel() >= 0)[::-1]
+            first = np.empty(int(after.sum()), dtype=np.int64)
+            first[node.ravel()[arriving]] = arriving
             states = walk.children(states).take(first)
         else:
             reached = explored.kept[step + 1]
             states = reached if after.all() else reached.take(after)
     return tuple(layers)
-
-
-def _first_arrivals(node: IntArray, count: int) -> IntArray:
-    """Which of the moves ``[2n]`` to ``count`` nodes is the first to each, as in merging."""
-    arriving = np.flatnonzero(node >= 0)[::-1]
-    first = np.empty(count, dtype=np.int64)
-    first[node[arriving]] = arriving  # the last one written stays
-    return first

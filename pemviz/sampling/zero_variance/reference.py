@@ -19,7 +19,7 @@ REFERENCE_ROLLOUTS = 20_000
 REFERENCE_SEED = 2**62 + 5
 REFERENCE_DEFENSIVE_STEPS = 0.2
 FEW_STATES = 200_000
-"""So few states are looked at unasked: the recursion over them takes a tenth of a second."""
+"""So few states are looked at in any case: the recursion over them takes a tenth of a second."""
 FRAIL_COST = 20
 """Where obstacles differ, how many times fewer are."""
 
@@ -48,7 +48,7 @@ def reference(
 
     Unbiased even where the twin is wrong, which a recursion on the twin would not notice;
     where the twin is right its standard error is some thousandths of a per cent. The seed
-    is its own, so that nothing else depends on whether a reference was asked for.
+    is its own, so that nothing else depends on whether a reference was wanted.
 
     Raises:
         InputError: Single states do not decide the specification.
@@ -61,8 +61,12 @@ def reference(
     )
     # what an interrupted run left is its own method's, not the reference's
     problem = replace(problem.without_rules(), finished=nothing_finished)
-    if _are_same(problem.simulator, twin):
-        # as cheap as a twin is, rollouts that are drawn together ask the model less often
+    try:
+        is_twin = problem.simulator is twin or bool(problem.simulator == twin)
+    except ValueError:  # arrays among their parts
+        is_twin = False
+    if is_twin:
+        # as cheap as a twin is, rollouts sampled together evaluate the model less often
         together = max(problem.batch_rollouts, largest_part(states=twin.states))
         problem = replace(problem, batch_rollouts=together)
     state = method.init(problem, repetition=0)
@@ -77,23 +81,13 @@ def reference(
     )
 
 
-def _are_same(simulator: Simulator, twin: Simulator) -> bool:
-    """Whether the scenario is its own twin; False where they cannot be compared."""
-    try:
-        return simulator is twin or bool(simulator == twin)
-    except ValueError:  # arrays among their parts
-        return False
-
-
 def reference_of_few_states(problem: Problem, *, twin: Simulator) -> Reference | None:
     """The answer by recursion where that costs next to nothing.
 
     A check that shares no blind spot with sampling: it goes through every sequence of outcomes,
-    also where no signal and no rollout points at the one that fails.
-
-    Returns:
-        ``None`` where the twin has more than :data:`FEW_STATES` states, where single states do
-        not decide the specification, or where the twin's start alone is quantised.
+    also where no signal and no rollout points at the one that fails. ``None`` where the twin has
+    more than :data:`FEW_STATES` states, where single states do not decide the specification, or
+    where the twin's start alone is quantised.
     """
     if problem.unsafe is None or start_cells(twin) != start_cells(problem.simulator):
         return None

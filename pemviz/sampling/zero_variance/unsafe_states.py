@@ -31,7 +31,10 @@ class StateRule:
         Raises:
             InputError: A number is not finite, or becomes so.
         """
-        finite = all(_is_finite(signals.get(name)) for name in self._named)
+        found = [signals.get(name) for name in self._named]
+        finite = all(
+            v is not None and v.dtype == np.float64 and np.isfinite(v).all() for v in found
+        )
         if not (self._compares_numbers and finite):  # the whole evaluation tells what is wrong
             return stl.violated(self.predicate, {name: v[:, None] for name, v in signals.items()})
         # of a formula without signals the others say how many states there are
@@ -50,10 +53,6 @@ class StateRule:
             for predicate in self.predicate.walk()
             if isinstance(predicate, Predicate)
         )
-
-
-def _is_finite(values: FloatArray | None) -> bool:
-    return values is not None and values.dtype == np.float64 and bool(np.isfinite(values).all())
 
 
 @dataclass(frozen=True)
@@ -76,9 +75,9 @@ class UnsafeStates:
     def __call__(self, states: StateBatch) -> BoolArray:
         """Whether states ``[N]``, all of one step, break a rule ``[N]``."""
         step = int(states.step) // self.turns
-        asked = [rule for rule in self.rules if rule.first <= step <= rule.last]
-        if asked:
-            return functools.reduce(operator.or_, (one.broken(states.signals) for one in asked))
+        due = [rule for rule in self.rules if rule.first <= step <= rule.last]
+        if due:
+            return functools.reduce(operator.or_, (one.broken(states.signals) for one in due))
         like = next(iter(states.signals.values()))
         return np.zeros(like.shape, dtype=np.bool)
 
@@ -93,21 +92,17 @@ class UnsafeStates:
         )
 
     def certain(self, reached: Callable[[int], SignalBounds], *, after: int) -> BoolArray | bool:
-        """Whether signals break a rule after step ``after`` whatever they do beyond what is told.
+        """Whether signals break a rule after step ``after``, whatever they do beyond ``reached``.
 
-        Args:
-            reached: Of a number of steps, what signals reach ``[N]`` at some of as many next
-                states: at one at most the first value, at one at least the second.
-            after: The step that they start from.
-
-        Returns:
-            ``[N]``, or one for all; False where it is not known.
+        That maps a number of steps to what signals reach at some of as many next states: at one at
+        most the first value, at one at least the second, ``[N]`` or one for all. False where it is
+        not known.
         """
         result: BoolArray | bool = False
         for rule in self.rules:
             if self.turns * rule.first <= after + 1 <= self.turns * rule.last:
-                told = reached(self.turns * rule.last - after)
-                result = np.logical_or(result, _surely_broken(rule.predicate, told))
+                farthest = reached(self.turns * rule.last - after)
+                result = np.logical_or(result, _surely_broken(rule.predicate, farthest))
         return result
 
 
@@ -151,11 +146,7 @@ def unsafe_states(formula: Formula, *, turns: int = 1) -> UnsafeStates | None:
 
     Within reach are ``always`` over a formula without temporal operators, nested ``always``,
     and conjunctions of these. A rollout violates the formula if and only if one of its states
-    breaks a rule.
-
-    Args:
-        formula: Over steps.
-        turns: Outcomes of a step.
+    breaks a rule. The formula is over steps with as many outcomes as ``turns``.
     """
     rules = _rules(formula)
     return None if rules is None else UnsafeStates(rules, turns)
@@ -165,13 +156,13 @@ def _rules(formula: Formula) -> tuple[StateRule, ...] | None:
     if formula.horizon_steps() == 0 and not any(isinstance(p, Always) for p in formula.walk()):
         return (StateRule(0, 0, formula),)
     if isinstance(formula, And):
-        parts = [_rules(part) for part in formula.parts]
-        constrained = [part for part in parts if part is not None]
-        return (
-            tuple(r for part in constrained for r in part)
-            if len(constrained) == len(parts)
-            else None
-        )
+        rules: tuple[StateRule, ...] = ()
+        for part in formula.parts:
+            inner = _rules(part)
+            if inner is None:
+                return None
+            rules += inner
+        return rules
     if isinstance(formula, Always):
         inner = _rules(formula.operand)
         if inner is None:
@@ -185,21 +176,13 @@ def _rules(formula: Formula) -> tuple[StateRule, ...] | None:
 
 @dataclass(frozen=True)
 class CertainViolation:
-    """Which states violate later for certain, as far as a twin tells.
-
-    Attributes:
-        twin: What tells how far its signals go at least.
-        unsafe: What violates the specification.
-    """
+    """Which states violate later for certain, as far as the twin tells of its signals."""
 
     twin: Simulator
     unsafe: UnsafeStates
 
     def __call__(self, states: StateBatch) -> BoolArray:
-        """Whether all sequences of outcomes lead from states ``[N]`` of one step to unsafe ones.
-
-        False where that is not known.
-        """
+        """Whether all sequences of outcomes lead from states ``[N]`` of a step to unsafe ones."""
         after = int(states.step)
 
         def reached(steps: int) -> SignalBounds:

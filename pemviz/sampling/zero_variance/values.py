@@ -43,18 +43,28 @@ def solve(graph: StateGraph, *, pause: Pause = no_pause) -> Values:
         miss, hit = _outcome_values(layer, following)
         following = np.logaddexp(miss, hit)
         log_value.insert(0, following)
-        proposal_logit.insert(0, _difference(hit, miss))
-    log_reached = [_begun(graph)] if layers else []
+        none = np.isneginf(hit) & np.isneginf(miss)
+        logit = np.where(none, 0.0, np.where(none, 0.0, hit) - np.where(none, 0.0, miss))
+        proposal_logit.insert(0, logit)
+    log_reached: list[FloatArray] = []
+    if layers:
+        inside = graph.start >= 0
+        arriving = graph.log_start[inside]
+        log_reached.append(log_sum_by(graph.start[inside], arriving, layers[0].count))
     for layer, after in itertools.pairwise(layers):
         pause()
-        log_reached.append(_reached(layer, log_reached[-1], after.count))
-    of_start = _start_values(graph, log_value)
+        miss, hit = both_log_likelihoods(layer.pem_logit)
+        arriving = np.concatenate([log_reached[-1] + miss, log_reached[-1] + hit])
+        node = np.concatenate([layer.after_miss, layer.after_hit])
+        inside = node >= 0
+        log_reached.append(log_sum_by(node[inside], arriving[inside], after.count))
+    log_start_value = _start_values(graph, log_value)
     return Values(
         log_value=tuple(log_value),
         log_reached=tuple(log_reached),
         proposal_logit=tuple(proposal_logit),
-        log_probability=float(np.logaddexp.reduce(graph.log_start + of_start)),
-        log_start_value=of_start,
+        log_probability=float(np.logaddexp.reduce(graph.log_start + log_start_value)),
+        log_start_value=log_start_value,
     )
 
 
@@ -71,22 +81,8 @@ def log_values(graph: StateGraph, *, pause: Pause = no_pause) -> tuple[FloatArra
 
 def log_value_at_start(graph: StateGraph, *, pause: Pause = no_pause) -> float:
     """Log of the failure probability alone; -inf where it is 0. ``pause`` as above."""
-    of_start = _start_values(graph, log_values(graph, pause=pause))
-    return float(np.logaddexp.reduce(graph.log_start + of_start))
-
-
-def _start_values(graph: StateGraph, log_value: Sequence[FloatArray]) -> FloatArray:
-    """Log of the probability of violation from each start, ``[K]``."""
-    first = log_value[0] if log_value else np.empty(0)
-    ends = np.concatenate([first, [0.0, -np.inf]])  # indices -2 and -1
-    return ends[np.atleast_1d(graph.start)]
-
-
-def _begun(graph: StateGraph) -> FloatArray:
-    """Log of the probability of starting in each state of the first layer, ``[n]``."""
-    node = np.atleast_1d(graph.start)
-    inside = node >= 0
-    return log_sum_by(node[inside], graph.log_start[inside], graph.layers[0].count)
+    log_start_value = _start_values(graph, log_values(graph, pause=pause))
+    return float(np.logaddexp.reduce(graph.log_start + log_start_value))
 
 
 def both_log_likelihoods(logit: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -110,22 +106,18 @@ def log_sum_by(group: IntArray, log_values: FloatArray, count: int) -> FloatArra
         return np.log(total) + shift
 
 
+def _start_values(graph: StateGraph, log_value: Sequence[FloatArray]) -> FloatArray:
+    """Log of the probability of violation from each start, ``[K]``."""
+    return _with_ends(log_value[0] if log_value else np.empty(0))[graph.start]
+
+
 def _outcome_values(layer: Layer, following: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Log of outcome probability times value afterwards, for a miss and a hit, ``[n]``."""
-    ends = np.concatenate([following, [0.0, -np.inf]])  # indices -2 and -1
+    ends = _with_ends(following)
     miss, hit = both_log_likelihoods(layer.pem_logit)
     return miss + ends[layer.after_miss], hit + ends[layer.after_hit]
 
 
-def _difference(hit: FloatArray, miss: FloatArray) -> FloatArray:
-    """Hit - miss, 0 where both are -inf."""
-    both = np.isneginf(hit) & np.isneginf(miss)
-    return np.where(both, 0.0, np.where(both, 0.0, hit) - np.where(both, 0.0, miss))
-
-
-def _reached(layer: Layer, log_reached: FloatArray, count: int) -> FloatArray:
-    miss, hit = both_log_likelihoods(layer.pem_logit)
-    arriving = np.concatenate([log_reached + miss, log_reached + hit])
-    node = np.concatenate([layer.after_miss, layer.after_hit])
-    arrives = node >= 0
-    return log_sum_by(node[arrives], arriving[arrives], count)
+def _with_ends(log_value: FloatArray) -> FloatArray:
+    """Log values of a layer's states, and those at UNSAFE_NODE and SAFE_NODE: indices -2 and -1."""
+    return np.concatenate([log_value, [0.0, -np.inf]])
