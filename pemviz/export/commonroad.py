@@ -29,14 +29,21 @@ from commonroad.scenario.state import CustomState, InitialState
 from commonroad.scenario.trajectory import Trajectory
 
 from pemviz.arrays import FloatArray
-from pemviz.export.motion import BrakingMotion, CarMotion, braking_motion, description, facts
+from pemviz.export.motion import (
+    LANE_WIDTH_M,
+    ROAD_BEFORE_M,
+    ROAD_BEYOND_M,
+    BrakingMotion,
+    CarMotion,
+    braking_motion,
+    description,
+    facts,
+)
 from pemviz.export.rollout import RankedRollout
 from pemviz.reports.escape import printable_line
 from pemviz.simulators.braking.scenario import CAR_WIDTH_M
 
 LANELET_ID, EGO_ID, LEAD_ID, PROBLEM_ID = 1, 10, 11, 100
-LANE_WIDTH_M = 3.5
-ROAD_BEFORE_M, ROAD_BEYOND_M = 50.0, 100.0
 ROAD_POINTS = 50
 DATE = re.compile(r' date="[0-9-]{10}"')
 """Today's, which the library writes; in the text of an attribute quotes would be escaped."""
@@ -54,7 +61,15 @@ def commonroad_bytes(rollout: RankedRollout) -> bytes:
         InputError: It is of another simulator.
     """
     motion = braking_motion(rollout, form="commonroad")
-    scenario = Scenario(motion.dt_s, _scenario_id(rollout))
+    name = ScenarioID(
+        country_id="ZAM",  # CommonRoad's own: no country's road
+        map_name="Pemviz",
+        map_id=1,
+        configuration_id=rollout.rank,
+        obstacle_behavior="T",
+        prediction_id=1,
+    )
+    scenario = Scenario(motion.dt_s, name)
     scenario.add_objects(_lanelet(motion))
     for number, car in ((EGO_ID, motion.ego), (LEAD_ID, motion.lead)):
         scenario.add_objects(_obstacle(number, car, dt_s=motion.dt_s))
@@ -78,17 +93,6 @@ def commonroad_bytes(rollout: RankedRollout) -> bytes:
     return "\n".join(lines).encode("utf-8")
 
 
-def _scenario_id(rollout: RankedRollout) -> ScenarioID:
-    return ScenarioID(
-        country_id="ZAM",  # CommonRoad's own: no country's road
-        map_name="Pemviz",
-        map_id=1,
-        configuration_id=rollout.rank,
-        obstacle_behavior="T",
-        prediction_id=1,
-    )
-
-
 def _lanelet(motion: BrakingMotion) -> Lanelet:
     x_m = np.linspace(-ROAD_BEFORE_M, motion.end_m + ROAD_BEYOND_M, ROAD_POINTS)
 
@@ -107,15 +111,9 @@ def _lanelet(motion: BrakingMotion) -> Lanelet:
     )
 
 
-def _acceleration_mps2(car: CarMotion, *, dt_s: float) -> FloatArray:
-    """``[T]`` until the next state; the last state has the one before it."""
-    steps = np.diff(car.speed_mps) / dt_s
-    return np.append(steps, steps[-1])
-
-
 def _obstacle(number: int, car: CarMotion, *, dt_s: float) -> DynamicObstacle:
     shape = RectObstacleShape(length=car.length_m, width=CAR_WIDTH_M)
-    acceleration_mps2 = _acceleration_mps2(car, dt_s=dt_s)
+    columns = (car.centre_m.tolist(), car.speed_mps.tolist(), _acceleration_mps2(car, dt_s=dt_s))
     states = [
         CustomState(
             time_step=step,
@@ -124,14 +122,7 @@ def _obstacle(number: int, car: CarMotion, *, dt_s: float) -> DynamicObstacle:
             velocity=speed_mps,
             acceleration=mps2,
         )
-        for step, (x_m, speed_mps, mps2) in enumerate(
-            zip(
-                car.centre_m.tolist(),
-                car.speed_mps.tolist(),
-                acceleration_mps2.tolist(),
-                strict=True,
-            )
-        )
+        for step, (x_m, speed_mps, mps2) in enumerate(zip(*columns, strict=True))
     ]
     return DynamicObstacle(
         number,
@@ -142,13 +133,19 @@ def _obstacle(number: int, car: CarMotion, *, dt_s: float) -> DynamicObstacle:
     )
 
 
+def _acceleration_mps2(car: CarMotion, *, dt_s: float) -> list[float]:
+    """Until the next state; the last state has the one before it."""
+    steps = (np.diff(car.speed_mps) / dt_s).tolist()
+    return [*steps, steps[-1]]
+
+
 def _initial_state(car: CarMotion, *, dt_s: float) -> InitialState:
     return InitialState(
         time_step=0,
         position=np.array([float(car.centre_m[0]), 0.0]),
         orientation=0.0,
         velocity=float(car.speed_mps[0]),
-        acceleration=float(_acceleration_mps2(car, dt_s=dt_s)[0]),
+        acceleration=_acceleration_mps2(car, dt_s=dt_s)[0],
         yaw_rate=0.0,
         slip_angle=0.0,
     )

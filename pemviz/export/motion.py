@@ -16,19 +16,16 @@ from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import InputError
 from pemviz.export.rollout import RankedRollout
 from pemviz.sampling.state.visibility import SEEN_LOGIT, VISIBILITY
-from pemviz.simulators.braking.contact import (
-    CAMERA_TO_BUMPER_M,
-    Contact,
-    first_contact,
-)
-from pemviz.simulators.braking.scenario import EGO_LENGTH_M, EGO_SPEED, GAP, LEAD_SPEED
-from pemviz.simulators.braking.scenario import scenario_signals as signals_of
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M, Contact, first_contact
+from pemviz.simulators.braking.scenario import EGO_LENGTH_M, scenario_signals
 from pemviz.types import LAST_OUTCOME
 
 REMEMBERED = {signal.key for signal in (LAST_OUTCOME, VISIBILITY, SEEN_LOGIT)}
 """What runs keep of perception's memory beside the scenario's own signals."""
 FARTHEST = 1e9
 """Beyond any position [m] or speed [m/s]."""
+LANE_WIDTH_M = 3.5
+ROAD_BEFORE_M, ROAD_BEYOND_M = 50.0, 100.0
 
 
 @dataclass(frozen=True)
@@ -104,14 +101,12 @@ def braking_motion(rollout: RankedRollout, *, form: str) -> BrakingMotion:
             f"{rollout.result.config.simulator!r}; take csv or parquet"
         )
         raise InputError(message)
-    keys = {signal.name: signal.key for signal in signals_of(scenario)}
-    others = set(rollout.signals) - set(keys.values()) - REMEMBERED
-    if others or not set(keys.values()) <= set(rollout.signals) or set(rollout.detected) != {""}:
-        message = f"format = {form}: the rollouts must hold {', '.join(keys.values())} alone"
+    keys = [signal.key for signal in scenario_signals(scenario)]
+    others = set(rollout.signals) - set(keys) - REMEMBERED
+    if others or not set(keys) <= set(rollout.signals) or set(rollout.detected) != {""}:
+        message = f"format = {form}: the rollouts must hold {', '.join(keys)} alone"
         raise InputError(message)
-    gap_m, ego_mps, lead_mps = (
-        rollout.signals[keys[name]] for name in (GAP, EGO_SPEED, LEAD_SPEED)
-    )
+    gap_m, ego_mps, lead_mps = (rollout.signals[key] for key in keys)
     if not all(np.all(np.abs(values) <= FARTHEST) for values in (gap_m, ego_mps, lead_mps)):
         message = f"format = {form}: the rollout holds what is no gap or speed"
         raise InputError(message)

@@ -14,7 +14,16 @@ import scenariogeneration
 import scenariogeneration.xodr
 import scenariogeneration.xosc
 
-from pemviz.export.motion import BrakingMotion, CarMotion, braking_motion, description, facts
+from pemviz.export.motion import (
+    LANE_WIDTH_M,
+    ROAD_BEFORE_M,
+    ROAD_BEYOND_M,
+    BrakingMotion,
+    CarMotion,
+    braking_motion,
+    description,
+    facts,
+)
 from pemviz.export.rollout import RankedRollout
 from pemviz.reports.escape import printable_line
 from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M
@@ -31,8 +40,6 @@ REAR_AXLE, FRONT_AXLE = 0.2, 0.8
 WHEEL_M, TRACK_M, STEERING_RAD = 0.65, 1.5, 0.5
 TOP_SPEED_MPS, TOP_ACCELERATION_MPS2 = 70.0, 20.0
 """Beyond what the scenario allows."""
-LANE_WIDTH_M = 3.5
-ROAD_BEFORE_M, ROAD_BEYOND_M = 50.0, 100.0
 EGO, LEAD = "Ego", "Lead"
 
 
@@ -47,28 +54,25 @@ def openscenario_files(rollout: RankedRollout, *, road_file: str) -> tuple[bytes
         InputError: It is of another simulator.
     """
     motion = braking_motion(rollout, form="openscenario")
-    scenario = xosc.Scenario(
-        printable_line(description(rollout, motion)),
-        "pemviz",
-        xosc.ParameterDeclarations(),
-        _entities(rollout, motion),
-        _storyboard(motion),
-        xosc.RoadNetwork(roadfile=road_file),
-        xosc.Catalog(),
-        osc_minor_version=VERSION,
-        creation_date=rollout.date.replace(tzinfo=None),
-    )
-    return _text(scenario.get_element()), _road(motion, date=rollout.date.isoformat())
-
-
-def _entities(rollout: RankedRollout, motion: BrakingMotion) -> Any:
     ego, lead = _vehicle(motion.ego), _vehicle(motion.lead)
     for name, value in facts(rollout, motion).items():
         ego.add_property(name, printable_line(value))
     entities = xosc.Entities()
     entities.add_scenario_object(EGO, ego)
     entities.add_scenario_object(LEAD, lead)
-    return entities
+    scenario = xosc.Scenario(
+        printable_line(description(rollout, motion)),
+        "pemviz",
+        xosc.ParameterDeclarations(),
+        entities,
+        _storyboard(motion),
+        xosc.RoadNetwork(roadfile=road_file),
+        xosc.Catalog(),
+        osc_minor_version=VERSION,
+        creation_date=rollout.date.replace(tzinfo=None),
+    )
+    scenario_file = scenariogeneration.prettify(scenario.get_element())
+    return scenario_file, _road(motion, date=rollout.date.isoformat())
 
 
 def _vehicle(car: CarMotion) -> Any:
@@ -88,16 +92,12 @@ def _vehicle(car: CarMotion) -> Any:
     return vehicle
 
 
-def _positions(car: CarMotion) -> list[Any]:
-    axle_m = car.rear_m + REAR_AXLE * car.length_m
-    return [xosc.WorldPosition(x, 0.0, 0.0, 0.0, 0.0, 0.0) for x in axle_m.tolist()]
-
-
 def _storyboard(motion: BrakingMotion) -> Any:
     init = xosc.Init()
     act = xosc.Act("replay", _at(0.0, name="start"))
     for entity, car in ((EGO, motion.ego), (LEAD, motion.lead)):
-        positions = _positions(car)
+        axle_m = car.rear_m + REAR_AXLE * car.length_m
+        positions = [xosc.WorldPosition(x, 0.0, 0.0, 0.0, 0.0, 0.0) for x in axle_m.tolist()]
         at_once = xosc.TransitionDynamics(
             xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0.0
         )
@@ -151,8 +151,4 @@ def _road(motion: BrakingMotion, *, date: str) -> bytes:
     drive.adjust_roads_and_lanes()
     element = drive.get_element()
     next(element.iter("header")).set("date", date)
-    return _text(element)
-
-
-def _text(element: Any) -> bytes:
     return scenariogeneration.prettify(element)

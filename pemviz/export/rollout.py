@@ -39,10 +39,10 @@ class RankedRollout:
         detected: ``[T-1]`` outcomes by slot; where perception answers one thing a step under the
             one name ``""``.
         log_p: ``[T-1]`` log likelihood of the outcomes under the error model [nats], likewise.
-        log_q: ``[T-1]`` the same under the distribution that they were drawn from [nats].
+        log_q: ``[T-1]`` the same under the distribution that they were sampled from [nats].
         latents: Of a scenario that takes some: ``start``, the means ``start_mean`` and spreads
-            ``start_sd`` that it was drawn with ``[S]``, ``noise``, ``noise_mean`` and ``noise_sd``
-            ``[T-1, M]``, and ``noise_share`` ``[T-1]``.
+            ``start_sd`` that it was sampled with ``[S]``, ``noise``, ``noise_mean`` and
+            ``noise_sd`` ``[T-1, M]``, and ``noise_share`` ``[T-1]``.
     """
 
     result: RunResult
@@ -113,7 +113,11 @@ def _chosen(
     one = {name: values[row] for name, values in table.items()}
     of_stage = (table["repetition"] == one["repetition"]) & (table["stage"] == one["stage"])
     slots = _slot_names(result, one["detected"])
-    outcomes = {name: _by_slot(one[name], slots) for name in PER_OUTCOME}
+    detected, log_p, log_q = (
+        dict(zip(slots, one[name].reshape(-1, len(slots)).T, strict=True)) for name in PER_OUTCOME
+    )
+    beside = (*PER_ROLLOUT, ROLLOUT, *PER_OUTCOME)
+    signals = [n for n in table if n not in beside and not n.startswith((BROKEN, LATENTS))]
     return RankedRollout(
         result=result,
         rank=rank,
@@ -123,21 +127,16 @@ def _chosen(
         robustness=float(one["robustness"]),
         violated=bool(one["violated"]),
         broken={n.removeprefix(BROKEN): bool(v) for n, v in one.items() if n.startswith(BROKEN)},
-        signals={name: one[name].astype(np.float64) for name in _signal_keys(table)},
-        detected=outcomes["detected"],
-        log_p=outcomes["log_p"],
-        log_q=outcomes["log_q"],
+        signals={name: one[name].astype(np.float64) for name in signals},
+        detected=detected,
+        log_p=log_p,
+        log_q=log_q,
         latents={n.removeprefix(LATENTS): v for n, v in one.items() if n.startswith(LATENTS)},
     )
 
 
-def _signal_keys(table: Mapping[str, AnyArray]) -> list[str]:
-    known = (*PER_ROLLOUT, ROLLOUT, *PER_OUTCOME)
-    return [n for n in table if n not in known and not n.startswith((BROKEN, LATENTS))]
-
-
 def _slot_names(result: RunResult, detected: AnyArray) -> tuple[str, ...]:
-    """The slots' names as the run's explanation tells them; their numbers, if it does not."""
+    """The slots' names as the run's explanation has them; their numbers, if it does not."""
     if detected.ndim == 1:
         return ("",)
     count = detected.shape[1]
@@ -146,18 +145,8 @@ def _slot_names(result: RunResult, detected: AnyArray) -> tuple[str, ...]:
     return names if len(set(names)) == count else tuple(str(slot) for slot in range(count))
 
 
-def _by_slot(values: AnyArray, slots: tuple[str, ...]) -> dict[str, AnyArray]:
-    if values.ndim == 1:
-        return {slots[0]: values}
-    return {name: values[:, place] for place, name in enumerate(slots)}
-
-
 def _check(table: Mapping[str, AnyArray], *, where: Path) -> None:
-    """Check that the arrays are those of N rollouts of T states.
-
-    Raises:
-        InputError: They are not.
-    """
+    """Check that the arrays are those of N rollouts of T states."""
     absent = [name for name in (*PER_ROLLOUT, *PER_OUTCOME) if name not in table]
     if absent:
         message = f"rollouts {where}: {absent[0]} is absent"

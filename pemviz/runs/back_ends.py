@@ -17,7 +17,7 @@ from pemviz.sampling.slots import turns_of
 from pemviz.simulators.braking.scenario import BrakingFeatures, BrakingScenario
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.encounters.features import EncounterFeatures
+from pemviz.simulators.encounters.scenario import EncounterFeatures
 from pemviz.simulators.episodic import EpisodicSimulator, episodic, side_by_side
 from pemviz.simulators.latents import LatentSimulator, latent_counts
 from pemviz.simulators.merge.scenario import MergeSimulator

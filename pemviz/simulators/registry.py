@@ -24,11 +24,10 @@ from pemviz.config import (
 from pemviz.config.ranges import NamedPart
 from pemviz.config.settings import DEFAULT_ADDRESS, SumoConfig
 from pemviz.errors import ConfigError
-from pemviz.simulators.measurement_errors import RangeErrors
+from pemviz.simulators.measurement_errors import PlaneErrors, RangeErrors
 from pemviz.types import Simulator
 
 if TYPE_CHECKING:
-    from pemviz.simulators.encounters.measured import PlaneErrors
     from pemviz.simulators.encounters.scenario import LogicalScenario
 
 SHIPPED = SHIPPED_SIMULATORS
@@ -106,7 +105,7 @@ def _sumo(
 
 
 def build_encounter_simulator(
-    config: ExperimentConfig, *, errors: "PlaneErrors | None" = None
+    config: ExperimentConfig, *, errors: PlaneErrors | None = None
 ) -> "LogicalScenario":
     """The back end of the logical scenario that ``config`` names.
 

@@ -11,8 +11,8 @@ from pyarrow import parquet
 
 import pemviz
 from pemviz.cli.main import main
+from pemviz.export.formats import METADATA, csv_bytes, parquet_bytes
 from pemviz.export.rollout import read_ranked_rollout
-from pemviz.export.table import METADATA, csv_bytes, parquet_bytes
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts

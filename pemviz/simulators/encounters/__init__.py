@@ -10,9 +10,9 @@ right.
 **Frame.** x along the road, y to the left; the ego keeps to y = 0 with heading 0. Three lanes with
 centres -w, 0, w. Cars are rectangles along the road, L by W, whatever their heading.
 
-**Start values** are drawn once: ``pemviz/config/encounters.py`` names them by logical scenario with
-their default distributions. One with a fixed number takes no latent; the others take one each, in
-that order, mapped by their quantile function. Speeds and decelerations below 0 are taken as 0, a
+**Start values** are sampled once: ``pemviz/config/encounters.py`` names them by logical scenario
+with their default distributions. One with a fixed number takes no latent; the others take one each,
+in that order, mapped by their quantile function. Speeds and decelerations below 0 are taken as 0, a
 ``duration`` below dt as dt.
 
 **Other cars**, each a slot, in this order. A gap is from bumper to bumper along the road: gap_k =
@@ -47,10 +47,10 @@ touches it, it hides none, and rules know nothing of it.
 s_{T-2}, for every slot, the ghost too. With b = atan2(x, z) its bearing (below), e_r the error
 along the line of sight and e_c the one across it, to the right: gap_k + e_r cos b - e_c sin b and
 aside_k - e_r sin b - e_c cos b are measured. The noise u of an error is, with its memory's share c
-and time tau, sqrt(c) l + sqrt(1 - c) f_t: l is drawn once, f_0 is standard normal, f_t = r f_{t-1}
-+ sqrt(1 - r^2) times a standard normal with r = exp(-dt / tau). Latents at every step: for each
-slot one for e_r, then one for e_c; at the start, after those of start values and only if the c of
-one kind is above 0, the l in the same order. A third kind of error, of speed, is not used.
+and time tau, sqrt(c) l + sqrt(1 - c) f_t: l is sampled once, f_0 is standard normal, f_t = r
+f_{t-1} + sqrt(1 - r^2) times a standard normal with r = exp(-dt / tau). Latents at every step: for
+each slot one for e_r, then one for e_c; at the start, after those of start values and only if the c
+of one kind is above 0, the l in the same order. A third kind of error, of speed, is not used.
 
 **Lateral profile.** Y(time) = y_from + (y_to - y_from) S((time - begin) / duration), with the
 minimum jerk S(u) = 10 u^3 - 15 u^4 + 6 u^5, 0 below u = 0 and 1 above 1 (Flash & Hogan 1985).
@@ -81,11 +81,12 @@ The ego starts at x = 0 with speed V, its set speed.
 5. *Positions, with the old speeds and headings* (explicit Euler): x grows by v cos(heading) dt, y
    by v sin(heading) dt.
 6. *Speeds:* each grows by its acceleration times dt, and is 0 if that is negative.
-7. *Contact* (``contact.py``), unless there was one. With dx = x_k - x_ego and dy = y_k, old and new
-   ones joined by straight lines over the step's share f from 0 to 1, car k touches the ego at the
-   least f with |dx| <= L and |dy| <= W. The ego and the car with the least f of all (the first in
-   order, if several) are put where they are at that f, with speed 0: there they stay. ``collided``
-   is 1 from then on, ``impact_speed`` the length of the step's (dx, dy), new minus old, over dt.
+7. *Contact* (``vectorized.py``), unless there was one. With dx = x_k - x_ego and dy = y_k, old and
+   new ones joined by straight lines over the step's share f from 0 to 1, car k touches the ego at
+   the least f with |dx| <= L and |dy| <= W. The ego and the car with the least f of all (the first
+   in order, if several) are put where they are at that f, with speed 0: there they stay.
+   ``collided`` is 1 from then on, ``impact_speed`` the length of the step's (dx, dy), new minus
+   old, over dt.
 8. *Headings:* of car k at s_t with speed v > 0, arcsin((Y((t+1) dt) - y_k) / (v dt)), the argument
    kept within +-0.3; a car that stands keeps its heading, 0 at s_0. A car is thereby where its
    profile has it at every state, unless it is too slow for that.

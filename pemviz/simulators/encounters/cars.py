@@ -4,11 +4,10 @@ Arrays have a row for each car, ``[K, ...]``.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.config import EncounterConfig
 
 HALVINGS = 60
@@ -36,54 +35,34 @@ START_PLANES: Mapping[str, tuple[str, str]] = {
 Values = Mapping[str, FloatArray]
 
 
-@dataclass(frozen=True)
-class Begun:
-    """Where other cars begin.
-
-    Attributes:
-        gap_m: Bumper to bumper along the road, ``[K, N]`` [m].
-        aside_m: To the left of the ego, ``[K, N]`` [m].
-        speed_mps: ``[K, N]`` [m/s].
-    """
-
-    gap_m: FloatArray
-    aside_m: FloatArray
-    speed_mps: FloatArray
-
-
 def car_names(config: EncounterConfig) -> tuple[str, ...]:
     """The K other cars, in the order of their slots."""
     own = CARS[config.logical_scenario]
     return (*own, NEIGHBOUR) if config.neighbour else own
 
 
-def changes_lane(config: EncounterConfig) -> BoolArray:
-    """Which of the K other cars do, ``[K]``."""
-    names = car_names(config)
-    return np.array(
-        [place == 0 and config.logical_scenario != "braking" for place in range(len(names))]
-    )
-
-
-def begun_cars(config: EncounterConfig, values: Values) -> Begun:
-    """Other cars at s_0.
+def begun_cars(
+    config: EncounterConfig, values: Values
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Gaps [m], offsets to the left [m] and speeds [m/s] at s_0, ``[K, N]``.
 
     Args:
         config: The encounter.
         values: Start values by name, ``[N]``.
     """
     ego_mps, gap_m = values["ego_speed"], values["gap"]
-    if config.logical_scenario == "cut-in":
-        until_s = values["cut_in_time"] + crossing_share(config) * values["duration"]
-        gap_m = gap_m + np.minimum(values["closing_speed"], ego_mps) * until_s
+    lane_m, width_m = config.lane_width_m, config.car_width_m
     slower_mps = np.maximum(ego_mps - values["closing_speed"], 0.0)
     gaps_m, speeds_mps = [gap_m], [slower_mps]
     if config.logical_scenario == "cut-in":
-        gaps_m.append(gap_m + config.car_length_m + values["lead_gap"])
+        crossing_share = _share_of((lane_m - width_m) / (2.0 * lane_m))
+        until_s = values["cut_in_time"] + crossing_share * values["duration"]
+        gap_m = gap_m + np.minimum(values["closing_speed"], ego_mps) * until_s
+        gaps_m = [gap_m, gap_m + config.car_length_m + values["lead_gap"]]
         speeds_mps.append(ego_mps)
     elif config.logical_scenario == "cut-out":
         revealed_mps = values["revealed_speed"]
-        clear_s = values["cut_out_time"] + clear_share(config) * values["duration"]
+        clear_s = values["cut_out_time"] + _share_of(width_m / lane_m) * values["duration"]
         until_touch_s = clear_s + values["margin"]
         approached_m = np.maximum(slower_mps - revealed_mps, 0.0) * until_touch_s
         gaps_m.append(gap_m + config.car_length_m + approached_m)
@@ -91,11 +70,8 @@ def begun_cars(config: EncounterConfig, values: Values) -> Begun:
     if config.neighbour:
         gaps_m.append(values["neighbour_gap"])
         speeds_mps.append(ego_mps)
-    return Begun(
-        gap_m=np.stack(gaps_m),
-        aside_m=lateral_places(config, values, time_s=0.0),
-        speed_mps=np.stack(speeds_mps),
-    )
+    aside_m = lateral_places(config, values, time_s=0.0)
+    return np.stack(gaps_m), aside_m, np.stack(speeds_mps)
 
 
 def lateral_places(config: EncounterConfig, values: Values, *, time_s: float) -> FloatArray:
@@ -147,12 +123,7 @@ def headings(
     """
     moves = speed_mps > 0.0
     wanted = (next_m - aside_m) / np.where(moves, speed_mps * dt_s, 1.0)
-    return headings_of(wanted.clip(-LARGEST_SINE, LARGEST_SINE), speed_mps, before)
-
-
-def headings_of(sine: FloatArray, speed_mps: FloatArray, before: FloatArray) -> FloatArray:
-    """Headings with given sines ``[K, N]`` of cars that move; others keep theirs [rad]."""
-    return np.where(speed_mps > 0.0, np.arcsin(sine), before)
+    return np.where(moves, np.arcsin(wanted.clip(-LARGEST_SINE, LARGEST_SINE)), before)
 
 
 def minimum_jerk(share: FloatArray) -> FloatArray:
@@ -161,18 +132,8 @@ def minimum_jerk(share: FloatArray) -> FloatArray:
     return u**3 * (10.0 + u * (6.0 * u - 15.0))
 
 
-def crossing_share(config: EncounterConfig) -> float:
-    """Share of its duration after which a car that cuts in has its near side at the marking."""
-    return _share_of((config.lane_width_m - config.car_width_m) / (2.0 * config.lane_width_m))
-
-
-def clear_share(config: EncounterConfig) -> float:
-    """Share of its duration after which a lane change has moved a car by its own width."""
-    return _share_of(config.car_width_m / config.lane_width_m)
-
-
 def _share_of(wanted: float) -> float:
-    """Where S(u) = ``wanted``; 0 or 1 where that lies beyond."""
+    """The share u of its duration with S(u) = ``wanted``; 0 or 1 where that lies beyond."""
     if not 0.0 < wanted < 1.0:
         return float(wanted >= 1.0)
     low, high = 0.0, 1.0

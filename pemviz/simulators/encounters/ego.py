@@ -1,19 +1,25 @@
-"""How the ego drives by what it is told: set speed, time gap, hard braking.
+"""How the ego drives: what it is told of other cars, with a tracker or without, and what it does.
 
-Arrays have a row for each other car, ``[K, N]``.
+Set speed, time gap, hard braking. Arrays have a row for each other car, ``[K, N]``.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import EncounterConfig
+from pemviz.simulators.encounters.encounter_signals import by_car, of_cars
+from pemviz.simulators.tracking.tracker import Tracker
+
+MEASURED_CLOSING = "measured_closing"
+"""Memory: closing speed at a car's last hit, where the tracker's filter has no speeds."""
 
 
 @dataclass(frozen=True)
 class Told:
-    """What the controller is told of the other cars.
+    """What perception reports of other cars, or the controller is told of them.
 
     Attributes:
         there: Whether it is told of the car at all, ``[K, N]``; the rest counts only where it is.
@@ -26,6 +32,45 @@ class Told:
     gap_m: FloatArray
     aside_m: FloatArray
     closing_mps: FloatArray
+
+
+def nothing_told(tracker: Tracker | None, cars: Sequence[str], count: int) -> dict[str, AnyArray]:
+    """What states remember before any outcome, arrays ``[count]``."""
+    if tracker is None:
+        return {}
+    none = np.zeros((len(cars), count))
+    closing = {} if tracker.has_speeds else by_car(MEASURED_CLOSING, cars, none)
+    return {**tracker.memory(tracker.start(count, slots=len(cars))), **closing}
+
+
+def told_after(
+    tracker: Tracker | None,
+    cars: Sequence[str],
+    memory: Mapping[str, AnyArray],
+    measured: Told,
+) -> tuple[Told, dict[str, AnyArray]]:
+    """What the controller is told, and what the next states remember.
+
+    Args:
+        tracker: Between perception and controller, if there is one.
+        cars: Names of the K other cars.
+        memory: Of the states in which perception acted.
+        measured: Which cars it reports, and what it measures of those.
+    """
+    if tracker is None:
+        return measured, {}
+    before = tracker.state(memory, slots=len(cars))
+    positions_m = np.stack([measured.gap_m.T, measured.aside_m.T], axis=-1)
+    tracks = tracker.update(before, measured.there.T, positions_m)
+    if tracker.has_speeds:
+        closing_mps, kept = -tracks.speed_mps[..., 0].T, {}
+    else:
+        held_mps = of_cars(MEASURED_CLOSING, cars, memory)
+        closing_mps = np.where(measured.there, measured.closing_mps, held_mps)
+        kept = by_car(MEASURED_CLOSING, cars, closing_mps)
+    gap_m, aside_m = tracks.position_m[..., 0].T, tracks.position_m[..., 1].T
+    told = Told(tracks.confirmed.T, gap_m, aside_m, closing_mps)
+    return told, {**tracker.memory(tracks), **kept}
 
 
 def acceleration(

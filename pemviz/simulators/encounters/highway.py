@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import EncounterConfig, StartChoice
 from pemviz.errors import ConfigError
-from pemviz.simulators.encounters.highway_sight import measured_place
 from pemviz.simulators.encounters.scenario import LogicalScenario
+from pemviz.simulators.encounters.single_encounter import measured_place
 from pemviz.types import StateBatch
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class HighwayEncounters(LogicalScenario):
         hits = np.asarray(detected, dtype=np.bool_) & self.sight_at(states).present
         numbers = [name for name in states.memory if name.startswith(NUMBER)]
         table = np.stack([states.memory[name] for name in numbers], axis=-1).tolist()
-        noises = {} if self.measured is None else self.measured.renewed(states, noise)
+        noises = {} if self.noise is None else self.noise.renewed(states, noise)
         told, kept = self._told(states, hits, self._places_m(states, noises))
         scene, rows = self._scene, list[list[float]]()
         for row, before in enumerate(table):
@@ -74,9 +74,9 @@ class HighwayEncounters(LogicalScenario):
             for what in ("gap", "aside")
         ]
         true_m = np.stack(true, axis=-1)
-        if self.measured is None:
+        if not noises:
             return true_m
-        errors_m = self.measured.errors_m(self.sight_at(states).salient, noises)
+        errors_m = self.errors_m(self.sight_at(states).salient, noises)
         pairs = zip(true_m.reshape(-1, 2).tolist(), errors_m.reshape(-1, 2).tolist(), strict=True)
         places = [measured_place(self.config, *place, *error) for place, error in pairs]
         return np.array(places, dtype=np.float64).reshape(true_m.shape)
@@ -90,7 +90,7 @@ class HighwayEncounters(LogicalScenario):
             return (None, places_m, None), {}
         before = tracker.state(states.memory, slots=len(self.slots))
         tracks = tracker.update(before, hits, places_m)
-        speeds = tracks.speed_mps if "speed_mps" in tracker.filter.keeps else None
+        speeds = tracks.speed_mps if tracker.has_speeds else None
         return (tracks.confirmed, tracks.position_m, speeds), tracker.memory(tracks)
 
     def _states(

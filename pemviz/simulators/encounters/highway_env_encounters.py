@@ -5,8 +5,8 @@ Importing it registers the environments with gymnasium::
     import pemviz.simulators.encounters.highway_env_encounters
     gymnasium.make("pemviz-cut-in-v0", render_mode="rgb_array")
 
-How an encounter begins, what the ego does and what is measured is in the files ``highway_*.py``
-beside this one, written from the logical scenarios' specification alone: one encounter, no batch.
+How an encounter begins, what the ego does and what is measured is in ``single_encounter.py``,
+written from the logical scenarios' specification alone: one encounter, no batch.
 """
 
 import math
@@ -16,28 +16,31 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ActionType
-from highway_env.envs.common.graphics import EnvViewer
 from highway_env.envs.common.observation import ObservationType
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.colors import EGO, LEAD, rgb
 from pemviz.config import EncounterConfig, StartChoice
 from pemviz.config.tracker_text import NO_TRACKER
-from pemviz.simulators.braking.highway_env_scenario import no_display
-from pemviz.simulators.encounters.highway_ego import Told, acceleration
-from pemviz.simulators.encounters.highway_signals import Signals, first_touch
-from pemviz.simulators.encounters.highway_start import (
-    Place,
-    courses,
-    drawn,
-    encounter_distributions,
+from pemviz.simulators.braking.highway_env_scenario import (
+    EGO_RGB,
+    LEAD_RGB,
+    ScriptedCar,
+    ScriptedEnv,
 )
-from pemviz.simulators.tracking.tracker import tracker_of_text
+from pemviz.simulators.encounters.single_encounter import (
+    Place,
+    Signals,
+    Told,
+    acceleration,
+    courses,
+    first_touch,
+    sampled,
+)
+from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 
 ENCOUNTERS = {
     "pemviz-braking-encounter-v0": EncounterConfig(logical_scenario="braking"),
@@ -45,31 +48,12 @@ ENCOUNTERS = {
     "pemviz-cut-out-v0": EncounterConfig(logical_scenario="cut-out"),
 }
 """By the environment's id."""
-FRAME_WIDTH_PX, FRAME_HEIGHT_PX = 640, 160
 SINE_LIMIT = 0.3
 LARGEST = 1e6
 
 
-class EncounterCar(Vehicle):
-    """A car that goes where it heads and stands rather than reverses; contact is not its own."""
-
-    MAX_SPEED = math.inf
-    MIN_SPEED = -math.inf
-
-    def __init__(self, road: Road, config: EncounterConfig, color: tuple[int, int, int]) -> None:
-        self.LENGTH, self.WIDTH = config.car_length_m, config.car_width_m
-        super().__init__(road, position=[0.0, 0.0])
-        self.color = color
-        self.collidable = self.check_collisions = False
-
-    def accelerate(self, acceleration_mps2: float) -> None:
-        """Keep this acceleration over the next step; the wheel is straight."""
-        self.action = {"steering": 0.0, "acceleration": acceleration_mps2}
-
-    def step(self, dt: float) -> None:
-        """Advance by ``dt`` [s]: position with the old speed, then speed."""
-        super().step(dt)
-        self.speed = max(self.speed, 0.0)
+class EncounterCar(ScriptedCar):
+    """A car that can be put into a place."""
 
     @property
     def place(self) -> Place:
@@ -110,14 +94,8 @@ class PerceptionOutcomes(ActionType):
         """Nothing: the environment tells the ego as it moves on."""
 
 
-class EncounterEnv(AbstractEnv):
-    """An encounter as ``pemviz.simulators.encounters`` specifies it, stepped with outcomes.
-
-    The reward is always 0; contact ends nothing; an episode is truncated at its last state.
-    """
-
-    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012  declared so by gymnasium
-    viewer: EnvViewer | None
+class EncounterEnv(ScriptedEnv):
+    """An encounter as ``pemviz.simulators.encounters`` specifies it, stepped with outcomes."""
 
     def __init__(
         self,
@@ -134,34 +112,26 @@ class EncounterEnv(AbstractEnv):
             tracker: As ``ScenarioConfig.tracker``.
             render_mode: ``rgb_array`` to render frames ``[160, 640, 3]`` without a display.
         """
-        self.encounter = encounter
-        self.distributions = encounter_distributions(encounter, chosen)
-        self.tracker = tracker_of_text(tracker, dt_s=encounter.dt_s, axes=2)
-        self.start = np.zeros(sum(not one.fixed for one in self.distributions.values()))
+        scenario = VectorizedEncounters(encounter, tuple(chosen), tracker)
+        self.encounter, self.tracker = encounter, scenario.tracker
+        self.distributions = scenario.distributions
+        self.start = np.zeros(scenario.latents.start)
         self.empty_road = _road(encounter)
-        super().__init__(config=_view(encounter), render_mode=render_mode)
-
-    def update_metadata(self, video_real_time_ratio: float = 1) -> None:
-        """Set the frame rate at which a film runs in real time."""
-        frames_per_s = video_real_time_ratio / self.encounter.dt_s
-        self.metadata = {**self.metadata, "render_fps": frames_per_s}
+        super().__init__(encounter, shown_m=encounter.farthest_m, render_mode=render_mode)
 
     def define_spaces(self) -> None:
         """Set our own observation and action types."""
         if not hasattr(self, "courses"):
             self.begin(self.start)
-        self.observation_type = SignalsObservation(self)
-        self.action_type = PerceptionOutcomes(self)
-        self.observation_space = self.observation_type.space()
-        self.action_space = self.action_type.space()
+        self.set_spaces(SignalsObservation(self), PerceptionOutcomes(self))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an encounter with start values drawn at random.
+        """Begin an encounter with start values sampled at random.
 
         Args:
-            seed: Of the draws.
+            seed: Of the start values.
             options: ``start``: their standard normals ``[S]`` instead.
         """
         gymnasium.Env.reset(self, seed=seed)
@@ -175,12 +145,13 @@ class EncounterEnv(AbstractEnv):
 
     def begin(self, start: FloatArray) -> None:
         """Put all cars at the start for standard normals ``[S]``."""
-        self.values = drawn(self.distributions, start)
+        self.values = sampled(self.distributions, start)
         self.courses = courses(self.encounter, self.values)
         self.set_speed_mps = max(self.values["ego_speed"], 0.0)
         self.road = self.empty_road
-        self.ego = EncounterCar(self.road, self.encounter, rgb(EGO))
-        self.others = [EncounterCar(self.road, self.encounter, rgb(LEAD)) for _ in self.courses]
+        size = {"length_m": self.encounter.car_length_m, "width_m": self.encounter.car_width_m}
+        self.ego = EncounterCar(self.road, **size, color=EGO_RGB)
+        self.others = [EncounterCar(self.road, **size, color=LEAD_RGB) for _ in self.courses]
         self.cars = (self.ego, *self.others)
         self.road.vehicles = list[Vehicle](self.cars)
         self.controlled_vehicles = [self.ego]
@@ -227,13 +198,8 @@ class EncounterEnv(AbstractEnv):
             return
         measured = [self.signals.reported_offsets]
         self.tracks = self.tracker.update(self.tracks, hits[None], np.array(measured))
-        speeds_mps = self.tracks.speed_mps[0] if self.has_speeds else None
+        speeds_mps = self.tracks.speed_mps[0] if self.tracker.has_speeds else None
         self.move(hits, self.tracks.confirmed[0], self.tracks.position_m[0], speeds_mps)
-
-    @property
-    def has_speeds(self) -> bool:
-        """Whether the tracker's filter knows speeds."""
-        return self.tracker is not None and "speed_mps" in self.tracker.filter.keeps
 
     def move(
         self,
@@ -274,22 +240,17 @@ class EncounterEnv(AbstractEnv):
         for car, one in zip(self.others, others, strict=True):
             car.accelerate(one)
         before = [car.place for car in self.cars]
-        held = [pair for pair in zip(self.cars, before, strict=True) if self._is_held(pair[0])]
+        still = () if self.signals.touched is None else (0, self.signals.touched + 1)
         braking_mps2 = [-one for one in others]
         self.signals.leave(0.0 if collided else own, braking_mps2)
         self.road.step(config.dt_s)
-        for car, place in held:
-            car.place = place
+        for number in still:  # in contact
+            self.cars[number].place = before[number]
         if not collided:
             self._touch(before)
         self.steps += 1
         self._head()
         self.signals.arrive(self.ego.place, self.places, self.steps)
-
-    def _is_held(self, car: EncounterCar) -> bool:
-        """Whether it stands in contact."""
-        touched = self.signals.touched
-        return touched is not None and (car is self.ego or car is self.others[touched])
 
     def _touch(self, before: Sequence[Place]) -> None:
         """Stop the ego and the car that it touches first over the step, if any."""
@@ -307,29 +268,12 @@ class EncounterEnv(AbstractEnv):
         for car, course in zip(self.others, self.courses, strict=True):
             place = car.place
             if place.speed_mps > 0.0:
-                aside_m = course.profile(self.encounter, (self.steps + 1) * dt_s) - place.y_m
+                aside_m = course.profile((self.steps + 1) * dt_s) - place.y_m
                 sine = min(max(aside_m / (place.speed_mps * dt_s), -SINE_LIMIT), SINE_LIMIT)
                 car.place = place._replace(heading_rad=math.asin(sine))
 
-    def render(self) -> Any:
-        """A frame, uint8 ``[160, 640, 3]``; ``None`` if no render mode was chosen."""
-        if self.viewer is None and self.render_mode is not None:
-            with no_display():
-                self.viewer = EnvViewer(self)
-            self.viewer.enabled = True  # with the dummy driver it leaves frames black
-        return super().render()
-
     def _simulate(self, action: Any = None) -> None:
         self.advance(np.asarray(action, dtype=np.bool_))
-
-    def _reward(self, action: Any) -> float:  # noqa: ARG002
-        return 0.0
-
-    def _is_terminated(self) -> bool:
-        return False
-
-    def _is_truncated(self) -> bool:
-        return self.steps >= self.encounter.states - 1
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:  # noqa: ARG002
         return {"present": self.signals.present()}
@@ -343,27 +287,10 @@ def _road(config: EncounterConfig) -> Road:
         left, right = sides[lane == -1], sides[lane == 1]
         y_m = lane * config.lane_width_m
         types: Any = (left, right)
-        network.add_lane(
-            "start",
-            "end",
-            StraightLane(
-                [-length_m, y_m], [length_m, y_m], width=config.lane_width_m, line_types=types
-            ),
-        )
+        ends = [-length_m, y_m], [length_m, y_m]
+        lane_of = StraightLane(*ends, width=config.lane_width_m, line_types=types)
+        network.add_lane("start", "end", lane_of)
     return Road(network=network)
-
-
-def _view(config: EncounterConfig) -> dict[str, Any]:
-    """Show what the camera sees; the ego stays near the left edge."""
-    return {
-        "screen_width": FRAME_WIDTH_PX,
-        "screen_height": FRAME_HEIGHT_PX,
-        "centering_position": [0.1, 0.5],
-        "offscreen_rendering": True,
-        "scaling": float(np.clip(FRAME_WIDTH_PX * 0.9 / config.farthest_m, 2.0, 20.0)),
-        "simulation_frequency": 1 / config.dt_s,
-        "policy_frequency": 1 / config.dt_s,
-    }
 
 
 for _name, _encounter in ENCOUNTERS.items():

@@ -1,7 +1,10 @@
-"""What all back ends of the logical scenarios share: all but how they begin and step."""
+"""What all back ends of the logical scenarios share, all but how they begin and step.
+
+And what a proposal sees of their states, in the turn of each slot.
+"""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,32 +17,45 @@ from pemviz.config.encounters import start_values
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.simulators.encounters import ego
-from pemviz.simulators.encounters.cars import (
-    START_PLANES,
-    car_names,
-    changes_lane,
-)
-from pemviz.simulators.encounters.drawing import encounter_cars, lanes, scene_states, scene_tracks
-from pemviz.simulators.encounters.encounter_sight import EncounterSight
-from pemviz.simulators.encounters.ghost import GhostReports
-from pemviz.simulators.encounters.measured import FARTHEST_ASIDE_M, MeasuredPlaces, PlaneErrors
-from pemviz.simulators.encounters.names import (
+from pemviz.simulators.encounters.cars import START_PLANES, car_names
+from pemviz.simulators.encounters.encounter_signals import (
     ASIDE,
     COLLIDED,
     EGO_SPEED,
+    EGO_X,
     GAP,
     GHOST,
     HEADING,
+    OF_EACH,
     SPEED,
-    Each,
+    CarStates,
     encounter_signals,
-    slot_signals,
-    slot_title,
 )
+from pemviz.simulators.encounters.sight import EncounterSight, GhostReports
+from pemviz.simulators.measurement_errors import MeasurementNoise, PlaneErrors
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
-from pemviz.simulators.slots import SeenStates, Slot
-from pemviz.simulators.tracking.tracker import Tracker, tracker_of_text
+from pemviz.simulators.slots import SeenStates, Slot, UnrolledSimulator
+from pemviz.simulators.tracking.tracker import Tracker, scene_tracks, tracker_of_text
 from pemviz.types import Signal, StateBatch
+
+TITLES = {
+    "lead": "lead car",
+    "cutting_in": "car that cuts in",
+    "revealed": "revealed car",
+    "neighbour": "neighbour",
+    GHOST: "ghost",
+}
+"""Names of slots."""
+ERROR_KINDS = ("range", "cross_range")
+"""Of places, in the order of a slot's latents."""
+NEVER_NEGATIVE = ("ego_speed", "revealed_speed", "deceleration")
+"""Start values of which no distribution brings one below 0."""
+FASTEST_ASIDE_MPS = 5.0
+"""No car changes lanes faster."""
+FARTHEST_ASIDE_M = 2.0
+"""What is farther beside the path than this is not taken to be measured in it."""
+FARTHEST_M = 80.0
+"""Proposals tell gaps apart up to here."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +102,8 @@ class LogicalScenario(ABC):
     @property
     def slot_models(self) -> Mapping[str, GhostReports]:
         """How likely the ghost is reported, by its slot's name; nothing without one."""
-        if not self.has_ghost:
-            return {}
-        return {slot_title(GHOST): GhostReports(self.config.ghost_probability)}
+        probability = self.config.ghost_probability
+        return {TITLES[GHOST]: GhostReports(probability)} if self.has_ghost else {}
 
     @property
     @abstractmethod
@@ -112,7 +127,7 @@ class LogicalScenario(ABC):
     @cached_property
     def _slots(self) -> tuple[Slot, ...]:
         return tuple(
-            Slot(slot_title(name), nominal=name != GHOST, signals=slot_signals(name))
+            Slot(TITLES[name], name != GHOST, tuple(f"{what}_{name}" for what in OF_EACH))
             for name in self.told_of
         )
 
@@ -131,8 +146,8 @@ class LogicalScenario(ABC):
     @property
     def latents(self) -> LatentCounts:
         """One at the start for each start value that is not fixed, then those of errors."""
-        measured = NO_LATENTS if self.measured is None else self.measured.latents
-        return LatentCounts(start=self.random_values + measured.start, noise=measured.noise)
+        errors = NO_LATENTS if self.noise is None else self.noise.latents
+        return LatentCounts(start=self.random_values + errors.start, noise=errors.noise)
 
     @cached_property
     def random_values(self) -> int:
@@ -140,33 +155,55 @@ class LogicalScenario(ABC):
         return sum(not one.fixed for one in self.distributions.values())
 
     @cached_property
-    def measured(self) -> MeasuredPlaces | None:
-        """What errors make of places; ``None`` without any."""
+    def noise(self) -> MeasurementNoise | None:
+        """Of the errors of measured places; ``None`` without any."""
         if self.errors is None:
             return None
-        return MeasuredPlaces(self.errors, self.told_of, self.config.dt_s)
+        kinds = dict(zip(ERROR_KINDS, self.errors.axes, strict=False))
+        return MeasurementNoise(
+            {f"{kind}_{name}": kinds[kind].memory for name in self.told_of for kind in kinds},
+            self.config.dt_s,
+        )
+
+    def noise_begun(self, given: FloatArray) -> dict[str, AnyArray]:
+        """What states remember of errors' noise at the start, for latents ``[N, S]``."""
+        if self.noise is None:
+            return {}
+        return self.noise.begin(len(given), given[:, self.random_values :])
+
+    def errors_m(self, salient: FloatArray, memory: Mapping[str, AnyArray]) -> FloatArray:
+        """Measured minus true, along the line of sight and across it, ``[N, K, 2]`` [m].
+
+        Args:
+            salient: Of the slots, ``[N, K, 11]``.
+            memory: With the step's noise.
+        """
+        assert self.errors is not None  # noqa: S101  asked for with errors alone
+        assert self.noise is not None  # noqa: S101
+        kinds = len(ERROR_KINDS)
+        noise = np.zeros((*salient.shape[:-1], len(self.errors.axes)))
+        for place, own in enumerate(self.noise.values(memory)):
+            noise[:, place // kinds, place % kinds] = own
+        flat = self.errors.error(
+            salient.reshape(-1, salient.shape[-1]), noise.reshape(-1, noise.shape[-1])
+        )
+        return flat.reshape(noise.shape)[..., :kinds]
 
     def told_errors(
         self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
     ) -> Mapping[str, FloatArray]:
         """Errors of measured places at each step ``[T-1]`` of a rollout ``[T]`` [m]."""
-        if self.measured is None:
+        if self.errors is None:
             return {}
-        acting = {name: values[:-1] for name, values in signals.items()}
+        sight = self.sight({name: values[:-1] for name, values in signals.items()})
         after = {name: values[1:] for name, values in memory.items()}
-        errors_m = self.measured.errors_m(self.salient(acting), after)
-        errors_m = np.where(self.present(acting)[..., None], errors_m, np.nan)
+        errors_m = self.errors_m(sight.salient, after)
+        errors_m = np.where(sight.present[..., None], errors_m, np.nan)
         return {
             f"{slot.name}, {direction}": errors_m[:, place, axis]
             for place, slot in enumerate(self.slots)
             for axis, direction in enumerate(("along the line of sight", "across it"))
         }
-
-    def noise_begun(self, given: FloatArray) -> dict[str, AnyArray]:
-        """What states remember of errors' noise at the start, for latents ``[N, S]``."""
-        if self.measured is None:
-            return {}
-        return self.measured.begin(len(given), given[:, self.random_values :])
 
     @property
     def starts(self) -> tuple[Signal, ...]:
@@ -216,11 +253,11 @@ class LogicalScenario(ABC):
 
     def sight(self, signals: Mapping[str, FloatArray]) -> EncounterSight:
         """Both at once, for signals ``[...]``."""
-        return self.sight_of(Each.of(self.cars, signals), signals)
+        return self.sight_of(CarStates.of(self.cars, signals), signals)
 
-    def sight_of(self, each: Each, signals: Mapping[str, FloatArray]) -> EncounterSight:
+    def sight_of(self, each: CarStates, signals: Mapping[str, FloatArray]) -> EncounterSight:
         """The same, of whose other cars the places are put together already."""
-        ghost_gap_m = np.asarray(signals[GHOST_SIGNAL]) if self.has_ghost else None
+        ghost_gap_m = np.asarray(signals[f"{GAP}_{GHOST}"]) if self.has_ghost else None
         return EncounterSight(self.config, each, ghost_gap_m)
 
     def sight_at(self, states: StateBatch) -> EncounterSight:
@@ -257,31 +294,104 @@ class LogicalScenario(ABC):
         known_s = 0.0
         if self.tracker is not None:
             known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * self.config.dt_s
-        moves = np.append(changes_lane(self.config), [False] * self.has_ghost)
+        moves = np.array([name == self.cars[0] for name in self.told_of])
+        moves &= self.config.logical_scenario != "braking"
         wider_m = np.where(moves, FASTEST_ASIDE_MPS * known_s, 0.0)
         return wider_m + (0.0 if self.errors is None else FARTHEST_ASIDE_M)
 
     @property
     def scene_cars(self) -> tuple[SceneCar, ...]:
-        """The ego and the other cars."""
-        return encounter_cars(self.config, self.cars)
+        """The ego and the other cars, all of one size."""
+        size = (self.config.car_length_m, self.config.car_width_m, self.config.car_height_m)
+        others = (SceneCar(TITLES[car], *size, slot=TITLES[car]) for car in self.cars)
+        return (SceneCar("ego", *size), *others)
 
     @property
     def road(self) -> Road:
-        """Three lanes."""
-        return lanes(self.config)
+        """Three lanes, the ego's in the middle."""
+        return Road(tuple(self.config.lane_width_m * place for place in (-1.5, -0.5, 0.5, 1.5)))
 
     def scene(self, signals: Mapping[str, FloatArray]) -> SceneStates:
         """Where the cars are in states with signals ``[...]``."""
-        return scene_states(self.config, self.cars, signals)
+        ego_m, ego_mps = np.asarray(signals[EGO_X]), np.asarray(signals[EGO_SPEED])
+        others, none = CarStates.of(self.cars, signals), np.zeros_like(ego_m)
+
+        def together(own: FloatArray, of_others: FloatArray) -> FloatArray:
+            return np.moveaxis(np.concatenate([own[None], of_others]), 0, -1)
+
+        x_m = together(ego_m, ego_m + (others.gap_m + self.config.car_length_m))
+        return SceneStates(
+            x_m=x_m,
+            y_m=together(none, others.aside_m),
+            heading_rad=together(none, others.heading_rad),
+            speed_mps=together(ego_mps, others.speed_mps),
+            present=np.ones(x_m.shape, dtype=np.bool_),
+            collided=np.asarray(signals[COLLIDED]) > 0.0,
+        )
 
     def scene_tracks(self, states: StateBatch) -> SceneTracks:
         """Where the controller believes cars to be, from the tracks in states ``[...]``."""
-        return scene_tracks(self.config, self.told_of, self.tracker, states)
+        ego_m, length_m = states.signals[EGO_X], self.config.car_length_m
+        count = len(self.told_of)
+        return scene_tracks(self.tracker, states, slots=count, ego_m=ego_m, length_m=length_m)
 
 
-GHOST_SIGNAL = f"{GAP}_{GHOST}"
-NEVER_NEGATIVE = ("ego_speed", "revealed_speed", "deceleration")
-"""Start values of which no distribution brings one below 0."""
-FASTEST_ASIDE_MPS = 5.0
-"""No car changes lanes faster."""
+@dataclass(frozen=True)
+class EncounterFeatures:
+    """The slot's gap, offset and closing speed, time, its number; its track, if there is one.
+
+    Attributes:
+        unrolled: The encounter in single outcomes.
+        scenario: The encounter.
+    """
+
+    unrolled: UnrolledSimulator
+    scenario: LogicalScenario
+
+    def values(self, states: StateBatch) -> FloatArray:
+        """Numbers ``[..., D]``."""
+        signals, slot = states.signals, self.unrolled.slot_of(states.signals)
+        turn, names = self.unrolled.turn_at(states), self._in_turn(states)
+        cars = CarStates.of(names, signals)
+        of_all = [
+            cars.gap_m.clip(-FARTHEST_M, FARTHEST_M),
+            np.abs(cars.aside_m),
+            signals[EGO_SPEED] - cars.along_mps,
+        ]
+        tracker = self.scenario.tracker
+        if tracker is not None:
+            every = tracker.numbers(tracker.state(states.memory, slots=self.unrolled.turns))[:2]
+            own = [np.moveaxis(one, -1, 0) for one in every]
+            of_all += own if turn is None else [one[turn : turn + 1] for one in own]
+        if turn is None:
+            columns = [np.take_along_axis(one, slot[None], axis=0)[0] for one in of_all]
+        else:
+            columns = [one[0] for one in of_all]
+        time_s = np.asarray(states.step // self.unrolled.turns) * self.scenario.dt_s
+        columns.append(np.broadcast_to(time_s, slot.shape))
+        if self.unrolled.turns > 1:
+            columns.append(slot.astype(np.float64))
+        return np.stack(columns, axis=-1)
+
+    def reacts(self, states: StateBatch) -> BoolArray:
+        """Where the ego might do otherwise for the slot's outcome, ``[...]``."""
+        return self.unrolled.reacts_at(states)
+
+    def reacts_within(self, states: StateBatch, *, steps: int) -> BoolArray:
+        """Where it might, or would a few steps on if all cars went on as they are, ``[...]``."""
+        signals, found = states.signals, self.reacts(states)
+        for share in (0.5, 1.0):
+            later_s, moved = share * steps * self.scenario.dt_s, dict(signals)
+            for car in self._in_turn(states):
+                speed_mps, heading_rad = signals[f"{SPEED}_{car}"], signals[f"{HEADING}_{car}"]
+                closing_mps = signals[EGO_SPEED] - speed_mps * np.cos(heading_rad)
+                moved[f"{GAP}_{car}"] = signals[f"{GAP}_{car}"] - closing_mps * later_s
+                aside_mps = speed_mps * np.sin(heading_rad)
+                moved[f"{ASIDE}_{car}"] = signals[f"{ASIDE}_{car}"] + aside_mps * later_s
+            found = found | self.reacts(StateBatch(states.step, moved, states.memory))
+        return found
+
+    def _in_turn(self, states: StateBatch) -> Sequence[str]:
+        """What the slots in turn are about: one, or all if the states differ in that."""
+        turn, names = self.unrolled.turn_at(states), self.scenario.told_of
+        return names if turn is None else names[turn : turn + 1]

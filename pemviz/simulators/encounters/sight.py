@@ -1,21 +1,36 @@
-"""What the ego's camera sees of the other cars: truncation, occlusion, presence.
+"""What perception of an encounter depends on, and what it measures.
 
-Arrays have a row for each car, ``[K, ...]``.
+The ego's camera sees the other cars: truncation, occlusion, presence. A ghost is a place in the
+ego's lane that perception may take for a standing car. Arrays have a row for each car,
+``[K, ...]``.
 """
 
+import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.special import logit
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import EncounterConfig
+from pemviz.simulators.braking.scenario import car_salient
+from pemviz.simulators.encounters.encounter_signals import (
+    ASIDE,
+    GAP,
+    GHOST,
+    HEADING,
+    SPEED,
+    CarStates,
+    ahead_in_lane,
+)
 
 NEAREST_M = 0.5
 """Ahead of the camera: what is nearer is taken for as near as that, or not seen at all."""
 PARTLY, LARGELY, HIDDEN = 0.1, 0.5, 0.9
 """Occluded shares from which a car is partly occluded, largely occluded, and not to be seen."""
-CAR_CLASS = 0.0
-HEADING_AWAY_RAD = -np.pi / 2
+GHOST_GAP = "ghost_gap"
+"""Start value: where a ghost's place is."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +52,55 @@ class Sight:
     present: BoolArray
 
 
+@dataclass(frozen=True, eq=False)
+class EncounterSight:
+    """Presence and salient variables at states ``[...]``, computed when first asked for.
+
+    Attributes:
+        config: The encounter.
+        cars: Where the other cars are, ``[K, ...]``.
+        ghost_gap_m: The ghost's ``[...]`` [m], whose slot comes last; ``None`` without one.
+    """
+
+    config: EncounterConfig
+    cars: CarStates
+    ghost_gap_m: FloatArray | None = None
+
+    @property
+    def present(self) -> BoolArray:
+        """Whether each is to be seen, or the ghost may appear, ``[..., K]``."""
+        return self._present
+
+    @property
+    def salient(self) -> FloatArray:
+        """The slots' salient variables ``[..., K, 11]``; the ghost's are a car's in full view."""
+        return self._salient
+
+    @cached_property
+    def _present(self) -> BoolArray:
+        config, found = self.config, self._seen.present
+        if (ghost_m := self.ghost_gap_m) is not None:  # near enough, with no car before it
+            z_m = ghost_m + config.camera_to_bumper_m + config.car_length_m / 2
+            before = ahead_in_lane(config, self.cars) & (self.cars.gap_m < ghost_m)
+            own = (z_m > NEAREST_M) & (z_m <= config.farthest_m) & ~before.any(axis=0)
+            found = np.concatenate([found, own[None]])
+        return np.moveaxis(found, 0, -1)
+
+    @cached_property
+    def _salient(self) -> FloatArray:
+        found = _salient(self.config, self._seen, self.cars.heading_rad)
+        if self.ghost_gap_m is not None:
+            place_m = self.ghost_gap_m[None]
+            none = np.zeros_like(place_m)
+            ghost = _salient(self.config, seen(self.config, place_m, none), none)
+            found = np.concatenate([found, ghost])
+        return np.moveaxis(found, 0, -2)
+
+    @cached_property
+    def _seen(self) -> Sight:
+        return seen(self.config, self.cars.gap_m, self.cars.aside_m)
+
+
 def seen(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> Sight:
     """Other cars as the camera sees them.
 
@@ -48,7 +112,7 @@ def seen(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> Sig
     near_m = gap_m + config.camera_to_bumper_m
     z_m = near_m + config.car_length_m / 2
     left, right = _image(config, near_m, aside_m)
-    edge = image_edge(config)
+    edge = float(np.tan(np.deg2rad(config.camera_half_angle_deg)))
     low, high = np.maximum(left, -edge), np.minimum(right, edge)
     width = (high - low).clip(0.0)
     in_front = z_m > NEAREST_M
@@ -72,39 +136,6 @@ def seen(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> Sig
     )
 
 
-def image_edge(config: EncounterConfig) -> float:
-    """How far the image reaches to either side, x / z."""
-    return float(np.tan(np.deg2rad(config.camera_half_angle_deg)))
-
-
-def salient(config: EncounterConfig, sight: Sight, heading_rad: FloatArray) -> FloatArray:
-    """Cars as KITTI would label them, ``[K, ..., 11]``, ordered as ``pemviz.pem.SALIENT_COLUMNS``.
-
-    Args:
-        config: The encounter.
-        sight: Of the cars.
-        heading_rad: ``[K, ...]``, counterclockwise from the road.
-    """
-    rotation = HEADING_AWAY_RAD - heading_rad
-    columns = (
-        CAR_CLASS,
-        sight.truncated,
-        (sight.occluded >= PARTLY) * 1.0 + (sight.occluded >= LARGELY),
-        rotation - np.arctan2(sight.x_m, sight.z_m),
-        config.car_height_m,
-        config.car_width_m,
-        config.car_length_m,
-        sight.x_m,
-        config.camera_height_m,
-        sight.z_m,
-        rotation,
-    )
-    result = np.empty((*np.shape(heading_rad), len(columns)))
-    for place, column in enumerate(columns):
-        result[..., place] = column
-    return result
-
-
 def _image(
     config: EncounterConfig, near_m: FloatArray, aside_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -116,9 +147,7 @@ def _image(
 
 
 def _is_nearer(near_m: FloatArray, other: int, car: int) -> BoolArray:
-    if other < car:
-        return near_m[other] <= near_m[car]
-    return near_m[other] < near_m[car]
+    return near_m[other] <= near_m[car] if other < car else near_m[other] < near_m[car]
 
 
 def _length_of_union(covers: list[tuple[FloatArray, FloatArray, BoolArray]]) -> FloatArray | float:
@@ -128,5 +157,76 @@ def _length_of_union(covers: list[tuple[FloatArray, FloatArray, BoolArray]]) -> 
         return sum(lengths, 0.0)
     (low, high, counts), (other_low, other_high, others) = covers
     both = (np.minimum(high, other_high) - np.maximum(low, other_low)).clip(0.0)
-    alike = counts & others & (lengths[0] > 0.0) & (lengths[1] > 0.0)
-    return lengths[0] + lengths[1] - np.where(alike, both, 0.0)
+    overlap = counts & others & (lengths[0] > 0.0) & (lengths[1] > 0.0)
+    return lengths[0] + lengths[1] - np.where(overlap, both, 0.0)
+
+
+def _salient(config: EncounterConfig, sight: Sight, heading_rad: FloatArray) -> FloatArray:
+    """Cars as KITTI would label them, ``[K, ..., 11]``."""
+    return car_salient(
+        x_m=sight.x_m,
+        y_m=config.camera_height_m,
+        z_m=sight.z_m,
+        heading_rad=heading_rad,
+        size_m=(config.car_height_m, config.car_width_m, config.car_length_m),
+        truncated=sight.truncated,
+        occlusion=np.add(sight.occluded >= PARTLY, sight.occluded >= LARGELY, dtype=np.float64),
+    )
+
+
+def displaced(
+    config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray, errors_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Measured gaps and offsets ``[...]`` [m] of cars whose centres are off by errors.
+
+    Args:
+        config: The encounter.
+        gap_m: True ones, ``[...]`` [m].
+        aside_m: Likewise.
+        errors_m: Along the line of sight from the camera and across it to the right, ``[..., 2]``.
+    """
+    x_m = -aside_m
+    z_m = gap_m + config.camera_to_bumper_m + config.car_length_m / 2
+    distance_m = np.hypot(x_m, z_m)
+    sine, cosine = x_m / distance_m, z_m / distance_m
+    along, across = errors_m[..., 0], errors_m[..., 1]
+    return gap_m + along * cosine - across * sine, aside_m - along * sine - across * cosine
+
+
+@dataclass(frozen=True)
+class GhostReports:
+    """How likely perception reports a ghost, as a detector model: the same wherever one may be.
+
+    Attributes:
+        probability: At a step; above 0, below 1.
+    """
+
+    probability: float
+    data = "ghosts: a probability that was chosen"
+    licence = "none needed"
+
+    @property
+    def name(self) -> str:
+        """For results."""
+        return f"ghosts {self.probability:g}"
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the probability."""
+        return hashlib.sha256(f"ghosts {self.probability!r}".encode()).hexdigest()
+
+    def logit(self, salient: FloatArray) -> FloatArray:
+        """Logit of P(reported) ``[...]``, whatever the salient variables ``[..., D]``."""
+        return np.full(salient.shape[:-1], logit(self.probability))
+
+
+def ghost_signals(ghost_gap_m: FloatArray, ego_x_m: FloatArray) -> dict[str, FloatArray]:
+    """The ghost's own signals: a car that stands at its place, ``[...]``.
+
+    Args:
+        ghost_gap_m: How far ahead of the ego's bumper the place is at s_0 [m].
+        ego_x_m: How far the ego has come since [m].
+    """
+    none = np.zeros_like(ego_x_m)
+    found = {GAP: ghost_gap_m - ego_x_m, ASIDE: none, SPEED: none, HEADING: none}
+    return {f"{what}_{GHOST}": values for what, values in found.items()}

@@ -10,9 +10,8 @@ from pemviz.config.settings import SumoConfig
 from pemviz.simulators.braking import scenario as braking
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from pemviz.simulators.encounters.arrival import Left, Moved
 from pemviz.simulators.encounters.cars import LARGEST_SINE, lateral_places
-from pemviz.simulators.encounters.names import (
+from pemviz.simulators.encounters.encounter_signals import (
     COLLIDED,
     EGO_SPEED,
     EGO_X,
@@ -20,7 +19,7 @@ from pemviz.simulators.encounters.names import (
     by_car,
     of_cars,
 )
-from pemviz.simulators.encounters.vectorized import KEPT_START, VectorizedEncounters
+from pemviz.simulators.encounters.vectorized import KEPT_START, Left, Moved, VectorizedEncounters
 from pemviz.simulators.sumo.engine import Group, Roads
 from pemviz.types import StateBatch
 
@@ -102,16 +101,16 @@ class SumoEncounters(VectorizedEncounters):
     def _driven(self, left: Left) -> tuple[Left, Moved]:
         """What is done in the step, and where all cars then are if none touches another."""
         config, dt_s, signals = self.config, self.config.dt_s, left.states.signals
-        gap_m, aside_m, speed_mps, heading_rad = left.each
-        ego_m, ego_mps, along_mps = signals[EGO_X], signals[EGO_SPEED], left.along_mps
-        lane = np.rint(aside_m / config.lane_width_m).astype(np.int64).clip(-1, 1) + 1
+        cars, along_mps = left.cars, left.cars.along_mps
+        ego_m, ego_mps = signals[EGO_X], signals[EGO_SPEED]
+        lane = np.rint(cars.aside_m / config.lane_width_m).astype(np.int64).clip(-1, 1) + 1
         wanted_mps = of_cars(WANTED, self.cars, left.states.memory)
         braked_mps = (along_mps - left.others_mps2 * dt_s).clip(0.0)
         given_mps = np.where(left.others_mps2 > 0.0, braked_mps, np.nan)  # NaN: the model decides
         stands = (signals[COLLIDED] > 0.0) & (along_mps == 0.0)
         given_mps = np.where(stands | (wanted_mps == 0.0), 0.0, given_mps)
         ego_after_mps = (ego_mps + left.ego_mps2 * dt_s).clip(0.0)
-        x_m = ego_m + gap_m + config.car_length_m
+        x_m = ego_m + cars.gap_m + config.car_length_m
         reached_m, reached_mps = self.roads.step(
             Group(
                 front_m=np.concatenate([ego_m[None], x_m]) + config.car_length_m / 2,
@@ -122,7 +121,7 @@ class SumoEncounters(VectorizedEncounters):
             )
         )
         centres_m = reached_m - config.car_length_m / 2
-        y_m = aside_m + speed_mps * np.sin(heading_rad) * dt_s
+        y_m = cars.aside_m + cars.speed_mps * np.sin(cars.heading_rad) * dt_s
         driven = replace(left, others_mps2=(along_mps - reached_mps[1:]) / dt_s)
         return driven, Moved(
             ego_x_m=centres_m[0],

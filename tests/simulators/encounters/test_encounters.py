@@ -11,8 +11,8 @@ from pemviz.pem import load_pem
 from pemviz.pem.models.position_errors import NoiseMemory, constant_errors
 from pemviz.sampling.slots import with_slots
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.encounters.features import EncounterFeatures
-from pemviz.simulators.encounters.measured import MeasuredPlaces, displaced
+from pemviz.simulators.encounters.scenario import EncounterFeatures
+from pemviz.simulators.encounters.sight import displaced
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 from pemviz.simulators.slots import UnrolledSimulator
 from pemviz.types import StateBatch
@@ -240,16 +240,17 @@ def test_the_ego_keeps_its_gap_to_where_a_car_is_measured(tracker):
 def test_noise_of_slots_is_their_own_and_hangs_together_over_time():
     """Of 20,000 rollouts: standard errors of correlations are below 0.0071, 4.5 of them allowed."""
     memory = NoiseMemory(lasting_share=0.4, tau_s=0.3)
-    places = MeasuredPlaces(constant_errors(range_sd_m=1.0, cross_range_sd_m=1.0, memory=memory),
-                            ("a", "b"), 0.1)  # fmt: skip
+    plane = constant_errors(range_sd_m=1.0, cross_range_sd_m=1.0, memory=memory)
+    config = EncounterConfig(logical_scenario="cut-in", dt_s=0.1)
+    scenario = VectorizedEncounters(config, errors=plane)
     rng, count = np.random.default_rng(5), 20_000
-    kept = places.begin(count, rng.standard_normal((count, 4)))
+    kept = scenario.noise.begin(count, rng.standard_normal((count, 4)))
     salient, errors = np.zeros((count, 2, 11)), []
     salient[..., 9] = 20.0
     for step in range(4):
         states = StateBatch(np.asarray(step), {"one": np.zeros(count)}, kept)
-        kept = places.renewed(states, rng.standard_normal((count, 4)))
-        errors.append(places.errors_m(salient, kept).reshape(count, 4))
+        kept = scenario.noise.renewed(states, rng.standard_normal((count, 4)))
+        errors.append(scenario.errors_m(salient, kept).reshape(count, 4))
     found = np.corrcoef(np.concatenate(errors, axis=1).T).reshape(4, 4, 4, 4)
     for since in range(4):
         own = 0.4 + 0.6 * np.exp(-since * 0.1 / 0.3)

@@ -10,7 +10,7 @@ from pemviz.errors import ConfigError
 from pemviz.sampling.state.composed import with_last_outcome
 from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.encounters.features import EncounterFeatures
+from pemviz.simulators.encounters.scenario import EncounterFeatures
 from pemviz.simulators.latents import salient_of, stepped
 from pemviz.simulators.slots import SeenStates, UnrolledSimulator
 from pemviz.stl import FormulaMonitor, parse

@@ -34,7 +34,6 @@ from pemviz.simulators.braking.scenario import (
     NOT_TRUNCATED,
 )
 from pemviz.simulators.encounters import ego
-from pemviz.simulators.encounters.told import nothing_told, told_after
 from pemviz.simulators.episodic import SideBySide
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot
@@ -236,7 +235,7 @@ class TrafficSimulator:
         """SUMO's own starts for seeds ``[count, 1]``; no tracks."""
         given = np.zeros((count, self.latents.at_start)) if start is None else start
         states = self.scenario.initial(count=count, start=given)
-        none = nothing_told(self.tracker, SLOTS, count)
+        none = ego.nothing_told(self.tracker, SLOTS, count)
         return replace(states, memory={**states.memory, **none})
 
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
@@ -251,7 +250,7 @@ class TrafficSimulator:
             for name, blank in none.items():
                 slot = int(name.rpartition("_")[2])
                 memory[name] = np.where(there[slot], memory[name], blank)
-        told, kept = told_after(self.tracker, SLOTS, memory, measured)
+        told, kept = ego.told_after(self.tracker, SLOTS, memory, measured)
         acceleration = ego.acceleration(
             self.driving, told, ego_mps=ego_mps, set_mps=signals["wanted_speed"]
         )
