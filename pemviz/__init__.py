@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from pemviz.reports.terminal import summary_text
     from pemviz.runs.engine import run, run_experiment
     from pemviz.runs.experiment import Experiment, build_experiment
-    from pemviz.runs.kept_stages import KeptStages
-    from pemviz.runs.least_robust import LeastRobust, Rollout
+    from pemviz.runs.observers import KeptStages, LeastRobust, Rollout
     from pemviz.runs.reading import read_result
     from pemviz.runs.result import RunResult
     from pemviz.runs.store import RunStore
@@ -69,18 +68,18 @@ _HOMES = {
     "HiddenProperty": "sampling.state.hidden",
     "InputError": "errors",
     "Kalman": "simulators.tracking.filters",
-    "KeptStages": "runs.kept_stages",
+    "KeptStages": "runs.observers",
     "Known": "sampling.state.hidden",
     "LatentCounts": "latents",
     "LatentSimulator": "simulators.latents",
     "Latents": "latents",
-    "LeastRobust": "runs.least_robust",
+    "LeastRobust": "runs.observers",
     "MethodDescription": "sampling.description",
     "NamesStarts": "simulators.starts",
     "PemvizError": "errors",
     "Proposal": "types",
     "Road": "simulators.scene",
-    "Rollout": "runs.least_robust",
+    "Rollout": "runs.observers",
     "RolloutBatch": "types",
     "RunError": "errors",
     "RunResult": "runs.result",

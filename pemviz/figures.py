@@ -25,9 +25,9 @@ from pemviz.colors import (
 from pemviz.errors import InputError
 from pemviz.reports.charts import memory_chart, starts_chart, uncertainty_chart
 from pemviz.reports.memory_words import BY_FRAILTY, BY_MEMORY_TIME, CurveAxis
-from pemviz.runs.kept_stages import KeptStages
+from pemviz.runs.drawn_rollout import slots_of
+from pemviz.runs.observers import KeptStages
 from pemviz.runs.result import RunResult
-from pemviz.runs.slot_outcomes import slots_of
 from pemviz.types import StageResult
 
 CURVE_STEP_M = 0.25

@@ -25,8 +25,8 @@ from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import plain_lines
 from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.tables import table_2
+from pemviz.runs.result import RuleAnswer
 from pemviz.runs.result_file import result_document, write_result
-from pemviz.runs.rules import RuleAnswer
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.sweep.carry_out import RunState

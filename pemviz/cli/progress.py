@@ -16,7 +16,8 @@ from rich.progress import (
 )
 
 from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
-from pemviz.runs.result import StageSummary, summarise_stage
+from pemviz.runs.ranking import summarise_stage
+from pemviz.runs.result import StageSummary
 from pemviz.sampling.registry import by_name
 
 QUARTERS = 4

@@ -29,8 +29,8 @@ from pemviz.panel.ranking import Ranking, elites, is_scored, rank, row, scoring
 from pemviz.panel.run_data import Progress, RunData
 from pemviz.reports.estimate_words import no_interval_text
 from pemviz.reports.html import heading, warning
-from pemviz.runs.same_run import flat_settings
-from pemviz.runs.trust import run_interval_caveats
+from pemviz.runs.reading import flat_settings
+from pemviz.runs.uncertainty import run_interval_caveats
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 METRIC_DASHES = {"agm": (7.0, 3.0), "smooth-cumulative": (2.0, 3.0)}

@@ -30,9 +30,8 @@ from pemviz.runs.events import (
 from pemviz.runs.events import StageDone as StageDoneEvent
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunResult
-from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
-from pemviz.runs.store import create_run_folder
+from pemviz.runs.store import carry_out, create_run_folder
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator, StageResult, numbers_of

@@ -12,7 +12,7 @@ from pemviz.panel.curve_chart import Chart, Curves, Line, over_common
 from pemviz.panel.page import cell, number, page, quiet, wide
 from pemviz.panel.run_data import ProposalCurve, RunData
 from pemviz.runs.result import StageSummary
-from pemviz.runs.trust import run_interval_caveats
+from pemviz.runs.uncertainty import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate

@@ -14,7 +14,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config import MetricName
 from pemviz.panel.rollout_tables import final_violations, latent_names, verdicts
 from pemviz.panel.run_data import AT_ONCE, Progress, Report, RunData, Scan, row_parts
-from pemviz.runs.slot_outcomes import slots_of
+from pemviz.runs.drawn_rollout import slots_of
 from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
 from pemviz.sampling.method import elite_threshold
 from pemviz.sampling.method import elites as elites_of_stage

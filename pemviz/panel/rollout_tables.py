@@ -8,9 +8,9 @@ from pemviz.arrays import AnyArray, BoolArray, IntArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.files.array_files import let_go
+from pemviz.runs.drawn_rollout import slots_of
 from pemviz.runs.result import StageSummary
 from pemviz.runs.rollout_files import BROKEN, LATENTS, ROLLOUT, latents_of, log_weights
-from pemviz.runs.slot_outcomes import slots_of
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator

@@ -17,7 +17,7 @@ from pemviz.latents import Latents
 from pemviz.panel.rollout_tables import checked_rows, latent_names
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import latents_of, log_weights
-from pemviz.runs.specification import asked_signals
+from pemviz.runs.specification import named_signals
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.scenario import GAP, scenario_signals
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
@@ -199,7 +199,7 @@ class RunData:
         """The signal that charts draw: the gap, elsewhere what the specification is about first."""
         if self.own is None:
             return next(signal for signal in self.simulator.signals if signal.name == GAP)
-        return asked_signals(self.config, self.own.signals)[0]
+        return named_signals(self.config, self.own.signals)[0]
 
     @property
     def distance(self) -> Signal | None:

@@ -20,7 +20,7 @@ from pemviz.reports.causes_words import SHOWN_CHAINS, shown_chains
 from pemviz.reports.document import Block, Figure, Section, Table
 from pemviz.reports.html import blocks_html, heading, sections_html
 from pemviz.reports.run_document import TRUST, WHY, run_document
-from pemviz.runs.slot_outcomes import faultless, slots_of
+from pemviz.runs.drawn_rollout import faultless, slots_of
 from pemviz.simulators.slots import Slot
 
 BAND_M = 1.0

@@ -24,6 +24,7 @@ from pemviz.recording.selection import ROLLOUT_LIMIT, Quota, choose, quota, unva
 from pemviz.recording.stream import RecordingFile
 from pemviz.recording.views import ContainerSpec, Subject, all_views, without_signals
 from pemviz.reports.charts import uncertainty_chart
+from pemviz.runs.drawn_rollout import slots_of
 from pemviz.runs.events import (
     Event,
     RepetitionDone,
@@ -33,8 +34,7 @@ from pemviz.runs.events import (
     StageDone,
 )
 from pemviz.runs.result import RunResult
-from pemviz.runs.slot_outcomes import slots_of
-from pemviz.runs.specification import asked_signals
+from pemviz.runs.specification import named_signals
 from pemviz.simulators.drawn_scene import drawn_scene
 from pemviz.simulators.slots import Slot
 from pemviz.types import StageResult
@@ -304,7 +304,7 @@ def _prepare(event: RunStarted, *, rollout_limit: int, frames: bool) -> _Run:
                 robustness_unit=robustness_unit(config.metric),
                 frames=frames,
                 road=None if told is None else told.road,
-                asked=asked_signals(config, event.signals)[0],
+                asked=named_signals(config, event.signals)[0],
                 noise=noise_title(event.simulator),
             )
         ),

@@ -9,7 +9,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.colors import HOLDS, PEM_ON_BLACK, VIOLATED, Rgba, rgba
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
-from pemviz.runs.slot_outcomes import faultless, faultless_probability
+from pemviz.runs.drawn_rollout import faultless, faultless_probability
 from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StageResult, numbers_of
 

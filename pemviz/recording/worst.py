@@ -14,9 +14,16 @@ from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.reports.escape import markdown_table, markdown_text
 from pemviz.reports.estimate_words import share_text
-from pemviz.runs.drawn_rollout import NOT_ASKED, DrawnRollout, drawn_rollout
+from pemviz.runs.drawn_rollout import (
+    NOT_ASKED,
+    DrawnRollout,
+    drawn_rollout,
+    faultless,
+    faultless_probability,
+    right_by_slot,
+    slots_of,
+)
 from pemviz.runs.result import RankedRollout, RunResult
-from pemviz.runs.slot_outcomes import faultless, faultless_probability, right_by_slot, slots_of
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Signal, Simulator, StageResult, place_of
 

@@ -16,8 +16,12 @@ from pemviz.reports.estimate_words import (
 )
 from pemviz.runs.rates import Rate, assumed_distance, assumed_encounters, rates
 from pemviz.runs.result import RunResult
-from pemviz.runs.trust import run_diagnostics, run_interval_caveats
-from pemviz.runs.uncertainty import UncertaintySource, uncertainty_budget
+from pemviz.runs.uncertainty import (
+    UncertaintySource,
+    run_diagnostics,
+    run_interval_caveats,
+    uncertainty_budget,
+)
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Estimate
 

@@ -27,10 +27,8 @@ from pemviz.reports.answer_words import UNCERTAINTY_TITLE, source_name
 from pemviz.reports.estimate_words import end_text, range_text
 from pemviz.reports.memory_words import CurveAxis, measured_names
 from pemviz.reports.plan_words import z_text
-from pemviz.runs.memory import RunMemory
-from pemviz.runs.result import RunResult
-from pemviz.runs.trust import run_interval_caveats
-from pemviz.runs.uncertainty import uncertainty_budget
+from pemviz.runs.result import RunMemory, RunResult
+from pemviz.runs.uncertainty import run_interval_caveats, uncertainty_budget
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Estimate
 

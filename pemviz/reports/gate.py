@@ -8,7 +8,7 @@ from pemviz.config.rule_words import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_UNDECIDED
 from pemviz.reports.estimate_words import bound_text
 from pemviz.runs.result import RunResult
-from pemviz.runs.trust import reference_diagnostics, run_diagnostics
+from pemviz.runs.uncertainty import reference_diagnostics, run_diagnostics
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Diagnostic, Estimate
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.document import Table
 from pemviz.reports.estimate_words import end_text
-from pemviz.runs.memory import RunMemory
+from pemviz.runs.result import RunMemory
 from pemviz.sampling.bursts.curve import MEASURED_FRAILTY, MEASURED_S, CurvePoint
 
 MEMORY_TITLE = "Misses that follow each other"

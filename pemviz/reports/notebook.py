@@ -15,7 +15,7 @@ from pemviz.reports.estimate_words import (
 )
 from pemviz.reports.html import blocks_html, embedded, paragraph, sections_html
 from pemviz.reports.run_document import WHY, run_document
-from pemviz.runs.least_robust import Rollout
+from pemviz.runs.observers import Rollout
 from pemviz.runs.result import RunResult
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Estimate

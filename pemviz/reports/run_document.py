@@ -20,9 +20,9 @@ from pemviz.reports import estimate_words as estimates
 from pemviz.reports.document import Block, Caution, Document, Paragraph, Section, figure
 from pemviz.reports.estimate_words import number_text, share_text
 from pemviz.reports.gate import GateDecision, GateOutcome
-from pemviz.runs.memory import RunMemory
-from pemviz.runs.result import LEAST_ROBUST, RunResult
-from pemviz.runs.trust import data_warnings, run_diagnostics, run_interval_caveats
+from pemviz.runs.ranking import LEAST_ROBUST
+from pemviz.runs.result import RunMemory, RunResult
+from pemviz.runs.uncertainty import data_warnings, run_diagnostics, run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
 from pemviz.sampling.estimates.trust import interval_caveats, remedy
 from pemviz.sampling.registry import by_name

@@ -19,10 +19,9 @@ from pemviz.reports.document import Block, Document, Paragraph, Section, Table, 
 from pemviz.reports.escape import printable_lines
 from pemviz.reports.estimate_words import interval_text, probability_text, range_text
 from pemviz.reports.run_document import run_document, scenario_text
+from pemviz.runs.reading import setting_differences
 from pemviz.runs.result import RunResult
-from pemviz.runs.same_run import setting_differences
-from pemviz.runs.trust import run_interval_caveats
-from pemviz.runs.uncertainty import SourceKind, uncertainty_budget
+from pemviz.runs.uncertainty import SourceKind, run_interval_caveats, uncertainty_budget
 
 Verdict = Literal["shown", "not shown", "not known"]
 MARKS: Mapping[Verdict, doc.Mark] = {"shown": "yes", "not shown": "no", "not known": "open"}

@@ -4,9 +4,8 @@ from dataclasses import replace
 from typing import Any, cast
 
 from pemviz.config import CLIENTS, ExperimentConfig
-from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.errors import ConfigError
-from pemviz.pem import PositionErrorModel, load_position_errors
+from pemviz.pem import load_position_errors
 from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
 from pemviz.sampling.back_end import GAP, BackEnd, SlotFeatures, StepFeatures, TrackFeatures
 from pemviz.sampling.description import Need
@@ -14,7 +13,7 @@ from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.large_stages import largest_part
 from pemviz.sampling.slots import turns_of
-from pemviz.simulators.braking.scenario import BrakingFeatures, BrakingScenario
+from pemviz.simulators.braking.scenario import BrakingFeatures
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.encounters.scenario import EncounterFeatures
@@ -44,9 +43,21 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         ConfigError: There is none of that name, or it does not keep to the protocol.
         PemError: The model of position errors cannot be used.
     """
-    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
-        return _encounter_back_end(config)
-    errors = _position_errors(config)
+    errors = None
+    if config.position_errors is not None:
+        check_measures(config)
+        errors = load_position_errors(config.position_errors)
+    if config.is_encounter:  # each slot takes its turn
+        encounter = build_encounter_simulator(config, errors=errors)
+        unrolled = UnrolledSimulator(encounter)
+        return BackEnd(
+            simulator=unrolled,
+            features=EncounterFeatures(unrolled, encounter),
+            twin=None,
+            batch_rollouts=_batch_rollouts(config),
+            is_own=True,
+            position_errors=errors,
+        )
     simulator = build_named_simulator(
         config.simulator, config.scenario, errors=errors, carla=config.carla, sumo=config.sumo
     )
@@ -64,52 +75,14 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
         return replace(back_end, features=TrackedCarFeatures(turns, simulator))
     if config.simulator not in SHIPPED:
         return own_back_end(simulator)
-    if errors is not None and isinstance(simulator, BrakingScenario):
-        return BackEnd(
-            simulator=simulator,
-            features=BrakingFeatures(config.scenario, errors),
-            twin=None,
-            batch_rollouts=batch_rollouts(config),
-            position_errors=errors,
-        )
+    has_twin = errors is None and config.simulator != "sumo"
     return BackEnd(
         simulator=simulator,
-        features=BrakingFeatures(config.scenario),
-        twin=None if config.simulator == "sumo" else VectorizedSimulator(config.scenario),
-        batch_rollouts=batch_rollouts(config),
-    )
-
-
-def _encounter_back_end(config: ExperimentConfig) -> BackEnd:
-    """Of a logical scenario, each slot of which takes its turn.
-
-    Raises:
-        ConfigError: A start value's distribution cannot be.
-        PemError: The model of position errors cannot be used.
-    """
-    errors = _position_errors(config)
-    scenario = build_encounter_simulator(config, errors=errors)
-    unrolled = UnrolledSimulator(scenario)
-    return BackEnd(
-        simulator=unrolled,
-        features=EncounterFeatures(unrolled, scenario),
-        twin=None,
-        batch_rollouts=batch_rollouts(config),
-        is_own=True,
+        features=BrakingFeatures(config.scenario, errors),
+        twin=VectorizedSimulator(config.scenario) if has_twin else None,
+        batch_rollouts=_batch_rollouts(config),
         position_errors=errors,
     )
-
-
-def _position_errors(config: ExperimentConfig) -> PositionErrorModel | None:
-    """The errors by which a shipped back end measures.
-
-    Raises:
-        InputError: They cannot be used, or the back end is none that takes them.
-    """
-    if config.position_errors is None:
-        return None
-    check_measures(config)
-    return load_position_errors(config.position_errors)
 
 
 def check_measures(config: ExperimentConfig) -> None:
@@ -118,17 +91,15 @@ def check_measures(config: ExperimentConfig) -> None:
     Raises:
         ConfigError: It is none of the shipped ones.
     """
-    is_encounter = config.encounter.logical_scenario != NO_LOGICAL_SCENARIO
-    if config.position_errors is None or config.is_braking_scenario or is_encounter:
+    if config.position_errors is None or config.is_braking_scenario or config.is_encounter:
         return
-    message = (
+    raise ConfigError(
         f"position_errors = {config.position_errors!r}: simulator {config.simulator!r} takes none, "
         f"only the braking scenario and logical scenarios on {' and '.join(SHIPPED)} do"
     )
-    raise ConfigError(message)
 
 
-def batch_rollouts(config: ExperimentConfig) -> int:
+def _batch_rollouts(config: ExperimentConfig) -> int:
     """How many rollouts are simulated at a time; the result does not depend on it."""
     if config.simulator == "highway-env":
         return SLOW_BATCH_ROLLOUTS
@@ -153,58 +124,47 @@ def own_back_end(
         ConfigError: One of them does not keep to the protocol, or they differ in their states, or
             there are latents, which no twin can have.
     """
-    simulator = _at_once(simulator)
-    check_simulator(simulator)
-    if twin is not None and episodic(simulator) is not None:
-        message = (
-            f"twin of simulator {simulator.name!r}: it is episodic, and its states cannot be kept; "
-            "without a twin, use mixture"
-        )
-        raise ConfigError(message)
+    if isinstance(simulator, EpisodicSimulator) and not isinstance(simulator, type):
+        simulator = side_by_side(simulator)
+    given: Any = simulator
+    check_simulator(given)
+    where = f"twin of simulator {given.name!r}"
     if twin is not None:
-        _check_latents(simulator, twin)
+        if episodic(simulator) is not None:
+            raise ConfigError(
+                f"{where}: it is episodic, and its states cannot be kept; without a twin, "
+                "use mixture"
+            )
+        counts = latent_counts(simulator)
+        # a twin's states must be few: its start may be random where it is quantised, its steps not
+        if counts and not (start_cells(twin) and latent_counts(twin) == counts):
+            raise ConfigError(
+                f"{where}: it has latents, and a twin's states must be those that outcomes alone "
+                "lead to; of a random start alone, give pemviz.quantised_start(simulator, "
+                f"cells=...); without a twin, {FIT_ANYWHERE}"
+            )
         check_simulator(twin)
-        if _of_states(twin) != _of_states(simulator):
-            message = f"twin of simulator {simulator.name!r}: must have the same states and signals"
-            raise ConfigError(message)
-    own = _single_outcome(simulator)
+        if _shape_of(twin) != _shape_of(simulator):
+            raise ConfigError(f"{where}: must have the same states and signals")
+    own = _single_outcome(given)
+    unrolled = own if isinstance(own, UnrolledSimulator) else None
+    features = SignalFeatures(own.signals) if unrolled is None else SlotFeatures(unrolled)
+    tracker = tracker_of(simulator)
     return BackEnd(
         simulator=own,
-        features=_features(own, simulator),
+        features=features if tracker is None else TrackFeatures(features, tracker, unrolled),
         twin=None if twin is None else _single_outcome(twin),
         batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=own.states)),
         is_own=True,
     )
 
 
-def _check_latents(simulator: object, twin: object) -> None:
-    """A twin's states must be few: its start may be random where it is quantised, its steps not."""
-    counts = latent_counts(simulator)
-    if counts and not (start_cells(twin) and latent_counts(twin) == counts):
-        name = getattr(simulator, "name", "")
-        message = (
-            f"twin of simulator {name!r}: it has latents, and a twin's states must be "
-            "those that outcomes alone lead to; of a random start alone, give "
-            f"pemviz.quantised_start(simulator, cells=...); without a twin, {FIT_ANYWHERE}"
-        )
-        raise ConfigError(message)
+def _shape_of(simulator: Any) -> tuple[object, ...]:
+    return simulator.states, simulator.signals, getattr(simulator, "slots", ())
 
 
-def _at_once(
-    simulator: Simulator | SlotSimulator | LatentSimulator | EpisodicSimulator,
-) -> Simulator | SlotSimulator | LatentSimulator:
-    """A simulator whose states are arrays; of one environment, one of one rollout at a time."""
-    if isinstance(simulator, EpisodicSimulator) and not isinstance(simulator, type):
-        return side_by_side(simulator)
-    return cast(Any, simulator)
-
-
-def _features(own: Simulator, simulator: Simulator | SlotSimulator) -> StateFeatures:
-    """What proposals look at in states of the user's simulator, unrolled to ``own``."""
-    unrolled = own if isinstance(own, UnrolledSimulator) else None
-    features = SignalFeatures(own.signals) if unrolled is None else SlotFeatures(unrolled)
-    tracker = tracker_of(simulator)
-    return features if tracker is None else TrackFeatures(features, tracker, unrolled)
+def _single_outcome(simulator: Simulator | SlotSimulator) -> Simulator:
+    return UnrolledSimulator(simulator) if isinstance(simulator, SlotSimulator) else simulator
 
 
 def with_choices(
@@ -217,8 +177,7 @@ def with_choices(
     """
     if batch_rollouts is not None:
         if batch_rollouts < 1:
-            message = f"batch_rollouts = {batch_rollouts}: must be at least 1"
-            raise ConfigError(message)
+            raise ConfigError(f"batch_rollouts = {batch_rollouts}: must be at least 1")
         back_end = replace(back_end, batch_rollouts=batch_rollouts)
     if features is None:
         return back_end
@@ -230,37 +189,19 @@ def with_choices(
     return replace(back_end, features=StepFeatures(features, turns) if turns > 1 else features)
 
 
-def _of_states(simulator: Simulator | SlotSimulator) -> tuple[object, ...]:
-    return simulator.states, simulator.signals, getattr(simulator, "slots", ())
-
-
-def _single_outcome(simulator: Simulator | SlotSimulator | LatentSimulator) -> Simulator:
-    return UnrolledSimulator(simulator) if isinstance(simulator, SlotSimulator) else simulator
-
-
-def _check_rollouts(config: ExperimentConfig) -> None:
-    """Refuse more rollouts than are to be weighted, or kept.
-
-    Raises:
-        ConfigError: In one line that names what takes more.
-    """
-    counted = by_name(config.method).interval_basis == "counts"
-    if config.final_rollouts > MOST_ROLLOUTS and not (counted and config.keep == "violations"):
-        message = (
-            f"final_rollouts = {config.final_rollouts}: must be at most {MOST_ROLLOUTS}; "
-            "more take method monte-carlo and keep = 'violations'"
-        )
-        raise ConfigError(message)
-
-
 def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
     """Check that the back end has what the method needs.
 
     Raises:
         ConfigError: It has not; the line names methods that fit.
     """
-    _check_rollouts(config)
-    name = back_end.simulator.name
+    name, described = back_end.simulator.name, by_name(config.method)
+    thins = described.interval_basis == "counts" and config.keep == "violations"
+    if config.final_rollouts > MOST_ROLLOUTS and not thins:
+        raise ConfigError(
+            f"final_rollouts = {config.final_rollouts}: must be at most {MOST_ROLLOUTS}; "
+            "more take method monte-carlo and keep = 'violations'"
+        )
     lacking: dict[Need, str] = {}
     counts = latent_counts(back_end.simulator)
     if counts and back_end.twin is None:
@@ -277,14 +218,11 @@ def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
     elif turns_of(back_end.simulator) > 1:
         lacking["gap"] = f"looks at one gap alone, and simulator {name!r} has several slots"
     for need, complaint in lacking.items():
-        if need in by_name(config.method).needs:
+        if need in described.needs:
             fits = "use mixture" if "restarts" in lacking else FIT_ANYWHERE
-            message = f"method = {config.method!r}: {complaint}; {fits}"
-            raise ConfigError(message)
+            raise ConfigError(f"method = {config.method!r}: {complaint}; {fits}")
     if config.memory_curve and turns_of(back_end.simulator) > 1:
-        message = f"memory_curve = true: not with slots, and simulator {name!r} has them"
-        raise ConfigError(message)
+        raise ConfigError(f"memory_curve = true: not with slots, and simulator {name!r} has them")
     if config.reference and "twin" in lacking:
         fits = "leave it out" if "restarts" in lacking else "use splitting as an independent check"
-        message = f"reference = true: the reference {lacking['twin']}; {fits}"
-        raise ConfigError(message)
+        raise ConfigError(f"reference = true: the reference {lacking['twin']}; {fits}")

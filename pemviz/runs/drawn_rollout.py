@@ -1,16 +1,16 @@
-"""One rollout as views draw it: where its cars are, what perception told of each, where it tracks.
+"""One rollout as views draw it: where its cars are, what perception reported, where it tracks.
 
 All of it is a function of the states and outcomes that files hold; what a tracker remembers is in
 no file, and comes back by simulating the rollout again from its outcomes and latents.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.runs.slot_outcomes import slots_of
 from pemviz.simulators.drawn_scene import drawn_scene, drawn_tracks
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
@@ -59,7 +59,7 @@ class DrawnRollout:
         return int(self.states.collided.size)
 
     def answer_about(self, car: int) -> IntArray:
-        """``[T]`` what perception told of a car; nothing at the last state and from contact on."""
+        """``[T]`` what perception reported of a car; nothing at the end and from contact on."""
         answers = np.full(self.count, NOT_ASKED, dtype=np.int64)
         slot = self.slot_of_car[car]
         if slot is not None:
@@ -82,7 +82,7 @@ class DrawnRollout:
 
 
 def answer_words(slot: Slot, answer: int) -> str:
-    """What perception told of a slot, in words: ``detected``, ``MISSED``, ``GHOST`` ..."""
+    """What perception reported of a slot, in words: ``detected``, ``MISSED``, ``GHOST`` ..."""
     if answer == NOT_ASKED:
         return "not in view" if slot.nominal else "no ghost"
     if answer == RIGHT:
@@ -108,8 +108,16 @@ def drawn_rollout(
     scene = drawn_scene(simulator)
     if scene is None:
         return None
+    tracks, tells = None, drawn_tracks(simulator)
+    if tells is not None and memory:
+        steps = np.arange(next(iter(signals.values())).size)
+        tracks = tells.scene_tracks(StateBatch(step=steps, signals=signals, memory=memory))
     states = scene.scene(signals)
     slots = slots_of(simulator)
+    places: dict[str | None, int] = {slot.name: place for place, slot in enumerate(slots)}
+    slot_of_car = tuple(places.get(car.slot) for car in scene.scene_cars)
+    if not slots:  # perception answers for the car ahead
+        slot_of_car = tuple(0 if car == 1 else None for car in range(len(scene.scene_cars)))
     contact = np.flatnonzero(states.collided)
     contact_step = int(contact[0]) if contact.size else None
     impact_mps = signals.get(IMPACT_SPEED, states.impact_speed_mps)
@@ -119,8 +127,8 @@ def drawn_rollout(
         states=states,
         slots=slots or (WHOLE,),
         answers=slot_answers(simulator, signals=signals, detected=detected),
-        slot_of_car=_slots_of_cars(scene.scene_cars, slots),
-        tracks=_tracks(simulator, signals, memory),
+        slot_of_car=slot_of_car,
+        tracks=tracks,
         dt_s=simulator.dt_s,
         contact_step=contact_step,
         impact_speed_mps=None
@@ -135,7 +143,7 @@ def slot_answers(
     signals: Mapping[str, FloatArray],
     detected: BoolArray,
 ) -> IntArray:
-    """What perception told of each slot in a rollout, ``[T-1, K]``, arguments as above."""
+    """What perception reported of each slot in a rollout, ``[T-1, K]``, arguments as above."""
     outcomes = detected.reshape(len(detected), -1)
     if not isinstance(simulator, SlotSimulator):
         return np.where(outcomes, RIGHT, WRONG)
@@ -171,20 +179,38 @@ def remembered(
     return {name: np.concatenate([one.memory[name] for one in course]) for name in states.memory}
 
 
-def _tracks(
-    simulator: Simulator | SlotSimulator,
-    signals: Mapping[str, FloatArray],
-    memory: Mapping[str, AnyArray],
-) -> SceneTracks | None:
-    tells = drawn_tracks(simulator)
-    if tells is None or not memory:
-        return None
-    steps = np.arange(next(iter(signals.values())).size)
-    return tells.scene_tracks(StateBatch(step=steps, signals=signals, memory=memory))
+def slots_of(simulator: Simulator | SlotSimulator) -> tuple[Slot, ...]:
+    """The scenario's slots; none where perception answers one thing a step."""
+    return simulator.slots if isinstance(simulator, SlotSimulator) else ()
 
 
-def _slots_of_cars(cars: tuple[SceneCar, ...], slots: tuple[Slot, ...]) -> tuple[int | None, ...]:
-    if not slots:  # perception answers for the car ahead
-        return tuple(0 if place == 1 else None for place in range(len(cars)))
-    places = {slot.name: place for place, slot in enumerate(slots)}
-    return tuple(None if car.slot is None else places.get(car.slot) for car in cars)
+def faultless(detected: BoolArray, *, slots: Sequence[Slot]) -> BoolArray:
+    """Whether no slot errs, ``[..., T-1]`` of outcomes ``[..., T-1]``, with K slots ``[..., K]``.
+
+    Without any, an outcome of False is an error.
+    """
+    if not slots:
+        return detected
+    right = detected == _nominal(slots)
+    return np.all(right, axis=-1) if len(slots) > 1 else right
+
+
+def right_by_slot(detected: BoolArray, *, slots: Sequence[Slot]) -> Mapping[str, BoolArray]:
+    """Whether each of several slots does not err, ``[T-1]`` by name of a rollout's ``[T-1, K]``."""
+    if len(slots) < 2:
+        return {}
+    right = detected == _nominal(slots)
+    return {slot.name: np.array(right[:, place]) for place, slot in enumerate(slots)}
+
+
+def faultless_probability(logit: FloatArray, *, slots: Sequence[Slot]) -> FloatArray:
+    """Probability that no slot errs, by logits of 'detected', shaped as outcomes are there."""
+    if not slots:
+        return np.asarray(expit(logit))
+    right = np.asarray(expit(np.where(_nominal(slots), logit, -logit)))
+    return np.prod(right, axis=-1) if len(slots) > 1 else right
+
+
+def _nominal(slots: Sequence[Slot]) -> BoolArray:
+    nominal = np.array([slot.nominal for slot in slots], dtype=np.bool_)
+    return nominal if len(slots) > 1 else nominal[0]

@@ -1,4 +1,4 @@
-"""The engine: runs an experiment and tells observers what happens."""
+"""The engine: runs an experiment and notifies observers of what happens."""
 
 import contextlib
 import time
@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from pemviz._version import __version__
 from pemviz.arrays import read_only
-from pemviz.config import ExperimentConfig
+from pemviz.config import ExperimentConfig, Rule
 from pemviz.errors import PemvizError, RunError, one_line
 from pemviz.faults import (
     SimulationError,
@@ -23,9 +23,7 @@ from pemviz.faults import (
     told,
     traceback_of,
 )
-from pemviz.pem import PositionErrorModel
-from pemviz.runs.data_plan import with_data_plan
-from pemviz.runs.driven import with_distance
+from pemviz.runs import supplements
 from pemviz.runs.events import (
     Event,
     Observer,
@@ -38,22 +36,15 @@ from pemviz.runs.events import (
     notify_all,
 )
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.runs.interpretation import (
-    Interpreted,
-    beside_reference,
-    interpret,
-    interpret_repetition,
-    with_curves,
-)
-from pemviz.runs.memory import memory_of
+from pemviz.runs.interpretation import Interpreted, interpret, interpret_repetition
+from pemviz.runs.ranking import with_stage
 from pemviz.runs.rates import assumed_encounters
-from pemviz.runs.result import PemInfo, RunResult, position_info, with_stage
-from pemviz.runs.rules import estimates_by_rule, rule_answers
+from pemviz.runs.result import PemInfo, RuleAnswer, RunResult, memory_of
 from pemviz.runs.specification import may_leave_bounds
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.kept import KeepsColumns
+from pemviz.sampling.method import AnswersRules, Method
 from pemviz.simulators.latents import latent_counts
-from pemviz.simulators.slots import Slot
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
@@ -84,10 +75,10 @@ def run_experiment(
     """Validate ``config``, run it and return its result.
 
     Args:
-        config: What is asked.
+        config: The configuration.
         run_id: The run's name in its result.
-        observers: Told of everything that happens; they do not change the result.
-        should_stop: Asked between batches of rollouts.
+        observers: Notified of everything that happens; they do not change the result.
+        should_stop: Called between batches of rollouts.
 
     Raises:
         InputError: The configuration is wrong; observers hear nothing.
@@ -127,13 +118,9 @@ def run(
             if outside is not None:
                 runner.finish("stopped")
                 raise outside  # noqa: B904  what led to the error
-            raise runner.failed(error) from _raised(error)
+            cause = error.__cause__ if isinstance(error, SimulationError) else None
+            raise runner.failed(error) from cause or error  # what the user's code raised
         return runner.finish("done" if runner.complete else "stopped")
-
-
-def _raised(error: BaseException) -> BaseException:
-    """What the user's code raised, if that was in this process."""
-    return error.__cause__ or error if isinstance(error, SimulationError) else error
 
 
 class _Runner:
@@ -146,7 +133,8 @@ class _Runner:
         observers: Sequence[Observer],
         should_stop: Callable[[], bool],
     ) -> None:
-        self._experiment = self._stoppable(experiment)
+        problem = replace(experiment.problem, progress=self._pause, pause=self._pause)
+        self._experiment = replace(experiment, problem=problem)
         self._observers = observers
         self._should_stop = should_stop
         self._began = time.perf_counter()
@@ -158,7 +146,7 @@ class _Runner:
 
     def carry_out(self) -> None:
         experiment = self._experiment
-        self._tell(
+        self._notify(
             RunStarted(
                 config=experiment.config,
                 signals=experiment.declared.signals,
@@ -171,19 +159,22 @@ class _Runner:
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
-        self._keep(with_distance(self._interpreted.result, experiment=experiment))
-        self._keep(with_curves(self._interpreted.result, experiment=experiment))
-        self._keep(with_data_plan(self._interpreted.result, experiment=experiment))
-        self._keep(beside_reference(self._interpreted.result, experiment=experiment))
+        for add in (
+            supplements.with_distance,
+            supplements.with_curves,
+            supplements.with_data_plan,
+            supplements.beside_reference,
+        ):
+            self._keep(add(self._interpreted.result, experiment=experiment))
         self.complete = True
 
     def finish(self, status: Any) -> RunResult:
         result = self._timed(replace(self._interpreted.result, status=status))
-        self._tell(RunDone(result=result))
+        self._notify(RunDone(result=result))
         return result
 
     def failed(self, error: BaseException) -> RunError:
-        """Tell the observers, and return what tells the caller."""
+        """Notify the observers; the error is for the caller."""
         ours = error is self._observers_error or isinstance(error, PemvizError)
         text = getattr(error, "traceback_text", "") if ours else traceback_of(error)
         message = self._placed(error)
@@ -192,7 +183,7 @@ class _Runner:
         for observer in self._observers:
             # the observer that failed the run may fail again; the others must still hear
             with contextlib.suppress(OSError, ValueError, PemvizError):
-                self._tell(event, observer)
+                self._notify(event, observer)
         return RunError(message, traceback_text=text)
 
     def _placed(self, error: BaseException) -> str:
@@ -218,7 +209,7 @@ class _Runner:
             self._at = repetition, stage
             state, result = method.step(watched, state)
             self._at = None
-            self._tell_stage(result)
+            self._notify_of_stage(result)
             for interpreted in interpret(
                 self._interpreted, experiment=self._experiment, stage=result
             ):
@@ -227,17 +218,20 @@ class _Runner:
         self._interpreted = interpret_repetition(
             self._interpreted, experiment=self._experiment, state=state
         )
-        estimate = method.estimate(state)
+        estimate, rules = method.estimate(state), self._experiment.config.rules
         estimates = (*self._interpreted.result.repetitions, estimate)
-        rules = self._experiment.config.rules
         self._by_rule.append(estimates_by_rule(method, state, rules))
+        answers: list[RuleAnswer] = []
+        for rule in rules:
+            whole = summarise_repetitions([found[rule.name] for found in self._by_rule])
+            answers.append(RuleAnswer(rule.name, rule.formula, whole))
         result = replace(
             self._interpreted.result,
             repetitions=estimates,
             estimate=summarise_repetitions(estimates),
-            rules=rule_answers(rules, self._by_rule),
+            rules=tuple(answers),
         )
-        self._tell(
+        self._notify(
             RepetitionDone(
                 repetition=repetition,
                 estimate=estimate,
@@ -248,26 +242,17 @@ class _Runner:
 
     def _progress(self, repetition: int, stage: int) -> Callable[[int, int], None]:
         def progress(done: int, total: int) -> None:
-            self._tell(RolloutsDone(repetition=repetition, stage=stage, done=done, total=total))
+            self._notify(RolloutsDone(repetition=repetition, stage=stage, done=done, total=total))
             self._pause()
 
         return progress
 
-    def _stoppable(self, experiment: Experiment) -> Experiment:
-        """The experiment with a stop between batches and during long work."""
-
-        def progress(done: int, total: int) -> None:  # noqa: ARG001
-            self._pause()
-
-        problem = replace(experiment.problem, progress=progress, pause=self._pause)
-        return replace(experiment, problem=problem)
-
-    def _pause(self) -> None:
+    def _pause(self, *_: int) -> None:
         if self._should_stop():
             raise StopRequested
 
-    def _tell(self, event: Event, *only: Observer) -> None:
-        """Tell observers; of what they raise, a KeyboardInterrupt counts as a person's."""
+    def _notify(self, event: Event, *only: Observer) -> None:
+        """Of what observers raise, a KeyboardInterrupt counts as a person's."""
         try:
             notify_all(only or self._observers, event)
         except BaseException as error:
@@ -279,12 +264,12 @@ class _Runner:
             message = f"an observer raises {told(error)}"
             raise RunError(message, traceback_text=traceback_of(error)) from error
 
-    def _tell_stage(self, stage: StageResult) -> None:
+    def _notify_of_stage(self, stage: StageResult) -> None:
         result = self._keep(with_stage(self._interpreted.result, stage))
         folding = self._experiment.folding
         scored = stage.scored if folding is None else folding.scored(stage.scored)
         frozen = replace(stage, scored=_frozen(scored))
-        self._tell(StageDone(stage=frozen, result=result))
+        self._notify(StageDone(stage=frozen, result=result))
 
     def _keep(self, result: RunResult) -> RunResult:
         """Keep what is known by now, with the time that it took."""
@@ -307,36 +292,47 @@ def _frozen(scored: ScoredRollouts) -> ScoredRollouts:
 
 def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
     """The result before anything is simulated; 'stopped' is what a killed run leaves."""
-    pem = experiment.pem
+    pem, errors = experiment.pem, experiment.back_end.position_errors
     return RunResult(
         run_id=run_id,
         status="stopped",
         config=experiment.config,
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
         versions=versions(),
-        memory=memory_of(experiment.pem),
+        memory=memory_of(pem),
         latents=latent_counts(experiment.problem.simulator) or None,
-        position_errors=position_info(experiment.back_end.position_errors),
+        position_errors=None
+        if errors is None
+        else PemInfo(name=errors.name, digest=errors.digest, data=errors.card.data),
         assumptions=_assumptions(experiment),
         warnings=experiment.warnings,
     )
 
 
 def _assumptions(experiment: Experiment) -> tuple[str, ...]:
+    config, position_errors = experiment.config, experiment.back_end.position_errors
     first, *others = OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS
     if latents := latent_counts(experiment.problem.simulator):
         others = [f"{LATENTS}: {latents}", *others]
-    if experiment.config.encounters_per_hour is not None:
-        others = [*others, assumed_encounters(experiment.config.encounters_per_hour)]
-    if experiment.back_end.position_errors is not None:
-        errors = experiment.back_end.position_errors
-        others = [_measured_by(errors, several=experiment.is_own_system), *others]
-    if experiment.config.metric == "agm" and may_leave_bounds(experiment.problem.simulator):
+    if config.encounters_per_hour is not None:
+        others = [*others, assumed_encounters(config.encounters_per_hour)]
+    if position_errors is not None:
+        report, several = position_errors.card.report, experiment.is_own_system
+        largest = f"{report['axes'][0]['largest']:.3g} m" if report else "not reported"
+        measured = "measured places, each slot's on its own" if several else "the measured distance"
+        others = [
+            f"the ego brakes by {measured}, off as position errors {position_errors.name} say; the "
+            f"largest error in their data is {largest}, larger ones are the word of their tails",
+            *others,
+        ]
+    if config.metric == "agm" and may_leave_bounds(experiment.problem.simulator):
         others = [*others, BOUNDED]
     if experiment.folding is not None:
-        first = slots_assumption(experiment.folding.simulator.slots)
-    tau_s, frailty = experiment.config.memory_s, experiment.config.frailty
-    hidden = memory_of(experiment.pem).hidden
+        slots = experiment.folding.simulator.slots
+        alone = "" if len(slots) == 1 else "; errors of slots are independent given the state"
+        names = ", ".join(slot.name for slot in slots)
+        first = f"perception reports something or nothing, at every step, for {names}{alone}"
+    tau_s, frailty, hidden = config.memory_s, config.frailty, memory_of(experiment.pem).hidden
     if not tau_s and not frailty and not hidden:
         return (first, INDEPENDENT, *others)
     how = [f"with a memory time of {tau_s:g} s"] if tau_s else []
@@ -344,24 +340,6 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     how += [f"by {label}" for label in hidden]
     bursts = f"given the state, misses hang together {' and '.join(how)}, and no more"
     return (first, bursts, *others)
-
-
-def _measured_by(model: PositionErrorModel, *, several: bool) -> str:
-    """What is assumed of the lead car's measured distance, or of several slots' places."""
-    report = model.card.report
-    largest = f"{report['axes'][0]['largest']:.3g} m" if report else "not told"
-    measured = "measured places, each slot's on its own" if several else "the measured distance"
-    return (
-        f"the ego brakes by {measured}, off as position errors {model.name} say; the "
-        f"largest error in their data is {largest}, larger ones are the word of their tails"
-    )
-
-
-def slots_assumption(slots: Sequence[Slot]) -> str:
-    """What is assumed of perception where slots are declared."""
-    names = ", ".join(slot.name for slot in slots)
-    alone = "" if len(slots) == 1 else "; errors of slots are independent given the state"
-    return f"perception reports something or nothing, at every step, for {names}{alone}"
 
 
 def versions() -> dict[str, str]:
@@ -373,3 +351,18 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return by_package
+
+
+def estimates_by_rule(
+    method: Method[Any], state: Any, rules: Sequence[Rule]
+) -> Mapping[str, Estimate]:
+    """Each rule's estimate by a repetition that is done.
+
+    Raises:
+        TypeError: The method answers none.
+    """
+    if not rules:
+        return {}
+    if not isinstance(method, AnswersRules):
+        raise TypeError(f"method {method.name} answers no rules")
+    return {rule.name: method.estimate(method.under_rule(state, rule.name)) for rule in rules}

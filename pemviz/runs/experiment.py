@@ -4,24 +4,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from scipy.special import expit
+
 from pemviz import stl
 from pemviz.analysis.model_uncertainty import model_classes_beside
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.config.toml_files import with_own_rules
 from pemviz.errors import ConfigError
-from pemviz.faults import refusing, signals_told_apart
+from pemviz.faults import refusing, signals_told_apart, told
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.protocol import Refits
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.runs.back_ends import (
-    build_back_end,
-    check_measures,
-    check_method_fits,
-    own_back_end,
-    with_choices,
-)
-from pemviz.runs.error_model_check import check_error_model
+from pemviz.runs import back_ends
 from pemviz.runs.specification import build_formula, build_problem
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
@@ -29,12 +25,9 @@ from pemviz.sampling.folding import Folding, folding_of
 from pemviz.sampling.method import AnswersRules, Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.slots import with_slots
-from pemviz.sampling.state.composed import (
-    as_member,
-    composed,
-    properties_of_memory,
-)
+from pemviz.sampling.state.composed import as_member, composed, properties_of_memory
 from pemviz.sampling.state.hidden import HiddenProperty
 from pemviz.sampling.zero_variance.method import require_unsafe
 from pemviz.simulators.check_latents import latent_warnings
@@ -50,7 +43,7 @@ class Experiment:
     """The parts that a run puts together.
 
     Attributes:
-        config: What was asked, validated.
+        config: The configuration, validated.
         ensemble: Models that its training data could as well have produced, if there are any.
         model_classes: Models of other classes that were trained on the same data.
         formula: The specification.
@@ -130,7 +123,7 @@ def build_experiment(
     """Validate ``config`` and build everything it names; nothing is estimated yet.
 
     Args:
-        config: What is asked.
+        config: The configuration.
         simulator: A system of your own instead of the one that ``config`` names. It is tried
             out on whole rollouts, so that what is wrong with it is told here.
         pem: A detector model of your own, anything with ``logit(salient)``, instead of the
@@ -147,24 +140,22 @@ def build_experiment(
             Never taken from a configuration: a file must not decide that code runs.
 
     Raises:
-        InputError: A value is out of range, the specification does not
-            parse or fit the scenario, the perception error model cannot be loaded, or your own
-            simulator or detector does not keep to its protocol.
+        InputError: A value is out of range, the specification does not parse or fit the scenario,
+            the error model cannot be loaded, or your own simulator or detector does not keep to
+            its protocol.
     """
-    own = None if simulator is None else own_back_end(simulator, twin=twin)
+    own = None if simulator is None else back_ends.own_back_end(simulator, twin=twin)
     config, named, back_end = _named_parts(config, own, pem, allow_python=allow_python)
-    back_end = with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
-    check_method_fits(config, back_end)
+    back_end = back_ends.with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
+    back_ends.check_method_fits(config, back_end)
     _check_hidden(config, back_end, hidden)
     ensemble = ensemble_of(config.pem) if pem is None else None
     model, ensemble = with_slots(back_end.simulator, named, ensemble)
-    warnings = (
-        *latent_warnings(back_end.simulator),
-        *check_error_model(model, back_end.simulator),
-    )
+    simulator = back_end.simulator
+    warnings = (*latent_warnings(simulator), *_error_model_warnings(model, simulator))
     others = () if back_end.is_own else model_classes_beside(model)
     memory = Memory(tau_s=config.memory_s, frailty=config.frailty)
-    properties = properties_of_memory(memory, simulator=back_end.simulator)
+    properties = properties_of_memory(memory, simulator=simulator)
     back_end, model = composed(back_end, model, properties=(*properties, *hidden))
     if hidden:
         config = replace(config, pem=model.name)
@@ -187,37 +178,26 @@ def build_experiment(
 
 
 def _method(config: ExperimentConfig, problem: Problem, back_end: BackEnd) -> Method[Any]:
-    """The method, if it and the reference can be had for the specification.
-
-    Raises:
-        InputError: They cannot.
-    """
+    """The method, if it and the reference can be had for the specification."""
     if "single states" in by_name(config.method).needs:
         require_unsafe(problem, method=config.method)
     if config.reference:
         require_unsafe(problem)
     method = build_method(config, back_end=back_end)
     if config.rules and not isinstance(method, AnswersRules):
-        message = f"rules: method {config.method} answers one specification only"
-        raise ConfigError(message)
+        raise ConfigError(f"rules: method {config.method} answers one specification only")
     return method
 
 
 def _check_hidden(config: ExperimentConfig, back_end: BackEnd, hidden: Sequence[object]) -> None:
-    """Refuse properties that the answer could not name, and slots with what is of one obstacle.
-
-    Raises:
-        ConfigError: There are such.
-    """
+    """Refuse properties that the answer could not name, and slots with what is of one obstacle."""
     for one in hidden:
         if not isinstance(one, HiddenProperty):
-            message = f"hidden: {type(one).__name__}: must be a pemviz.HiddenProperty"
-            raise ConfigError(message)
+            raise ConfigError(f"hidden: {type(one).__name__}: must be a pemviz.HiddenProperty")
         if not one.label:
-            message = (
+            raise ConfigError(
                 f"hidden: {type(one).__name__}: must have a label, by which the answer names it"
             )
-            raise ConfigError(message)
     if not isinstance(back_end.simulator, UnrolledSimulator):
         return
     which = f"simulator {back_end.simulator.name!r}, which has slots,"
@@ -235,34 +215,61 @@ def _named_parts(
     allow_python: bool,
 ) -> tuple[ExperimentConfig, Pem | Mapping[str, Pem], BackEnd]:
     """The user's own parts, or those that ``config`` names; it then names what is used."""
-    own_pem = None if pem is None else _own_pem(pem)
+    own_pem: Pem | Mapping[str, Pem] | None = None
+    if isinstance(pem, Mapping):
+        wrapped = {id(model): as_pem(model) for model in pem.values()}
+        own_pem = {slot: wrapped[id(model)] for slot, model in pem.items()}  # one stays one
+        config = replace(config, pem="+".join(dict.fromkeys(m.name for m in own_pem.values())))
+    elif pem is not None:
+        own_pem = as_pem(pem)
+        config = replace(config, pem=own_pem.name)
     if own is not None:
-        if own.simulator.name in SHIPPED_SIMULATORS:
-            message = f"simulator {own.simulator.name!r}: a shipped one has this name already"
-            raise ConfigError(message)
-        config = replace(config, simulator=own.simulator.name)
-    if own_pem is not None:
-        config = replace(config, pem=_name_of(own_pem))
-    config = config if own is not None else with_own_rules(config)
+        name = own.simulator.name
+        if name in SHIPPED_SIMULATORS:
+            raise ConfigError(f"simulator {name!r}: a shipped one has this name already")
+        config = replace(config, simulator=name)
+    else:
+        config = with_own_rules(config)
     config.validate()
     model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
     if own is not None:
-        check_measures(config)
-    return config, model, own or build_back_end(config)
+        back_ends.check_measures(config)
+    return config, model, own or back_ends.build_back_end(config)
 
 
-def _own_pem(pem: DetectorModel | Mapping[str, DetectorModel]) -> Pem | Mapping[str, Pem]:
-    """Whatever stands for several slots, stays one."""
-    if not isinstance(pem, Mapping):
-        return as_pem(pem)
-    wrapped = {id(model): as_pem(model) for model in pem.values()}
-    return {slot: wrapped[id(model)] for slot, model in pem.items()}
+def _error_model_warnings(pem: Pem, simulator: Simulator) -> tuple[str, ...]:
+    """Evaluate the error model at all states of two rollouts, all missed and all detected.
 
-
-def _name_of(pem: Pem | Mapping[str, Pem]) -> str:
-    if not isinstance(pem, Mapping):
-        return pem.name
-    return "+".join(dict.fromkeys(model.name for model in pem.values()))
+    What cannot be its logits is refused; what looks wrong, but may be meant, is returned.
+    """
+    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    signals = replay(simulator=simulator, detected=outcomes)
+    salient = simulator.salient({name: values[:, :-1] for name, values in signals.items()})
+    where = f"pem = {pem.name!r} on simulator {simulator.name!r}"
+    try:
+        logit = np.asarray(pem.logit(salient))
+    except BaseException as error:  # the user's code may raise anything
+        raise ConfigError(f"{where}: {told(error)}") from error
+    if logit.shape != salient.shape[:-1] or logit.dtype.kind != "f":
+        raise ConfigError(
+            f"{where}: logit of salient variables {list(salient.shape)} has shape "
+            f"{list(logit.shape)} and type {logit.dtype}: must be {list(salient.shape[:-1])} "
+            "numbers of type float64"
+        )
+    if not np.isfinite(logit).all():
+        odd = float(logit[~np.isfinite(logit)][0])
+        raise ConfigError(
+            f"{where}: logit is {odd}: must be a finite number; 40 or -40 is as good as certain"
+        )
+    low, high = float(logit.min()), float(logit.max())
+    if low < 0.0 or high > 1.0:
+        return ()
+    return (  # more often probabilities than P(detected) of 50 to 73 %
+        f"error model {pem.name}: every logit lies between {low:.3g} and {high:.3g}, as "
+        f"probabilities do; taken as logits they mean that {expit(low):.0%} to {expit(high):.0%} "
+        "are detected",
+    )
 
 
 def build_simulator(config: ExperimentConfig) -> Simulator:
@@ -280,6 +287,6 @@ def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -
     Raises:
         ConfigError: The back end does not offer what the method needs.
     """
-    back_end = build_back_end(config) if back_end is None else back_end
-    check_method_fits(config, back_end)
+    back_end = back_ends.build_back_end(config) if back_end is None else back_end
+    back_ends.check_method_fits(config, back_end)
     return build_named_method(config, back_end)

@@ -74,11 +74,9 @@ def compare_models(
         InputError: A model cannot be loaded, or single states do not decide the specification.
     """
     if len(names) < 2:
-        message = f"models = {', '.join(names) or 'none'}: name at least two"
-        raise ConfigError(message)
+        raise ConfigError(f"models = {', '.join(names) or 'none'}: name at least two")
     if config.frailty > 0.0:
-        message = f"frailty = {config.frailty:g}: models are compared with frailty 0 alone"
-        raise ConfigError(message)
+        raise ConfigError(f"frailty = {config.frailty:g}: models are compared with frailty 0 alone")
     base = replace(config, method="zero-variance", final_rollouts=rollouts, reference=False)
     experiments = [
         build_experiment(replace(base, pem=name), allow_python=allow_python) for name in names

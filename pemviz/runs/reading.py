@@ -1,14 +1,19 @@
-"""Reading a run folder: the one way in, by which nothing is believed that the rest contradicts."""
+"""Reading a run folder: the one way in, by which nothing is believed that the rest contradicts.
+
+And whether its run is the one that is wanted: before a run goes on, before a sweep takes a run for
+done, before the panel shows one.
+"""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any, cast
 
-from pemviz.config.toml_files import load_config
+from pemviz.config import ExperimentConfig
+from pemviz.config.toml_files import every_setting, load_config
 from pemviz.errors import InputError
 from pemviz.files.atomic import file_digest
-from pemviz.runs.coherence import complaints
-from pemviz.runs.recount import ROLLOUTS, recount
+from pemviz.runs.coherence import complaints, recount
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import (
     CHANGED,
@@ -19,8 +24,7 @@ from pemviz.runs.result_file import (
     has_result,
     read_kept,
 )
-from pemviz.runs.rollout_files import stage_files
-from pemviz.runs.same_run import run_differs
+from pemviz.runs.rollout_files import ROLLOUTS_FILE, stage_files
 
 CONFIG = "config.toml"
 
@@ -43,8 +47,7 @@ def read_result(folder: Path, *, most_bytes: float = math.inf) -> RunResult:
     kept = read_kept(folder)
     wrong = next(_disagreements(kept, folder, most_bytes), None)
     if wrong is not None:
-        message = f"result {folder / RESULT_FILE}: {wrong}"
-        raise InputError(message)
+        raise InputError(f"result {folder / RESULT_FILE}: {wrong}")
     return kept.result
 
 
@@ -85,13 +88,13 @@ def _disagreements(kept: KeptResult, folder: Path, most_bytes: float) -> Iterato
         difference = run_differs(kept.result, config=load_config(folder / CONFIG))
         if difference is not None:
             yield f"run {folder.name} was begun with {difference}"
-    if _is_looked_at(folder / ROLLOUTS, most_bytes):
+    if _is_looked_at(folder / ROLLOUTS_FILE, most_bytes):
         yield from recount(folder, kept.result)
-    for name, told in kept.files.items():
+    for name, written in kept.files.items():
         if _is_looked_at(folder / name, most_bytes):
             found = file_digest(folder / name)
-            if found != told:
-                digests = f"{told[:SHOWN]!r}...: {name} has {found[:SHOWN]!r}..."
+            if found != written:
+                digests = f"{written[:SHOWN]!r}...: {name} has {found[:SHOWN]!r}..."
                 yield f"files.{name} = {digests}; {CHANGED}"
     if kept.fault is not None:
         yield kept.fault
@@ -99,3 +102,56 @@ def _disagreements(kept: KeptResult, folder: Path, most_bytes: float) -> Iterato
 
 def _is_looked_at(path: Path, most_bytes: float) -> bool:
     return path.is_file() and path.stat().st_size <= most_bytes
+
+
+def run_differs(
+    result: RunResult,
+    *,
+    config: ExperimentConfig,
+    pem_digest: str | None = None,
+    position_digest: str | None = None,
+) -> str | None:
+    """How the run of a result differs from the one wanted, in words; ``None``: not at all.
+
+    Args:
+        result: What the folder holds.
+        config: What is wanted.
+        pem_digest: SHA-256 of the error model that is wanted; ``None``: any of its name.
+        position_digest: The same of the position errors.
+    """
+    settings = setting_differences(result.config, config)
+    if settings:
+        name, (begun, wanted) = next(iter(settings.items()))
+        return f"settings other than those of its config.toml ({name} = {begun!r}, not {wanted!r})"
+    if pem_digest is not None and result.pem.digest != pem_digest:
+        return (
+            f"another error model of the name {config.pem!r} (digest "
+            f"{result.pem.digest[:SHOWN]}, now {pem_digest[:SHOWN]})"
+        )
+    errors = result.position_errors
+    if position_digest is not None and errors is not None and errors.digest != position_digest:
+        return (
+            f"other position errors of the name {config.position_errors!r} (digest "
+            f"{errors.digest[:SHOWN]}, now {position_digest[:SHOWN]})"
+        )
+    return None
+
+
+def setting_differences(
+    first: ExperimentConfig, second: ExperimentConfig
+) -> dict[str, tuple[Any, Any]]:
+    """The settings in which two configurations differ, by dotted name, with both values."""
+    one, other = flat_settings(every_setting(first)), flat_settings(every_setting(second))
+    names = [*one, *(name for name in other if name not in one)]
+    return {n: (one.get(n), other.get(n)) for n in names if one.get(n) != other.get(n)}
+
+
+def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings with dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            found |= flat_settings(cast(Mapping[str, Any], value), f"{prefix}{name}.")
+        else:
+            found[prefix + name] = value
+    return found

@@ -4,54 +4,120 @@
 ranges of the fields here, and of the types that they name, say what may stand there.
 """
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
-import numpy as np
-
-from pemviz.analysis.causes import CARRIED, carrying, contributions
 from pemviz.analysis.data_plan import DataPlan
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.model_uncertainty import DataBound, ModelClassAnswer, ModelInterval
 from pemviz.analysis.robustness_tail import RobustnessTail
 from pemviz.analysis.starts import DangerousStarts
 from pemviz.config import ExperimentConfig
-from pemviz.config.ranges import AtLeastZero, Count, Log10, Range, Share
+from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Range, Share
 from pemviz.latents import LatentCounts
-from pemviz.pem import PositionErrorModel
-from pemviz.runs.memory import RunMemory
-from pemviz.runs.rules import RuleAnswer
-from pemviz.sampling.rollouts.large_stages import log_p_of
+from pemviz.pem import Pem
+from pemviz.pem.models.cards import FittedMemory, PemCard, fitted_memory
+from pemviz.sampling.bursts.curve import CurvePoint
+from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem
 from pemviz.sampling.zero_variance.reference import Reference
-from pemviz.types import Estimate, ShownInNotebooks, StageKind, StageResult, numbers_of
-
-LEAST_ROBUST = 20
+from pemviz.types import Estimate, ShownInNotebooks, StageKind
 
 RunStatus = Literal["done", "stopped", "failed"]
 
 
 @dataclass(frozen=True)
 class PemInfo:
-    """Which perception error model a result rests on.
-
-    Attributes:
-        name: As loaded.
-        digest: SHA-256 of its content.
-        data: What it was trained on.
-    """
+    """Which perception error model, or position errors, a result rests on."""
 
     name: str
     digest: str
+    """SHA-256 of its content."""
     data: str
+    """What it was trained on."""
 
 
-def position_info(model: PositionErrorModel | None) -> PemInfo | None:
-    """Which position errors a result rests on."""
-    if model is None:
-        return None
-    return PemInfo(name=model.name, digest=model.digest, data=model.card.data)
+@dataclass(frozen=True)
+class MeasuredTau:
+    """A memory time measured on video [s], with its interval, and the frailty fitted beside it.
+
+    The frailty is ``None`` in older results, as are its interval's ends where it was not fitted.
+    """
+
+    tau_s: AtLeastZero
+    low_s: AtLeastZero
+    high_s: AtLeastZero
+    confidence: Confidence
+    frailty: AtLeastZero | None = None
+    frailty_low: AtLeastZero | None = None
+    frailty_high: AtLeastZero | None = None
+
+
+@dataclass(frozen=True)
+class RunMemory:
+    """The memory of misses behind an answer.
+
+    Attributes:
+        tau_s: Memory time that the answer is for [s]; 0: misses independent given the state.
+        fitted: The error model's own memory time; ``None`` where the model was fitted to single
+            frames, which tell nothing of it.
+        curve: The failure probability over memory times, ascending; empty without.
+        frailty: Spread of obstacles' own visibility that the answer is for; 0: all are equal.
+        frailty_curve: The failure probability over frailties, likewise.
+        hidden: Labels of the user's own hidden properties that the answer is for.
+    """
+
+    tau_s: AtLeastZero
+    fitted: MeasuredTau | None = None
+    curve: tuple[CurvePoint, ...] = ()
+    frailty: AtLeastZero = 0.0
+    frailty_curve: tuple[CurvePoint, ...] = ()
+    hidden: tuple[str, ...] = ()
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether misses are independent given the state."""
+        return self.tau_s == 0.0 and self.frailty == 0.0 and not self.hidden
+
+
+def memory_of(pem: Pem) -> RunMemory:
+    """The memory that a run with this error model assumes."""
+    assumed, own = memory_of_pem(pem), own_memory(own_pem(pem))
+    hidden = tuple(one.label for one in hidden_in(pem) if one.label)
+    run = RunMemory(tau_s=assumed.tau_s, frailty=assumed.frailty, hidden=hidden)
+    if own is None:
+        return run
+    low_s, high_s = own.tau_interval_s
+    low, high = own.frailty_interval or (None, None)
+    fitted = MeasuredTau(
+        tau_s=own.memory.tau_s,
+        low_s=low_s,
+        high_s=high_s,
+        confidence=own.confidence,
+        frailty=own.memory.frailty,
+        frailty_low=low,
+        frailty_high=high,
+    )
+    return replace(run, fitted=fitted)
+
+
+def own_memory(pem: Pem) -> FittedMemory | None:
+    """The memory that a model's card reports; ``None`` for a model of single frames.
+
+    Raises:
+        PemError: The card is damaged.
+    """
+    card: object = getattr(pem, "card", None)
+    return fitted_memory(card.memory, where=pem.name) if isinstance(card, PemCard) else None
+
+
+@dataclass(frozen=True)
+class RuleAnswer:
+    """How likely one of several rules is broken, whatever becomes of the others."""
+
+    name: str
+    formula: str
+    estimate: Estimate
 
 
 @dataclass(frozen=True)
@@ -129,8 +195,8 @@ class RunResult(ShownInNotebooks):
     Attributes:
         run_id: The run's name, that of its folder.
         status: ``stopped`` also while it goes on, as that is what a kill would leave.
-        config: What was asked.
-        pem: The perception error model that was asked.
+        config: The configuration.
+        pem: The perception error model.
         versions: Of pemviz and of what the figures may depend on, by package.
         assumptions: What the answer takes for granted, in words.
         estimate: The answer; of several repetitions, their mean.
@@ -143,17 +209,17 @@ class RunResult(ShownInNotebooks):
         least_robust_by_rule: Likewise of each rule by name, where there are rules: ranked by the
             robustness in that rule, shares of the answer to it.
         memory: What was assumed of how misses hang together, and what the model's own data say
-            of it; ``None`` in results of versions that knew no memory.
+            of it; ``None`` in older results.
         latents: How many standard normals the simulator took; ``None`` if none.
         position_errors: By which the scenario measured; ``None``: it measured exactly.
         driven: How far a rollout is, where it is a stretch of driving in free traffic.
-        reference: The answer by the zero-variance reference, if it was asked for.
+        reference: The answer by the zero-variance reference, or over all states where they are few.
         pem_interval: The answer's range over other models that fit the same data.
         starts: Which starts are dangerous, where the simulator names random ones: of violations
             in all, then of each rule's.
         model_classes: The answer under other model classes that learnt from the same data.
         data_bound: What the model's training data alone allow.
-        plan: What to measure next, if it was asked for.
+        plan: What to measure next, if that was to be planned.
         explanation: Where and when the detector misses before violations, and what would help.
         robustness_tail: Robustness expected and in the worst hundredth, under the error model;
             ``None`` where the rollouts do not tell.
@@ -191,107 +257,3 @@ class RunResult(ShownInNotebooks):
     warnings: tuple[str, ...] = ()
     timings_s: Mapping[str, AtLeastZero] = field(default_factory=dict[str, float])
     message: str | None = None
-
-
-def summarise_stage(stage: StageResult) -> StageSummary:
-    """The stage's figures."""
-    return StageSummary(
-        repetition=stage.repetition,
-        stage=stage.stage,
-        kind=stage.kind,
-        rollouts=stage.count,
-        threshold=_finite(stage.threshold),
-        elites=stage.elites,
-        failures=stage.failures,
-        probability=stage.probability,
-        log10_probability=stage.log10_probability,
-        ess=stage.ess,
-        loss=_finite(stage.loss),
-    )
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
-
-
-def with_stage(result: RunResult, stage: StageResult) -> RunResult:
-    """The result with one more stage: its figures, ranking and timings."""
-    timings_s = dict(result.timings_s)
-    for part, seconds in stage.timings_s.items():
-        timings_s[part] = timings_s.get(part, 0.0) + seconds
-    stages = (*result.stages, summarise_stage(stage))
-    weighty = weighty_stages(stages)
-
-    def least(before: Sequence[RankedRollout], rule: str | None) -> tuple[RankedRollout, ...]:
-        ranked = sorted(
-            (*before, *rank_rollouts(stage, rule=rule)),
-            key=lambda r: (
-                r.share is None or (r.repetition, r.stage) not in weighty,
-                r.robustness,
-                r.repetition,
-                r.stage,
-                r.rollout,
-            ),
-        )
-        return tuple(ranked[:LEAST_ROBUST])
-
-    by_rule = {
-        rule: least(result.least_robust_by_rule.get(rule, ()), rule)
-        for rule in stage.scored.rule_robustness
-    }
-    return replace(
-        result,
-        stages=stages,
-        least_robust=least(result.least_robust, None),
-        least_robust_by_rule=by_rule,
-        timings_s=timings_s,
-    )
-
-
-def weighty_stages(stages: Sequence[StageSummary]) -> set[tuple[int, int]]:
-    """The final stages, by repetition and stage, without which the estimate would be another."""
-    final = [
-        (stage, stage.log10_probability)
-        for stage in stages
-        if stage.kind == "final" and stage.log10_probability is not None
-    ]
-    least = max((log10 for _, log10 in final), default=0.0) + math.log10(1.0 - CARRIED)
-    return {(stage.repetition, stage.stage) for stage, log10 in final if log10 >= least}
-
-
-def rank_rollouts(
-    stage: StageResult, *, count: int = LEAST_ROBUST, rule: str | None = None
-) -> Sequence[RankedRollout]:
-    """The stage's ``count`` rollouts that :attr:`RunResult.least_robust` would list first.
-
-    Args:
-        stage: The stage.
-        count: How many.
-        rule: The rule that they are ranked by; ``None``: the specification.
-    """
-    scored = stage.scored
-    chosen = scored.rollouts
-    robustness = scored.robustness if rule is None else scored.rule_robustness[rule]
-    violated = scored.violated if rule is None else scored.broken[rule]
-    share = np.zeros(chosen.count)
-    if stage.kind == "final":
-        share = contributions(chosen.log_weight, violated=violated)
-    carries = carrying(share)
-    order = np.lexsort((robustness, ~carries))[:count]
-    number = numbers_of(chosen.count, stage.drawn)
-    nll = -log_p_of(chosen, order)
-    return [
-        RankedRollout(
-            repetition=stage.repetition,
-            stage=stage.stage,
-            rollout=int(number[index]),
-            robustness=float(robustness[index]),
-            violated=bool(violated[index]),
-            nll=float(nll[place]),
-            log_weight=float(chosen.log_weight[index]),
-            misses=int(np.count_nonzero(~chosen.detected[index])),
-            share=min(float(share[index]), 1.0) if carries[index] else None,
-            broken=tuple(name for name, broken in scored.broken.items() if broken[index]),
-        )
-        for place, index in enumerate(order)
-    ]

@@ -17,7 +17,7 @@ What a result.json may hold (schema 2):
 - ``rules``, ``least_robust_by_rule``, and ``broken`` in ``least_robust``, only where there are
   rules.
 - ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
-- ``per_hour``, only where encounters an hour are told, or ``per_km``, only where ``driven`` is told
+- ``per_hour``, only where encounters an hour are given, or ``per_km``, only where ``driven`` is
   (:mod:`pemviz.runs.rates`), follows from the estimates too.
 - ``uncertainty``, what leaves the answer open
   (:class:`pemviz.runs.uncertainty.UncertaintySource`): it follows from the other fields, which are
@@ -37,31 +37,27 @@ says what the figures mean. A result of another schema is refused.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.sensitivity import BandSensitivity
-from pemviz.config.ranges import shown
+from pemviz.config.ranges import AtLeastZero, shown
 from pemviz.config.records import read_record, read_value
 from pemviz.config.toml_files import config_from_table, config_table
 from pemviz.errors import InputError
 from pemviz.files.atomic import document_digest, file_digest, write_json
 from pemviz.files.json_text import parse_json
-from pemviz.runs.estimate_tables import (
-    Table,
-    estimate_of,
-    estimate_table,
-    field_names,
-    fields_of,
-)
 from pemviz.runs.rates import DistanceRate, ViolationRate, distance_rates, violation_rates
 from pemviz.runs.result import RankedRollout, RunResult
-from pemviz.runs.rules import RuleAnswer
-from pemviz.runs.trust import run_interval_caveats
-from pemviz.runs.uncertainty import UncertaintySource, uncertainty_budget
+from pemviz.runs.uncertainty import UncertaintySource, run_interval_caveats, uncertainty_budget
+from pemviz.sampling.estimates.diagnostics import classified
 from pemviz.sampling.estimates.trust import interval_caveats
+from pemviz.types import Estimate
+
+Table = dict[str, Any]
 
 SCHEMA, OPEN_SCHEMA = 2, 1
 RESULT_FILE = "result.json"
@@ -110,20 +106,16 @@ def read_kept(folder: Path) -> KeptResult:
         with path.open("rb") as stream:
             content = stream.read(LARGEST_BYTES + 1)
         if len(content) > LARGEST_BYTES:
-            message = f"result {path}: must be of at most {LARGEST_BYTES} bytes"
-            raise InputError(message)
+            raise InputError(f"result {path}: must be of at most {LARGEST_BYTES} bytes")
         document = parse_json(content.decode("utf-8"))
     except OSError as error:
-        message = f"result {path}: cannot be read ({error})"
-        raise InputError(message) from error
+        raise InputError(f"result {path}: cannot be read ({error})") from error
     except ValueError as error:
-        message = f"result {path}: cannot be read ({error})"
-        raise UnreadableResultError(message) from error
+        raise UnreadableResultError(f"result {path}: cannot be read ({error})") from error
     try:
         return _kept(document)
     except InputError as error:
-        message = f"result {path}: {error}"
-        raise InputError(message) from error
+        raise InputError(f"result {path}: {error}") from error
 
 
 def write_result(folder: Path, result: RunResult, *, files: Sequence[str] = ()) -> None:
@@ -133,9 +125,6 @@ def write_result(folder: Path, result: RunResult, *, files: Sequence[str] = ()) 
         folder: The run folder.
         result: What is written.
         files: Names of files in it that are whole; those that are there get a digest.
-
-    Raises:
-        OSError: It cannot be written.
     """
     there = [name for name in files if (folder / name).is_file()]
     digests = {name: file_digest(folder / name) for name in there}
@@ -148,6 +137,10 @@ def result_document(result: RunResult) -> Table:
 
     Of schema 1, which has no digests: a result may be anywhere, they belong to a run folder.
     """
+    explanation = {"sensitivity": None, "causes": None}
+    if result.explanation is not None:
+        causes = _fields_of(result.explanation)
+        explanation = {"sensitivity": causes.pop("sensitivity"), "causes": causes}
     document: Table = {
         "schema": OPEN_SCHEMA,
         "run_id": result.run_id,
@@ -160,29 +153,38 @@ def result_document(result: RunResult) -> Table:
         "estimate": (
             None
             if result.estimate is None
-            else estimate_table(result.estimate, caveats=run_interval_caveats(result))
+            else _estimate_table(result.estimate, run_interval_caveats(result))
         ),
-        **_rule_tables(result.rules),
-        **_rate_tables(result),
+        **_unless_empty(
+            rules=[
+                {**_fields_of(rule), "estimate": _estimate_table(rule.estimate)}
+                for rule in result.rules
+            ],
+            per_hour=violation_rates(result),
+            per_km=distance_rates(result),
+            driven=result.driven,
+        ),
         "memory": result.memory,
-        **({} if result.latents is None else {"latents": result.latents}),
-        **_position_errors(result),
-        **({"starts": result.starts} if result.starts else {}),
+        **_unless_empty(
+            latents=result.latents, position_errors=result.position_errors, starts=result.starts
+        ),
         "reference": result.reference,
         "pem_interval": result.pem_interval,
         "model_classes": result.model_classes,
         "uncertainty": uncertainty_budget(result),
         "data_bound": result.data_bound,
         "plan": result.plan,
-        **_explanation_tables(result.explanation),
-        **({} if result.robustness_tail is None else {"robustness_tail": result.robustness_tail}),
-        "repetitions": [
-            estimate_table(estimate, caveats=interval_caveats(estimate))
-            for estimate in result.repetitions
-        ],
+        **explanation,
+        **_unless_empty(robustness_tail=result.robustness_tail),
+        "repetitions": [_estimate_table(estimate) for estimate in result.repetitions],
         "stages": result.stages,
         "least_robust": [_ranked_table(rollout) for rollout in result.least_robust],
-        **_ranked_by_rule(result),
+        **_unless_empty(
+            least_robust_by_rule={
+                rule: [_ranked_table(rollout) for rollout in ranked]
+                for rule, ranked in result.least_robust_by_rule.items()
+            }
+        ),
         "assumptions": list(result.assumptions),
         "warnings": list(result.warnings),
         "timings_s": dict(result.timings_s),
@@ -190,179 +192,39 @@ def result_document(result: RunResult) -> Table:
     return cast(Table, _strict(document))
 
 
-def result_from_document(document: object) -> RunResult:
-    """The inverse of :func:`result_document`, for values that may come from anywhere.
+def _unless_empty(**entries: Any) -> Table:
+    return {name: entry for name, entry in entries.items() if entry not in (None, (), [], {})}
 
-    Raises:
-        InputError: It holds what no run writes.
-    """
-    if not isinstance(document, dict):
-        message = f"is {shown(document)}, must be a JSON object"
-        raise InputError(message)
-    table = cast(Table, document)
-    _check_schema(table)
-    config = config_from_table(table.get("config"), name="config")
-    config.validate()
-    if table.get("seed", config.seed) != config.seed:
-        message = f"seed = {shown(table['seed'])}: must be that of config, {config.seed}"
-        raise InputError(message)
-    read_value(tuple[UncertaintySource, ...], table.get("uncertainty", []), name="uncertainty")
-    read_value(tuple[ViolationRate, ...], table.get("per_hour", []), name="per_hour")
-    read_value(tuple[DistanceRate, ...], table.get("per_km", []), name="per_km")
-    fields = {
+
+def _estimate_table(estimate: Estimate, caveats: Sequence[str] | None = None) -> Table:
+    table = _fields_of(estimate)
+    probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
+    diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
+    return {
         **table,
-        "config": config,
-        "estimate": estimate_of(table.get("estimate"), name="estimate"),
-        "explanation": _explanation(table.get("causes"), table.get("sensitivity")),
-        "repetitions": _each(
-            table.get("repetitions", []),
-            lambda entry, index: estimate_of(entry, name=f"repetitions[{index}]"),
-        ),
-        "rules": _each(table.get("rules", []), _rule),
-        "least_robust": _each(
-            table.get("least_robust", []), lambda entry, _: _with_robustness(entry)
-        ),
-        "least_robust_by_rule": _each_by_name(table.get("least_robust_by_rule", {})),
+        "warnings": list(estimate.warnings),
+        "confidence": confidence,
+        "interval_caveats": list(interval_caveats(estimate) if caveats is None else caveats),
+        "unbiased": {"probability": probability, "std_error": std_error},
+        "diagnostics": diagnostics,
     }
-    return read_record(RunResult, fields, ignore_unknown=True)
-
-
-def _kept(document: object) -> KeptResult:
-    """A document with its digests.
-
-    Raises:
-        InputError: It holds what no run writes.
-    """
-    result = result_from_document(document)
-    table = cast(Table, document)
-    if table["schema"] == OPEN_SCHEMA:
-        digests = [name for name in ("files", DIGEST) if name in table]
-        if digests:
-            message = f"schema = {OPEN_SCHEMA}: must be {SCHEMA}, as there is {digests[0]!r}"
-            raise InputError(message)
-        return KeptResult(result, {}, None)
-    files: Mapping[str, str] = read_value(Mapping[str, str], table.get("files"), name="files")
-    strange = [name for name in files if not name or name in (".", "..") or set(name) & set("/\\")]
-    if strange:
-        message = f"files.{strange[0]}: must be the name of a file in the run's folder"
-        raise InputError(message)
-    told = read_value(str, table.get(DIGEST), name=DIGEST)
-    found = document_digest({name: value for name, value in table.items() if name != DIGEST})
-    fault = f"{DIGEST} = {told[:SHOWN]!r}...: all before it gives {found[:SHOWN]!r}...; {CHANGED}"
-    return KeptResult(result, files, None if told == found else fault)
-
-
-def _check_schema(table: Table) -> None:
-    schema = table.get("schema")
-    if isinstance(schema, bool) or schema not in (SCHEMA, OPEN_SCHEMA):
-        message = (
-            f"schema = {shown(schema)}: must be {SCHEMA} or {OPEN_SCHEMA}; another version of "
-            "pemviz wrote it"
-        )
-        raise InputError(message)
-
-
-def _position_errors(result: RunResult) -> dict[str, Any]:
-    """By which the scenario measured, where it did not exactly."""
-    model = result.position_errors
-    return {} if model is None else {"position_errors": model}
-
-
-def _rule_tables(rules: Sequence[RuleAnswer]) -> Table:
-    """Each rule's answer; nothing where there are none."""
-    tables = [
-        {
-            **fields_of(rule),
-            "estimate": estimate_table(rule.estimate, caveats=interval_caveats(rule.estimate)),
-        }
-        for rule in rules
-    ]
-    return {"rules": tables} if tables else {}
-
-
-def _rate_tables(result: RunResult) -> Table:
-    """Violations an hour or a kilometre; nothing where neither is told."""
-    hourly = list(violation_rates(result))
-    by_distance = list(distance_rates(result))
-    driven = result.driven
-    named = {"per_hour": hourly, "per_km": by_distance, "driven": driven}
-    return {name: tables for name, tables in named.items() if tables}
 
 
 def _ranked_table(rollout: RankedRollout) -> Table:
-    table = fields_of(rollout)
+    table = _fields_of(rollout)
     if not rollout.broken:
         del table["broken"]
     return table
 
 
-def _ranked_by_rule(result: RunResult) -> Table:
-    """The least robust rollouts of each rule; nothing where there are none."""
-    tables = {
-        rule: [_ranked_table(rollout) for rollout in ranked]
-        for rule, ranked in result.least_robust_by_rule.items()
-    }
-    return {"least_robust_by_rule": tables} if tables else {}
+def _fields_of(record: Any) -> Table:
+    """A dataclass's values by name, in order; those that are dataclasses stay so."""
+    return {name: getattr(record, name) for name in _field_names(type(record))}
 
 
-def _each_by_name(entries: object) -> object:
-    """Ranked rollouts by rule, infinite robustness put back; what is no table is left as it is."""
-    if not isinstance(entries, dict):
-        return entries
-    return {
-        name: _each(ranked, lambda entry, _: _with_robustness(entry))
-        for name, ranked in cast(Table, entries).items()
-    }
-
-
-def _rule(entry: object, index: int) -> object:
-    """A rule's answer; what is no table is left as it is."""
-    if not isinstance(entry, dict):
-        return entry
-    table = cast(Table, entry)
-    return {
-        **table,
-        "estimate": estimate_of(table.get("estimate"), name=f"rules[{index}].estimate"),
-    }
-
-
-def _explanation_tables(explanation: Explanation | None) -> Table:
-    if explanation is None:
-        return {"sensitivity": None, "causes": None}
-    causes = fields_of(explanation)
-    return {"sensitivity": causes.pop("sensitivity"), "causes": causes}
-
-
-def _explanation(causes: object, sensitivity: object) -> Explanation | None:
-    if causes is None and sensitivity is None:
-        return None
-    bands = read_value(
-        tuple[BandSensitivity, ...], sensitivity, name="sensitivity", ignore_unknown=True
-    )
-    fields = {**cast(Table, causes), "sensitivity": bands} if isinstance(causes, dict) else causes
-    explanation = read_record(Explanation, fields, name="causes", ignore_unknown=True)
-    if len(bands) != len(explanation.misses_by_distance) + 1:
-        message = (
-            f"sensitivity has {len(bands)} entries: must have one for all distances and one for "
-            f"each of the {len(explanation.misses_by_distance)} of causes.misses_by_distance"
-        )
-        raise InputError(message)
-    return explanation
-
-
-def _with_robustness(entry: object) -> object:
-    """A ranked rollout with null, an infinite robustness, as the verdict says which."""
-    if not isinstance(entry, dict) or cast(Table, entry).get("robustness", 0.0) is not None:
-        return cast(object, entry)
-    table = cast(Table, entry)
-    return {**table, "robustness": -math.inf if table.get("violated") is True else math.inf}
-
-
-def _each(entries: object, change: Callable[[object, int], object]) -> object:
-    """The list with every entry changed; what is no list is left as it is."""
-    if not isinstance(entries, list):
-        return entries
-    return [change(entry, index) for index, entry in enumerate(cast(list[object], entries))]
+@cache
+def _field_names(kind: Any) -> tuple[str, ...]:
+    return tuple(one.name for one in fields(kind))
 
 
 def _strict(value: Any) -> Any:
@@ -375,9 +237,140 @@ def _strict(value: Any) -> Any:
     if value is None or isinstance(value, str | int):
         return value
     if is_dataclass(value):
-        return {name: _strict(getattr(value, name)) for name in field_names(type(value))}
+        return {name: _strict(getattr(value, name)) for name in _field_names(type(value))}
     if isinstance(value, dict):
         return {str(key): _strict(item) for key, item in cast(Table, value).items()}
     if isinstance(value, list | tuple):
         return [_strict(item) for item in cast(list[Any], value)]
     return value
+
+
+def result_from_document(document: object) -> RunResult:
+    """The inverse of :func:`result_document`, for values that may come from anywhere.
+
+    Raises:
+        InputError: It holds what no run writes.
+    """
+    if not isinstance(document, dict):
+        raise InputError(f"is {shown(document)}, must be a JSON object")
+    table = cast(Table, document)
+    schema = table.get("schema")
+    if isinstance(schema, bool) or schema not in (SCHEMA, OPEN_SCHEMA):
+        raise InputError(
+            f"schema = {shown(schema)}: must be {SCHEMA} or {OPEN_SCHEMA}; another version of "
+            "pemviz wrote it"
+        )
+    config = config_from_table(table.get("config"), name="config")
+    config.validate()
+    if table.get("seed", config.seed) != config.seed:
+        raise InputError(f"seed = {shown(table['seed'])}: must be that of config, {config.seed}")
+    read_value(tuple[UncertaintySource, ...], table.get("uncertainty", []), name="uncertainty")
+    read_value(tuple[ViolationRate, ...], table.get("per_hour", []), name="per_hour")
+    read_value(tuple[DistanceRate, ...], table.get("per_km", []), name="per_km")
+    by_rule = table.get("least_robust_by_rule", {})
+    if isinstance(by_rule, dict):
+        ranked = cast(Table, by_rule).items()
+        by_rule = {name: _each(rollouts, _ranked_fields) for name, rollouts in ranked}
+    values = {
+        **table,
+        "config": config,
+        "estimate": _estimate(table.get("estimate"), "estimate"),
+        "explanation": _explanation(table.get("causes"), table.get("sensitivity")),
+        "repetitions": _each(table.get("repetitions", []), _estimate, "repetitions"),
+        "rules": _each(table.get("rules", []), _rule_fields, "rules"),
+        "least_robust": _each(table.get("least_robust", []), _ranked_fields),
+        "least_robust_by_rule": by_rule,
+    }
+    return read_record(RunResult, values, ignore_unknown=True)
+
+
+def _kept(document: object) -> KeptResult:
+    """A document with its digests."""
+    result = result_from_document(document)
+    table = cast(Table, document)
+    if table["schema"] == OPEN_SCHEMA:
+        digests = [name for name in ("files", DIGEST) if name in table]
+        if digests:
+            message = f"schema = {OPEN_SCHEMA}: must be {SCHEMA}, as there is {digests[0]!r}"
+            raise InputError(message)
+        return KeptResult(result, {}, None)
+    files: Mapping[str, str] = read_value(Mapping[str, str], table.get("files"), name="files")
+    strange = [name for name in files if not name or name in (".", "..") or set(name) & set("/\\")]
+    if strange:
+        raise InputError(f"files.{strange[0]}: must be the name of a file in the run's folder")
+    written = read_value(str, table.get(DIGEST), name=DIGEST)
+    found = document_digest({name: value for name, value in table.items() if name != DIGEST})
+    before = f"all before it gives {found[:SHOWN]!r}..."
+    fault = f"{DIGEST} = {written[:SHOWN]!r}...: {before}; {CHANGED}"
+    return KeptResult(result, files, None if written == found else fault)
+
+
+@dataclass(frozen=True)
+class _Unbiased:
+    """The table ``unbiased`` of an estimate."""
+
+    probability: AtLeastZero | None
+    std_error: AtLeastZero | None
+
+
+def _estimate(entry: object, name: str) -> object:
+    """The estimate of a table; what is no table is left as it is."""
+    if not isinstance(entry, dict):
+        return entry
+    table = cast(Table, entry)
+    unbiased = read_record(
+        _Unbiased, table.get("unbiased"), name=f"{name}.unbiased", ignore_unknown=True
+    )
+    values = {
+        **table,
+        "unbiased_probability": unbiased.probability,
+        "unbiased_std_error": unbiased.std_error,
+    }
+    estimate = read_record(Estimate, values, name=name, ignore_unknown=True)
+    read_value(tuple[str, ...], table.get("interval_caveats", []), name=f"{name}.interval_caveats")
+    warnings = read_value(tuple[str, ...], table.get("warnings", []), name=f"{name}.warnings")
+    if "diagnostics" not in table:
+        return replace(estimate, diagnostics=classified(warnings, estimate))
+    if estimate.warnings != warnings:
+        message = f"{name}.warnings = {shown(warnings)}: must be the texts of its diagnostics"
+        raise InputError(message)
+    return estimate
+
+
+def _explanation(causes: object, sensitivity: object) -> Explanation | None:
+    if causes is None and sensitivity is None:
+        return None
+    bands = read_value(
+        tuple[BandSensitivity, ...], sensitivity, name="sensitivity", ignore_unknown=True
+    )
+    values = {**cast(Table, causes), "sensitivity": bands} if isinstance(causes, dict) else causes
+    explanation = read_record(Explanation, values, name="causes", ignore_unknown=True)
+    if len(bands) != len(explanation.misses_by_distance) + 1:
+        raise InputError(
+            f"sensitivity has {len(bands)} entries: must have one for all distances and one for "
+            f"each of the {len(explanation.misses_by_distance)} of causes.misses_by_distance"
+        )
+    return explanation
+
+
+def _rule_fields(entry: object, name: str) -> object:
+    if not isinstance(entry, dict):
+        return entry
+    table = cast(Table, entry)
+    return {**table, "estimate": _estimate(table.get("estimate"), f"{name}.estimate")}
+
+
+def _ranked_fields(entry: object, _: str) -> object:
+    """A ranked rollout with null, an infinite robustness, as the verdict says which."""
+    if not isinstance(entry, dict) or cast(Table, entry).get("robustness", 0.0) is not None:
+        return cast(object, entry)
+    table = cast(Table, entry)
+    return {**table, "robustness": -math.inf if table.get("violated") is True else math.inf}
+
+
+def _each(entries: object, change: Callable[[object, str], object], name: str = "") -> object:
+    """The list with every entry changed; what is no list is left as it is."""
+    if not isinstance(entries, list):
+        return entries
+    numbered = enumerate(cast(list[object], entries))
+    return [change(entry, f"{name}[{index}]") for index, entry in numbered]

@@ -1,4 +1,7 @@
-"""Rollouts and proposals on disk, a file a stage while a run goes on, then one for all."""
+"""Rollouts on disk, a file a stage while a run goes on, then one for all.
+
+A stage that holds some of its rollouts also says what is known of all of them.
+"""
 
 import contextlib
 import zipfile
@@ -15,9 +18,9 @@ from pemviz.errors import InputError
 from pemviz.files.array_files import DIGEST, append_digest, read_arrays, read_digested
 from pemviz.files.atomic import write_atomically
 from pemviz.latents import Latents
-from pemviz.runs.drawn_arrays import ALL, ROLLOUT, drawn_arrays, drawn_of
 from pemviz.sampling.problem import FinishedStage
 from pemviz.types import (
+    Drawn,
     RolloutBatch,
     ScoredRollouts,
     Signal,
@@ -25,7 +28,12 @@ from pemviz.types import (
     outcome_log_likelihood,
 )
 
-PART_FOLDER = "stages"
+ROLLOUTS_FILE, PART_FOLDER = "rollouts.npz", "stages"
+ALL = "all."
+"""Before the names of what is known of all rollouts, in the file of a stage that holds some."""
+EVERY = f"{ALL}every"
+ROLLOUT = "rollout"
+"""Each rollout's index in its stage, in files that do not hold all of them."""
 MEMORY, KEPT = "memory.", "kept."
 PARTS_OWN = MEMORY, KEPT, ALL
 """Before the names of what stands in a stage's file alone."""
@@ -55,28 +63,23 @@ def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, Any
 def _stage_columns(
     stage: StageResult, signals: Sequence[Signal], likelihoods: Mapping[str, FloatArray]
 ) -> dict[str, AnyArray]:
-    scored, rollouts = stage.scored, stage.scored.rollouts
-    count = rollouts.count
+    scored, rollouts, latents = stage.scored, stage.scored.rollouts, stage.scored.rollouts.latents
+    kept: dict[str, AnyArray | None] = {}
+    if latents is not None:
+        has = {"start": latents.start.shape[1], "noise": latents.noise.shape[2]}
+        names = [field.name for field in fields(Latents) if has[field.name.partition("_")[0]]]
+        kept = {name: getattr(latents, name) for name in names}
     return {
-        "repetition": np.full(count, stage.repetition, dtype=np.int64),
-        "stage": np.full(count, stage.stage, dtype=np.int64),
+        "repetition": np.full(rollouts.count, stage.repetition, dtype=np.int64),
+        "stage": np.full(rollouts.count, stage.stage, dtype=np.int64),
         **{signal.key: rollouts.signals[signal.name] for signal in signals},
         "detected": rollouts.detected,
         **likelihoods,
-        **_latent_arrays(rollouts.latents),
+        **{f"{LATENTS}{name}": values for name, values in kept.items() if values is not None},
         "robustness": scored.robustness,
         "violated": scored.violated,
         **{f"{BROKEN}{name}": broken for name, broken in scored.broken.items()},
     }
-
-
-def _latent_arrays(latents: Latents | None) -> dict[str, AnyArray]:
-    if latents is None:
-        return {}
-    kept = {"start": bool(latents.start.shape[1]), "noise": bool(latents.noise.shape[2])}
-    names = [field.name for field in fields(Latents) if kept[field.name.partition("_")[0]]]
-    arrays = {f"{LATENTS}{name}": getattr(latents, name) for name in names}
-    return {name: values for name, values in arrays.items() if values is not None}
 
 
 def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
@@ -100,16 +103,13 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
         absent = np.ones(shape) if name.endswith("_sd") else np.empty(0)  # not in older files
         values = found.get(name, absent) if declared else np.ones(shape)
         if values.shape != shape or values.dtype != np.float64 or not _is_bounded(values):
-            message = f"{LATENTS}{name} must be finite numbers of shape {shape}"
-            raise ValueError(message)
+            raise ValueError(f"{LATENTS}{name} must be finite numbers of shape {shape}")
         kept[name] = values
     return Latents(**kept)
 
 
 def log_weights(arrays: Mapping[str, AnyArray]) -> FloatArray:
     """Log importance weights ``[N]`` of rollouts under the keys of ``rollouts.npz`` [nats].
-
-    Of outcomes and, where there are some, of latents.
 
     Raises:
         ValueError: Latents do not fit together, or are no finite numbers.
@@ -130,10 +130,10 @@ def part_arrays(
         rows: Which of its rollouts the file holds, ascending; ``None``: all, unnumbered.
     """
     if rows is not None:
-        chosen = replace(stage, scored=stage.scored.take(rows))
         number = rows if stage.drawn is None else stage.drawn.row[rows]
-        numbers = {ROLLOUT: number, DRAWN: np.array(stage.count)}
-        return {**part_arrays(chosen, signals), **numbers, **drawn_arrays(stage.drawn)}
+        arrays = part_arrays(replace(stage, scored=stage.scored.take(rows)), signals)
+        arrays |= {ROLLOUT: number, DRAWN: np.array(stage.count)}
+        return arrays if stage.drawn is None else arrays | drawn_arrays(stage.drawn)
     rollouts = stage.scored.rollouts
     arrays = _stage_columns(stage, signals, {})
     arrays["pem_logit"] = rollouts.pem_logit
@@ -143,6 +143,46 @@ def part_arrays(
             arrays[f"{MEMORY}{name}"] = values
     arrays.update({f"{KEPT}{name}": values for name, values in stage.kept.items()})
     return arrays
+
+
+def drawn_arrays(drawn: Drawn) -> dict[str, AnyArray]:
+    """What is known of all rollouts of a stage, in its file."""
+    return {
+        EVERY: np.array(drawn.every),
+        f"{ALL}robustness": drawn.robustness,
+        f"{ALL}violated": drawn.violated,
+        f"{ALL}log_weight": drawn.log_weight,
+    }
+
+
+def drawn_of(arrays: Mapping[str, AnyArray]) -> Drawn | None:
+    """The same, read back; ``None`` where a file has nothing of it.
+
+    Raises:
+        KeyError: Something of it is missing.
+        ValueError: Something does not fit the rest, or is of the wrong type.
+    """
+    if not any(name.startswith(ALL) for name in arrays):
+        return None
+    robustness, violated = arrays[f"{ALL}robustness"], arrays[f"{ALL}violated"]
+    log_weight, row, every = arrays[f"{ALL}log_weight"], arrays[ROLLOUT], arrays[EVERY]
+    count = violated.size
+    fits = (
+        violated.dtype == np.bool_
+        and all(values.dtype == np.float64 for values in (robustness, log_weight))
+        and all(values.shape == (count,) for values in (robustness, violated, log_weight))
+        and not np.isnan(robustness).any()
+        and bool(np.isfinite(log_weight).all())
+        and all(values.dtype == np.int64 for values in (row, every))
+        and every.shape == ()
+        and bool(every > 0)
+        and row.shape == arrays["violated"].shape
+        and bool(np.all(np.diff(row, prepend=-1) > 0))
+        and (row.size == 0 or bool(row[-1] < count))
+    )
+    if not fits:
+        raise ValueError("what it says of all rollouts does not fit together")
+    return Drawn(row, int(every), robustness, violated, log_weight)
 
 
 def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | None:
@@ -166,13 +206,11 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | Non
             latents=latents_of(arrays),
         ).map(np.asfortranarray)
         scored = ScoredRollouts(rollouts, arrays["robustness"], arrays["violated"])
+        _check_shapes(scored)
     except KeyError as error:
-        message = f"stage {path}: {error} is missing"
-        raise InputError(message) from error
+        raise InputError(f"stage {path}: {error} is missing") from error
     except ValueError as error:
-        message = f"stage {path}: {error}"
-        raise InputError(message) from error
-    _check_shapes(path, scored)
+        raise InputError(f"stage {path}: {error}") from error
     return FinishedStage(scored=scored, kept=_without_prefix(arrays, KEPT), drawn=drawn)
 
 
@@ -180,11 +218,10 @@ def _without_prefix(arrays: Mapping[str, AnyArray], prefix: str) -> dict[str, An
     return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
 
-def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
+def _check_shapes(scored: ScoredRollouts) -> None:
     rollouts = scored.rollouts
     if rollouts.detected.ndim not in (2, 3):
-        message = f"stage {path}: detected has shape {rollouts.detected.shape}"
-        raise InputError(message)
+        raise ValueError(f"detected has shape {rollouts.detected.shape}")
     count, steps = rollouts.detected.shape[:2]
     expected = {
         (count, steps + 1): (*rollouts.signals.values(), *rollouts.memory.values()),
@@ -193,8 +230,7 @@ def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
     }
     for shape, arrays in expected.items():
         if any(array.shape != shape for array in arrays):
-            message = f"stage {path}: an array has not the shape {shape}"
-            raise InputError(message)
+            raise ValueError(f"an array has not the shape {shape}")
     outcomes = rollouts.detected, scored.violated
     numbers = *rollouts.signals.values(), rollouts.pem_logit, rollouts.proposal_logit
     if (
@@ -203,8 +239,7 @@ def _check_shapes(path: Path, scored: ScoredRollouts) -> None:
         or scored.robustness.dtype != np.float64
         or np.isnan(scored.robustness).any()
     ):
-        message = f"stage {path}: an array is of the wrong type, or holds what is no number"
-        raise InputError(message)
+        raise ValueError("an array is of the wrong type, or holds what is no number")
 
 
 def _is_bounded(values: AnyArray) -> bool:
@@ -228,11 +263,7 @@ def stage_files(folder: Path) -> list[Path]:
 
 
 def write_part(path: Path, arrays: Mapping[str, AnyArray]) -> None:
-    """Write one stage's arrays, and last a digest of them.
-
-    Raises:
-        OSError: They cannot be written.
-    """
+    """Write one stage's arrays, and last a digest of them."""
     path.parent.mkdir(exist_ok=True)
     contents = {name: np.asarray(array, order="C") for name, array in arrays.items()}
 
@@ -253,10 +284,7 @@ def join_parts(
     Args:
         parts: The stages' files.
         target: The file.
-        columns: What the method keeps of all rollouts that each stage drew, in the same order.
-
-    Raises:
-        OSError: A file cannot be read or written.
+        columns: What the method keeps of all rollouts that each stage sampled, in that order.
     """
 
     def write(stream: IO[bytes]) -> None:
@@ -264,20 +292,29 @@ def join_parts(
             contextlib.ExitStack() as kept,
             zipfile.ZipFile(stream, mode="w", compression=zipfile.ZIP_STORED) as archive,
         ):
+
+            def entry(name: str) -> IO[bytes]:
+                info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whenever it is written
+                return archive.open(info, mode="w", force_zip64=True)
+
             stages = [_opened(part, kept if len(parts) <= MOST_OPEN else None) for part in parts]
             with stages[0]() as first:
                 names = _documented(first.files)
-            rows = sum(_rows(stage) for stage in stages)
+            rows = 0
+            for stage in stages:
+                with stage() as arrays:
+                    rows += arrays["repetition"].shape[0]
             for name in names:
-                info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whenever it is written
-                with archive.open(info, mode="w", force_zip64=True) as entry:
-                    _join_array(entry, name, stages, rows=rows)
+                with entry(name) as content:
+                    _join_array(content, name, stages, rows=rows)
             for name in columns[0] if columns else ():
-                info = zipfile.ZipInfo(f"{COLUMN}{name}.npy")
-                with archive.open(info, mode="w", force_zip64=True) as entry:
-                    of_stages = zip(stages, columns, strict=True)
-                    held = [_held(stage, values[name]) for stage, values in of_stages]
-                    npy.write_array(entry, np.concatenate(held), version=(2, 0))
+                held: list[AnyArray] = []
+                for stage, values in zip(stages, columns, strict=True):
+                    with stage() as arrays:
+                        rows = arrays[ROLLOUT] if ROLLOUT in arrays else slice(None)
+                        held.append(values[name][rows])
+                with entry(f"{COLUMN}{name}") as content:
+                    npy.write_array(content, np.concatenate(held), version=(2, 0))
 
     write_atomically(target, write)
 
@@ -307,63 +344,44 @@ def _array(arrays: Any, name: str) -> AnyArray:
     return arrays[name]
 
 
-def _held(stage: Opened, values: AnyArray) -> AnyArray:
-    """Of what is known of all rollouts that a stage drew, what is of those that its file holds."""
-    with stage() as arrays:
-        return values[arrays[ROLLOUT]] if ROLLOUT in arrays else values
-
-
-def _rows(stage: Opened) -> int:
-    with stage() as arrays:
-        return arrays["repetition"].shape[0]
-
-
-def _join_array(entry: IO[bytes], name: str, stages: Sequence[Opened], *, rows: int) -> None:
-    header: dict[str, Any] | None = None
-    for stage in stages:
+def _join_array(content: IO[bytes], name: str, stages: Sequence[Opened], *, rows: int) -> None:
+    for number, stage in enumerate(stages):
         with stage() as arrays:
             array = np.ascontiguousarray(_array(arrays, name))
-        if header is None:
-            shape = (rows, *array.shape[1:])
-            descr = npy.dtype_to_descr(array.dtype)
+        if number == 0:
+            shape, descr = (rows, *array.shape[1:]), npy.dtype_to_descr(array.dtype)
             header = {"descr": descr, "fortran_order": False, "shape": shape}
-            npy.write_array_header_2_0(entry, cast(Any, header))
-        entry.write(cast(Any, array).data.cast("B"))
+            npy.write_array_header_2_0(content, cast(Any, header))
+        content.write(cast(Any, array).data.cast("B"))
 
 
 def load_rollouts(folder: Path) -> dict[str, AnyArray]:
     """The rollouts of a run folder, finished or not, stages in order.
 
-    Without the columns that the method keeps for :mod:`pemviz.runs.recount`.
+    Without the columns that the method keeps for :mod:`pemviz.runs.coherence`.
 
     Raises:
         InputError: There are none, or a file is damaged.
     """
-    whole = folder / "rollouts.npz"
+    whole = folder / ROLLOUTS_FILE
     # stages' files are there until the run is done, and may be more than were joined so far
     parts = stage_files(folder)
-    if not parts and whole.exists():
-        parts = [whole]
-    if not parts:
-        message = f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)"
-        raise InputError(message)
-    tables = (
-        [read_arrays(whole)]
-        if parts == [whole]
-        else [read_digested(part, of=_belongs_to(part)) for part in parts]
-    )
+    if parts:
+        tables = [read_digested(part, of=_belongs_to(part)) for part in parts]
+    elif whole.exists():
+        parts, tables = [whole], [read_arrays(whole)]
+    else:
+        raise InputError(f"run {folder}: has no rollouts (no rollouts.npz, no finished stage)")
     for part, table in zip(parts[1:], tables[1:], strict=True):
         if _layout(table) != _layout(tables[0]):
-            message = f"rollouts {part}: must hold the same arrays as {parts[0].name}"
-            raise InputError(message)
+            raise InputError(f"rollouts {part}: must hold the same arrays as {parts[0].name}")
     try:
         return {
             name: np.concatenate([_array(table, name) for table in tables])
             for name in _documented(list(tables[0]))
         }
     except (KeyError, ValueError, TypeError) as error:
-        message = f"rollouts {parts[0]}: do not hold a stage's arrays ({error})"
-        raise InputError(message) from error
+        raise InputError(f"rollouts {parts[0]}: do not hold a stage's arrays ({error})") from error
 
 
 def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[int, ...]]]:

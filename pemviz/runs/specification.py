@@ -18,7 +18,6 @@ from pemviz.sampling.rollouts.batches import CompiledRunner
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
-from pemviz.simulators.absorbing import Monitor
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Signal, Simulator
@@ -28,30 +27,22 @@ def build_problem(
     config: ExperimentConfig, formula: stl.Formula, pem: Pem, back_end: BackEnd
 ) -> Problem:
     """The problem: scenario, error model, and how rollouts are judged."""
-    metric = build_metric(config, back_end.simulator)
-    folding = folding_of(back_end.simulator)
+    simulator = back_end.simulator
+    metric, folding = build_metric(config, simulator), folding_of(simulator)
     turns = 1 if folding is None else folding.turns
-    rules = {
-        rule.name: _parsed(rule.formula, back_end.simulator, name=f"rules.{rule.name}")
-        for rule in config.rules
-    }
-    is_classical = isinstance(metric, stl.Classical)
 
     def scored(rule: stl.Formula) -> ScoredRule:
-        by_score = is_classical and stl.ties_hold(rule)
+        by_score = isinstance(metric, stl.Classical) and stl.ties_hold(rule)
+        monitor = stl.FormulaMonitor(rule)
         return ScoredRule(
             robustness=partial(_robustness, rule, metric, folding),
             violated=None if by_score else partial(_violated, rule, folding),
-            monitor=monitored(rule),
+            monitor=monitor if folding is None else StepMonitor(monitor, turns),
         )
-
-    def monitored(watched: stl.Formula) -> Monitor:
-        monitor = stl.FormulaMonitor(watched)
-        return monitor if folding is None else StepMonitor(monitor, turns)
 
     whole = scored(formula)
     return Problem(
-        simulator=back_end.simulator,
+        simulator=simulator,
         pem=pem,
         robustness=whole.robustness,
         violated=whole.violated,
@@ -62,7 +53,10 @@ def build_problem(
         monitor=whole.monitor,
         turns=turns,
         thins=config.keep == "violations",
-        rules={name: scored(rule) for name, rule in rules.items()},
+        rules={
+            rule.name: scored(_parsed(rule.formula, simulator, name=f"rules.{rule.name}"))
+            for rule in config.rules
+        },
     )
 
 
@@ -94,12 +88,12 @@ def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula
         InputError: It does not parse, names an unknown signal, or looks further ahead than a
             rollout is long.
     """
-    for rule in config.rules:  # each by itself, so that what is wrong is told of it
+    for rule in config.rules:  # each by itself, so that messages name it
         _parsed(rule.formula, simulator, name=f"rules.{rule.name}")
     return _parsed(config.spec, simulator, name="spec")
 
 
-def asked_signals(config: ExperimentConfig, signals: Sequence[Signal]) -> tuple[Signal, ...]:
+def named_signals(config: ExperimentConfig, signals: Sequence[Signal]) -> tuple[Signal, ...]:
     """The signals that the specification, or its rules, name, in that order; at least the first."""
     formulas = [rule.formula for rule in config.rules] or [config.spec]
     names = [name for one in formulas for name in re.findall(r"[A-Za-z_]\w*", one)]
@@ -111,15 +105,13 @@ def _parsed(text: str, simulator: Simulator, *, name: str) -> stl.Formula:
     try:
         formula = stl.parse(text, signals=[s.name for s in declared_signals(simulator)])
     except stl.FormulaError as error:
-        message = f"{name} = {text!r}: {error}"
-        raise ConfigError(message) from error
+        raise ConfigError(f"{name} = {text!r}: {error}") from error
     last = (simulator.states - 1) // turns_of(simulator)
     if formula.horizon_steps() > last:
-        message = (
+        raise ConfigError(
             f"{name} = {text!r}: looks {formula.horizon_steps()} steps ahead, but a rollout "
             f"of {simulator.name!r} has {last + 1} states, steps 0 to {last}"
         )
-        raise ConfigError(message)
     return formula
 
 
@@ -129,7 +121,7 @@ def build_metric(
     """The metric that ranks rollouts.
 
     Args:
-        config: What is asked.
+        config: The configuration.
         simulator: The scenario.
         beyond: Whether rollouts may leave the bounds that agm normalises by, and values there
             then count as the bound; by default as :func:`may_leave_bounds` says.
@@ -138,7 +130,7 @@ def build_metric(
         ConfigError: The agm metric's bounds do not hold all that the scenario can reach.
     """
     if config.metric == "agm":
-        check_bounds_hold(simulator)
+        _check_bounds_hold(simulator)
         bounds = {s.name: (s.low, s.high) for s in declared_signals(simulator)}
         return stl.Agm(bounds, clip=may_leave_bounds(simulator) if beyond is None else beyond)
     if config.metric == "smooth-cumulative":
@@ -149,30 +141,22 @@ def build_metric(
 def may_leave_bounds(simulator: object) -> bool:
     """Whether rollouts may go beyond those that are all missed and all detected.
 
-    Latents may carry them further, and so may a tracker: it goes on reporting what perception
-    misses again. Bounds that hold for all of them are far wider than what nearly all rollouts
-    reach, and robustness only ranks; so the bounds stay those of the scenario.
+    Latents may carry them further, and so may a tracker, which goes on reporting what perception
+    misses again. Robustness only ranks: the bounds stay those that nearly all rollouts keep to.
     """
     return bool(latent_counts(simulator)) or tracker_of(simulator) is not None
 
 
-def check_bounds_hold(simulator: Simulator) -> None:
-    """Check the signals' bounds on the two extreme rollouts, all missed and all detected.
-
-    With slots: all outcomes errors, and all nominal.
-
-    Raises:
-        ConfigError: One of them leaves the bounds.
-    """
+def _check_bounds_hold(simulator: Simulator) -> None:
+    """Check the signals' bounds on the two extreme rollouts: all errors, and all nominal."""
     outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
     outcomes[1] = True
     reached = replay(simulator=simulator, detected=outcomes)
     for signal in simulator.signals:
         low, high = float(reached[signal.name].min()), float(reached[signal.name].max())
         if low < signal.low or high > signal.high:
-            message = (
+            raise ConfigError(
                 f"metric = 'agm': {signal.name} reaches {low:.4g} to {high:.4g} {signal.unit}, "
                 f"beyond its bounds {signal.low:g} to {signal.high:g}; raise "
                 "scenario.gap_bound_m or scenario.speed_bound_mps (own systems: the signal's)"
             )
-            raise ConfigError(message)

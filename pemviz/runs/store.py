@@ -1,11 +1,13 @@
-"""The run folder: what a run leaves on disk, readable after a kill at any moment."""
+"""A run that is kept in a folder, readable after a kill at any moment, and goes on from there."""
 
 import contextlib
 import itertools
+import logging
 import math
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,24 +17,30 @@ from pemviz.arrays import AnyArray
 from pemviz.config import KeepName
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
-from pemviz.files.atomic import write_bytes, write_text
-from pemviz.runs.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
-from pemviz.runs.finished_stages import Archive
-from pemviz.runs.kept_rollouts import kept_rows
-from pemviz.runs.reading import result_left
-from pemviz.runs.result import RunResult
-from pemviz.runs.result_file import write_result
-from pemviz.runs.rollout_files import (
-    PART_FOLDER,
-    join_parts,
-    part_arrays,
-    part_path,
-    stage_files,
-    write_part,
+from pemviz.files.atomic import held, write_bytes, write_text
+from pemviz.runs import rollout_files
+from pemviz.runs.engine import run, versions
+from pemviz.runs.events import (
+    Event,
+    Observer,
+    RepetitionDone,
+    RunDone,
+    RunFailed,
+    RunStarted,
+    StageDone,
+    notify_all,
 )
+from pemviz.runs.experiment import Experiment
+from pemviz.runs.ranking import kept_rows
+from pemviz.runs.reading import CONFIG, result_left, run_differs
+from pemviz.runs.result import RunResult
+from pemviz.runs.result_file import has_result, write_result
+from pemviz.runs.rollout_files import PART_FOLDER, ROLLOUTS_FILE
+from pemviz.sampling.problem import FinishedStage, rule_scores
 from pemviz.types import Signal, StageResult
 
-CONFIG, ROLLOUTS, PROPOSALS = "config.toml", "rollouts.npz", "proposals.safetensors"
+LOG = logging.getLogger(__name__)
+LOCK, RECORDING, PROPOSALS = ".lock", "run.rrd", "proposals.safetensors"
 ALWAYS_WRITTEN = 100
 """Stages after which ``result.json``, which tells of each, is written whatever it takes."""
 PAUSES = 20
@@ -58,8 +66,43 @@ def create_run_folder(parent: Path, *, label: str) -> Path:
     except OSError as error:
         message = f"out = {parent}: no run folder can be made there ({error.strerror or error})"
         raise InputError(message) from error
-    message = f"out = {parent}: a thousand runs named {stem} are there already"
-    raise InputError(message)
+    raise InputError(f"out = {parent}: a thousand runs named {stem} are there already")
+
+
+class Archive:
+    """Reads the stages' files that an interrupted run left in its folder, each when it is wanted.
+
+    A damaged file counts as none: its stage is carried out again, which gives the same
+    rollouts, and the log says so.
+
+    Attributes:
+        restored: Repetition and stage of all that were found whole so far.
+    """
+
+    def __init__(self, folder: Path, signals: Sequence[Signal]) -> None:
+        self._folder = folder
+        self._signals = signals
+        self._last: tuple[tuple[int, int], FinishedStage] | None = None
+        self.restored: set[tuple[int, int]] = set()
+
+    def __call__(self, repetition: int, stage: int) -> FinishedStage | None:
+        """The stage as it was left, or ``None``."""
+        key = repetition, stage
+        if self._last is not None and self._last[0] == key:  # rollouts first, then what is kept
+            return self._last[1]
+        path = rollout_files.part_path(self._folder, repetition=repetition, stage=stage)
+        if not path.exists():
+            return None
+        try:
+            finished = rollout_files.finished_stage(path, self._signals)
+        except InputError as error:
+            LOG.warning("%s; it is computed again", error)
+            return None
+        if finished is None:  # its other rollouts were not to be kept
+            return None
+        self.restored.add(key)
+        self._last = key, finished
+        return finished
 
 
 class RunStore:
@@ -97,11 +140,7 @@ class RunStore:
         self._written, self._writing_s = -math.inf, 0.0
 
     def notify(self, event: Event) -> None:
-        """Write what ``event`` adds.
-
-        Raises:
-            OSError: The disk is full or the folder is gone.
-        """
+        """Write what ``event`` adds."""
         match event:
             case RunStarted():
                 self._signals, self._keep = event.signals, event.config.keep
@@ -123,7 +162,7 @@ class RunStore:
         """Whether the folder holds finished stages that this process has not come to yet."""
         if self._archive is None:
             return False
-        return len(stage_files(self.folder)) > len(self._parts)
+        return len(rollout_files.stage_files(self.folder)) > len(self._parts)
 
     def _end(self, result: RunResult) -> None:
         if result.status != "done":
@@ -134,14 +173,14 @@ class RunStore:
                 self._join()
             return
         self._join()
-        write_result(self.folder, result, files=(CONFIG, ROLLOUTS, PROPOSALS, *self._others))
+        write_result(self.folder, result, files=(CONFIG, ROLLOUTS_FILE, PROPOSALS, *self._others))
         parts = self.folder / PART_FOLDER
         if parts.exists():
             removed = parts.rename(self.folder / f".{PART_FOLDER}.removed")
             shutil.rmtree(removed, ignore_errors=True)
 
     def _keep_stage(self, stage: StageResult, result: RunResult) -> None:
-        part = part_path(self.folder, repetition=stage.repetition, stage=stage.stage)
+        part = rollout_files.part_path(self.folder, repetition=stage.repetition, stage=stage.stage)
         self._parts.append(part)
         self._drawn.append(stage.count)
         if stage.learned is not None:
@@ -150,7 +189,9 @@ class RunStore:
                 self._proposals[f"{prefix}.{name}"] = np.ascontiguousarray(array)
         if self._archive is not None and (stage.repetition, stage.stage) in self._archive.restored:
             return
-        write_part(part, part_arrays(stage, self._signals, rows=kept_rows(stage, self._keep)))
+        rows = kept_rows(stage, self._keep)
+        arrays = rollout_files.part_arrays(stage, self._signals, rows=rows)
+        rollout_files.write_part(part, arrays)
         if stage.learned is not None:
             self._write_proposals(durable=False)
         began = time.perf_counter()
@@ -176,5 +217,106 @@ class RunStore:
         if self._parts:
             whole = len(self._columns) == len(self._parts)
             columns = self._columns if whole else ()
-            join_parts(self._parts, self.folder / ROLLOUTS, columns=columns)
+            rollout_files.join_parts(self._parts, self.folder / ROLLOUTS_FILE, columns=columns)
             self._parts = []
+
+
+@dataclass(frozen=True)
+class _DoneLast:
+    """Tells the folder first, but that the run is done last: a kill may come in between."""
+
+    store: Observer
+    recorders: Sequence[Observer]
+
+    def notify(self, event: Event) -> None:
+        done = isinstance(event, RunDone) and event.result.status == "done"
+        notify_all([*self.recorders, self.store] if done else [self.store, *self.recorders], event)
+
+
+def carry_out(
+    experiment: Experiment,
+    folder: Path,
+    *,
+    recorders: Sequence[Observer] = (),
+    observers: Sequence[Observer] = (),
+    should_stop: Callable[[], bool] = lambda: False,
+) -> RunResult:
+    """Run an experiment and keep it in ``folder``.
+
+    Stages that an earlier process finished there are read back, not computed again; the end
+    is the same, to the last bit but for timings.
+
+    Args:
+        experiment: What to run; for a folder with stages in it, the experiment of its
+            ``config.toml``.
+        folder: The run folder; it exists already, and its name is the run's.
+        recorders: Write further files of the run; notified after the folder has each event, but
+            for the end: a folder says that a run is done once they are whole.
+        observers: Notified of everything that happens, after the folder has it.
+        should_stop: Called between batches of rollouts.
+
+    Raises:
+        InputError: Another process is at work in the folder, or the folder was begun with
+            another error model.
+        RunError: The run failed.
+    """
+    with run_lock(folder):
+        _check_resumable(experiment, folder)
+        archive = Archive(folder, experiment.declared.signals)
+        folding, problem = experiment.folding, experiment.problem
+        finished = archive if folding is None else folding.finished(archive)
+
+        def judged(repetition: int, stage: int) -> FinishedStage | None:
+            """A finished stage with each rule's verdict, which follows from its rollouts."""
+            found = finished(repetition, stage)
+            if found is None or not problem.rules:
+                return found
+            by_rule = rule_scores(problem.rules, found.scored.rollouts)
+            return replace(found, scored=replace(found.scored, **by_rule))
+
+        store = RunStore(folder, archive=archive, others=(RECORDING,))
+        return run(
+            replace(experiment, problem=replace(problem, finished=judged)),
+            run_id=folder.name,
+            observers=[_DoneLast(store, recorders), *observers],
+            should_stop=should_stop,
+        )
+
+
+@contextlib.contextmanager
+def run_lock(folder: Path) -> Generator[None, None, None]:
+    """Hold the run folder; a process that dies gives it back.
+
+    Raises:
+        InputError: Another process holds it, or there is no such folder to write to.
+    """
+    with held(
+        folder / LOCK,
+        busy=f"run {folder}: another process is at work in it",
+        unusable=f"run {folder}: cannot be written to",
+    ):
+        yield
+
+
+def _check_resumable(experiment: Experiment, folder: Path) -> None:
+    """Refuse to go on with other settings or another error model; warn of other versions."""
+    result = result_left(folder)
+    if result is None:
+        if has_result(folder):
+            LOG.warning(
+                "run %s: result.json cannot be read; the run goes on from its stages, "
+                "with the error model as it is now",
+                folder,
+            )
+        return
+    errors = experiment.back_end.position_errors
+    difference = run_differs(
+        result,
+        config=experiment.config,
+        pem_digest=experiment.pem.digest,
+        position_digest=None if errors is None else errors.digest,
+    )
+    if difference is not None:
+        raise InputError(f"run {folder}: was begun with {difference}; start a new run")
+    if result.versions != versions():
+        LOG.warning("run %s: was begun with other versions; last digits may differ", folder)

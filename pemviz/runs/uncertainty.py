@@ -1,17 +1,57 @@
-"""The uncertainty budget: how far an answer is open, by what leaves it open.
+"""How far a run's answer is to be trusted: its diagnostics, and the uncertainty budget.
 
-Each source bounds the failure probability as far as one source of doubt goes, from the sampling
-error to what the training data alone allow. Sources are not added up: each takes for granted what
-the others doubt.
+Each source of the budget bounds the failure probability as far as one source of doubt goes, from
+the sampling error to what the training data alone allow. Sources are not added up: each takes for
+granted what the others doubt.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from pemviz.runs.result import RunResult
-from pemviz.runs.trust import run_interval_caveats
-from pemviz.sampling.estimates.trust import remedy
+from pemviz.runs.result import RunMemory, RunResult
+from pemviz.sampling.estimates.diagnostics import reference_disagreement, unreliable_reference
+from pemviz.sampling.estimates.trust import interval_caveats, remedy
+from pemviz.types import Diagnostic
+
+
+def run_diagnostics(result: RunResult) -> tuple[Diagnostic, ...]:
+    """What is wrong with a run's answer: with its estimate, and beside the reference."""
+    own = () if result.estimate is None else result.estimate.diagnostics
+    return (*own, *reference_diagnostics(result))
+
+
+def reference_diagnostics(result: RunResult) -> tuple[Diagnostic, ...]:
+    """What is wrong with a run's answer beside the reference; nothing without one."""
+    estimate, reference = result.estimate, result.reference
+    if estimate is None or reference is None:
+        return ()
+    disagreement = reference_disagreement(
+        estimate,
+        probability=reference.probability,
+        std_error=reference.std_error,
+        trusted=not reference.warnings,
+    )
+    return (*disagreement, *unreliable_reference(reference.warnings))
+
+
+def run_interval_caveats(result: RunResult) -> tuple[str, ...]:
+    """Why the answer's interval is no 95 % interval, and the answer decides nothing.
+
+    Empty if it is one, or there is none.
+    """
+    if result.estimate is None:
+        return ()
+    return interval_caveats(result.estimate, run_diagnostics(result))
+
+
+def data_warnings(result: RunResult) -> tuple[str, ...]:
+    """What is said about the error model, its data and its refits, in words."""
+    about_answer = {diagnostic.text for diagnostic in run_diagnostics(result)}
+    about_refits = () if result.pem_interval is None else result.pem_interval.warnings
+    own = (warning for warning in result.warnings if warning not in about_answer)
+    return (*own, *about_refits)
+
 
 SourceKind = Literal["sampling", "reference", "refits", "model-classes", "memory", "data"]
 
@@ -43,129 +83,107 @@ def uncertainty_budget(result: RunResult) -> tuple[UncertaintySource, ...]:
 
 
 def _sources(result: RunResult) -> Iterator[UncertaintySource]:
-    yield _sampling(result)
-    if result.reference is not None:
-        yield _reference(result)
-    yield _refits(result)
-    if result.model_classes:
-        yield _model_classes(result)
-    yield _memory(result)
-    yield _data(result)
-
-
-def _sampling(result: RunResult) -> UncertaintySource:
     estimate, caveats = result.estimate, run_interval_caveats(result)
     assert estimate is not None  # noqa: S101  asked before
-    level = f"{100.0 * estimate.confidence:g} %"
     better = remedy(estimate.method, latents=result.latents is not None)
-    return UncertaintySource(
+    yield UncertaintySource(
         kind="sampling",
-        name=f"sampling, {'not a ' if caveats else ''}{level} interval",
+        name=f"sampling, {'not a ' if caveats else ''}{100.0 * estimate.confidence:g} % interval",
         low=estimate.ci_low,
         high=estimate.ci_high,
         note=caveats[0] if caveats else "",
         narrowed_by=better if caveats else "four times the rollouts",
     )
-
-
-def _reference(result: RunResult) -> UncertaintySource:
-    reference = result.reference
-    assert reference is not None  # noqa: S101  asked before
-    sampled = "exact reference (+- 2 standard errors)"
-    return UncertaintySource(
-        kind="reference",
-        name=sampled if reference.std_error else "exact, over all of the few states",
-        low=max(reference.probability - 2.0 * reference.std_error, 0.0),
-        high=reference.probability + 2.0 * reference.std_error,
-        note="",
-        narrowed_by="nothing is left to narrow",
-    )
-
-
-def _refits(result: RunResult) -> UncertaintySource:
-    interval, model = result.pem_interval, result.pem.name
+    if (reference := result.reference) is not None:
+        sampled = "exact reference (+- 2 standard errors)"
+        yield UncertaintySource(
+            kind="reference",
+            name=sampled if reference.std_error else "exact, over all of the few states",
+            low=max(reference.probability - 2.0 * reference.std_error, 0.0),
+            high=reference.probability + 2.0 * reference.std_error,
+            note="",
+            narrowed_by="nothing is left to narrow",
+        )
+    name, interval = f"refits of {result.pem.name}", result.pem_interval
     if interval is None:
-        return UncertaintySource(
+        yield UncertaintySource(
             kind="refits",
-            name=f"refits of {model}",
+            name=name,
             low=None,
             high=None,
             note="the model has no ensemble, or nothing failed",
             narrowed_by="pemviz pem fit --ensemble",
         )
-    return UncertaintySource(
-        kind="refits",
-        name=f"refits of {model} ({100 * interval.confidence:g} % of {interval.members})",
-        low=0.0 if interval.low is None else interval.low,
-        high=interval.high,
-        note="",
-        narrowed_by="more labelled obstacles",
-    )
+    else:
+        yield UncertaintySource(
+            kind="refits",
+            name=f"{name} ({100 * interval.confidence:g} % of {interval.members})",
+            low=0.0 if interval.low is None else interval.low,
+            high=interval.high,
+            note="",
+            narrowed_by="more labelled obstacles",
+        )
+    if result.model_classes:
+        yield _model_classes(result)
+    yield _memory(result.memory or RunMemory(tau_s=0.0))
+    bound, name = result.data_bound, "the training data alone"
+    if bound is None:
+        yield UncertaintySource(
+            kind="data",
+            name=name,
+            low=None,
+            high=None,
+            note="the model carries no counts of its data, or the scenario has no fast twin",
+            narrowed_by="a model fitted by pemviz pem fit",
+        )
+    else:
+        yield UncertaintySource(
+            kind="data",
+            name=f"{name} ({100 * bound.confidence:g} %)",
+            low=0.0,
+            high=bound.probability,
+            note="",
+            narrowed_by="labels where there are few",
+        )
 
 
 def _model_classes(result: RunResult) -> UncertaintySource:
     ranked = sorted(result.model_classes, key=lambda answer: answer.log10_probability)
     vague = [answer.name for answer in ranked if not answer.is_reliable]
     named = f"{ranked[0].name} to {ranked[-1].name}" if len(ranked) > 1 else ranked[0].name
-    note = f"{', '.join(vague)} only roughly" if vague else ""
     return UncertaintySource(
         kind="model-classes",
         name=f"other model classes ({named})",
         low=ranked[0].probability,
         high=ranked[-1].probability,
-        note=note,
+        note=f"{', '.join(vague)} only roughly" if vague else "",
         narrowed_by="labels where they part",
     )
 
 
-def _memory(result: RunResult) -> UncertaintySource:
-    tau_s = 0.0 if result.memory is None else result.memory.tau_s
-    frailty = 0.0 if result.memory is None else result.memory.frailty
-    own = None if result.memory is None else result.memory.fitted
-    curve = () if result.memory is None else result.memory.curve
-    over_frailty = () if result.memory is None else result.memory.frailty_curve
-    lows = [point.low for point in (*curve, *over_frailty) if point.low is not None]
-    highs = [point.high for point in (*curve, *over_frailty) if point.high is not None]
-    assumed = f"{tau_s:g} s assumed" if tau_s > 0.0 else "taken as none"
-    if frailty > 0.0:
-        assumed = f"{tau_s:g} s and frailty {frailty:g} assumed"
-    if result.memory is not None and result.memory.hidden:
-        assumed = f"{' and '.join(result.memory.hidden)} assumed"
+def _memory(memory: RunMemory) -> UncertaintySource:
+    curve, over_frailty = memory.curve, memory.frailty_curve
+    assumed = f"{memory.tau_s:g} s assumed" if memory.tau_s > 0.0 else "taken as none"
+    if memory.frailty > 0.0:
+        assumed = f"{memory.tau_s:g} s and frailty {memory.frailty:g} assumed"
+    if memory.hidden:
+        assumed = f"{' and '.join(memory.hidden)} assumed"
     name = f"memory of misses, {assumed}"
     if curve:
         between = f"{curve[0].tau_s:g} to {curve[-1].tau_s:g} s"
         name = f"memory of misses, {between}"
         if over_frailty:
             name = f"memory {between}, frailty to {over_frailty[-1].frailty:g}"
-    measured = "" if own is None else f"measured {own.tau_s:.2g} s"
-    if own is not None and own.frailty:
-        measured += f", frailty {own.frailty:.2g}"
+    measured, own = "", memory.fitted
+    if own is not None:
+        measured = f"measured {own.tau_s:.2g} s"
+        measured += f", frailty {own.frailty:.2g}" if own.frailty else ""
+    points = (*curve, *over_frailty)
     return UncertaintySource(
         kind="memory",
         name=name,
-        low=min(lows, default=None),
-        high=max(highs, default=None),
+        low=min((point.low for point in points if point.low is not None), default=None),
+        high=max((point.high for point in points if point.high is not None), default=None),
         note=measured,
         narrowed_by="tracked video" if curve else "--memory-curve bounds it",
-    )
-
-
-def _data(result: RunResult) -> UncertaintySource:
-    bound = result.data_bound
-    if bound is None:
-        return UncertaintySource(
-            kind="data",
-            name="the training data alone",
-            low=None,
-            high=None,
-            note="the model carries no counts of its data, or the scenario has no fast twin",
-            narrowed_by="a model fitted by pemviz pem fit",
-        )
-    return UncertaintySource(
-        kind="data",
-        name=f"the training data alone ({100 * bound.confidence:g} %)",
-        low=0.0,
-        high=bound.probability,
-        note="",
-        narrowed_by="labels where there are few",
     )

@@ -12,10 +12,9 @@ from typing import Literal
 from pemviz.config.toml_files import config_text
 from pemviz.errors import ConfigError, InputError, RunError
 from pemviz.files.atomic import held, write_bytes
-from pemviz.runs.reading import read_result
+from pemviz.runs.reading import read_result, run_differs
 from pemviz.runs.result_file import has_result
-from pemviz.runs.same_run import run_differs
-from pemviz.runs.trust import run_diagnostics
+from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.sweep import run_task
 from pemviz.sweep.plan import PlannedRun
 from pemviz.sweep.run_task import Keep, RunOutcome

@@ -22,8 +22,8 @@ from pemviz.files.json_text import parse_json
 from pemviz.pem import load_pem
 from pemviz.reproduce.workers import Job, OnProgress, no_progress, run_jobs
 from pemviz.runs.coherence import disorders
+from pemviz.runs.engine import estimates_by_rule
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.rules import estimates_by_rule
 from pemviz.types import Estimate
 from studies.logical_scenarios.page import all_answers, csv_of, page_markdown
 from studies.logical_scenarios.picture import picture_png

@@ -15,7 +15,7 @@ from pemviz.analysis.model_uncertainty import (
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.trust import run_diagnostics
+from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.sampling.problem import sample
 from tests.toy import ConstantPem, MissCounter, exact_failure_probability
 

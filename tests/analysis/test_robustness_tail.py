@@ -9,7 +9,7 @@ from scipy import stats
 from pemviz.analysis.robustness_tail import robustness_tail
 from pemviz.config import ExperimentConfig
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.kept_stages import KeptStages
+from pemviz.runs.observers import KeptStages
 from pemviz.runs.result_file import result_document, result_from_document
 
 WORST = 0.01

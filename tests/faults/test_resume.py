@@ -16,8 +16,8 @@ from pemviz.reports.pipeline import ReportWriter
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result_file import write_result
-from pemviz.runs.resume import carry_out, run_lock
 from pemviz.runs.rollout_files import load_rollouts
+from pemviz.runs.store import carry_out, run_lock
 from pemviz.sampling.rollouts.batches import run_here
 from tests.told import told
 

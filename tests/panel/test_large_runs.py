@@ -24,8 +24,7 @@ from pemviz.panel.trajectories_tab import details
 from pemviz.panel.weights_tab import drawn_points, least_gaps
 from pemviz.panel.why_tab import failures_of, standing_for_all, why
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.resume import carry_out
-from pemviz.runs.store import create_run_folder
+from pemviz.runs.store import carry_out, create_run_folder
 from tests.panel.conftest import NAIVE, wait_until
 from tests.told import without_digests
 

@@ -18,8 +18,8 @@ from pemviz.panel.recordings_tab import recordings_table
 from pemviz.panel.rollout_tables import check_table
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
-from pemviz.runs.resume import run_lock
 from pemviz.runs.rollout_files import load_rollouts, part_path, write_part
+from pemviz.runs.store import run_lock
 from tests.told import without_digests
 
 CRAFTED = (

@@ -34,7 +34,7 @@ from pemviz.panel.trajectories_tab import first_place, ranking_table
 from pemviz.reports.estimate_words import short_probability
 from pemviz.runs.drawn_rollout import RIGHT
 from pemviz.runs.result import PemInfo
-from pemviz.runs.trust import run_diagnostics
+from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Diagnostic
 from tests.reports.runs import PLAN

@@ -24,7 +24,7 @@ from pemviz.reports.estimate_words import short_probability
 from pemviz.runs.engine import run
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.trust import run_diagnostics
+from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.simulators.drawn_scene import drawn_scene
 from tests.recording.conftest import LEARNING, chunks, record, texts, with_blind_pem

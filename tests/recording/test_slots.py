@@ -7,7 +7,7 @@ import pemviz
 from pemviz import figures
 from pemviz.recording import paths
 from pemviz.recording.outcomes import outcome_frame
-from pemviz.runs.slot_outcomes import faultless, faultless_probability
+from pemviz.runs.drawn_rollout import faultless, faultless_probability
 from pemviz.simulators.slots import Slot
 from tests.recording.conftest import record, strips, texts, values_at
 from tests.recording.read_back import read_stages

@@ -12,7 +12,7 @@ import pytest
 from pemviz.config import METHODS
 from pemviz.config.rule_words import GateLimits
 from pemviz.reports.gate import EXIT_CODES, decide_gate, decide_limits, decide_run
-from pemviz.runs.rules import RuleAnswer
+from pemviz.runs.result import RuleAnswer
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.estimates.diagnostics import (
     AGREEMENT_ERRORS,

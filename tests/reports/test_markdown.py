@@ -14,7 +14,7 @@ from pemviz.reports.escape import (
 from pemviz.reports.gate import decide_gate, decide_run
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.run_document import run_document
-from pemviz.runs.trust import run_diagnostics
+from pemviz.runs.uncertainty import run_diagnostics
 from tests.reports.runs import NASTY, estimate, nasty_result, result, warned
 
 

@@ -38,8 +38,7 @@ from pemviz.reports.pipeline import junit_xml
 from pemviz.reports.run_document import ANSWER, RECORD, TRUST, WHY, run_document
 from pemviz.reports.safety_case import safety_case_page
 from pemviz.reports.terminal import plain_lines, print_summary, summary_text
-from pemviz.runs.memory import RunMemory
-from pemviz.runs.rules import RuleAnswer
+from pemviz.runs.result import RuleAnswer, RunMemory
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import PLAN, estimate, result
 from tests.reports.test_causes_words import EXPLANATION

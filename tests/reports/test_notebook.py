@@ -13,9 +13,8 @@ from pemviz.colors import MISSED, PROPOSAL
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.kept_stages import KeptStages
-from pemviz.runs.least_robust import Rollout
-from pemviz.runs.memory import RunMemory
+from pemviz.runs.observers import KeptStages, Rollout
+from pemviz.runs.result import RunMemory
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import NASTY, PLAN, estimate, nasty_result, result, warned
 from tests.reports.test_causes_words import EXPLANATION

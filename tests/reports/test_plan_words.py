@@ -9,7 +9,7 @@ from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.plan_words import plan_sentences, plan_table, short_rows
 from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import print_summary
-from pemviz.runs.data_plan import planned_target
+from pemviz.runs.supplements import planned_target
 from tests.reports.runs import PLAN, estimate, result
 
 

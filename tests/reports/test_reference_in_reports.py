@@ -8,7 +8,7 @@ from pemviz.reports.estimate_words import reference_text
 from pemviz.reports.gate import decide_run
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.terminal import print_summary, summary_text
-from pemviz.runs.trust import run_diagnostics
+from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
 from tests.reports.runs import estimate, result
 

@@ -13,8 +13,8 @@ from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
 from pemviz.reports.case_runs import CaseRun, read_case_run, run_folders
 from pemviz.reports.safety_case import MOST_IN_FULL, claim_sentence, claims, safety_case_page
-from pemviz.runs.memory import RunMemory
 from pemviz.runs.reading import read_result
+from pemviz.runs.result import RunMemory
 from pemviz.runs.result_file import write_result
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import PLAN, estimate, nasty_result, result, warned

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from pemviz.runs.coherence import recount
 from pemviz.runs.reading import read_whole_run
-from pemviz.runs.recount import recount
 from pemviz.runs.result_file import read_kept
 
 BARS = ("probability", "std_error", "ci_low", "ci_high")

@@ -16,10 +16,10 @@ from pemviz.reports.gate import decide_run
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.interpretation import Interpreted, beside_reference, interpret
-from pemviz.runs.result import with_stage
-from pemviz.runs.trust import run_diagnostics
-from pemviz.runs.uncertainty import uncertainty_budget
+from pemviz.runs.interpretation import Interpreted, interpret
+from pemviz.runs.ranking import with_stage
+from pemviz.runs.supplements import beside_reference
+from pemviz.runs.uncertainty import run_diagnostics, uncertainty_budget
 from pemviz.sampling.method import final_stage
 from pemviz.sampling.zero_variance.reference import Reference
 

@@ -9,7 +9,7 @@ from pemviz.errors import ConfigError
 from pemviz.runs import store
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
-from pemviz.runs.resume import carry_out
+from pemviz.runs.store import carry_out
 
 LARGE = ExperimentConfig(method="monte-carlo", final_rollouts=100_000_000, keep="violations")
 

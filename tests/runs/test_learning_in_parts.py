@@ -8,12 +8,11 @@ import pytest
 from pemviz.config import ExperimentConfig
 from pemviz.panel.loading import load_run
 from pemviz.recording.recorder import Recorder
-from pemviz.runs.drawn_arrays import drawn_arrays, drawn_of
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.least_robust import LeastRobust
-from pemviz.runs.resume import carry_out
-from pemviz.runs.rollout_files import load_rollouts, part_path
+from pemviz.runs.observers import LeastRobust
+from pemviz.runs.rollout_files import drawn_arrays, drawn_of, load_rollouts, part_path
+from pemviz.runs.store import carry_out
 from pemviz.types import Drawn
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.recording.read_back import read_stages

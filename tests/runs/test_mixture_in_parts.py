@@ -9,8 +9,8 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import part_path
+from pemviz.runs.store import carry_out
 from pemviz.types import numbers_of
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.runs.recounts import assert_recounted

@@ -18,8 +18,8 @@ from pemviz.reports.safety_case import safety_case_page
 from pemviz.reports.terminal import print_summary, summary_text
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.rates import violation_rates
+from pemviz.runs.result import RuleAnswer
 from pemviz.runs.result_file import result_document, result_from_document
-from pemviz.runs.rules import RuleAnswer
 from tests.reports.runs import estimate
 from tests.reports.runs import result as made_up
 

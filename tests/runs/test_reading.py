@@ -12,11 +12,11 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.encounters import EncounterConfig
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
+from pemviz.runs.coherence import recount
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result, read_whole_run
-from pemviz.runs.recount import recount
 from pemviz.runs.result_file import read_kept
-from pemviz.runs.resume import carry_out
+from pemviz.runs.store import carry_out
 from pemviz.sampling.registry import SHIPPED
 from tests.faults.test_resume import StopAfter, folder_of
 from tests.runs.recounts import assert_recounted

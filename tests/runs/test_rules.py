@@ -21,9 +21,8 @@ from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import result_document, result_from_document
-from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts, stage_files
-from pemviz.runs.store import create_run_folder
+from pemviz.runs.store import carry_out, create_run_folder
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator

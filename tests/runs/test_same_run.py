@@ -7,9 +7,8 @@ import pytest
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
-from pemviz.runs.reading import read_whole_run
+from pemviz.runs.reading import read_whole_run, run_differs, setting_differences
 from pemviz.runs.result_file import write_result
-from pemviz.runs.same_run import run_differs, setting_differences
 from tests.reports.runs import result
 
 OTHER = {

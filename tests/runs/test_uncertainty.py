@@ -16,7 +16,7 @@ from pemviz.reports.charts import uncertainty_chart
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.run_document import MOST_WARNINGS
 from pemviz.reports.terminal import print_summary
-from pemviz.runs.memory import MeasuredTau, RunMemory
+from pemviz.runs.result import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document
 from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.bursts.curve import CurvePoint

@@ -20,7 +20,7 @@ from pemviz.reports.terminal import summary_text
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.model_comparison import compare_models
-from pemviz.runs.resume import carry_out
+from pemviz.runs.store import carry_out
 from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling

@@ -13,7 +13,7 @@ from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.reports.charts import memory_chart
 from pemviz.reports.memory_words import BY_FRAILTY, curve_table, frailty_line
-from pemviz.runs.memory import RunMemory, own_memory
+from pemviz.runs.result import RunMemory, own_memory
 from pemviz.sampling.bursts.curve import (
     MEASURED_FRAILTY,
     SHOWN_FRAILTY,

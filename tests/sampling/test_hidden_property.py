@@ -22,7 +22,7 @@ from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import plain_lines
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.resume import carry_out
+from pemviz.runs.store import carry_out
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.state.composed import ComposedPem, as_member
 from pemviz.sampling.zero_variance.reference import exact_log_probability

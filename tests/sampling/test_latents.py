@@ -20,8 +20,8 @@ from pemviz.proposals.latent_moves import (
     fit_means,
     scores,
 )
-from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import latents_of, load_rollouts
+from pemviz.runs.store import carry_out
 from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.batches import PooledRunner
 from pemviz.sampling.rollouts.simulate import replay

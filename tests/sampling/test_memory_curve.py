@@ -14,7 +14,7 @@ from pemviz.recording.text import answer_text
 from pemviz.reports.charts import memory_chart
 from pemviz.reports.memory_words import BY_MEMORY_TIME, assumption_line, curve_table
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.memory import MeasuredTau, RunMemory
+from pemviz.runs.result import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document, result_from_document
 from pemviz.sampling.bursts.curve import (
     MEASURED_S,

@@ -10,8 +10,8 @@ from scipy import stats
 
 import pemviz
 from pemviz.latents import LatentCounts
-from pemviz.runs.resume import carry_out
 from pemviz.runs.rollout_files import load_rollouts, log_weights
+from pemviz.runs.store import carry_out
 from pemviz.sampling.problem import sample
 from pemviz.sampling.zero_variance.left_out import left_out_share
 from pemviz.sampling.zero_variance.reachable_states import SAFE_NODE, explore

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pemviz.runs.result import LEAST_ROBUST
+from pemviz.runs.ranking import LEAST_ROBUST
 from pemviz.sampling.adaptive.method import FromAll, FromElites
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.method import elite_threshold, elites

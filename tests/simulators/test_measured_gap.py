@@ -228,7 +228,7 @@ def test_what_cannot_be_is_refused_in_one_line(changes, words):
 
 
 def test_a_run_goes_on_with_the_same_position_errors_alone(tmp_path):
-    from pemviz.runs.same_run import run_differs  # noqa: PLC0415
+    from pemviz.runs.reading import run_differs  # noqa: PLC0415
 
     config = small("monte-carlo", rollouts=2, final_rollouts=2)
     result = pemviz.run_experiment(config)

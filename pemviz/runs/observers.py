@@ -1,7 +1,4 @@
-"""The least robust rollout of a run, kept whole for whoever wants to look at it.
-
-Which one that is, the run's result says: see :attr:`pemviz.runs.result.RunResult.least_robust`.
-"""
+"""Observers for programs: the least robust rollout of a run, and every stage, kept whole."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,10 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.latents import Latents
+from pemviz.runs.drawn_rollout import faultless, right_by_slot, slots_of
 from pemviz.runs.events import Event, RunStarted, StageDone
 from pemviz.runs.result import RankedRollout
-from pemviz.runs.slot_outcomes import faultless, right_by_slot, slots_of
 from pemviz.simulators.slots import Slot
 from pemviz.types import ShownInNotebooks, StageResult, place_of
 
@@ -54,18 +50,16 @@ class Rollout(ShownInNotebooks):
 
     def __str__(self) -> str:
         ranges = [f"{n} {np.min(v):.3g} to {np.max(v):.3g}" for n, v in self.signals.items()]
-        verdict = "violates" if self.violated else "holds"
+        verdict, latents = "violates" if self.violated else "holds", ""
+        if self.start.size:
+            latents = f"latents at the start {', '.join(f'{z:.2f}' for z in self.start)}; "
+        if self.noise.size:
+            latents += f"noise {np.min(self.noise):.2f} to {np.max(self.noise):.2f}; "
         return (
             f"least robust rollout: {verdict}, robustness {self.robustness:.3g}, stage "
-            f"{self.stage}; {self._errors_text()}; {self._latents_text()}{', '.join(ranges)}; "
+            f"{self.stage}; {self._errors_text()}; {latents}{', '.join(ranges)}; "
             f"NLL {self.nll:.3g} nats"
         )
-
-    def _latents_text(self) -> str:
-        texts = [f"latents at the start {', '.join(f'{z:.2f}' for z in self.start)}; "]
-        if self.noise.size:
-            texts.append(f"noise {np.min(self.noise):.2f} to {np.max(self.noise):.2f}; ")
-        return "".join(texts if self.start.size else texts[1:])
 
     def _errors_text(self) -> str:
         steps, missed = self.detected.size, self.missed_steps
@@ -78,6 +72,8 @@ class Rollout(ShownInNotebooks):
 
 class LeastRobust:
     """Observer that keeps the least robust rollout that carries the answer, as far as a run is.
+
+    Which one that is, :attr:`pemviz.runs.result.RunResult.least_robust` says.
 
     Attributes:
         rollout: The rollout; ``None`` before the first stage is done.
@@ -97,34 +93,30 @@ class LeastRobust:
             case RunStarted():
                 self._dt_s, self._slots = event.simulator.dt_s, slots_of(event.simulator)
             case StageDone():
-                self._consider(event.stage, event.result.least_robust[0])
+                first, stage = event.result.least_robust[0], event.stage
+                if (first.repetition, first.stage) == (stage.repetition, stage.stage):
+                    self.rollout = self._kept(first, stage)
             case _:
                 pass
 
-    def _consider(self, stage: StageResult, first: RankedRollout) -> None:
-        if (first.repetition, first.stage) != (stage.repetition, stage.stage):
-            return
-        scored, index = stage.scored, place_of(first.rollout, stage.drawn)
-        signals = {name: np.array(v[index]) for name, v in scored.rollouts.signals.items()}
-        states = scored.rollouts.detected.shape[1] + 1
-        self.rollout = Rollout(
+    def _kept(self, first: RankedRollout, stage: StageResult) -> Rollout:
+        rollouts, index = stage.scored.rollouts, place_of(first.rollout, stage.drawn)
+        detected, latents = rollouts.detected[index], dict[str, FloatArray]()
+        if rollouts.latents is not None:
+            for name in ("start", "noise"):
+                latents[name] = np.array(getattr(rollouts.latents, name)[index])
+        return Rollout(
             repetition=stage.repetition,
             stage=stage.stage,
             robustness=first.robustness,
             violated=first.violated,
             nll=first.nll,
-            time_s=np.arange(states) * self._dt_s,
-            signals=signals,
-            detected=np.array(faultless(scored.rollouts.detected[index], slots=self._slots)),
-            right_by_slot=right_by_slot(scored.rollouts.detected[index], slots=self._slots),
-            **_latents(scored.rollouts.latents, index),
+            time_s=np.arange(rollouts.detected.shape[1] + 1) * self._dt_s,
+            signals={name: np.array(values[index]) for name, values in rollouts.signals.items()},
+            detected=np.array(faultless(detected, slots=self._slots)),
+            right_by_slot=right_by_slot(detected, slots=self._slots),
+            **latents,
         )
-
-
-def _latents(latents: Latents | None, index: int) -> dict[str, FloatArray]:
-    if latents is None:
-        return {}
-    return {"start": np.array(latents.start[index]), "noise": np.array(latents.noise[index])}
 
 
 def _runs_text(steps: IntArray) -> str:
@@ -133,3 +125,29 @@ def _runs_text(steps: IntArray) -> str:
         return "none"
     runs = np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1)
     return ", ".join(f"{r[0]}-{r[-1]}" if r.size > 1 else f"{r[0]}" for r in runs)
+
+
+class KeptStages:
+    """Observer that keeps all stages; a large run's rollouts take memory accordingly.
+
+    With ``keep = "violations"`` a large stage that is learned from may hold some of its rollouts
+    alone, see :attr:`pemviz.types.StageResult.drawn`.
+
+    Attributes:
+        started: What the run reported at its start; ``None`` before.
+        stages: Every stage that is done, of all repetitions.
+    """
+
+    def __init__(self) -> None:
+        self.started: RunStarted | None = None
+        self.stages: list[StageResult] = []
+
+    def notify(self, event: Event) -> None:
+        """Keep what a stage brings; a new run replaces an earlier one."""
+        match event:
+            case RunStarted():
+                self.started, self.stages = event, []
+            case StageDone():
+                self.stages.append(event.stage)
+            case _:
+                pass

@@ -1,0 +1,239 @@
+"""What a run adds once its estimate is there: distance driven, curves, data plan, reference."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from pemviz.analysis.band_models import BandOutcomes, band_outcomes
+from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan, refit_plan, sequence_plan
+from pemviz.analysis.label_plan import LARGEST_DRAWN, LabelPlan, label_plan, model_misses
+from pemviz.errors import PemError
+from pemviz.pem import Pem, load_pem, support_of
+from pemviz.proposals.fixed import PemProposal
+from pemviz.runs.experiment import Experiment
+from pemviz.runs.result import DrivenDistance, RunMemory, RunResult, own_memory
+from pemviz.runs.uncertainty import reference_diagnostics, run_interval_caveats
+from pemviz.sampling.bursts import curve as curves
+from pemviz.sampling.bursts.curve import CurvePoint
+from pemviz.sampling.estimates.diagnostics import SMALL_ESS
+from pemviz.sampling.problem import nothing_finished, sample
+from pemviz.sampling.rollouts.batches import run_here
+from pemviz.sampling.state.composed import hidden_in, own_pem
+from pemviz.sampling.zero_variance.reference import reference, reference_of_few_states
+from pemviz.simulators.latents import within
+
+DISTANCE_ROLLOUTS = 200
+LEAST_KM = 1e-6
+SPAWN_KEY = 2**32 - 2
+"""Of the child of the run's seed that rollouts for the distance are sampled by."""
+EXAMPLE = "rrc"
+"""The shipped model whose memory is an example for models of single frames."""
+
+
+@runtime_checkable
+class DrivesFreely(Protocol):
+    """A scenario whose rollouts are stretches of driving, not encounters."""
+
+    @property
+    def distance_signal(self) -> str:
+        """Name of the signal that says how far the ego has driven in the rollout [m]."""
+        ...
+
+
+def with_distance(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A result with the distance that a rollout is, where the scenario says it.
+
+    Args:
+        result: With the estimate of all repetitions.
+        experiment: What was run; its problem's ``pause`` may raise to stop.
+    """
+    scenario = within(experiment.problem.simulator, DrivesFreely)
+    if scenario is None:
+        return result
+    scored = sample(
+        experiment.problem.without_rules(),
+        proposal=PemProposal(),
+        count=DISTANCE_ROLLOUTS,
+        seeds=np.random.SeedSequence(experiment.config.seed, spawn_key=(SPAWN_KEY,)),
+    )
+    driven_km = scored.rollouts.signals[scenario.distance_signal][:, -1] / 1000.0
+    mean_km = float(np.mean(driven_km))
+    if mean_km < LEAST_KM:  # the ego stands: no distance to divide by
+        return result
+    driven = DrivenDistance(
+        mean_km=mean_km,
+        std_error_km=float(np.std(driven_km, ddof=1) / np.sqrt(DISTANCE_ROLLOUTS)),
+        rollouts=DISTANCE_ROLLOUTS,
+    )
+    return replace(result, driven=driven)
+
+
+def with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A result with the answer over memory times and over frailties, if the configuration says so.
+
+    It stays as it is with hidden properties of the user's own, which the curves know nothing of;
+    arguments as for :func:`with_distance`.
+    """
+    memory, config = result.memory, experiment.config
+    if not config.memory_curve or memory is None or memory.hidden:
+        return result
+    pem, back_end = own_pem(experiment.pem), experiment.back_end.scenario_alone
+    problem = experiment.problem.without_rules()
+    problem = replace(problem, simulator=back_end.simulator, pem=pem, finished=nothing_finished)
+    if back_end.twin is not None:
+        problem = replace(problem, simulator=back_end.twin, run_batches=run_here)
+    fitted = memory.fitted
+    measured = () if fitted is None else (fitted.tau_s,)
+    over_tau = curves.memory_curve(
+        problem,
+        pem=pem,
+        features=back_end.features,
+        seed=config.seed,
+        also_s=(memory.tau_s, *measured, *curves.MEASURED_S.values()),
+        frailty=memory.frailty,
+    )
+    measured = () if fitted is None or fitted.frailty is None else (fitted.frailty,)
+    over_frailty = curves.frailty_curve(
+        problem,
+        pem=pem,
+        features=back_end.features,
+        seed=config.seed,
+        also=(memory.frailty, *measured, *curves.MEASURED_FRAILTY.values()),
+        tau_s=memory.tau_s,
+    )
+    curve, frailty_curve = (_with_answer(c, result, memory) for c in (over_tau, over_frailty))
+    return replace(result, memory=replace(memory, curve=curve, frailty_curve=frailty_curve))
+
+
+def _with_answer(
+    curve: tuple[CurvePoint, ...], result: RunResult, memory: RunMemory
+) -> tuple[CurvePoint, ...]:
+    """A curve with the answer as its point there: the better one, where its interval holds."""
+    answer = result.estimate
+    if answer is None or answer.ci_low is None or run_interval_caveats(result):
+        return curve
+    own = CurvePoint(
+        tau_s=memory.tau_s,
+        probability=answer.probability,
+        low=answer.ci_low,
+        high=answer.ci_high,
+        ess=answer.ess,
+        diagnostics=answer.diagnostics,
+        frailty=memory.frailty,
+    )
+    here = (own.tau_s, own.frailty)
+    return tuple(own if (point.tau_s, point.frailty) == here else point for point in curve)
+
+
+def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A result with the reference; a warning if they disagree; arguments as above.
+
+    Sampled where the configuration says so; else the recursion where the scenario has few states.
+    """
+    twin = experiment.twin
+    if result.estimate is None or twin is None:
+        return result
+    found = reference if experiment.config.reference else reference_of_few_states
+    compared = replace(result, reference=found(experiment.problem, twin=twin))
+    words = tuple(one.text for one in reference_diagnostics(compared))
+    return replace(compared, warnings=(*result.warnings, *words))
+
+
+def with_data_plan(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A result with what to measure next, if that is to be planned; arguments as above."""
+    config = experiment.config
+    if not (config.plan or config.target is not None) or result.estimate is None:
+        return result
+    target, found = planned_target(result), None
+    reason = _no_labels_because(result, experiment)
+    if reason is None and target is None:
+        reason = "what the labels at hand allow is no more than the answer: name a --target"
+    if reason is None and target is not None:
+        found = _labels(result, experiment, target)
+    if found is None and reason is None:
+        reason = "the scenario does not meet the target whatever the detector does"
+    plan = DataPlan(
+        labels=None if found is None else found[0],
+        halves=found is not None and config.target is None,
+        reason=reason,
+        refits=() if found is None else _refits(experiment, found[1]),
+        sequences=None if experiment.is_own_system else _sequences(experiment),
+    )
+    return replace(result, plan=plan)
+
+
+def planned_target(result: RunResult) -> float | None:
+    """The configuration's target, or halfway from the answer to what its data allow.
+
+    Halfway in powers of ten; ``None`` where there is no answer, or the data allow no more.
+    """
+    if result.config.target is not None:
+        return result.config.target
+    answer, bound = result.estimate, result.data_bound
+    if answer is None or bound is None or not 0.0 < answer.probability < bound.probability:
+        return None
+    return math.sqrt(answer.probability) * math.sqrt(bound.probability)
+
+
+def _no_labels_because(result: RunResult, experiment: Experiment) -> str | None:
+    if hidden_in(experiment.pem):
+        return "labels are planned for misses that are independent given the state"
+    if experiment.twin is None:
+        return "the scenario has no fast twin"
+    if support_of(own_pem(experiment.pem)) is None:
+        return f"error model {result.pem.name} carries no counts of its training data"
+    if result.explanation is None or result.estimate is None or not result.estimate.failures:
+        return "no violation with a weight was seen, to tell where misses matter"
+    return None
+
+
+def _labels(
+    result: RunResult, experiment: Experiment, target: float
+) -> tuple[LabelPlan, BandOutcomes] | None:
+    answer, explanation = result.estimate, result.explanation
+    support = support_of(experiment.pem)
+    if answer is None or explanation is None or support is None or experiment.twin is None:
+        return None
+    if (log10 := answer.log10_probability) is None:
+        return None
+    return label_plan(
+        replace(experiment.problem, simulator=experiment.twin),
+        features=experiment.features,
+        support=support,
+        target=target,
+        log_probability=math.log(10.0) * log10,
+        elasticity=explanation.sensitivity[0].elasticity,
+        seed=experiment.config.seed,
+    )
+
+
+def _refits(experiment: Experiment, outcomes: BandOutcomes) -> tuple[RefitBand, ...]:
+    """From the violations at hand, or from such as are drawn for the model where they are far."""
+    members: Sequence[Pem] = () if experiment.ensemble is None else experiment.ensemble.members
+    if len(members) < 2:
+        return ()
+    own = model_misses(experiment.pem, outcomes.salient)
+    if outcomes.effective_failures(own) < SMALL_ESS and experiment.twin is not None:
+        outcomes = band_outcomes(
+            replace(experiment.problem, simulator=experiment.twin),
+            miss=np.where(own > 0.0, own, LARGEST_DRAWN),
+            features=experiment.features,
+            seed=experiment.config.seed,
+        )
+    return refit_plan(outcomes, pem=experiment.pem, members=members)
+
+
+def _sequences(experiment: Experiment) -> SequencePlan | None:
+    """For the model's own memory, or that of a shipped detector as an example."""
+    own = own_pem(experiment.pem)
+    try:
+        fitted = own_memory(own)
+        if fitted is not None:
+            return sequence_plan(fitted, example=own.name, is_own=True)
+        example = own_memory(load_pem(EXAMPLE))
+    except PemError:  # a damaged file is reported where that model is used
+        return None
+    return None if example is None else sequence_plan(example, example=EXAMPLE, is_own=False)
