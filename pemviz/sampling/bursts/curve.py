@@ -37,20 +37,8 @@ from pemviz.config.ranges import AtLeastZero
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.bursts.reweighting import (
-    Drawing,
-    Drawn,
-    Given,
-    Scenario,
-    described,
-    first_basis,
-    is_indifferent,
-    joined,
-    sampled_by_exploration,
-    sampled_by_fit,
-    seen_at,
-    with_drawing,
-)
+from pemviz.sampling.bursts import reweighting
+from pemviz.sampling.bursts.reweighting import FittedAround, Given, Sampled, Scenario
 from pemviz.sampling.estimates.diagnostics import not_absorbing, weight_diagnostics
 from pemviz.sampling.estimates.estimate import log_normal_interval, log_stratified_error
 from pemviz.sampling.estimates.importance_weights import (
@@ -60,13 +48,7 @@ from pemviz.sampling.estimates.importance_weights import (
 )
 from pemviz.sampling.estimates.trust import caveats
 from pemviz.sampling.mixture.estimate import disagreements
-from pemviz.sampling.mixture.fit import (
-    FitSettings,
-    failing_elites,
-    fitted,
-    smoothing_exponent,
-    weights_of,
-)
+from pemviz.sampling.mixture.fit import FitSettings, failing_elites, fitted, smoothed
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.state.composed import with_last_outcome
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
@@ -74,9 +56,9 @@ from pemviz.types import Diagnostic
 
 MEASURED_S = {"RRC, a camera detector": 0.3, "PointRCNN, a lidar detector": 0.17}
 """Memory times of two detectors on KITTI's tracking sequences [s], by ``pemviz pem memory``, if all
-cars are taken to be alike; both were trained on these drives."""
+cars are taken to be equal; both were trained on these drives."""
 SHOWN_S = (0.0, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)
-"""Memory times at which the curve is told [s]."""
+"""Memory times at which the curve is shown [s]."""
 EXPLORED_U = 2.0
 """The visibility that exploration proposals are around, where obstacles differ: one hard to see."""
 LEAST_KNOWN = None
@@ -95,7 +77,7 @@ MEASURED_FRAILTY = {"RRC, a camera detector": 0.68, "PointRCNN, a lidar detector
 """Frailties of the same detectors there, beside memory times of 0.25 and 0.11 s, by ``pemviz pem
 fit --memory``."""
 SHOWN_FRAILTY = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2)
-"""Frailties at which the curve is told."""
+"""Frailties at which the curve is shown."""
 FITTED_FRAILTY = (
     *(0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0),
     *(LEAST_KNOWN, 0.0, LEAST_KNOWN, 0.15, LEAST_KNOWN, 0.4, LEAST_KNOWN, 1.0),
@@ -129,7 +111,7 @@ class CurvePoint:
         high: Upper end; ``None`` likewise.
         ess: Effective sample size of the failing weights; ``None`` likewise.
         diagnostics: What is wrong with the estimate.
-        frailty: Spread of obstacles' own visibility; 0: all are alike.
+        frailty: Spread of obstacles' own visibility; 0: all are equal.
     """
 
     tau_s: AtLeastZero
@@ -151,25 +133,20 @@ class _Axis:
     """A way through memory times and frailties.
 
     Attributes:
-        told: Where the answer is told.
+        shown: Where the answer is given.
         sought: Those of them that proposals may be fitted for to know them better.
         fitted: What proposals are fitted for, one after another.
-        late: So many of them draw what is compared with everything drawn before.
+        late: So many of them sample what is compared with everything sampled before.
         explored: What exploration proposals are around.
         seed_key: Of its randomness.
     """
 
-    told: tuple[Memory, ...]
+    shown: tuple[Memory, ...]
     sought: tuple[Memory, ...]
     fitted: tuple[Memory | None, ...]
     late: int
     explored: tuple[Given, ...]
     seed_key: int
-
-    @property
-    def is_forgetful(self) -> bool:
-        """Whether it has no memory time anywhere."""
-        return all(memory.tau_s == 0.0 for memory in self.told)
 
 
 def memory_curve(
@@ -201,14 +178,14 @@ def memory_curve(
     if frailty > 0.0:
         fitted_s, late, u = FRAIL_FITTED_S, 10, EXPLORED_U
     axis = _Axis(
-        told=tuple(Memory(tau_s, frailty) for tau_s in sorted({*SHOWN_S, *also_s})),
+        shown=tuple(Memory(tau_s, frailty) for tau_s in sorted({*SHOWN_S, *also_s})),
         sought=tuple(Memory(tau_s, frailty) for tau_s in SHOWN_S),
         fitted=tuple(None if at is None else Memory(at, frailty) for at in fitted_s),
         late=late,
         explored=tuple(Given(Memory(tau_s, frailty), u) for tau_s in EXPLORED_S),
         seed_key=SEED_KEY,
     )
-    return _told(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
+    return _answers(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
 
 
 def frailty_curve(
@@ -223,31 +200,21 @@ def frailty_curve(
 ) -> tuple[CurvePoint, ...]:
     """The failure probability at the frailties SHOWN_FRAILTY and ``also``, ascending.
 
-    Args:
-        problem: On a simulator without memory; its error model is not looked at.
-        pem: The model of single outcomes.
-        features: What the scenario offers to look at.
-        seed: Root of all randomness.
-        also: Further frailties.
-        tau_s: Memory time at all of them [s].
-        rollouts: How many are simulated in all, 100 at least.
-
-    Raises:
-        ConfigError: The scenario has a signal named like the last outcome.
-        SimulationError: A batch has something that is no finite number, or takes too long.
+    Arguments and errors are those of :func:`memory_curve`, with further frailties ``also`` and one
+    memory time ``tau_s`` [s] at all of them.
     """
     axis = _Axis(
-        told=tuple(Memory(tau_s, frailty) for frailty in sorted({*SHOWN_FRAILTY, *also})),
+        shown=tuple(Memory(tau_s, frailty) for frailty in sorted({*SHOWN_FRAILTY, *also})),
         sought=tuple(Memory(tau_s, frailty) for frailty in SHOWN_FRAILTY),
         fitted=tuple(None if at is None else Memory(tau_s, at) for at in FITTED_FRAILTY),
         late=10,
         explored=tuple(Given(Memory(tau_s, frailty), u) for frailty, u in EXPLORED_FRAILTY),
         seed_key=FRAILTY_SEED_KEY,
     )
-    return _told(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
+    return _answers(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
 
 
-def _told(
+def _answers(
     axis: _Axis, problem: Problem, *, pem: Pem, features: StateFeatures, seed: int, rollouts: int
 ) -> tuple[CurvePoint, ...]:
     absorbing = problem.unsafe is not None or problem.monitor is not None
@@ -256,53 +223,48 @@ def _told(
         problem=with_absorbing_violation(replace(problem, simulator=simulator)),
         pem=pem,
         own_features=features,
-        asked=axis.told,
+        memories=axis.shown,
         explored=axis.explored,
-        forgetful=axis.is_forgetful,
+        forgetful=all(memory.tau_s == 0.0 for memory in axis.shown),
     )
     seeds = (
         np.random.SeedSequence(seed, spawn_key=(axis.seed_key, part)) for part in itertools.count()
     )
-    scored = sampled_by_exploration(
-        scenario, each=int(rollouts * EXPLORATION_SHARE), seeds=next(seeds)
-    )
-    if scenario.forgetful and not is_indifferent(scenario, scored.rollouts):
+    scored = scenario.sampled_by_exploration(int(rollouts * EXPLORATION_SHARE), next(seeds))
+    if scenario.forgetful and not reweighting.is_indifferent(scenario, scored.rollouts):
         scenario = replace(scenario, forgetful=False)
-    scenario = replace(scenario, basis=first_basis(scenario, scored))
-    drawn = described(scenario, scored, (), component=0)
-    counts = _divided(rollouts - drawn.count, len(axis.fitted))
-    drawings: list[Drawing] = []
+    scenario = replace(scenario, basis=reweighting.first_basis(scenario, scored))
+    sampled = reweighting.described(scenario, scored, (), component=0)
+    each, rest = divmod(rollouts - sampled.count, len(axis.fitted))
+    counts = [each + (index < rest) for index in range(len(axis.fitted))]
+    fits: list[FittedAround] = []
     for count, chosen in zip(counts, axis.fitted, strict=True):
-        memory = _least_known(axis, drawn) if chosen is LEAST_KNOWN else chosen
-        drawing, optimism = _fitted(scenario, drawn, axis.told.index(memory))
-        drawings.append(drawing)
-        scored = sampled_by_fit(scenario, drawing, count=count, seeds=next(seeds))
-        fresh = described(scenario, scored, drawings, component=len(drawings))
-        drawn = joined(with_drawing(scenario, drawn, drawing, optimism=optimism), fresh)
+        memory = _least_known(axis, sampled) if chosen is LEAST_KNOWN else chosen
+        fit, optimism = _fitted(scenario, sampled, axis.shown.index(memory))
+        fits.append(fit)
+        scored = scenario.sampled_by_fit(fit, count, next(seeds))
+        fresh = reweighting.described(scenario, scored, fits, component=len(fits))
+        known = reweighting.with_fit(scenario, sampled, fit, optimism=optimism)
+        sampled = reweighting.joined(known, fresh)
     late = slice(rollouts - sum(counts[-axis.late :]), rollouts)
-    told = [_point(scenario, drawn, place, late=late) for place in range(len(axis.told))]
+    points = [_point(scenario, sampled, place, late=late) for place in range(len(axis.shown))]
     wrong = () if absorbing else (not_absorbing(),)
-    return tuple(replace(one, diagnostics=(*one.diagnostics, *wrong)) for one in told)
+    return tuple(replace(one, diagnostics=(*one.diagnostics, *wrong)) for one in points)
 
 
-def _divided(count: int, parts: int) -> list[int]:
-    each, rest = divmod(count, parts)
-    return [each + (index < rest) for index in range(parts)]
-
-
-def _least_known(axis: _Axis, drawn: Drawn) -> Memory:
-    """The memory whose violating rollouts are worth the fewest."""
-    if not drawn.violated.any():
+def _least_known(axis: _Axis, sampled: Sampled) -> Memory:
+    """The memory whose violating rollouts have the smallest effective sample size."""
+    if not sampled.violated.any():
         return axis.sought[0]
 
-    def worth(memory: Memory) -> float:
-        log_weight = drawn.log_weight(axis.told.index(memory))
-        return effective_sample_size(log_weight[drawn.violated])
+    def effective(memory: Memory) -> float:
+        log_weight = sampled.log_weight(axis.shown.index(memory))
+        return effective_sample_size(log_weight[sampled.violated])
 
-    return min(axis.sought, key=worth)
+    return min(axis.sought, key=effective)
 
 
-def _fitted(scenario: Scenario, drawn: Drawn, place: int) -> tuple[Drawing, FloatArray]:
+def _fitted(scenario: Scenario, sampled: Sampled, place: int) -> tuple[FittedAround, FloatArray]:
     """The proposal nearest to the elites' distribution under the model with a memory.
 
     It is around the visibility that the elites' obstacles have on average.
@@ -310,22 +272,19 @@ def _fitted(scenario: Scenario, drawn: Drawn, place: int) -> tuple[Drawing, Floa
     Returns:
         The proposal, and by how much it flatters each of the rollouts ``[N]``.
     """
-    basis, pool = scenario.basis, seen_at(scenario, drawn, place)
-    assert basis is not None  # noqa: S101  chosen from the exploration proposals' rollouts
+    pool = reweighting.seen_at(scenario, sampled, place)
     elites = failing_elites(pool.robustness, pool.violated, least=SETTINGS.elites)
-    aim = min(max(SETTINGS.elites, SETTINGS.ess_share * elites.count), elites.count / 2)
-    exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))
-    weight = weights_of(pool, elites, exponent=exponent)
-    u = float(np.average(drawn.visibility[:, place], weights=weight))
+    weight, _ = smoothed(pool, elites, SETTINGS)
+    u = float(np.average(sampled.visibility[:, place], weights=weight))
     if u:
-        pool = seen_at(scenario, drawn, place, u=u)
-    fit = fitted(pool, basis, elites, weight, SETTINGS)
-    return Drawing(Given(scenario.asked[place], u), fit.coefficients), fit.optimism
+        pool = reweighting.seen_at(scenario, sampled, place, u=u)
+    fit = fitted(pool, scenario.known_basis, elites, weight, SETTINGS)
+    return FittedAround(Given(scenario.memories[place], u), fit.coefficients), fit.optimism
 
 
-def _point(scenario: Scenario, drawn: Drawn, place: int, *, late: slice) -> CurvePoint:
-    """The estimate for one memory; ``late`` are the rollouts that were drawn last."""
-    memory, pool = scenario.asked[place], seen_at(scenario, drawn, place)
+def _point(scenario: Scenario, sampled: Sampled, place: int, *, late: slice) -> CurvePoint:
+    """The estimate for one memory; ``late`` are the rollouts that were sampled last."""
+    memory, pool = scenario.memories[place], reweighting.seen_at(scenario, sampled, place)
     log_weight, violated = pool.log_weight, pool.violated
     failures = int(violated.sum())
     figures = weight_figures(log_weight[violated])
@@ -333,20 +292,14 @@ def _point(scenario: Scenario, drawn: Drawn, place: int, *, late: slice) -> Curv
     wrong = weight_diagnostics(
         figures,
         failures=failures,
-        rollouts=drawn.count,
+        rollouts=sampled.count,
         log10_probability=log_mean / math.log(10.0) if failures else None,
     )
-    nothing = CurvePoint(memory.tau_s, 0.0, None, None, None, wrong, memory.frailty)
     if not failures:
-        return nothing
+        return CurvePoint(memory.tau_s, 0.0, None, None, None, wrong, memory.frailty)
     log_error = log_stratified_error(log_weight, violated, pool.component)
     relative_error = ADAPTATION * math.exp(log_error - log_mean)
     low, high = log_normal_interval(log_mean, relative_error=relative_error)
-    return replace(
-        nothing,
-        probability=math.exp(log_mean),
-        low=low,
-        high=high,
-        ess=figures.ess,
-        diagnostics=(*wrong, *disagreements(pool, final=late)),
-    )
+    wrong = (*wrong, *disagreements(pool, final=late))
+    probability = math.exp(log_mean)
+    return CurvePoint(memory.tau_s, probability, low, high, figures.ess, wrong, memory.frailty)

@@ -8,7 +8,7 @@ visibility u is integrated out by the nodes u_j and weights w_j of
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,16 +17,12 @@ from scipy.special import log_ndtr, ndtr
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory, VisibilityNodes, miss_quantile, persistence
+from pemviz.proposals import offset_logistic as logistic
 from pemviz.proposals.exploration import ExplorationFamily
-from pemviz.proposals.offset_logistic import (
-    OffsetLogisticProposal,
-    PolynomialBasis,
-    StateFeatures,
-    defended,
-    share_for,
-    shift,
-)
+from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis, StateFeatures
 from pemviz.sampling.mixture.balance_heuristic import Decisions, Pool, balance_weights
+from pemviz.sampling.mixture.pooling import DEGREE
+from pemviz.sampling.mixture.stages import defence
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.state.composed import ComposedFeatures, ComposedPem
@@ -47,8 +43,6 @@ ALWAYS = 4.0
 """Nodes within so many standard deviations are always looked at,"""
 NOTHING = 40.0
 """and beyond them those that are not so many nats below the most likely one."""
-DEFENSIVE_STEPS = 2.0
-DEGREE = 3
 
 
 @dataclass(frozen=True)
@@ -71,106 +65,68 @@ class Outcomes(Batch):
     logit: FloatArray
     matters: BoolArray
 
+    def summed(self, log_p: FloatArray, count: int) -> FloatArray:
+        """Of ``[M]`` over each of N rollouts, ``[N]``."""
+        return np.bincount(self.rollout, weights=log_p, minlength=count).astype(np.float64)
 
-def under_logits(outcomes: Outcomes, logit: FloatArray, *, count: int) -> FloatArray:
-    """Log likelihood of N rollouts' outcomes ``[N]``, under logits of 'detected' ``[M]``."""
-    return _summed(outcomes, outcome_log_likelihood(logit, ~outcomes.missed), count)
-
-
-@dataclass(frozen=True)
-class ByNode:
-    """What each visibility has to do with N rollouts.
-
-    Attributes:
-        u: Nodes, ``[J]``.
-        log_joint: Log of weight times likelihood, ``[J, N]``.
-    """
-
-    u: FloatArray
-    log_joint: FloatArray
-
-    @property
-    def log_likelihood(self) -> FloatArray:
-        """With u integrated out, ``[N]``."""
-        return np.asarray(log_sum_exp(self.log_joint, axis=0))
-
-    @property
-    def mean(self) -> FloatArray:
-        """Posterior mean of u, ``[N]``."""
-        share = np.exp(self.log_joint - np.max(self.log_joint, axis=0))
-        return (self.u @ share) / share.sum(axis=0)
+    def under_logits(self, logit: FloatArray, count: int) -> FloatArray:
+        """Log likelihood of N rollouts' outcomes ``[N]``, under logits of 'detected' ``[M]``."""
+        return self.summed(outcome_log_likelihood(logit, ~self.missed), count)
 
 
-def by_node(outcomes: Outcomes, memory: Memory, *, dt_s: float, count: int) -> ByNode:
-    """Outcomes of N rollouts under a frailty above 0.
+def over_visibility(
+    outcomes: Outcomes, memory: Memory, *, dt_s: float, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Log likelihood of N rollouts' outcomes over all u, and posterior mean of u, ``[N]`` each.
 
-    Nodes are taken from the middle outwards, until they add nothing to any rollout.
+    Under a frailty above 0. Nodes are taken from the middle outwards, until they add nothing to any
+    rollout.
     """
     nodes = VisibilityNodes(memory.frailty)
-    given = _GivenVisibility.of(outcomes, memory, dt_s=dt_s)
+    log_p = _given_visibility(outcomes, memory, dt_s=dt_s)
     middle = nodes.u.size // 2
     found: dict[int, FloatArray] = {}
     largest = np.full(count, -np.inf)
-
-    def is_needed(place: int) -> bool:
-        joint = nodes.log_weight[place] + _summed(outcomes, given.log_p(nodes.u[place]), count)
-        found[place] = joint
-        np.maximum(largest, joint, out=largest)
-        near = abs(nodes.u[place]) < ALWAYS or place == middle
-        return near or bool((joint > largest - NOTHING).any())
-
     for outwards in (range(middle, nodes.u.size), range(middle - 1, -1, -1)):
         for place in outwards:
-            if not is_needed(place):
+            joint = nodes.log_weight[place] + outcomes.summed(log_p(nodes.u[place]), count)
+            found[place] = joint
+            np.maximum(largest, joint, out=largest)
+            near = abs(nodes.u[place]) < ALWAYS or place == middle
+            if not near and not (joint > largest - NOTHING).any():
                 break
     order = sorted(found)
-    return ByNode(nodes.u[order], np.stack([found[place] for place in order]))
+    u, log_joint = nodes.u[order], np.stack([found[place] for place in order])
+    share = np.exp(log_joint - np.max(log_joint, axis=0))
+    return np.asarray(log_sum_exp(log_joint, axis=0)), (u @ share) / share.sum(axis=0)
 
 
-@dataclass(frozen=True)
-class _GivenVisibility:
-    """Outcomes' probabilities given u.
+def _given_visibility(
+    outcomes: Outcomes, memory: Memory, *, dt_s: float
+) -> Callable[[float], FloatArray]:
+    """Log probabilities ``[M]`` of outcomes given u.
 
     Phi(quantile + slope u); times 1 - rho where an outcome came before, plus rho where it was the
     same.
     """
+    sign = np.where(outcomes.missed, 1.0, -1.0)
+    rho = float(persistence(dt_s, memory.tau_s))
+    is_again = (sign * outcomes.last < 0.0) & (rho > 0.0)
+    again, fresh = np.flatnonzero(is_again), np.flatnonzero(~is_again)
+    log_fresh = np.where(outcomes.last == 0.0, 0.0, math.log1p(-rho))[~is_again]
+    quantile = sign * miss_quantile(outcomes.logit) * math.sqrt(1.0 + memory.frailty**2)
+    slope = sign * memory.frailty
 
-    quantile: FloatArray
-    slope: FloatArray
-    again: IntArray
-    fresh: IntArray
-    log_fresh: FloatArray
-    rho: float
-
-    @staticmethod
-    def of(outcomes: Outcomes, memory: Memory, *, dt_s: float) -> "_GivenVisibility":
-        """Of M outcomes."""
-        sign = np.where(outcomes.missed, 1.0, -1.0)
-        rho = float(persistence(dt_s, memory.tau_s))
-        again = (sign * outcomes.last < 0.0) & (rho > 0.0)
-        after_any = np.where(outcomes.last == 0.0, 0.0, math.log1p(-rho))
-        return _GivenVisibility(
-            quantile=sign * miss_quantile(outcomes.logit) * math.sqrt(1.0 + memory.frailty**2),
-            slope=sign * memory.frailty,
-            again=np.flatnonzero(again),
-            fresh=np.flatnonzero(~again),
-            log_fresh=after_any[~again],
-            rho=rho,
-        )
-
-    def log_p(self, u: float) -> FloatArray:
-        """Log probabilities ``[M]``."""
-        moved = self.quantile + self.slope * u
-        if self.rho == 0.0:
+    def log_probability(u: float) -> FloatArray:
+        moved = quantile + slope * u
+        if rho == 0.0:
             return log_ndtr(moved)
         log_p = np.empty(moved.size)
-        log_p[self.fresh] = log_ndtr(moved[self.fresh]) + self.log_fresh
-        log_p[self.again] = np.log(self.rho + (1.0 - self.rho) * ndtr(moved[self.again]))
+        log_p[fresh] = log_ndtr(moved[fresh]) + log_fresh
+        log_p[again] = np.log(rho + (1.0 - rho) * ndtr(moved[again]))
         return log_p
 
-
-def _summed(outcomes: Outcomes, log_p: FloatArray, count: int) -> FloatArray:
-    return np.bincount(outcomes.rollout, weights=log_p, minlength=count).astype(np.float64)
+    return log_probability
 
 
 @dataclass(frozen=True)
@@ -182,7 +138,7 @@ class Given:
 
 
 @dataclass(frozen=True)
-class Drawing:
+class FittedAround:
     """A fitted proposal: coefficients ``[B]``, around a model."""
 
     around: Given
@@ -191,26 +147,25 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What rollouts are drawn on, and what is looked at.
+    """What rollouts are sampled on, and what is looked at.
 
     Attributes:
         problem: With the last outcome as a signal, and an absorbing violation.
         pem: The model of single outcomes.
         own_features: What the scenario itself offers to look at.
-        asked: How misses may hang together, each.
+        memories: How misses may hang together, each.
         explored: The models that a family of exploration proposals is around, each.
-        forgetful: Whether no memory that is asked about has a memory time. Outcomes to which the
-            scenario does not react then change nothing that comes after, neither states nor what
-            proposals do: summed over them a likelihood is that of the other outcomes. They are
-            left out of all, unless the exploration proposals' rollouts show that the scenario does
-            react.
+        forgetful: Whether none of the memories has a memory time. Outcomes to which the scenario
+            does not react then change nothing that comes after, neither states nor what proposals
+            do: summed over them a likelihood is that of the other outcomes. They are left out of
+            all, unless the exploration proposals' rollouts show that the scenario does react.
         basis: Of the proposals; chosen from the exploration proposals' rollouts.
     """
 
     problem: Problem
     pem: Pem
     own_features: StateFeatures
-    asked: tuple[Memory, ...]
+    memories: tuple[Memory, ...]
     explored: tuple[Given, ...]
     forgetful: bool = False
     basis: PolynomialBasis | None = None
@@ -221,9 +176,10 @@ class Scenario:
         return self.problem.simulator.states - 1
 
     @property
-    def defensive(self) -> float:
-        """Share of the model in every outcome's probability."""
-        return share_for(drawn_steps=DEFENSIVE_STEPS, steps=self.steps)
+    def known_basis(self) -> PolynomialBasis:
+        """That of the proposals, once it is chosen."""
+        assert self.basis is not None  # noqa: S101  from the exploration proposals' rollouts
+        return self.basis
 
     def model(self, given: Given) -> ComposedPem:
         """The error model given an obstacle's visibility, and the outcome before."""
@@ -231,6 +187,10 @@ class Scenario:
         if given.memory.frailty > 0.0:
             properties = (GivenVisibility(given.memory.frailty, given.u), *properties)
         return ComposedPem(self.pem, properties)
+
+    def model_logit(self, outcomes: Outcomes, given: Given) -> FloatArray:
+        """Logit of 'detected' under that model, ``[M]``."""
+        return self.model(given).after(outcomes.logit, outcomes.last[:, None])
 
     def ignores(self, given: Given) -> bool:
         """Whether proposals around a model leave it only where the scenario itself reacts."""
@@ -245,64 +205,50 @@ class Scenario:
     def _last_outcome(self, given: Given) -> LastOutcome:
         return LastOutcome(given.memory.tau_s, self.problem.simulator.dt_s)
 
-    def proposal(self, drawing: Drawing) -> OffsetLogisticProposal:
-        """What rollouts are drawn from."""
-        assert self.basis is not None  # noqa: S101  chosen from the exploration proposals' rollouts
-        return OffsetLogisticProposal(
-            features=self.features(drawing.around),
-            basis=self.basis,
-            coefficients=drawing.coefficients,
+    def sampled_by_exploration(self, each: int, seeds: np.random.SeedSequence) -> ScoredRollouts:
+        """``each`` rollouts from every family of exploration proposals."""
+        found: list[ScoredRollouts] = []
+        for given, child in zip(self.explored, seeds.spawn(len(self.explored)), strict=True):
+            exploration = ExplorationFamily.over(self.steps).drawn(
+                each,
+                np.random.default_rng(child.spawn(1)[0]),
+                features=self.features(given),
+                violated=VIOLATED,
+            )
+            found.append(self._sampled(exploration, given, each, child))
+        return ScoredRollouts.concatenate(found)
+
+    def sampled_by_fit(
+        self, fit: FittedAround, count: int, seeds: np.random.SeedSequence
+    ) -> ScoredRollouts:
+        """``count`` rollouts from a fitted proposal."""
+        proposal = OffsetLogisticProposal(
+            features=self.features(fit.around),
+            basis=self.known_basis,
+            coefficients=fit.coefficients,
             violated=VIOLATED,
-            defensive=self.defensive,
+            defensive=defence(self.steps),
         )
+        return self._sampled(proposal, fit.around, count, seeds)
 
-
-def sampled_by_exploration(
-    scenario: Scenario, *, each: int, seeds: np.random.SeedSequence
-) -> ScoredRollouts:
-    """``each`` rollouts from every family of exploration proposals."""
-    return ScoredRollouts.concatenate(list(_by_family(scenario, each, seeds)))
-
-
-def _by_family(
-    scenario: Scenario, each: int, seeds: np.random.SeedSequence
-) -> Iterator[ScoredRollouts]:
-    families = len(scenario.explored)
-    for given, child in zip(scenario.explored, seeds.spawn(families), strict=True):
-        exploration = ExplorationFamily.over(scenario.steps).drawn(
-            each,
-            np.random.default_rng(child.spawn(1)[0]),
-            features=scenario.features(given),
-            violated=VIOLATED,
-        )
-        yield _sampled(scenario, exploration, given, each, child)
-
-
-def sampled_by_fit(
-    scenario: Scenario, drawing: Drawing, *, count: int, seeds: np.random.SeedSequence
-) -> ScoredRollouts:
-    """``count`` rollouts from a fitted proposal."""
-    return _sampled(scenario, scenario.proposal(drawing), drawing.around, count, seeds)
-
-
-def _sampled(
-    scenario: Scenario, proposal: Proposal, given: Given, count: int, seeds: np.random.SeedSequence
-) -> ScoredRollouts:
-    problem = replace(scenario.problem, pem=scenario.model(given))
-    return sample(problem, proposal=proposal, count=count, seeds=seeds)
+    def _sampled(
+        self, proposal: Proposal, given: Given, count: int, seeds: np.random.SeedSequence
+    ) -> ScoredRollouts:
+        problem = replace(self.problem, pem=self.model(given))
+        return sample(problem, proposal=proposal, count=count, seeds=seeds)
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Sampled:
     """N rollouts and K proposals, beside exploration proposals.
 
     Attributes:
         outcomes: Of all rollouts.
-        component: What each was drawn from, ``[N]``: 0 is the exploration proposals' families, k
+        component: What each was sampled from, ``[N]``: 0 is the exploration proposals' families, k
             the k-th proposal.
         log_q: Log likelihood under the exploration proposals and under each proposal, ``[N, 1 +
             K]`` [nats].
-        log_p: The same under the error model with each memory that was asked for, ``[N, A]``.
+        log_p: The same under the error model with each memory, ``[N, A]``.
         visibility: Posterior mean of the obstacle's visibility u, ``[N, A]``.
         robustness: ``[N]``.
         violated: ``[N]``.
@@ -327,34 +273,30 @@ class Drawn:
 
 
 def first_basis(scenario: Scenario, scored: ScoredRollouts) -> PolynomialBasis:
-    """Monomials of the features, standardised by the first rollouts; constants keep spread 1."""
+    """Monomials of the features, standardised by the first rollouts."""
     values = _values(scenario, *_counting(scenario, scored.rollouts))
-    spread = np.std(values, axis=0)
-    return PolynomialBasis(
-        mean=np.mean(values, axis=0), spread=np.where(spread > 0.0, spread, 1.0), degree=DEGREE
-    )
+    return PolynomialBasis.standardised_by(values, degree=DEGREE)
 
 
 def described(
-    scenario: Scenario, scored: ScoredRollouts, drawings: Sequence[Drawing], *, component: int
-) -> Drawn:
-    """Rollouts drawn from one component, with their likelihood under all."""
-    assert scenario.basis is not None  # noqa: S101  chosen from the exploration proposals' rollouts
-    rollouts = scored.rollouts
+    scenario: Scenario, scored: ScoredRollouts, fits: Sequence[FittedAround], *, component: int
+) -> Sampled:
+    """Rollouts sampled from one component, with their likelihood under all."""
+    rollouts, count = scored.rollouts, scored.rollouts.count
     states, counting = _counting(scenario, rollouts)
     salient = scenario.problem.simulator.salient(states.signals)
     own_logit, last = scenario.pem.logit(salient[..., :-1]), salient[..., -1]
     matters = np.broadcast_to(scenario.own_features.reacts(states), counting.shape)
     outcomes = Outcomes(
         rollout=np.nonzero(counting)[0].astype(np.int64),
-        basis=scenario.basis.evaluate(_values(scenario, states, counting)),
+        basis=scenario.known_basis.evaluate(_values(scenario, states, counting)),
         missed=~rollouts.detected[counting],
         last=last[counting],
         logit=own_logit[counting],
         matters=matters[counting],
     )
     by_family = [
-        under_logits(outcomes, model_logit(scenario, outcomes, given), count=rollouts.count)
+        outcomes.under_logits(scenario.model_logit(outcomes, given), count)
         + ExplorationFamily.over(scenario.steps).log_ratio(
             replace(rollouts, pem_logit=scenario.model(given).after(own_logit, last[..., None])),
             counting & matters if scenario.ignores(given) else counting,
@@ -362,38 +304,45 @@ def described(
         for given in scenario.explored
     ]
     by_exploration = log_sum_exp(np.asarray(by_family), axis=0) - np.log(len(by_family))
-    by_fits = [_log_q(scenario, outcomes, drawing, rollouts.count) for drawing in drawings]
-    likely = [_likely(scenario, outcomes, memory, rollouts.count) for memory in scenario.asked]
-    return Drawn(
+    by_fits = [_log_q(scenario, outcomes, fit, count) for fit in fits]
+    log_p: list[FloatArray] = []
+    visibility: list[FloatArray] = []
+    for memory in scenario.memories:
+        if memory.frailty == 0.0:
+            logit = scenario.model_logit(outcomes, Given(memory))
+            log_p.append(outcomes.under_logits(logit, count))
+            visibility.append(np.zeros(count))
+        else:
+            dt_s = scenario.problem.simulator.dt_s
+            of_all, mean = over_visibility(outcomes, memory, dt_s=dt_s, count=count)
+            log_p.append(of_all)
+            visibility.append(mean)
+    return Sampled(
         outcomes=outcomes,
-        component=np.full(rollouts.count, component, dtype=np.int64),
+        component=np.full(count, component, dtype=np.int64),
         log_q=np.stack([by_exploration, *by_fits], axis=1),
-        log_p=np.stack([log_p for log_p, _ in likely], axis=1),
-        visibility=np.stack([mean for _, mean in likely], axis=1),
+        log_p=np.stack(log_p, axis=1),
+        visibility=np.stack(visibility, axis=1),
         robustness=scored.robustness,
         violated=scored.violated,
     )
 
 
-def with_drawing(
-    scenario: Scenario, drawn: Drawn, drawing: Drawing, *, optimism: FloatArray
-) -> Drawn:
-    """The rollouts with their likelihood under one more proposal.
+def with_fit(
+    scenario: Scenario, sampled: Sampled, fit: FittedAround, *, optimism: FloatArray
+) -> Sampled:
+    """The rollouts with their likelihood under one more proposal, which was fitted to them.
 
-    Args:
-        scenario: What they were drawn on.
-        drawn: N rollouts.
-        drawing: Fitted to them.
-        optimism: By how much it overstates their log likelihood for that reason, ``[N]``.
+    ``optimism`` is by how much it overstates their log likelihood for that reason, ``[N]``.
     """
-    log_q = _log_q(scenario, drawn.outcomes, drawing, drawn.count) - optimism
-    return replace(drawn, log_q=np.column_stack([drawn.log_q, log_q]))
+    log_q = _log_q(scenario, sampled.outcomes, fit, sampled.count) - optimism
+    return replace(sampled, log_q=np.column_stack([sampled.log_q, log_q]))
 
 
-def joined(before: Drawn, fresh: Drawn) -> Drawn:
+def joined(before: Sampled, fresh: Sampled) -> Sampled:
     """Both, of the same proposals."""
     shifted = replace(fresh.outcomes, rollout=fresh.outcomes.rollout + before.count)
-    return Drawn(
+    return Sampled(
         outcomes=Outcomes.concatenate([before.outcomes, shifted]),
         component=np.concatenate([before.component, fresh.component]),
         log_q=np.concatenate([before.log_q, fresh.log_q]),
@@ -404,38 +353,33 @@ def joined(before: Drawn, fresh: Drawn) -> Drawn:
     )
 
 
-def model_logit(scenario: Scenario, outcomes: Outcomes, given: Given) -> FloatArray:
-    """Logit of 'detected' under a model given the obstacle's visibility, ``[M]``."""
-    return scenario.model(given).after(outcomes.logit, outcomes.last[:, None])
-
-
-def seen_at(scenario: Scenario, drawn: Drawn, place: int, *, u: float = 0.0) -> Pool:
-    """The rollouts as draws for one memory, with the decisions that its proposals make.
+def seen_at(scenario: Scenario, sampled: Sampled, place: int, *, u: float = 0.0) -> Pool:
+    """The rollouts as samples for one memory, with the decisions that its proposals make.
 
     Args:
-        scenario: What they were drawn on.
-        drawn: N rollouts.
-        place: Of the memory among those asked for.
+        scenario: What they were sampled on.
+        sampled: N rollouts.
+        place: Of the memory among all.
         u: The visibility that the proposals are around.
     """
-    given = Given(scenario.asked[place], u)
-    outcomes = drawn.outcomes
+    given = Given(scenario.memories[place], u)
+    outcomes = sampled.outcomes
     decisions = Decisions(
         rollout=outcomes.rollout,
         basis=outcomes.basis,
         missed=outcomes.missed,
-        offset=-model_logit(scenario, outcomes, given),
+        offset=-scenario.model_logit(outcomes, given),
     )
     if scenario.ignores(given):
         decisions = decisions.take(outcomes.matters)
-    log_p = drawn.log_p[:, place]
+    log_p = sampled.log_p[:, place]
     return Pool(
         decisions=decisions,
-        component=drawn.component,
+        component=sampled.component,
         proposals=(),
-        log_ratio=drawn.log_q - log_p[:, None],
-        robustness=drawn.robustness,
-        violated=drawn.violated,
+        log_ratio=sampled.log_q - log_p[:, None],
+        robustness=sampled.robustness,
+        violated=sampled.violated,
         log_p=log_p,
     )
 
@@ -464,33 +408,22 @@ def _counting(scenario: Scenario, rollouts: RolloutBatch) -> tuple[StateBatch, B
     states, shape = rollouts.decision_states(), rollouts.detected.shape
     violated = rollouts.memory.get(VIOLATED)
     counting = np.ones(shape, dtype=np.bool_) if violated is None else ~violated[:, : shape[1]]
-    return states, counting & scenario.own_features.reacts(
-        states
-    ) if scenario.forgetful else counting
+    if scenario.forgetful:
+        counting = counting & scenario.own_features.reacts(states)
+    return states, counting
 
 
 def _values(scenario: Scenario, states: StateBatch, counting: BoolArray) -> FloatArray:
     """What proposals look at where outcomes count, ``[M, D]``."""
-    values = scenario.features(Given(scenario.asked[0])).values(states)
+    values = scenario.features(Given(scenario.memories[0])).values(states)
     return np.broadcast_to(values, (*counting.shape, values.shape[-1]))[counting]
 
 
-def _likely(
-    scenario: Scenario, outcomes: Outcomes, memory: Memory, count: int
-) -> tuple[FloatArray, FloatArray]:
-    """Log likelihood with a memory, and posterior mean of the obstacle's visibility, ``[N]``."""
-    if memory.frailty == 0.0:
-        logit = model_logit(scenario, outcomes, Given(memory))
-        return under_logits(outcomes, logit, count=count), np.zeros(count)
-    found = by_node(outcomes, memory, dt_s=scenario.problem.simulator.dt_s, count=count)
-    return found.log_likelihood, found.mean
-
-
-def _log_q(scenario: Scenario, outcomes: Outcomes, drawing: Drawing, count: int) -> FloatArray:
+def _log_q(scenario: Scenario, outcomes: Outcomes, fit: FittedAround, count: int) -> FloatArray:
     """Log likelihood of N rollouts' outcomes under a fitted proposal, ``[N]``."""
-    under_pem = model_logit(scenario, outcomes, drawing.around)
-    raised = shift(outcomes.basis, drawing.coefficients)
-    logit = defended(under_pem - raised, under_pem, share=scenario.defensive)
-    if scenario.ignores(drawing.around):
+    under_pem = scenario.model_logit(outcomes, fit.around)
+    raised = logistic.shift(outcomes.basis, fit.coefficients)
+    logit = logistic.defended(under_pem - raised, under_pem, share=defence(scenario.steps))
+    if scenario.ignores(fit.around):
         logit = np.where(outcomes.matters, logit, under_pem)
-    return under_logits(outcomes, logit, count=count)
+    return outcomes.under_logits(logit, count)

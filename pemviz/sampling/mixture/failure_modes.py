@@ -60,15 +60,11 @@ class WeightedRollouts:
         """Number of rollouts E."""
         return self.weight.size
 
-    def cross_entropy(self, coefficients: FloatArray) -> FloatArray:
-        """Minus the log likelihood of each decision under a proposal's ``[B]``, ``[M]`` [nats]."""
-        return LogisticFit(coefficients, self.outcomes, np.zeros_like(coefficients)).cross_entropy
-
     def resampled(self, count: int) -> "WeightedRollouts":
         """About ``count`` rollouts of equal weight, drawn systematically; all if they are fewer."""
         if self.count <= count:
             return self
-        times = times_drawn(self.weight, count)
+        times = times_sampled(self.weight, count)
         kept = times[self.rollout] > 0
         number = np.cumsum(times > 0) - 1
         weight = times[times > 0] * (np.cumsum(self.weight)[-1] / count)
@@ -106,25 +102,26 @@ class FailureModes:
     def log_joint(
         self, rollouts: WeightedRollouts, cross_entropies: Sequence[FloatArray] | None = None
     ) -> FloatArray:
-        """Log of share times likelihood of each rollout under each proposal, ``[E, C]``.
+        """Log of share times likelihood of each of E rollouts under each proposal, ``[E, C]``.
 
-        Args:
-            rollouts: E.
-            cross_entropies: Of their decisions under each proposal, ``[M]``, where they are known.
+        ``cross_entropies`` are those of their decisions under each, ``[M]``, where they are known.
         """
-        known = cross_entropies or [rollouts.cross_entropy(one) for one in self.coefficients]
-        columns = [_log_likelihood(rollouts, *one) for one in zip(known, self.means, strict=True)]
+        known = cross_entropies or [
+            LogisticFit(one, rollouts.outcomes, np.zeros_like(one)).cross_entropy
+            for one in self.coefficients
+        ]
+        columns: list[FloatArray] = []
+        for entropy, means in zip(known, self.means, strict=True):
+            found = -np.bincount(rollouts.rollout, weights=entropy, minlength=rollouts.count)
+            if means is not None and rollouts.latents is not None:
+                found = found + means.log_ratio(rollouts.latents)
+            columns.append(found.astype(np.float64))
         return np.stack(columns, axis=1) + np.log(self.share)
 
     def responsibilities(
         self, rollouts: WeightedRollouts, cross_entropies: Sequence[FloatArray] | None = None
     ) -> FloatArray:
-        """How likely each rollout is to have come from each proposal, ``[E, C]``.
-
-        Args:
-            rollouts: E.
-            cross_entropies: As :meth:`log_joint` takes them.
-        """
+        """How likely each rollout is to have come from each proposal, ``[E, C]``."""
         joint = self.log_joint(rollouts, cross_entropies)
         return np.exp(joint - np.asarray(log_sum_exp(joint, axis=1))[:, None])
 
@@ -154,31 +151,22 @@ def failure_modes_of(
     ridges = ridge, np.empty(0) if noise_ridge is None else noise_ridge
     if _scatter(rollouts, *modes.each[0], rollouts.weight, ridges)[0] < least_scatter:
         return modes
-    few = rollouts.resampled(SAMPLE)
+    few, size = rollouts.resampled(SAMPLE), ridge.size
+    if few.latents is not None:
+        size += few.latents.start.shape[1] + few.latents.noise.shape[1] * ridges[1].size
+    price *= 0.5 * size * float(np.log(max(few.weight.sum(), np.e)))
+
+    def likelihood(modes: FailureModes) -> float:
+        return float(few.weight @ np.asarray(log_sum_exp(modes.log_joint(few), axis=1)))
+
     while modes.share.size < MOST_MODES:
         tried = _split(few, modes, ridges, least_scatter)
-        if tried is None or _gain(few, modes, tried) <= price * _price(few, ridges):
+        if tried is None or likelihood(tried) - likelihood(modes) <= price:
             break
         modes = tried
     order = np.argsort(-modes.share, kind="stable")
     ordered = tuple(modes.means[place] for place in order)
     return FailureModes(modes.coefficients[order], modes.share[order], ordered)
-
-
-def _price(rollouts: WeightedRollouts, ridges: Ridges) -> float:
-    """What one more proposal costs, by the Bayesian information criterion [nats]."""
-    latents, size = rollouts.latents, ridges[0].size
-    if latents is not None:
-        size += latents.start.shape[1] + latents.noise.shape[1] * ridges[1].size
-    return 0.5 * size * float(np.log(max(rollouts.weight.sum(), np.e)))
-
-
-def _gain(rollouts: WeightedRollouts, before: FailureModes, after: FailureModes) -> float:
-    totals = [
-        float(rollouts.weight @ np.asarray(log_sum_exp(modes.log_joint(rollouts), axis=1)))
-        for modes in (before, after)
-    ]
-    return totals[1] - totals[0]
 
 
 def _split(
@@ -208,21 +196,14 @@ def _split(
         fits = [
             fit.adapted(weight[rollouts.rollout]) for fit, weight in zip(fits, weights, strict=True)
         ]
-        means = tuple(
-            _next_means(one, rollouts, weight, ridges[1])
-            for one, weight in zip(means, weights, strict=True)
-        )
+        if rollouts.latents is not None:
+            means = tuple(
+                None if one is None else next_round(one, rollouts.latents, weight, ridge=ridges[1])
+                for one, weight in zip(means, weights, strict=True)
+            )
         tried = FailureModes(np.stack([f.coefficients for f in fits]), share / share.sum(), means)
         shares = tried.responsibilities(rollouts, [fit.cross_entropy for fit in fits])
     return tried
-
-
-def _next_means(
-    means: LatentMeans | None, rollouts: WeightedRollouts, weight: FloatArray, ridge: FloatArray
-) -> LatentMeans | None:
-    if means is None or rollouts.latents is None:
-        return None
-    return next_round(means, rollouts.latents, weight, ridge=ridge)
 
 
 def _scatter(
@@ -269,23 +250,14 @@ def _cut(place: FloatArray, weight: FloatArray) -> float:
     return float(0.5 * (ordered[best] + ordered[best + 1]))
 
 
-def _log_likelihood(
-    rollouts: WeightedRollouts, cross_entropy: FloatArray, means: LatentMeans | None
-) -> FloatArray:
-    found = -np.bincount(rollouts.rollout, weights=cross_entropy, minlength=rollouts.count)
-    if means is not None and rollouts.latents is not None:
-        found = found + means.log_ratio(rollouts.latents)
-    return found.astype(np.float64)
-
-
-def shares_of_draws(share: FloatArray) -> Sequence[float]:
+def shares_of_rollouts(share: FloatArray) -> Sequence[float]:
     """How rollouts are divided among ways ``[C]``: by share, none left with next to nothing."""
     least = 0.5 / share.size
     raised = np.maximum(share, least)
     return [float(one) for one in raised / raised.sum()]
 
 
-def times_drawn(weight: FloatArray, count: int) -> IntArray:
+def times_sampled(weight: FloatArray, count: int) -> IntArray:
     """How often each of weighted rollouts ``[N]`` is among ``count`` drawn in even steps."""
     edges = np.cumsum(weight)
     places = (np.arange(count) + 0.5) / count * edges[-1]
@@ -299,4 +271,4 @@ def at_most(weight: FloatArray, most: int) -> FloatArray:
     """
     if np.count_nonzero(weight) <= most:
         return weight
-    return times_drawn(weight, most) * (weight.sum() / most)
+    return times_sampled(weight, most) * (weight.sum() / most)

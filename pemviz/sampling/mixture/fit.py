@@ -31,11 +31,10 @@ from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_ratios
 from pemviz.sampling.mixture.failure_modes import (
     SAMPLE,
-    FailureModes,
     WeightedRollouts,
     at_most,
     failure_modes_of,
-    shares_of_draws,
+    shares_of_rollouts,
 )
 
 NEGLIGIBLE_SHARE = 1e-4
@@ -142,48 +141,94 @@ class Elites:
         return int(self.chosen.sum())
 
 
-def fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
+def next_proposals(
+    pool: Pool,
+    basis: PolynomialBasis,
+    settings: FitSettings,
+    *,
+    defensive: float,
+    explores: bool,
+    for_final: bool,
+) -> tuple[Fit, ...]:
+    """With their shares of the rollouts that do not explore, the main proposals first.
+
+    Rules that nothing has broken yet, beside others that something has, are searched for like
+    hidden failure modes: a share of the rollouts goes towards them, and none of the final batch.
+
+    Args:
+        pool: What is learned from.
+        basis: Monomials.
+        settings: How.
+        defensive: Share of the error model in every outcome's probability.
+        explores: Whether the stage is one of the first.
+        for_final: Whether the final batch is sampled from them.
+    """
+    pools = pool.each_rule()
+    met = [one for one in pools if one.violated.any()] or pools
+    main = [
+        replace(fit, share=fit.share / len(met))
+        for one in met
+        for fit in _fit_to_failures(one, basis, settings)
+    ]
+    least_share = 0.0 if explores else RELEVANT_SHARE
+    hidden = [
+        fit
+        for one in met
+        for fit in _fit_to_hidden_modes(
+            one, basis, settings, main=main, defensive=defensive, least_share=least_share
+        )
+    ]
+    towards: list[Fit] = []
+    if not for_final and len(met) < len(pools):
+        unmet = [one for one in pools if not one.violated.any()]
+        towards = [fit for one in unmet for fit in _fit_to_failures(one, basis, settings)]
+    if explores:
+        towards += [fit for one in pools for fit in _fit_to_level(one, basis, settings)]
+    blind = [fit for one in met for fit in _fit_blindly(one, basis, settings)]
+    exploring = [fits for fits in (hidden, blind, towards) if fits]
+    rest = 1.0 - EXPLORING_SHARE * len(exploring)
+    return (
+        *(replace(fit, share=rest * fit.share) for fit in main),
+        *(replace(f, share=EXPLORING_SHARE / len(fits)) for fits in exploring for f in fits),
+    )
+
+
+def _fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:
     """The proposals nearest to the violating rollouts' distribution under the error model.
 
     One for each failure mode that the rollouts tell apart, the largest share first.
     """
-    elites, exponent = _failing(pool, settings)
-    weight = weights_of(pool, elites, exponent=exponent)
+    elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
+    weight, exponent = smoothed(pool, elites, settings)
     first = fitted(pool, basis, elites, weight, settings)
-    learned = learned_from(pool, weight)
-    ridge = ridge_by_degree(basis, settings.ridge, varied=pool.varied)
+    learned, log_weight = _learned_from(pool, weight), pool.log_weight[weight > 0.0]
     modes = failure_modes_of(
         learned,
         first.coefficients,
         means=first.means,
-        ridge=ridge,
-        noise_ridge=noise_ridge(basis, settings),
+        ridge=_ridge(basis, settings, varied=pool.varied),
+        noise_ridge=_noise_ridge(basis, settings),
     )
     if modes.share.size == 1:
         return (first,)
-    parts = np.zeros((modes.share.size, pool.count))
-    parts[:, weight > 0.0] = _parts(
-        modes, learned, pool.log_weight[weight > 0.0], exponent, settings
-    )
-    return tuple(
-        replace(fitted(pool, basis, elites, part, settings, start=start), share=share)
-        for part, start, share in zip(
-            parts, modes.coefficients, shares_of_draws(modes.share), strict=True
-        )
-    )
+    fits: list[Fit] = []
+    responsibilities = modes.responsibilities(learned).T
+    shares = shares_of_rollouts(modes.share)
+    for own, start, share in zip(responsibilities, modes.coefficients, shares, strict=True):
+        # smoothed anew, for a mode may have few rollouts where all together have many
+        known = log_weight[own > 0.5]
+        if settings.alpha is None and known.size:
+            least = _least_ess(known.size, settings.elites, settings)
+            exponent = min(exponent, smoothing_exponent(known, least_ess=least))
+        log_part = exponent * log_weight + np.log(np.maximum(own, np.finfo(float).tiny))
+        part = np.zeros(pool.count)
+        part[weight > 0.0] = smoothed_weights(log_part, alpha=1.0) * effective_sample_size(log_part)
+        fit = fitted(pool, basis, elites, part, settings, start=start)
+        fits.append(replace(fit, share=share))
+    return fits
 
 
-def _failing(pool: Pool, settings: FitSettings) -> tuple[Elites, float]:
-    """The violating rollouts, and the exponent that their weights are smoothed by."""
-    elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
-    exponent = settings.alpha
-    if exponent is None:
-        aim = min(max(settings.elites, settings.ess_share * elites.count), elites.count / 2)
-        exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=float(aim))
-    return elites, exponent
-
-
-def fit_blindly(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
+def _fit_blindly(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:
     """The same, blind to the state, where steps have noise; else empty.
 
     Where one error decides, the steps that the few first violations had theirs at are all that the
@@ -191,15 +236,15 @@ def fit_blindly(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tu
     """
     if not pool.noisy:
         return ()
-    elites, exponent = _failing(pool, settings)
-    weight = weights_of(pool, elites, exponent=exponent)
+    elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
+    weight, _ = smoothed(pool, elites, settings)
     return (fitted(pool, basis, elites, weight, settings, blind=True),)
 
 
-def fit_to_level(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> tuple[Fit, ...]:
+def _fit_to_level(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:
     """The proposal nearest to what lies at or below a level of robustness above 0.
 
-    The elites count, by their effective sample size, as the share 1 - sigma of the rollouts drawn
+    The elites count, by their effective sample size, as the share 1 - sigma of the rollouts sampled
     so far. Empty where the weights tell the probability of every level down to 0.
     """
     exponent = 1.0 if settings.alpha is None else settings.alpha
@@ -211,17 +256,68 @@ def fit_to_level(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> t
     )
     if elites.threshold <= VIOLATION_THRESHOLD:
         return ()
-    return (fitted(pool, basis, elites, weights_of(pool, elites, exponent=exponent), settings),)
+    return (fitted(pool, basis, elites, _weights(pool, elites, exponent), settings),)
 
 
-def with_exploring(main: Sequence[Fit], *others: Sequence[Fit]) -> tuple[Fit, ...]:
-    """All, with a share of the rollouts for each of the ``others`` that is not empty."""
-    exploring = [fits for fits in others if fits]
-    rest = 1.0 - EXPLORING_SHARE * len(exploring)
-    return (
-        *(replace(fit, share=rest * fit.share) for fit in main),
-        *(replace(f, share=EXPLORING_SHARE / len(fits)) for fits in exploring for f in fits),
+def _fit_to_hidden_modes(
+    pool: Pool,
+    basis: PolynomialBasis,
+    settings: FitSettings,
+    *,
+    main: Sequence[Fit],
+    defensive: float,
+    least_share: float,
+) -> Sequence[Fit]:
+    """A proposal for each failure mode that the ``main`` proposals would hardly sample.
+
+    Modes are told apart by their chains of outcomes, nearly without weights; those that carry less
+    of the estimate than ``least_share`` are left out.
+    """
+    (ratio,) = log_ratios(
+        pool.decisions,
+        [fit.moves for fit in main],
+        count=pool.count,
+        defensive=defensive,
+        rules=pool.rules,
+        under=(pool.rule,),
+        latents=pool.latents,
     )
+    by_main = np.asarray(log_sum_exp(ratio + np.log([fit.share for fit in main]), axis=1))
+    hardly = pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_DRAWN)
+    hidden = Elites(VIOLATION_THRESHOLD, hardly)
+    if hidden.count == 0:
+        return ()
+    log_weight = pool.log_weight[hidden.chosen]
+    even = smoothing_exponent(log_weight, least_ess=EVEN_SHARE * hidden.count)
+    weight = _weights(pool, hidden, even)
+    learned, rollouts = _learned_from(pool, weight), np.flatnonzero(weight > 0.0)
+    few, log_all = learned.resampled(SAMPLE), log_sum(pool.log_weight[pool.violated])
+    ridge, of_noise = _ridge(basis, settings, varied=pool.varied), _noise_ridge(basis, settings)
+    first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
+    means = None
+    if few.latents is not None:
+        means = fit_means(few.latents, few.weight, ridge=of_noise)[0]
+    modes = failure_modes_of(
+        few,
+        first.coefficients,
+        means=means,
+        ridge=ridge,
+        noise_ridge=of_noise,
+        least_scatter=HIDDEN_LEAST_SCATTER,
+        price=HIDDEN_PRICE,
+    )
+    fits: list[Fit] = []
+    for responsibility in modes.responsibilities(learned).T:
+        chosen = np.zeros_like(hidden.chosen)
+        chosen[rollouts[responsibility > 0.5]] = True
+        own, log_weight = Elites(VIOLATION_THRESHOLD, chosen), pool.log_weight[chosen]
+        if not own.count or float(np.exp(log_sum(log_weight) - log_all)) < least_share:
+            continue
+        if effective_sample_size(log_weight) <= KNOWN_ESS:
+            least = _least_ess(own.count, FEW_ELITES, settings)
+            weight = _weights(pool, own, smoothing_exponent(log_weight, least_ess=least))
+            fits.append(fitted(pool, basis, own, weight, settings))
+    return fits
 
 
 def fitted(
@@ -239,18 +335,31 @@ def fitted(
     if start is None:
         known = pool.proposals
         start = known[-1].coefficients if known else np.zeros(len(basis.exponents))
-    times = (BLIND,) if blind else STATE_RIDGES if pool.noisy else (1.0,)
-    tried = [
-        _with_optimism(outcomes, start, penalty, pool, group=group, weight=weight)
-        for penalty in _penalties(basis, settings, times=times, varied=pool.varied)
-    ]
-    found, optimism, _ = max(tried, key=lambda one: one[2])
+    plain = _ridge(basis, settings, varied=pool.varied)
+    of_state = np.array([len(chosen) > 0 for chosen in basis.exponents])
+    tried: list[tuple[float, LogisticFit, FloatArray]] = []
+    for times in (BLIND,) if blind else STATE_RIDGES if pool.noisy else (1.0,):
+        ridge = np.where(of_state, times * plain, plain)
+        fit = fit_offset_logistic(outcomes, ridge=ridge, start=start)
+        optimism = leave_one_out_loss(
+            fit, group=group, count=weight.size, first_order=pool.latents is None
+        )
+        penalised = 0.5 * float(ridge @ fit.coefficients**2)
+        likelihood = penalised - fit.loss * float(outcomes.weight.sum())
+        # of rollouts each left out of the fit
+        tried.append((likelihood - float(weight @ optimism), fit, optimism))
+    _, found, optimism = max(tried, key=lambda one: one[0])
     means = None
     if pool.latents is not None:
-        of_noise = noise_ridge(basis, settings, of_state=BLIND if blind else 1.0)
+        of_noise = _noise_ridge(basis, settings, of_state=BLIND if blind else 1.0)
         latents = pool.latents.where(pool.open_noise)
         means, of_start, first_order = fit_means(latents, weight, ridge=of_noise)
-        optimism = optimism + of_start + first_order * _beyond_first_order(weight)
+        # Where few rollouts carry the fit, of a mean fitted by least squares in which a rollout
+        # has the share h: its residual e is e / (1 - h) without it, so that the square grows by
+        # (2 h - h^2) / (1 - h)^2, not by 2 h
+        share = weight / (weight.sum() + LEVERAGE_RIDGE)
+        beyond_first_order = (1.0 - 0.5 * share) / (1.0 - share) ** 2
+        optimism = optimism + of_start + first_order * beyond_first_order
     return Fit(
         coefficients=found.coefficients,
         optimism=optimism,
@@ -262,16 +371,12 @@ def fitted(
     )
 
 
-def where_learned(pool: Pool, weight: FloatArray) -> BoolArray:
-    """The decisions ``[M]`` of rollouts whose weight ``[N]`` is not 0, until the rule is broken."""
-    kept = weight[pool.decisions.rollout] > 0.0
-    return kept if pool.open is None else kept & pool.open
-
-
 def _outcomes(pool: Pool, weight: FloatArray) -> tuple[WeightedOutcomes, IntArray]:
-    """Those of rollouts whose weight ``[N]`` is not 0, and the rollout of each."""
+    """Those of rollouts whose weight ``[N]`` is not 0, until the rule is broken; of which each."""
     decisions = pool.decisions
-    kept = where_learned(pool, weight)
+    kept = weight[decisions.rollout] > 0.0
+    if pool.open is not None:
+        kept &= pool.open
     group = decisions.rollout[kept]
     outcomes = WeightedOutcomes(
         basis=decisions.basis[kept],
@@ -282,100 +387,45 @@ def _outcomes(pool: Pool, weight: FloatArray) -> tuple[WeightedOutcomes, IntArra
     return outcomes, group
 
 
-def _penalties(
-    basis: PolynomialBasis, settings: FitSettings, *, times: Sequence[float], varied: bool
-) -> list[FloatArray]:
-    """Of outcomes' coefficients, ``[B]`` each: those of the state by so many ``times``."""
-    plain = ridge_by_degree(basis, settings.ridge, varied=varied)
-    of_state = np.array([len(chosen) > 0 for chosen in basis.exponents])
-    return [np.where(of_state, each * plain, plain) for each in times]
+def _learned_from(pool: Pool, weight: FloatArray) -> WeightedRollouts:
+    """Those of the pool's rollouts whose weight ``[N]`` is not 0."""
+    outcomes, group = _outcomes(pool, weight)
+    number = np.cumsum(weight > 0.0) - 1
+    latents = pool.latents
+    if latents is not None:
+        latents = latents.where(pool.open_noise).of(np.flatnonzero(weight > 0.0))
+    rollout = number[group].astype(np.int64)
+    return WeightedRollouts(outcomes, rollout, weight[weight > 0.0], latents)
 
 
-def _with_optimism(
-    outcomes: WeightedOutcomes,
-    start: FloatArray,
-    penalty: FloatArray,
-    pool: Pool,
-    *,
-    group: IntArray,
-    weight: FloatArray,
-) -> tuple[LogisticFit, FloatArray, float]:
-    """A fit, its optimism ``[N]``, and the likelihood of rollouts each left out of it."""
-    found = fit_offset_logistic(outcomes, ridge=penalty, start=start)
-    optimism = leave_one_out_loss(
-        found, group=group, count=weight.size, first_order=pool.latents is None
-    )
-    penalised = 0.5 * float(penalty @ found.coefficients**2)
-    likelihood = penalised - found.loss * float(outcomes.weight.sum())
-    return found, optimism, likelihood - float(weight @ optimism)
+def smoothed(pool: Pool, elites: Elites, settings: FitSettings) -> tuple[FloatArray, float]:
+    """Weights ``[N]`` of the pool's rollouts, and the exponent that they are smoothed by."""
+    exponent = settings.alpha
+    if exponent is None:
+        least = _least_ess(elites.count, settings.elites, settings)
+        exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=least)
+    return _weights(pool, elites, exponent), exponent
 
 
-def _beyond_first_order(weight: FloatArray) -> FloatArray:
-    """What optimism to first order is multiplied by where few rollouts carry the fit, ``[N]``.
-
-    Of a mean fitted by least squares in which a rollout has the share h: its residual e is
-    e / (1 - h) without it, so that the square grows by (2 h - h^2) / (1 - h)^2, not by 2 h.
-    """
-    share = weight / (weight.sum() + LEVERAGE_RIDGE)
-    return (1.0 - 0.5 * share) / (1.0 - share) ** 2
+def _least_ess(count: int, elites: int, settings: FitSettings) -> float:
+    return float(min(max(elites, settings.ess_share * count), count / 2))
 
 
-def weights_of(pool: Pool, elites: Elites, *, exponent: float) -> FloatArray:
+def _weights(pool: Pool, elites: Elites, exponent: float) -> FloatArray:
     """Of the pool's rollouts, ``[N]``; they sum to their effective sample size.
 
     Of very many elites some stand for the others, see :func:`at_most`.
     """
     log_weight = pool.log_weight[elites.chosen]
-    smoothed = smoothed_weights(log_weight, alpha=exponent)
+    smooth = smoothed_weights(log_weight, alpha=exponent)
     weight = np.zeros(pool.count)
-    weight[elites.chosen] = smoothed * effective_sample_size(exponent * log_weight)
+    weight[elites.chosen] = smooth * effective_sample_size(exponent * log_weight)
     weight[weight < NEGLIGIBLE_SHARE * weight.max()] = 0.0
     return at_most(weight, MOST_LEARNED)
 
 
-def learned_from(pool: Pool, weight: FloatArray) -> WeightedRollouts:
-    """Those of the pool's rollouts whose weight ``[N]`` is not 0."""
-    decisions = pool.decisions
-    kept = where_learned(pool, weight)
-    number = np.cumsum(weight > 0.0) - 1
-    rollout = number[decisions.rollout[kept]].astype(np.int64)
-    positive = weight[weight > 0.0]
-    outcomes = WeightedOutcomes(
-        basis=decisions.basis[kept],
-        missed=decisions.missed[kept],
-        offset=decisions.offset[kept],
-        weight=positive[rollout],
-    )
-    latents = pool.latents
-    if latents is not None:
-        latents = latents.where(pool.open_noise).of(np.flatnonzero(weight > 0.0))
-    return WeightedRollouts(outcomes, rollout, positive, latents)
-
-
-def _parts(
-    modes: FailureModes,
-    learned: WeightedRollouts,
-    log_weight: FloatArray,
-    exponent: float,
-    settings: FitSettings,
-) -> FloatArray:
-    """Weights of E rollouts for each of C failure modes: how likely they are its own, ``[C, E]``.
-
-    They are smoothed anew, for a mode may have few rollouts where all together have many.
-    """
-    parts: list[FloatArray] = []
-    for share in modes.responsibilities(learned).T:
-        own = log_weight[share > 0.5]
-        if settings.alpha is None and own.size:
-            aim = min(max(settings.elites, settings.ess_share * own.size), own.size / 2)
-            exponent = min(exponent, smoothing_exponent(own, least_ess=float(aim)))
-        log_part = exponent * log_weight + np.log(np.maximum(share, np.finfo(float).tiny))
-        parts.append(smoothed_weights(log_part, alpha=1.0) * effective_sample_size(log_part))
-    return np.array(parts)
-
-
 def smoothing_exponent(log_weight: FloatArray, *, least_ess: float) -> float:
-    """Largest exponent in [0, 1] that leaves weights ``[M]`` the effective sample size asked."""
+    """Largest exponent in [0, 1] that leaves weights ``[M]`` the wanted effective sample size."""
     relative = log_weight - np.max(log_weight)
 
     def excess(exponent: float) -> float:
@@ -389,7 +439,7 @@ def smoothing_exponent(log_weight: FloatArray, *, least_ess: float) -> float:
     return float(cast(float, brentq(excess, 0.0, 1.0, xtol=1e-6)))
 
 
-def noise_ridge(
+def _noise_ridge(
     basis: PolynomialBasis, settings: FitSettings, *, of_state: float = 1.0
 ) -> FloatArray:
     """Penalties of the coefficients of noise, ``[B']``; those of the state times ``of_state``."""
@@ -405,24 +455,19 @@ def noise_ridge(
     return settings.ridge * np.array(relative)
 
 
-def ridge_by_degree(basis: PolynomialBasis, ridge: float, *, varied: bool) -> FloatArray:
+def _ridge(basis: PolynomialBasis, settings: FitSettings, *, varied: bool) -> FloatArray:
     """Penalties ``[B]``: the constant's a tenth, each degree beyond the first twice as much.
 
-    Rollouts that start at several random values are spread over all D features; the more
-    monomials, the more ways to follow what the few of them that count happened to do, and the
-    farther off lie the others, whose weights then carry the estimate. Penalties of degree k are
-    (D / 3)^(4 + k) times as much there, beyond three features: the exponent was found on encounters
-    with six, against violations that plain simulation had met.
-
-    Args:
-        basis: Monomials.
-        ridge: Penalty of degree 1.
-        varied: Whether rollouts start at several random values.
+    Rollouts that start at several random values, which are ``varied``, are spread over all D
+    features; the more monomials, the more ways to follow what the few of them that count happened
+    to do, and the farther off lie the others, whose weights then carry the estimate. Penalties of
+    degree k are (D / 3)^(4 + k) times as much there, beyond three features: the exponent was found
+    on encounters with six, against violations that plain simulation had met.
     """
     degrees = np.array([len(chosen) for chosen in basis.exponents])
     more = max(1.0, basis.mean.size / FEW_FEATURES) if varied else 1.0
     of_state = 2.0 ** (degrees - 1.0) * more ** (4.0 + degrees)
-    return ridge * np.where(degrees == 0, 0.1, of_state)
+    return settings.ridge * np.where(degrees == 0, 0.1, of_state)
 
 
 def failing_elites(robustness: FloatArray, violated: BoolArray, *, least: int) -> Elites:
@@ -472,146 +517,3 @@ def guided_elites(
     if few.size and level > few[-1]:
         level = max(float(few[-1]), VIOLATION_THRESHOLD)
     return Elites(level, score <= level)
-
-
-def next_proposals(
-    pool: Pool,
-    basis: PolynomialBasis,
-    settings: FitSettings,
-    *,
-    defensive: float,
-    explores: bool,
-    for_final: bool,
-) -> tuple[Fit, ...]:
-    """With their shares of the rollouts that do not explore, the main proposals first.
-
-    Rules that nothing has broken yet, beside others that something has, are searched for like
-    hidden failure modes: a share of the rollouts goes towards them, and none of the final batch.
-
-    Args:
-        pool: What is learned from.
-        basis: Monomials.
-        settings: How.
-        defensive: Share of the error model in every outcome's probability.
-        explores: Whether the stage is one of the first.
-        for_final: Whether the final batch is drawn from them.
-    """
-    pools = pool.each_rule()
-    met = [one for one in pools if one.violated.any()] or pools
-    main = tuple(
-        replace(fit, share=fit.share / len(met))
-        for one in met
-        for fit in fit_to_failures(one, basis, settings)
-    )
-    hidden = [
-        fit
-        for one in met
-        for fit in fit_to_hidden_ways(
-            one,
-            basis,
-            settings,
-            main=main,
-            defensive=defensive,
-            least_share=0.0 if explores else RELEVANT_SHARE,
-        )
-    ]
-    level = [fit for one in pools if explores for fit in fit_to_level(one, basis, settings)]
-    unmet = [] if for_final or len(met) == len(pools) else _towards(pools, basis, settings)
-    blind = [fit for one in met for fit in fit_blindly(one, basis, settings)]
-    return with_exploring(main, hidden, blind, [*unmet, *level])
-
-
-def _towards(pools: Sequence[Pool], basis: PolynomialBasis, settings: FitSettings) -> list[Fit]:
-    """Proposals for the least robust rollouts under rules that nothing has broken."""
-    unmet = [one for one in pools if not one.violated.any()]
-    return [fit for one in unmet for fit in fit_to_failures(one, basis, settings)]
-
-
-def fit_to_hidden_ways(
-    pool: Pool,
-    basis: PolynomialBasis,
-    settings: FitSettings,
-    *,
-    main: Sequence[Fit],
-    defensive: float,
-    least_share: float = 0.0,
-) -> tuple[Fit, ...]:
-    """A proposal for each failure mode that the ``main`` proposals would hardly draw.
-
-    Ways are told apart by their chains of outcomes, nearly without weights.
-
-    Args:
-        pool: What is learned from.
-        basis: Monomials.
-        settings: How.
-        main: The proposals fitted to all violations.
-        defensive: Share of the error model in every outcome's probability.
-        least_share: Ways that carry less of the estimate are left out.
-    """
-    hidden = Elites(VIOLATION_THRESHOLD, _hardly_drawn(pool, main, defensive))
-    if hidden.count == 0:
-        return ()
-    log_weight = pool.log_weight[hidden.chosen]
-    even = smoothing_exponent(log_weight, least_ess=EVEN_SHARE * hidden.count)
-    weight = weights_of(pool, hidden, exponent=even)
-    learned, rollouts = learned_from(pool, weight), np.flatnonzero(weight > 0.0)
-    modes = _told_apart(learned.resampled(SAMPLE), basis, settings, varied=pool.varied)
-    fits: list[Fit] = []
-    for share in modes.responsibilities(learned).T:
-        chosen = np.zeros_like(hidden.chosen)
-        chosen[rollouts[share > 0.5]] = True
-        own = Elites(VIOLATION_THRESHOLD, chosen)
-        if not own.count or _share(pool, chosen) < least_share:
-            continue
-        if effective_sample_size(pool.log_weight[chosen]) <= KNOWN_ESS:
-            aim = min(max(FEW_ELITES, settings.ess_share * own.count), own.count / 2)
-            exponent = smoothing_exponent(pool.log_weight[chosen], least_ess=aim)
-            fits.append(
-                fitted(pool, basis, own, weights_of(pool, own, exponent=exponent), settings)
-            )
-    return tuple(fits)
-
-
-def _told_apart(
-    few: WeightedRollouts, basis: PolynomialBasis, settings: FitSettings, *, varied: bool
-) -> FailureModes:
-    """Failure modes among few rollouts."""
-    ridge, of_noise = (
-        ridge_by_degree(basis, settings.ridge, varied=varied),
-        noise_ridge(basis, settings),
-    )
-    first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
-    means = None
-    if few.latents is not None:
-        means = fit_means(few.latents, few.weight, ridge=of_noise)[0]
-    return failure_modes_of(
-        few,
-        first.coefficients,
-        means=means,
-        ridge=ridge,
-        noise_ridge=of_noise,
-        least_scatter=HIDDEN_LEAST_SCATTER,
-        price=HIDDEN_PRICE,
-    )
-
-
-def _share(pool: Pool, chosen: BoolArray) -> float:
-    """Of the estimate, from the ``chosen`` of the violating rollouts."""
-    return float(np.exp(log_sum(pool.log_weight[chosen]) - log_sum(pool.log_weight[pool.violated])))
-
-
-def _hardly_drawn(pool: Pool, main: Sequence[Fit], defensive: float) -> BoolArray:
-    """Violating rollouts that exploration draws far more often than the main proposals, ``[N]``."""
-    (ratio,) = log_ratios(
-        pool.decisions,
-        [fit.moves for fit in main],
-        count=pool.count,
-        defensive=defensive,
-        rules=pool.rules,
-        under=(pool.rule,),
-        latents=pool.latents,
-    )
-    by_main: FloatArray = np.asarray(
-        log_sum_exp(ratio + np.log([fit.share for fit in main]), axis=1)
-    )
-    return pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_DRAWN)
