@@ -26,14 +26,10 @@ LOW, HIGH = 0.1, 0.9
 
 
 def contributions(log_weight: FloatArray, *, violated: BoolArray) -> FloatArray:
-    """The share ``[N]`` of the estimate that each rollout contributes.
+    """The share ``[N]`` of the estimate that each rollout contributes; 0 of those that hold.
 
-    Args:
-        log_weight: Log importance weights ``[N]`` [nats]; up to a constant that all share.
-        violated: Which rollouts violate, ``[N]``; the others contribute nothing.
-
-    Returns:
-        Shares that sum to 1, or to 0 if nothing violates.
+    Log importance weights ``[N]`` may lack a constant that all share. Shares sum to 1, or to 0 if
+    nothing violates.
     """
     share = np.zeros(violated.shape)
     if violated.any():
@@ -141,15 +137,13 @@ def failures_of(
     return Failures(rollouts, chosen, np.exp(log_weight - log_sum(log_weight)), deciding)
 
 
-def misses_by_distance(
-    failures: Failures, *, edges: Sequence[float], signal: str = "gap"
-) -> tuple[BandMisses, ...]:
-    """Average misses in each band between ``edges`` (ascending), by the signal's value."""
+def misses_by_distance(failures: Failures, *, edges: Sequence[float]) -> tuple[BandMisses, ...]:
+    """Average misses in each band of the gap between ``edges``, ascending."""
     signals = failures.rollouts.decision_states().signals
     every = float(failures.share @ failures.missed.sum(axis=1))
     bands: list[BandMisses] = []
     for low, high in itertools.pairwise(edges):
-        value = signals[signal]
+        value = signals["gap"]
         inside = failures.missed & (value >= low) & (value < high)
         misses = float(failures.share @ inside.sum(axis=1))
         bands.append(BandMisses(low, high, misses, misses / every if every > 0.0 else 0.0))
@@ -247,7 +241,9 @@ def bursts_of(
         turns: Outcomes of a step: a burst is one slot's.
     """
     states = failures.rollouts.decision_states()
-    missed = _missed_alive(failures)
+    missed = ~failures.rollouts.detected
+    if VIOLATED in states.memory:
+        missed &= ~np.asarray(states.memory[VIOLATED], dtype=np.bool_)
     mattering, missed = (slot_after_slot(v, turns=turns) for v in (missed & mattering, missed))
     of_step, sizes, useful = _runs(missed, mattering)
     counted = useful > 0
@@ -273,19 +269,10 @@ def bursts_of(
         frames=weighted_spread(frames, share),
         begins_s=weighted_spread(first % (missed.shape[1] // turns) * dt_s, share),
         begins_gap_m=None if gaps is None else weighted_spread(gaps[rows, first], share),
-        start=_mean_power(share, log_start),
+        start=min(float(np.exp(float(share @ log_start))), 1.0),
         again=float(np.exp(float(share @ log_rest) / further)) if further > 0.0 else None,
-        whole=_mean_power(share, log_rest),
+        whole=min(float(np.exp(float(share @ log_rest))), 1.0),
     )
-
-
-def _missed_alive(failures: Failures) -> BoolArray:
-    """Misses before the violation, ``[M, T-1]``."""
-    rollouts = failures.rollouts
-    memory = rollouts.decision_states().memory
-    if VIOLATED not in memory:
-        return ~rollouts.detected
-    return ~rollouts.detected & ~np.asarray(memory[VIOLATED], dtype=np.bool_)
 
 
 def _runs(missed: BoolArray, useful: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -313,10 +300,6 @@ def slot_after_slot(values: AnyArray, *, turns: int) -> AnyArray:
     by_slot = np.ascontiguousarray(values).reshape(len(values), -1, turns).transpose(0, 2, 1)
     between = np.zeros((*by_slot.shape[:2], 1), dtype=values.dtype)
     return np.concatenate([by_slot, between], axis=2).reshape(len(values), -1)
-
-
-def _mean_power(share: FloatArray, log_values: FloatArray) -> float:
-    return min(float(np.exp(float(share @ log_values))), 1.0)
 
 
 def weighted_spread(values: AnyArray, share: FloatArray) -> Spread:

@@ -22,6 +22,7 @@ from scipy.optimize import brentq
 from scipy.special import polygamma, stdtrit
 
 from pemviz.analysis.band_models import BandOutcomes
+from pemviz.analysis.binomial_plan import MOST_LABELS
 from pemviz.analysis.label_plan import LabelPlan, model_misses
 from pemviz.arrays import FloatArray
 from pemviz.config.ranges import AtLeastZero, Count
@@ -30,7 +31,6 @@ from pemviz.pem.data.support import DISTANCE_EDGES_M
 from pemviz.pem.models.cards import FittedMemory
 
 LEAST_CONTRIBUTION = 0.1
-MOST_LABELS = 10_000_000
 WANTED_FACTOR = 1.2
 MOST_SEQUENCES = 10_000_000
 
@@ -70,7 +70,11 @@ def refit_plan(
     missed = np.stack([model_misses(member, outcomes.salient) for member in members])[:, bands]
     log_missed = np.log(missed)
     moved = log_missed @ outcomes.slopes(own)[bands]
-    contribution = _contributions(log_missed * outcomes.slopes(own)[bands], moved)
+    centred = moved - moved.mean()
+    variance, terms = float(centred @ centred), log_missed * outcomes.slopes(own)[bands]
+    contribution = np.zeros(bands.size)
+    if variance > 0.0:
+        contribution = (terms - terms.mean(axis=0)).T @ centred / variance
     edges = (None, *DISTANCE_EDGES_M, None)
     return tuple(
         RefitBand(
@@ -85,25 +89,16 @@ def refit_plan(
     )
 
 
-def _contributions(terms: FloatArray, total: FloatArray) -> FloatArray:
-    """Share of the variance of ``total [M]`` that each of its terms ``[M, B]`` brings, ``[B]``."""
-    centred = total - total.mean()
-    variance = float(centred @ centred)
-    if variance <= 0.0:
-        return np.zeros(terms.shape[1])
-    return (terms - terms.mean(axis=0)).T @ centred / variance
-
-
 def labels_to_halve(log_missed: FloatArray) -> int:
     """Labels after which log P(missed) ``[M]`` of the refits would spread half as much."""
     variance = float(np.var(log_missed, ddof=1))
     if variance <= 0.0:
         return 0
-    further = misses_worth(variance / 4.0) - misses_worth(variance)
+    further = misses_for(variance / 4.0) - misses_for(variance)
     return min(math.ceil(further / math.exp(float(np.mean(log_missed)))), MOST_LABELS)
 
 
-def misses_worth(variance: float) -> float:
+def misses_for(variance: float) -> float:
     """How many misses leave log P(missed) with this variance: trigamma's inverse."""
 
     def excess(log_misses: float) -> float:

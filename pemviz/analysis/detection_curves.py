@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.pem import Pem
 from pemviz.sampling.state.composed import first_logit
 from pemviz.simulators.latents import begun
@@ -72,10 +72,14 @@ def detection_curves(
     """
     states = initial_states(simulator, gap_m=gap_m)
     pem_logits = np.asarray(first_logit(pem, simulator.salient(states.signals)), dtype=np.float64)
-    probability = _probability(proposal, states, pem_logits)
+
+    def detection(states: StateBatch, pem_logit: FloatArray) -> FloatArray:
+        return np.asarray(expit(proposal.logit(states, pem_logit)), dtype=np.float64)
+
+    probability = detection(states, pem_logits)
     if rollouts is not None and not _needs_gap_alone(simulator, proposal, rollouts):
         probability = mean_near_gaps(
-            _probability(proposal, rollouts.decision_states(), rollouts.pem_logit),
+            detection(rollouts.decision_states(), rollouts.pem_logit),
             rollouts=rollouts,
             gap_m=gap_m,
             rollout_weight=rollout_weight,
@@ -83,10 +87,6 @@ def detection_curves(
     return DetectionCurves(
         gap_m=gap_m, pem=np.asarray(expit(pem_logits), dtype=np.float64), proposal=probability
     )
-
-
-def _probability(proposal: Proposal, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
-    return np.asarray(expit(proposal.logit(states, pem_logit)), dtype=np.float64)
 
 
 def _needs_gap_alone(simulator: Simulator, proposal: Proposal, rollouts: RolloutBatch) -> bool:
@@ -129,12 +129,8 @@ def mean_near_gaps(
         weight = np.ones(rollouts.count)
     spread = np.broadcast_to(weight[:, None], gaps.shape)
     index = np.searchsorted((gap_m[1:] + gap_m[:-1]) / 2, gaps.ravel())
-    total = _sums(index, spread, gap_m.size)
+    total = np.bincount(index, weights=spread.ravel(), minlength=gap_m.size)
+    sums = np.bincount(index, weights=np.ravel(spread * values), minlength=gap_m.size)
     filled = total > 0.0
-    mean = _sums(index, spread * values, gap_m.size)[filled] / total[filled]
+    mean = sums[filled] / total[filled]
     return np.interp(gap_m, gap_m[filled], mean)
-
-
-def _sums(index: AnyArray, weights: AnyArray, size: int) -> FloatArray:
-    totals = np.bincount(index, weights=np.ravel(weights), minlength=size)
-    return np.asarray(totals, dtype=np.float64)

@@ -24,6 +24,7 @@ from pemviz.analysis.causes import (
 from pemviz.analysis.outcome_likelihood import (
     FrailOutcomes,
     IndependentOutcomes,
+    MemoryLikelihood,
     OutcomeLikelihood,
     RememberedOutcomes,
 )
@@ -34,7 +35,7 @@ from pemviz.analysis.sensitivity import (
     mean_sum,
     memory_sensitivity,
 )
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.config.ranges import AtLeastZero, Count, Share
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.folding import Folding
@@ -73,13 +74,7 @@ class SlotErrors:
 def slot_errors(
     failures: Failures, *, folding: Folding, likelihood: OutcomeLikelihood
 ) -> tuple[SlotErrors, ...]:
-    """Errors by slot.
-
-    Args:
-        failures: Weighted violations, unrolled.
-        folding: To the scenario's own steps.
-        likelihood: That of the violations' outcomes.
-    """
+    """Errors by slot of weighted violations as methods know them."""
     by_step = np.clip(failures.share @ np.ascontiguousarray(failures.missed), 0.0, 1.0)
     by_slot = by_step.reshape(-1, folding.turns).T
     every = float(by_slot.sum())
@@ -106,9 +101,8 @@ def slot_errors(
 
 def any_error_by_step(failures: Failures, *, folding: Folding) -> FloatArray:
     """Probability that some slot errs where it may matter, given a violation, ``[T-1]``."""
-    some = np.ascontiguousarray(failures.missed).reshape(
-        -1, _steps(failures, folding), folding.turns
-    )
+    steps = failures.deciding.shape[1] // folding.turns
+    some = np.ascontiguousarray(failures.missed).reshape(-1, steps, folding.turns)
     return np.clip(failures.share @ some.any(axis=2), 0.0, 1.0)
 
 
@@ -121,10 +115,6 @@ def in_steps(chain: Chain, *, folding: Folding) -> Chain:
         missed_steps=tuple(step for step, _ in steps),
         slots=tuple(slots[slot].name for _, slot in steps),
     )
-
-
-def _steps(failures: Failures, folding: Folding) -> int:
-    return failures.deciding.shape[1] // folding.turns
 
 
 @dataclass(frozen=True)
@@ -183,9 +173,22 @@ def explain(
     failures = failures_of(stage.scored, features=features)
     if failures is None or stage.log10_probability is None:
         return None
-    edges = _edges(farthest_m)
+    rollouts = failures.rollouts
+    bands = 0 if farthest_m is None else math.ceil(farthest_m / BAND_WIDTH_M)
+    edges = [BAND_WIDTH_M * band for band in range(bands + 1)]
     log_mu = stage.log10_probability * math.log(10.0)
-    remembered = _remembered(failures, tau_s=tau_s, dt_s=dt_s, system=system)
+    properties = () if system is None else system.properties
+    visibility = property_in(properties, Visibility)
+    remembered: MemoryLikelihood | None = None
+    if system is not None and visibility is not None:
+        remembered = FrailOutcomes.of(rollouts, system=system, visibility=visibility)
+    elif tau_s > 0.0:
+        remembered = RememberedOutcomes.of(rollouts, tau_s=tau_s, dt_s=dt_s)
+    labels = [one.label for one in properties if one.label]
+    memory = None
+    if remembered is not None and remembered.tau_s > 0.0:
+        memory = memory_sensitivity(failures, remembered, log_probability=log_mu, target=target)
+    turns = 1 if folding is None else folding.turns
     explanation = Explanation(
         repetition=stage.repetition,
         stage=stage.stage,
@@ -198,69 +201,21 @@ def explain(
             edges=edges,
             target=target,
             likelihood=remembered,
-            untold=_untold(system),
+            untold=f"not told with {' and '.join(labels)}" if labels else None,
         ),
-        memory=_memory(failures, remembered, log_mu, target),
+        memory=memory,
         bursts=bursts_of(
             failures,
-            mattering=_mattering(failures, features),
+            # where the scenario itself reacts, whatever is remembered as well
+            mattering=own_features(features).reacts(rollouts.decision_states()),
             dt_s=dt_s,
             gap=None if farthest_m is None else "gap",
-            turns=1 if folding is None else folding.turns,
+            turns=turns,
         ),
     )
-    if folding is None or folding.turns == 1:
+    if folding is None or turns == 1:
         return explanation
-    return _by_slot(explanation, failures, likelihood=remembered, folding=folding)
-
-
-def _edges(farthest_m: float | None) -> list[float]:
-    count = 0 if farthest_m is None else math.ceil(farthest_m / BAND_WIDTH_M)
-    return [BAND_WIDTH_M * band for band in range(count + 1)]
-
-
-def _mattering(failures: Failures, features: StateFeatures) -> BoolArray:
-    """Where the scenario itself reacts, whatever is remembered as well, ``[M, T-1]``."""
-    return own_features(features).reacts(failures.rollouts.decision_states())
-
-
-def _memory(
-    failures: Failures,
-    likelihood: RememberedOutcomes | FrailOutcomes | None,
-    log_probability: float,
-    target: float | None,
-) -> MemorySensitivity | None:
-    if likelihood is None or likelihood.tau_s == 0.0:
-        return None
-    return memory_sensitivity(failures, likelihood, log_probability=log_probability, target=target)
-
-
-def _remembered(
-    failures: Failures, *, tau_s: float, dt_s: float, system: ComposedSimulator | None
-) -> RememberedOutcomes | FrailOutcomes | None:
-    visibility = None if system is None else property_in(system.properties, Visibility)
-    if system is not None and visibility is not None:
-        return FrailOutcomes.of(failures, system=system, visibility=visibility)
-    if tau_s == 0.0:
-        return None
-    return RememberedOutcomes.of(failures.rollouts, tau_s=tau_s, dt_s=dt_s)
-
-
-def _untold(system: ComposedSimulator | None) -> str | None:
-    """Why no sensitivity is told; ``None`` where it is."""
-    labels = [one.label for one in (() if system is None else system.properties) if one.label]
-    return f"not told with {' and '.join(labels)}" if labels else None
-
-
-def _by_slot(
-    explanation: Explanation,
-    failures: Failures,
-    *,
-    likelihood: OutcomeLikelihood | None,
-    folding: Folding,
-) -> Explanation:
-    """The explanation in the scenario's own steps, with the slot of each error."""
-    likelihood = likelihood or IndependentOutcomes.of(failures.rollouts)
+    likelihood = remembered or IndependentOutcomes.of(rollouts)
     by_step = any_error_by_step(failures, folding=folding)
     return replace(
         explanation,

@@ -13,7 +13,7 @@ Hassibi 2007): the failure probability is a sum of products of powers, the costs
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,29 +146,23 @@ class _Allocation:
 
     def cheapest(self) -> FloatArray | None:
         """The best ``log_miss``; ``None`` where the lowest does not meet the target."""
-        highest = math.log(LARGEST)
         if self.excess(self.lowest) > 0.0:
             return None
-        every = np.full(self.lowest.size, highest)
+        every = np.full(self.lowest.size, math.log(LARGEST))
         if self.excess(every) <= 0.0:
             return every
-
-        start = best = self._meeting(self.lowest, every)
-        for first in (start, *self._relieved(start)):
-            found = self._improved(first)
-            if self.log_cost(found) < self.log_cost(best):
-                best = found
-        return best
-
-    def _relieved(self, start: FloatArray) -> list[FloatArray]:
-        """Starts that ask nothing of one band, where the others can make up for it."""
-        starts: list[FloatArray] = []
-        for band in range(start.size):
+        start = self._meeting(self.lowest, every)
+        starts = [start]
+        for band in range(start.size):  # ask nothing of one band, where others can make up for it
             low, high = self.lowest.copy(), start.copy()
             low[band] = high[band] = math.log(LARGEST)
             if self.excess(low) < 0.0 < self.excess(high):
                 starts.append(self._meeting(low, high))
-        return starts
+        best = start
+        for found in map(self._improved, starts):
+            if self.log_cost(found) < self.log_cost(best):
+                best = found
+        return best
 
     def _meeting(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """Where the line from ``low``, which meets the target, to ``high`` no longer does."""
@@ -200,30 +194,33 @@ class _Allocation:
 def _cost(band: LabelledBand, confidence: float, power: float | None) -> Callable[[float], float]:
     """Labels by log of what is to be shown, between exact figures on a grid.
 
-    Args:
-        band: What is known.
-        confidence: Of the bound.
-        power: How likely the sample suffices if the detector is as assumed; ``None``: it is to
-            suffice if none of it is missed.
+    They suffice with ``power`` if the detector is as assumed; ``None``: if none of them is missed.
     """
     lowest = SMALLEST if power is None else max(NEAREST * band.assumed, SMALLEST)
     places = np.linspace(min(math.log(lowest), -1e-6), math.log(LARGEST), GRID)
-    labels = [_labels(band, math.exp(place), confidence, power) for place in places.tolist()]
+    obstacles, missed = band.obstacles, band.missed
+    labels: list[float] = []
+    for bound in map(math.exp, places.tolist()):
+        if power is None:
+            needed = labels_if_none_missed(
+                obstacles=obstacles, missed=missed, bound=bound, confidence=confidence
+            )
+        else:
+            found = labels_needed(
+                obstacles=obstacles,
+                missed=missed,
+                bound=bound,
+                assumed=band.assumed,
+                confidence=confidence,
+                power=power,
+            )
+            needed = MOST_LABELS if found is None else found.labels
+        labels.append(float(needed))
 
     def cost(log_miss: float) -> float:
         return float(np.interp(log_miss, places, labels))
 
     return cost
-
-
-def _labels(band: LabelledBand, bound: float, confidence: float, power: float | None) -> float:
-    known: Mapping[str, int] = {"obstacles": band.obstacles, "missed": band.missed}
-    if power is None:
-        return float(labels_if_none_missed(**known, bound=bound, confidence=confidence))
-    found = labels_needed(
-        **known, bound=bound, assumed=band.assumed, confidence=confidence, power=power
-    )
-    return float(MOST_LABELS if found is None else found.labels)
 
 
 @dataclass(frozen=True)
@@ -358,13 +355,6 @@ class Task:
         filled[[band.band for band in bands]] = True
         return 1.0 - (1.0 - CONFIDENCE) / int(filled.sum())
 
-    def start(self, *, log_probability: float, elasticity: float | None) -> FloatArray:
-        """First guess of the requirement ``[B]``: the model's P(missed), all changed alike."""
-        own = model_misses(self.problem.pem, visited_salient(self.problem))
-        change = math.log(self.target) - log_probability
-        factor = math.exp(change / max(elasticity or 0.0, 1.0))
-        return np.where(own > 0.0, own * factor, LARGEST_DRAWN)
-
 
 def visited_salient(problem: Problem) -> FloatArray:
     """Variables ``[2, T, 11]`` of the states with all outcomes missed, and with all detected."""
@@ -400,7 +390,10 @@ def label_plan(
         a detector that hardly misses does not meet the target.
     """
     task = Task(problem, features, labelled(visited_salient(problem), support), target)
-    start = task.start(log_probability=log_probability, elasticity=elasticity)
+    # first guess: the model's P(missed), changed equally everywhere
+    own = model_misses(problem.pem, visited_salient(problem))
+    factor = math.exp((math.log(target) - log_probability) / max(elasticity or 0.0, 1.0))
+    start = np.where(own > 0.0, own * factor, LARGEST_DRAWN)
     found = _required(task, start=start, seed=seed)
     if found is None:
         return None

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.analysis.band_models import rollouts_under
-from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.arrays import Batch, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 from pemviz.errors import PemError
 from pemviz.pem import (
@@ -247,7 +247,9 @@ def member_estimates(
 
     Of many rollouts the first are enough: as many as hold ENOUGH_FAILURES violations.
     """
-    count = _enough(scored.violated)
+    violations = max(int(scored.violated.sum()), 1)
+    # as many as hold so many violations, if these come evenly
+    count = math.ceil(min(ENOUGH_FAILURES / violations, 1.0) * scored.violated.size)
     rollouts, violated = scored.rollouts.take(slice(count)), scored.violated[:count]
     failing = rollouts.take(violated)
     log_q = failing.log_q
@@ -263,18 +265,12 @@ def member_estimates(
     )
 
 
-def _enough(violated: BoolArray) -> int:
-    """How many rollouts hold ENOUGH_FAILURES violations, if violations come evenly."""
-    share = ENOUGH_FAILURES / max(int(violated.sum()), 1)
-    return violated.size if share >= 1.0 else math.ceil(share * violated.size)
-
-
 def model_interval(repetitions: Sequence[MemberEstimates]) -> ModelInterval:
     """Pool repetitions of equal size into one interval over the models."""
     log_mu = np.stack([estimates.log_mu for estimates in repetitions])
     pooled = MemberEstimates(
         names=repetitions[0].names,
-        log_mu=np.array([_log_mean(column) for column in log_mu.T]),
+        log_mu=np.array([_log_mean_finite(column) for column in log_mu.T]),
         relative_std_error=repetitions[0].relative_std_error,
         effective_failures=np.sum([e.effective_failures for e in repetitions], axis=0),
     )
@@ -376,7 +372,7 @@ def extrapolation_warnings(
     return support_check(salient, support=support, pem=own).warnings
 
 
-def _log_mean(log_values: FloatArray) -> float:
+def _log_mean_finite(log_values: FloatArray) -> float:
     finite = log_values[np.isfinite(log_values)]
     return log_sum(finite) - math.log(log_values.size) if finite.size else -math.inf
 

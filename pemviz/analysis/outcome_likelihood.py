@@ -21,12 +21,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy.special import expit, log_expit, log_ndtr
 
-from pemviz.analysis.causes import Failures
 from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.pem.models.memory import Memory, log_sums, miss_quantile, persistence
 from pemviz.sampling.state.composed import ComposedSimulator
@@ -42,43 +40,6 @@ Slopes = Callable[[IntArray, IntArray], FloatArray]
 """Rows and steps ``[K]`` to derivatives by node ``[K, J]``."""
 
 
-class OutcomeLikelihood(Protocol):
-    """Changes of M rollouts' log likelihoods."""
-
-    def log_change_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
-        """What it adds ``[M]`` if misses ``inside [M, T-1]`` are ``factor`` times as likely.
-
-        With a factor in (0, 1].
-        """
-        ...
-
-    def slope(self) -> FloatArray:
-        """Derivative ``[M, T-1]`` in the log of P(missed) at each step."""
-        ...
-
-
-class MemoryLikelihood(Protocol):
-    """Changes with the memory time too."""
-
-    @property
-    def tau_s(self) -> float:
-        """Memory time [s], above 0."""
-        ...
-
-    def log_change_of_tau_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
-        """What it adds ``[M]`` if the memory time is ``factor`` times as long, in (0, 1].
-
-        Args:
-            inside: The steps that decide, ``[M, T-1]``.
-            factor: The same at all of them.
-        """
-        ...
-
-    def slope_of_tau(self) -> FloatArray:
-        """Derivative ``[M, T-1]`` in the log of the memory time, by step."""
-        ...
-
-
 class StepByStep(ABC):
     """A likelihood to which each step adds something of its own."""
 
@@ -87,10 +48,7 @@ class StepByStep(ABC):
         """What it adds ``[M, T-1]`` if misses are ``factor`` times as likely, in (0, 1]."""
 
     def log_change_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
-        """What it adds ``[M]`` if misses ``inside [M, T-1]`` are ``factor`` times as likely.
-
-        With a factor in (0, 1].
-        """
+        """What it adds ``[M]`` if misses ``inside [M, T-1]`` alone are."""
         return row_sums(np.where(inside, self.log_change(factor=factor), 0.0))
 
 
@@ -184,18 +142,14 @@ class RememberedOutcomes(StepByStep):
             slope = self.miss * (1.0 - kept) / (fresh * (1.0 - kept) + self.again * kept)
         return np.where(self.missed, np.where(self.again, slope, 1.0), -slope)
 
-    def log_change_of_tau(self, *, factor: float) -> FloatArray:
-        """What it adds ``[M, T-1]`` if the memory time is ``factor`` times as long, in (0, 1]."""
+    def log_change_of_tau_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
+        """What steps ``inside`` add ``[M]`` if tau is ``factor`` times as long, in (0, 1]."""
         fresh = np.where(self.missed, self.miss, 1.0 - self.miss)
         kept, shorter = self._kept(1.0), self._kept(factor)
         other = np.log1p(-shorter) - np.log1p(-kept)
         with np.errstate(divide="ignore", invalid="ignore"):  # what only the memory makes possible
             same = np.log(fresh + (1.0 - fresh) * shorter) - np.log(fresh + (1.0 - fresh) * kept)
-        return np.where(self.again, same, other)
-
-    def log_change_of_tau_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
-        """The sum ``[M]`` of what steps ``inside [M, T-1]`` add."""
-        return row_sums(np.where(inside, self.log_change_of_tau(factor=factor), 0.0))
+        return row_sums(np.where(inside, np.where(self.again, same, other), 0.0))
 
     def slope_of_tau(self) -> FloatArray:
         """Derivative ``[M, T-1]`` in the log of the memory time: d r / d log tau = r dt / tau."""
@@ -230,10 +184,9 @@ class FrailOutcomes:
 
     @staticmethod
     def of(
-        failures: Failures, *, system: ComposedSimulator, visibility: Visibility
+        rollouts: RolloutBatch, *, system: ComposedSimulator, visibility: Visibility
     ) -> "FrailOutcomes":
-        """Those of violations on a system one of whose properties is ``visibility``."""
-        rollouts = failures.rollouts
+        """Those of rollouts on a system one of whose properties is ``visibility``."""
         states, shape = rollouts.decision_states(), rollouts.detected.shape
         own = system.own_logit(states)
         violated = states.memory.get(VIOLATED)
@@ -251,10 +204,7 @@ class FrailOutcomes:
         return self.visibility.memory.tau_s
 
     def log_change_within(self, inside: BoolArray, *, factor: float) -> FloatArray:
-        """What it adds ``[M]`` if misses ``inside [M, T-1]`` are ``factor`` times as likely.
-
-        With a factor in (0, 1].
-        """
+        """What it adds ``[M]`` if misses ``inside [M, T-1]`` are that likely, in (0, 1]."""
         log_miss = math.log(factor) - np.logaddexp(0.0, self.own)
         with np.errstate(divide="ignore"):  # where a miss is certain and stays so
             rarer = np.log(-np.expm1(log_miss)) - log_miss
@@ -269,10 +219,6 @@ class FrailOutcomes:
 
     def slope(self) -> FloatArray:
         """Derivative ``[M, T-1]`` in the log of P(missed) at each step."""
-        return self._slope
-
-    @cached_property
-    def _slope(self) -> FloatArray:
         return self._mean_slope(self._node_slopes)
 
     def slope_of_tau(self) -> FloatArray:
@@ -311,7 +257,7 @@ class FrailOutcomes:
         # d Phi^-1(p) / d log p is p over the normal density there
         log_rate = -np.logaddexp(0.0, own) + 0.5 * quantile**2 + LOG_ROOT_TWO_PI
         log_density = -0.5 * moved**2 - LOG_ROOT_TWO_PI
-        log_fresh = np.where(self._first(row, step), 0.0, math.log1p(-self.visibility.rho))
+        log_fresh = np.where(self.last[row, step] == 0.0, 0.0, math.log1p(-self.visibility.rho))
         log_scale = 0.5 * math.log1p(nodes.frailty**2)
         change = (log_scale + log_rate + log_fresh)[:, None] + log_density
         sign = np.where(self.missed[row, step], 1.0, -1.0)[:, None]
@@ -325,15 +271,12 @@ class FrailOutcomes:
         other = np.where(missed[:, None], -moved, moved)  # the opposite outcome, without memory
         same, changed = np.exp(log_ndtr(other) - self._log_p(row, step)), -1.0 / (1.0 - rho)
         slope = np.where(again, same, changed) * rho * self.visibility.dt_s / self.tau_s
-        return np.where(self._first(row, step)[:, None], 0.0, slope)
+        return np.where((last == 0.0)[:, None], 0.0, slope)
 
     def _log_p(self, row: IntArray, step: IntArray) -> FloatArray:
         return self.visibility.log_outcome(
             self.own[row, step], self.last[row, step], self.missed[row, step]
         )
-
-    def _first(self, row: IntArray, step: IntArray) -> BoolArray:
-        return self.last[row, step] == 0.0
 
 
 def _chunks(chosen: BoolArray) -> Iterator[tuple[IntArray, IntArray]]:
@@ -342,3 +285,7 @@ def _chunks(chosen: BoolArray) -> Iterator[tuple[IntArray, IntArray]]:
     edges = [*range(0, row.size, CHUNK_OUTCOMES), row.size]
     for start, stop in itertools.pairwise(edges):
         yield row[start:stop], step[start:stop]
+
+
+OutcomeLikelihood = IndependentOutcomes | RememberedOutcomes | FrailOutcomes
+MemoryLikelihood = RememberedOutcomes | FrailOutcomes

@@ -91,7 +91,6 @@ def band_sensitivities(
     log_probability: float,
     edges: Sequence[float],
     target: float | None = None,
-    signal: str = "gap",
     likelihood: OutcomeLikelihood | None = None,
     untold: str | None = None,
 ) -> tuple[BandSensitivity, ...]:
@@ -102,7 +101,6 @@ def band_sensitivities(
         log_probability: Log of the failure probability [nats].
         edges: Of the bands, ascending [m].
         target: Failure probability to get below, above 0; ``None``: no target.
-        signal: The distance.
         likelihood: That of the violations' outcomes; ``None``: they are independent.
         untold: Why nothing can be told of it; ``None``: it can.
     """
@@ -113,13 +111,25 @@ def band_sensitivities(
             for low, high in [(None, None), *bands]
         )
     likelihood = likelihood or IndependentOutcomes.of(failures.rollouts)
-    signals = failures.rollouts.decision_states().signals
-    aim = (log_probability, target)
-    rows = [_sensitivity(failures, likelihood, failures.deciding, (None, None), aim)]
+    slope = likelihood.slope()
+
+    def of_band(low: float | None, high: float | None, inside: BoolArray) -> BandSensitivity:
+        elasticity, error = mean_sum(failures, slope, inside)
+        if target is None:
+            return BandSensitivity(low, high, elasticity, None, None, std_error=error)
+
+        def log_change(factor: float) -> FloatArray:
+            return likelihood.log_change_within(inside, factor=factor)
+
+        factor, ess, warning = _meeting(failures, log_change, log_probability, target)
+        if factor is None:
+            warning = "even without misses here the target is not met"
+        return BandSensitivity(low, high, elasticity, factor, ess, warning, error)
+
+    rows = [of_band(None, None, failures.deciding)]
     for low, high in bands:
-        value = signals[signal]
-        inside = failures.deciding & (value >= low) & (value < high)
-        rows.append(_sensitivity(failures, likelihood, inside, (low, high), aim))
+        value = failures.rollouts.decision_states().signals["gap"]
+        rows.append(of_band(low, high, failures.deciding & (value >= low) & (value < high)))
     return tuple(rows)
 
 
@@ -151,28 +161,6 @@ def memory_sensitivity(
         warning = "even without a memory the target is not met"
     target_tau_s = None if factor is None else factor * tau_s
     return MemorySensitivity(tau_s, elasticity, target_tau_s, ess, warning, error)
-
-
-def _sensitivity(
-    failures: Failures,
-    likelihood: OutcomeLikelihood,
-    inside: BoolArray,
-    band: tuple[float | None, float | None],
-    aim: tuple[float, float | None],
-) -> BandSensitivity:
-    """Of misses ``inside``; ``aim`` is the log of the failure probability, and the target."""
-    log_probability, target = aim
-    elasticity, error = mean_sum(failures, likelihood.slope(), inside)
-    if target is None:
-        return BandSensitivity(*band, elasticity, None, None, std_error=error)
-
-    def log_change(factor: float) -> FloatArray:
-        return likelihood.log_change_within(inside, factor=factor)
-
-    factor, ess, warning = _meeting(failures, log_change, log_probability, target)
-    if factor is None:
-        warning = "even without misses here the target is not met"
-    return BandSensitivity(*band, elasticity, factor, ess, warning, error)
 
 
 def mean_sum(
@@ -209,20 +197,14 @@ def _meeting(
     def excess(log_factor: float) -> float:
         return log_probability + log_sum(reweighted(log_factor)) - math.log(target)
 
-    log_factor = _root(excess)
-    if log_factor is None:
+    least = math.log(SMALLEST_FACTOR)
+    if excess(0.0) <= 0.0:
+        log_factor = 0.0
+    elif excess(least) > 0.0:
         return None, None, None
+    else:
+        log_factor = float(np.asarray(brentq(excess, least, 0.0, xtol=1e-9)))
     ess = effective_sample_size(reweighted(log_factor))
     few = ess < SMALL_ESS
     warning = "an extrapolation: few of the failures look like those left" if few else None
     return math.exp(log_factor), ess, warning
-
-
-def _root(excess: Callable[[float], float]) -> float | None:
-    """The log factor at which the excess is 0: 0 if there is none, ``None`` out of reach."""
-    least = math.log(SMALLEST_FACTOR)
-    if excess(0.0) <= 0.0:
-        return 0.0
-    if excess(least) > 0.0:
-        return None
-    return float(np.asarray(brentq(excess, least, 0.0, xtol=1e-9)))

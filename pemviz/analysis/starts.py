@@ -56,12 +56,8 @@ class WeightedStarts:
         """Effective sample size (Kong 1992)."""
         return float(1.0 / np.sum(self.share**2)) if self.share.size else 0.0
 
-    def quantile(self, name: str, share: float) -> float:
-        """The least value that at least this share lies at or below."""
-        return float(self.quantiles(name, (share,))[0])
-
     def quantiles(self, name: str, shares: Sequence[float]) -> FloatArray:
-        """:meth:`quantile` for each of several shares, ``[K]``."""
+        """The least values that at least these shares lie at or below, ``[K]``."""
         order = np.argsort(self.values[name], kind="stable")
         below = np.cumsum(self.share[order])
         place = np.searchsorted(below, np.asarray(shares) * below[-1], side="left")
@@ -74,7 +70,7 @@ class WeightedStarts:
 
     def interval(self, name: str, share: float) -> tuple[float, float]:
         """Where the quantile lies with 95 % (Woodruff 1952), from the weights' own spread."""
-        at_or_below = self.values[name] <= self.quantile(name, share)
+        at_or_below = self.values[name] <= self.quantiles(name, (share,))[0]
         error = float(np.sqrt(np.sum((self.share * (at_or_below - share)) ** 2)))
         ends = (max(share - 1.96 * error, 0.0), min(share + 1.96 * error, 1.0))
         low, high = self.quantiles(name, ends)
@@ -280,14 +276,13 @@ def _of_violations(
     largest = float(np.max(log_part))
     log_probability = largest + float(np.log(np.sum(np.exp(log_part - largest))))
     log10 = log_probability / float(np.log(10.0))
-    enough = sample.effective >= FEWEST
     return DangerousStarts(
         rule=rule,
         violations=int(log_part.size),
         effective=sample.effective,
         log10_probability=log10,
         values=tuple(
-            _start_value(signal.name, signal.unit, drawn, sample, told=enough)
+            _start_value(signal.name, signal.unit, drawn, sample, known=sample.effective >= FEWEST)
             for signal in simulator.starts
         ),
         plane=(
@@ -300,13 +295,14 @@ def _of_violations(
 
 
 def _start_value(
-    name: str, unit: str, drawn: WeightedStarts, sample: WeightedStarts, *, told: bool
+    name: str, unit: str, drawn: WeightedStarts, sample: WeightedStarts, *, known: bool
 ) -> StartValue:
     ranges: list[QuantileRange] = []
-    for share in SHARES if told else ():
-        low, high = sample.interval(name, share)
-        ranges.append(QuantileRange(sample.quantile(name, share), low, high))
-    shift = deviations(drawn.below(name, sample.quantile(name, 0.5))) if told else None
+    shift = None
+    if known:
+        for value, share in zip(sample.quantiles(name, SHARES).tolist(), SHARES, strict=True):
+            ranges.append(QuantileRange(value, *sample.interval(name, share)))
+        shift = deviations(drawn.below(name, float(sample.quantiles(name, (0.5,))[0])))
     every = tuple(float(value) for value in drawn.quantiles(name, SHARES))
     return StartValue(name, unit, every, tuple(ranges), shift)
 

@@ -200,7 +200,7 @@ def test_sensitivities_are_the_derivatives_of_the_answer(memory):
         np.ones((chosen.size, SIMULATOR.states - 1), dtype=np.bool_),
     )
     likelihood = FrailOutcomes.of(
-        failures, system=problem.simulator, visibility=problem.pem.properties[-1]
+        failures.rollouts, system=problem.simulator, visibility=problem.pem.properties[-1]
     )
 
     def answer(**changed):
