@@ -17,7 +17,7 @@ from pemviz.config.toml_files import config_text
 from pemviz.panel import compare_tab, headline, learning_tab, recordings_tab
 from pemviz.panel.controller import Controller
 from pemviz.panel.recordings_folder import RecordingsFolder
-from pemviz.recording.sweep_overview import _label
+from pemviz.recording.sweep_overview import estimate_label
 from pemviz.reports.answer_words import rule_warnings, rules_table
 from pemviz.reports.gate import decide_run
 from pemviz.reports.markdown import summary_markdown
@@ -167,7 +167,7 @@ def test_every_table_of_a_sweep(method, reliable):
     assert all(words in csv_text(plan, [row]) for words in against)
     drawn = _estimate(states[0])
     assert drawn.caveats == tuple(against)
-    assert bool(DOUBT.search(_label(type("", (), {"title": "all"}), drawn))) == bool(against)
+    assert bool(DOUBT.search(estimate_label("all", drawn))) == bool(against)
     assert f"| {int(bool(against))} of 1 |" in sweep_summary(plan, states)
 
 

@@ -20,8 +20,7 @@ import PIL.Image
 from rerun.experimental import ViewerClient
 
 from pemviz.recording import paths
-from pemviz.recording.open import viewer_process
-from pemviz.recording.web import LOOPBACK, free_port, wait_for_port
+from pemviz.recording.open import LOOPBACK, free_port, viewer_process, wait_for_port
 
 ATTEMPTS = 6
 COLORS = 128

@@ -113,10 +113,9 @@ def recorders(folder: Path) -> Sequence[Observer]:
 
 def viewer(path: Path) -> AbstractContextManager[str]:
     """Rerun's viewer for a recording, as a page of this machine."""
-    from pemviz.recording.open import viewer_process  # noqa: PLC0415
-    from pemviz.recording.web import web_viewer  # noqa: PLC0415
+    from pemviz.recording.open import web_viewer  # noqa: PLC0415
 
-    return web_viewer(path, port=0, start=viewer_process)
+    return web_viewer(path, port=0)
 
 
 def _warm_up() -> None:

@@ -1,9 +1,11 @@
-"""How a run learned: curves against gap, figures of each stage, robustness distributions."""
+"""How a run learned: curves against gap, figures of each stage, robustness, estimates."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -12,6 +14,8 @@ from pemviz.analysis.detection_curves import DetectionCurves
 from pemviz.arrays import FloatArray
 from pemviz.colors import (
     GREEN,
+    GREY,
+    ORANGE,
     PEM_ON_BLACK,
     PROPOSAL_ON_BLACK,
     PURPLE,
@@ -22,26 +26,13 @@ from pemviz.colors import (
     rgb,
     rgba,
 )
-from pemviz.recording import paths
-from pemviz.recording.estimates import Drawn, log10_or_none, stage_axis
-from pemviz.recording.plot import (
-    FEW_TICKS,
-    LARGE,
-    WITHOUT_LEGEND,
-    Axis,
-    Frame,
-    Log,
-    dots,
-    legend,
-    line,
-    log_axes,
-    number_axis,
-)
+from pemviz.recording import paths, plot
+from pemviz.recording.plot import Axis, Frame, Log, line, log_axes, log_legend, number_axis
 from pemviz.recording.stream import RecordingFile
 from pemviz.recording.views import shown_stages
-from pemviz.sampling.estimates.trust import stage_interval
+from pemviz.sampling.estimates.trust import interval_caveats, stage_interval
 from pemviz.sampling.registry import by_name
-from pemviz.types import StageResult
+from pemviz.types import Estimate, StageResult
 
 HISTOGRAM_BINS = 40
 ALWAYS_REDRAWN = 100
@@ -55,6 +46,9 @@ DRAWN: Mapping[str, tuple[str, str | None]] = {
 }
 """Figures that are drawn against the stage: colour, and unit at the ticks (``None``: of
 robustness)."""
+MOST_DECADES = 12.0
+"""Below the highest estimate; what is lower still lies on the axis' end."""
+MOST_WHISKERS = 2_000
 
 
 @dataclass(frozen=True)
@@ -90,75 +84,54 @@ def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
         ess=stage.ess,
         loss=stage.loss,
         log10_probability=None if interval == "none" else stage.log10_probability,
-        log10_ci_low=log10_or_none(bounds.low),
-        log10_ci_high=log10_or_none(bounds.high),
+        log10_ci_low=_log10_or_none(bounds.low),
+        log10_ci_high=_log10_or_none(bounds.high),
         caveats=bounds.caveats,
     )
 
 
-def drawn_stage(row: StageFigures) -> Drawn | None:
-    """The stage's estimate as it is drawn; ``None`` without one."""
-    if row.log10_probability is None:
-        return None
-    return Drawn(
-        place=row.stage,
-        log10=row.log10_probability,
-        low=row.log10_ci_low,
-        high=row.log10_ci_high,
-        holds=not row.caveats,
-    )
+def _log10_or_none(value: float | None) -> float | None:
+    return math.log10(value) if value is not None and value > 0.0 else None
 
 
 def log_pem_curve(file: RecordingFile, gap_m: FloatArray, probability: FloatArray) -> None:
     """Axes, and the perception error model's curve ``[G]``; neither changes."""
-    frame = curve_frame(gap_m)
+    frame, color = curve_frame(gap_m), rgba(PEM_ON_BLACK)
     log_axes(file.static, paths.PROPOSALS, frame)
-    color = rgba(PEM_ON_BLACK)
     file.static(paths.PEM_CURVE, line(frame, gap_m, probability, color=color, width=3.0))
-    file.static(paths.legend(paths.PEM_CURVE), legend(frame, [(0, "error model", color)]))
+    log_legend(file.static, paths.PEM_CURVE, frame, [(0, "error model", color)])
 
 
 def curve_frame(gap_m: FloatArray) -> Frame:
     """Axes of P(detected) over the gap."""
     ticks = tuple((value, f"{value:g}") for value in (0.0, 0.25, 0.5, 0.75, 1.0))
-    return Frame(
-        x=number_axis(0.0, float(gap_m[-1]), unit="m"),
-        y=Axis(low=0.0, high=1.0, ticks=ticks),
-        shape=LARGE,
-    )
+    x = number_axis(0.0, float(gap_m[-1]), unit="m")
+    return Frame(x=x, y=Axis(low=0.0, high=1.0, ticks=ticks), shape=plot.LARGE)
 
 
 def log_curves(file: RecordingFile, curves: DetectionCurves, *, stage: int, stages: int) -> None:
     """The proposal's curve: one of all stages, and on top of them while it is the newest."""
-    frame, color = curve_frame(curves.gap_m), stage_color(stage, stages=stages)
-    path = paths.stage_curve(stage)
-    drawn = partial(line, frame, curves.gap_m, curves.proposal)
-    file.at_stage(path, drawn(color=color, width=1.5), stage=stage)
-    rows = {named: row for row, named in enumerate(shown_stages(stages, LEGEND_STAGES), start=1)}
-    if stage in rows:
-        words = legend(frame, [(rows[stage], f"stage {stage}", color)])
-        file.at_stage(paths.legend(path), words, stage=stage)
-    newest = drawn(color=rgba(PROPOSAL_ON_BLACK), width=4.0)
-    file.at_stage(paths.NEWEST_CURVE, newest, stage=stage)
-
-
-def stage_color(stage: int, *, stages: int) -> Rgba:
-    """Of a stage's curve: from blue at the first to the proposal's colour at the last."""
+    frame, log = curve_frame(curves.gap_m), partial(file.at_stage, stage=stage)
+    path, drawn = paths.stage_curve(stage), partial(line, frame, curves.gap_m, curves.proposal)
+    # from blue at the first stage to the proposal's colour at the last
     place = (len(RAMP) - 1) * stage / max(stages - 1, 1)
     shades = [np.interp(place, range(len(RAMP)), part) for part in zip(*RAMP, strict=True)]
     red, green, blue = (round(float(shade)) for shade in shades)
-    return red, green, blue, 255
+    color: Rgba = red, green, blue, 255
+    log(path, drawn(color=color, width=1.5))
+    rows = {named: row for row, named in enumerate(shown_stages(stages, LEGEND_STAGES), start=1)}
+    if stage in rows:
+        log_legend(log, path, frame, [(rows[stage], f"stage {stage}", color)])
+    log(paths.NEWEST_CURVE, drawn(color=rgba(PROPOSAL_ON_BLACK), width=4.0))
 
 
-def log_robustness(
-    file: RecordingFile, stage: StageResult, *, unit: str, limit: int = HISTOGRAM_BINS
-) -> None:
+def log_robustness(file: RecordingFile, stage: StageResult, *, unit: str) -> None:
     """The distribution of the stage's robustness, as a histogram's outline; red: violated."""
     values = (stage.drawn or stage.scored).robustness
     values = values[np.isfinite(values)]
     if values.size == 0:
         return
-    counts, edges = np.histogram(values, bins=min(limit, max(10, values.size // 5)))
+    counts, edges = np.histogram(values, bins=min(HISTOGRAM_BINS, max(10, values.size // 5)))
     frame = robustness_frame(edges, highest=int(counts.max()), unit=unit)
     log = partial(file.at_stage, stage=stage.stage)
     log_axes(log, paths.ROBUSTNESS, frame)
@@ -175,9 +148,23 @@ def robustness_frame(edges: FloatArray, *, highest: int, unit: str) -> Frame:
     """Axes of a histogram with these edges."""
     return Frame(
         x=number_axis(float(edges[0]), float(edges[-1]), unit=unit),
-        y=number_axis(0.0, 1.05 * max(highest, 1), whole=True, most=FEW_TICKS),
-        shape=WITHOUT_LEGEND,
+        y=number_axis(0.0, 1.05 * max(highest, 1), whole=True, most=plot.FEW_TICKS),
+        shape=plot.WITHOUT_LEGEND,
     )
+
+
+def stage_axis(stages: int) -> Axis:
+    """An axis of so many stages."""
+    return number_axis(-0.5, max(stages, 1) - 0.5, whole=True)
+
+
+def is_redrawn(stage: int, *, stages: int) -> bool:
+    """Whether what shows all stages so far is written again after this one.
+
+    With very many stages, doing so after each would grow with the square of their number.
+    """
+    every = max(1, math.ceil(stages / ALWAYS_REDRAWN))
+    return stage % every == 0 or stage >= stages - 1
 
 
 def log_figures(
@@ -193,35 +180,93 @@ def log_figures(
         return
     log = partial(file.at_stage, stage=newest.stage)
     for name, (color, unit) in DRAWN.items():
+        points = [(row.stage, getattr(row, name)) for row in rows if getattr(row, name) is not None]
+        if not points:
+            continue
+        x, y = (np.array(values, dtype=np.float64) for values in zip(*points, strict=True))
+        low, high = min(float(y.min()), 0.0), max(float(y.max()), 0.0)
+        high += 0.05 * (high - low or 1.0)
         shown_unit = robustness_unit if unit is None else unit
-        _log_figure(log, rows, name=name, color=rgba(color), stages=stages, unit=shown_unit)
+        height = number_axis(low, high, unit=shown_unit, most=plot.FEW_TICKS)
+        frame = Frame(x=stage_axis(stages), y=height, shape=plot.WITHOUT_LEGEND)
+        path = paths.by_stage(name)
+        log_axes(log, path, frame)
+        through = line(frame, x, y, color=rgba(color), width=1.5)
+        dots = plot.dots(frame, x, y, colors=[rgba(color)] * x.size)
+        log(paths.part(path, "values"), through, dots)
 
 
-def is_redrawn(stage: int, *, stages: int) -> bool:
-    """Whether what shows all stages so far is written again after this one.
+@dataclass(frozen=True)
+class Drawn:
+    """An estimate as it is drawn; logarithms to base 10, ``None`` where an end is not known."""
 
-    With very many stages, doing so after each would grow with the square of their number.
-    """
-    every = max(1, math.ceil(stages / ALWAYS_REDRAWN))
-    return stage % every == 0 or stage >= stages - 1
+    log10: float
+    low: float | None
+    high: float | None
+    holds: bool
+    """Whether the interval holds at its level."""
 
 
-def _log_figure(
-    log: Log, rows: Sequence[StageFigures], *, name: str, color: Rgba, stages: int, unit: str
+def drawn_estimate(estimate: Estimate | None) -> Drawn | None:
+    """An estimate as it is drawn; ``None`` without one, or if nothing failed."""
+    if estimate is None or estimate.log10_probability is None:
+        return None
+    low, high = _log10_or_none(estimate.ci_low), _log10_or_none(estimate.ci_high)
+    return Drawn(estimate.log10_probability, low, high, holds=not interval_caveats(estimate))
+
+
+def drawn_stages(rows: Sequence[StageFigures]) -> dict[int, Drawn]:
+    """Estimates of stages that have one, by their stage."""
+    return {
+        row.stage: Drawn(
+            row.log10_probability, row.log10_ci_low, row.log10_ci_high, holds=not row.caveats
+        )
+        for row in rows
+        if row.log10_probability is not None
+    }
+
+
+def log_estimates(
+    log: Log, path: str, estimates: Mapping[int, Drawn], *, places: int, answer: Drawn | None
 ) -> None:
-    """One figure of every stage: points with a line through them."""
-    points = [(row.stage, getattr(row, name)) for row in rows if getattr(row, name) is not None]
-    if not points:
+    """Estimates as points with error bars at their places, and the answer as a line across.
+
+    On a scale of powers of ten; nothing where there is no estimate.
+    """
+    if not estimates:
         return
-    x, y = (np.array(values, dtype=np.float64) for values in zip(*points, strict=True))
-    low, high = min(float(y.min()), 0.0), max(float(y.max()), 0.0)
-    high += 0.05 * (high - low or 1.0)
-    frame = Frame(
-        x=stage_axis(stages),
-        y=number_axis(low, high, unit=unit, most=FEW_TICKS),
-        shape=WITHOUT_LEGEND,
-    )
-    path = paths.by_stage(name)
+    every = [*estimates.values(), *([] if answer is None else [answer])]
+    ends = [end for one in every for end in (one.log10, one.low, one.high) if end is not None]
+    high = max(ends)
+    height = plot.decade_axis(max(min(ends), high - MOST_DECADES), high)
+    frame = Frame(x=stage_axis(places), y=height)
     log_axes(log, path, frame)
-    drawn = line(frame, x, y, color=color, width=1.5)
-    log(paths.part(path, "values"), drawn, dots(frame, x, y, colors=[color] * x.size))
+    x, y = np.array(list(estimates), np.float64), np.array([e.log10 for e in estimates.values()])
+    shown: list[Any] = [plot.dots(frame, x, y, colors=[rgba(ORANGE)] * x.size)]
+    barred = [
+        (float(place), one.low, one.high, one.holds)
+        for place, one in estimates.items()
+        if one.low is not None and one.high is not None
+    ]
+    if len(barred) <= MOST_WHISKERS:
+        at, lows, highs = (np.array([bar[part] for bar in barred], np.float64) for part in range(3))
+        colors = [rgba(SKY if holds else GREY) for *_, holds in barred]
+        shown.append(plot.whiskers(frame, at, lows, highs, colors=colors))
+    log(paths.part(path, "values"), *shown)
+    held = {holds for *_, holds in barred}
+    words = [
+        (0, "estimate", rgba(ORANGE)),
+        *([(1, "95 % interval", rgba(SKY))] if True in held else []),
+        *([(2, "not a 95 % one", rgba(GREY))] if False in held else []),
+        *([] if answer is None else [(3, f"answer {10.0**answer.log10:.2g}", rgba(GREEN))]),
+    ]
+    log_legend(log, path, frame, words)
+    if answer is not None:
+        # dashed at the ends of its interval
+        dashes = list(pairwise(np.linspace(frame.x.low, frame.x.high, 61).tolist()))[::2]
+        strips = [frame.across(answer.log10)]
+        for end in (answer.low, answer.high):
+            if end is not None:
+                strips += [frame.places(np.array(pair), np.full(2, end)) for pair in dashes]
+        across = rr.LineStrips2D(strips, colors=rgba(GREEN), radii=plot.ui(0.7), draw_order=10.0)
+        log(paths.part(path, "answer"), across)

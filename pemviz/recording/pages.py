@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from pemviz.arrays import FloatArray
 from pemviz.colors import BLUE, GREEN, VERMILLION, rgba
 from pemviz.recording import paths
-from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.recording.stream import RecordingFile, StepTimes, blueprint_of
 
 TEXT, PICTURE, SERIES = "text", "picture", "series"
 SERIES_COLORS = (rgba(BLUE), rgba(VERMILLION), rgba(GREEN))
@@ -52,7 +52,8 @@ def write_pages(path: Path, pages: Sequence[Page], *, name: str) -> None:
         RunError: It cannot be written.
     """
     recording = RecordingFile(path, name=name, layout="pages")
-    recording.blueprint(pages_blueprint(pages))
+    time_panel = rrb.TimePanel(timeline=paths.SIM_TIME, state="collapsed")
+    recording.blueprint(blueprint_of(rrb.Tabs(*map(_tab, pages)), time_panel))
     for page in pages:
         recording.markdown(paths.page(page.name, TEXT), page.markdown)
         if page.png is not None:
@@ -70,18 +71,6 @@ def _log_series(recording: RecordingFile, page: Page) -> None:
     recording.style(path, names=list(page.series), colors=colors, widths=[2.0] * len(values))
     times = StepTimes(stage=0, count=values.shape[1], dt_s=page.dt_s)
     recording.series(path, values, times=times)
-
-
-def pages_blueprint(pages: Sequence[Page]) -> rrb.Blueprint:
-    """One tab a page; the time panel folded."""
-    return rrb.Blueprint(
-        rrb.Tabs(*(_tab(page) for page in pages)),
-        rrb.TimePanel(timeline=paths.SIM_TIME, state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-        auto_layout=False,
-    )
 
 
 def _tab(page: Page) -> rrb.Container:

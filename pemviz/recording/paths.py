@@ -56,6 +56,17 @@ FRAMES = "/worst_case/highway_env"
 SUBTREE = "/**"  # in a view: the entity and all below it
 
 
+SWEEP_SUMMARY = "/sweep/summary"
+SWEEP_RUNS = "/sweep/runs"
+SWEEP_SETTINGS = "/sweep/settings"
+SWEEP_ESTIMATES = "/sweep/estimates"
+
+
+def part(plot: str, name: str) -> str:
+    """A part of what is drawn at a path: ``axes``, ``values``, ``answer``, ``legend``."""
+    return f"{plot}/{name}"
+
+
 def figure(name: str) -> str:
     """A stage figure as a scalar on ``stage``."""
     return f"/learning/figures/{name}"
@@ -64,16 +75,6 @@ def figure(name: str) -> str:
 def by_stage(name: str) -> str:
     """A stage figure drawn against the stages done so far."""
     return f"/learning/by_stage/{name}"
-
-
-def part(plot: str, name: str) -> str:
-    """A part of a drawn plot: ``axes``, ``values``, ``answer``."""
-    return f"{plot}/{name}"
-
-
-def legend(path: str) -> str:
-    """The words that say what is drawn at a path."""
-    return f"{path}/legend"
 
 
 def stage_curve(stage: int) -> str:
@@ -86,11 +87,6 @@ def rollouts(stage: int, part: str) -> str:
     return f"/rollouts/stage_{stage:03d}/{part}"
 
 
-def setting(part: str) -> str:
-    """A part of the scene that never moves and belongs to no lane."""
-    return f"/worst_case/scene/{part}"
-
-
 def lane(rank: int, part: str) -> str:
     """A part of the scene's lane for the ``rank``-th least robust rollout, from 1."""
     return f"/worst_case/scene/rank_{rank}/{part}"
@@ -98,7 +94,7 @@ def lane(rank: int, part: str) -> str:
 
 def road_car(rank: int, car: int) -> str:
     """A car of the scene's ``rank``-th rollout, from 1; the ego is car 0."""
-    return f"/worst_case/scene/rank_{rank}/car_{car}"
+    return lane(rank, f"car_{car}")
 
 
 def plan(rank: int, part: str) -> str:
@@ -119,12 +115,6 @@ def worst_series(part: str) -> str:
 def page(name: str, part: str) -> str:
     """A part (``text``, ``picture``, ``series``) of a page; see :mod:`pemviz.recording.pages`."""
     return f"/pages/{name}/{part}"
-
-
-SWEEP_SUMMARY = "/sweep/summary"
-SWEEP_RUNS = "/sweep/runs"
-SWEEP_SETTINGS = "/sweep/settings"
-SWEEP_ESTIMATES = "/sweep/estimates"
 
 
 def sweep_estimates(part: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import rerun as rr
 
 from pemviz.arrays import FloatArray
+from pemviz.charts.chart import IntervalChart, axis_decades, decade, nice_ticks
 from pemviz.colors import DARK_GREY, GREY, WHITE, Rgba, rgba
 from pemviz.recording import paths
 
@@ -22,6 +23,8 @@ TICK_Y = 0.03
 MOST_TICKS = 6
 FEW_TICKS = 4
 """Upwards, where words stand above each other."""
+WORDS_AT, BAR_AT = 0.05, 0.72
+"""Of the height of a row of intervals, from its top."""
 NO_DOT: Any = rr.Radius.ui_points(0.1)
 
 
@@ -40,21 +43,11 @@ def ui(points: float) -> Any:
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis.
-
-    Attributes:
-        low: Value at its start.
-        high: Value at its end.
-        ticks: Values with their words, units among them.
-    """
+    """From value ``low`` to ``high``; ticks are values with their words, units among them."""
 
     low: float
     high: float
     ticks: tuple[tuple[float, str], ...]
-
-    def share(self, values: FloatArray) -> FloatArray:
-        """Where values ``[N]`` lie: 0 at the start, 1 at the end."""
-        return (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
 
 
 @dataclass(frozen=True)
@@ -96,32 +89,30 @@ class Frame:
 
     def places(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Places ``[N, 2]`` of values ``[N]``; what lies beyond an axis is on its end."""
-        across, up = np.clip(self.x.share(x), 0.0, 1.0), np.clip(self.y.share(y), 0.0, 1.0)
+        across, up = (
+            np.clip((np.asarray(values, np.float64) - axis.low) / (axis.high - axis.low), 0.0, 1.0)
+            for axis, values in ((self.x, x), (self.y, y))
+        )
         return np.stack([self.shape.width * across, 1.0 - up], axis=1)
+
+    def across(self, y: float) -> FloatArray:
+        """Both ends of a line across at a value of ``y``."""
+        return self.places(np.array([self.x.low, self.x.high]), np.full(2, y))
+
+    def upright(self, x: float) -> FloatArray:
+        """Both ends of a line upwards at a value of ``x``."""
+        return self.places(np.full(2, x), np.array([self.y.low, self.y.high]))
 
 
 def number_axis(
     low: float, high: float, *, unit: str = "", whole: bool = False, most: int = MOST_TICKS
 ) -> Axis:
-    """An axis with round ticks.
-
-    Args:
-        low: Value at its start.
-        high: Value at its end.
-        unit: Stands behind every tick.
-        whole: Whether only whole numbers get a tick.
-        most: About how many ticks.
-    """
+    """An axis with about ``most`` round ticks, their unit behind each; ``whole`` numbers only."""
     if not high > low:
         low, high = low - 0.5, low + 0.5
-    raw = (high - low) / most
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(power * m for m in (1, 2, 5, 10) if power * m >= raw * 0.999)
-    step = max(step, 1.0) if whole else step
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    ticks = nice_ticks(low, high, count=most, whole=whole)
     words = f" {unit}" if unit else ""
-    ticks = tuple((place * step, f"{place * step:.6g}{words}") for place in range(first, last + 1))
-    return Axis(low, high, ticks)
+    return Axis(low, high, tuple((tick, f"{tick:.6g}{words}") for tick in ticks))
 
 
 def decade_axis(low: float, high: float) -> Axis:
@@ -135,15 +126,14 @@ def decade_axis(low: float, high: float) -> Axis:
 
 def log_axes(log: Log, path: str, frame: Frame) -> None:
     """Grid lines, and words at the ticks."""
-    ends_x, ends_y = np.array([frame.x.low, frame.x.high]), np.array([frame.y.low, frame.y.high])
-    across = [frame.places(ends_x, np.full(2, value)) for value, _ in frame.y.ticks]
-    up = [frame.places(np.full(2, value), ends_y) for value, _ in frame.x.ticks]
-    edge = [frame.places(ends_x, np.full(2, frame.y.low))]
+    across = [frame.across(value) for value, _ in frame.y.ticks]
+    up = [frame.upright(value) for value, _ in frame.x.ticks]
     colors = [rgba(DARK_GREY)] * (len(across) + len(up)) + [rgba(GREY)]
-    grid = rr.LineStrips2D([*across, *up, *edge], colors=colors, radii=ui(0.5), draw_order=1.0)
+    lines = [*across, *up, frame.across(frame.y.low)]
+    grid = rr.LineStrips2D(lines, colors=colors, radii=ui(0.5), draw_order=1.0)
     below = [(place[0][0], 1.0 + TICK_Y) for place in up]
     beside = [(-0.45 * frame.shape.left, place[0][1] - frame.shape.words_up) for place in across]
-    words = [*(words for _, words in frame.x.ticks), *(words for _, words in frame.y.ticks)]
+    words = [words for _, words in (*frame.x.ticks, *frame.y.ticks)]
     ticks = written([*below, *beside], words, colors=[rgba(WHITE)] * len(words))
     log(paths.part(path, "axes"), grid, ticks)
 
@@ -161,13 +151,13 @@ def written(
     )
 
 
-def legend(frame: Frame, entries: Sequence[tuple[int, str, Rgba]]) -> rr.Points2D:
+def log_legend(log: Log, path: str, frame: Frame, entries: Sequence[tuple[int, str, Rgba]]) -> None:
     """Words beside the plot: row from the top, words, colour."""
     x = frame.shape.width + 0.5 * frame.shape.right
     places = [(x, row * LEGEND_ROW) for row, _, _ in entries]
-    return written(
-        places, [words for _, words, _ in entries], colors=[color for *_, color in entries]
-    )
+    colors = [color for *_, color in entries]
+    words = written(places, [words for _, words, _ in entries], colors=colors)
+    log(paths.part(path, "legend"), words)
 
 
 def line(
@@ -199,3 +189,32 @@ def whiskers(
     ]
     shades = [color for color in colors for _ in range(3)]
     return rr.LineStrips2D(strips, colors=shades, radii=ui(1.0), draw_order=25.0)
+
+
+def interval_frame(chart: IntervalChart) -> Frame:
+    """Powers of ten to the right, rows downwards."""
+    rows = Axis(low=float(len(chart.rows)), high=0.0, ticks=())
+    return Frame(x=decade_axis(*axis_decades(chart)), y=rows, shape=ROWS)
+
+
+def log_intervals(log: Log, path: str, chart: IntervalChart) -> None:
+    """Replace what is drawn at a path: a bar a row with words above it, lines across all."""
+    frame = interval_frame(chart)
+    log_axes(log, path, frame)
+    known = [(place, row) for place, row in enumerate(chart.rows) if row.high]
+    strips = [
+        frame.places(np.array([decade(row.low or 0.0), decade(row.high or 0.0)]),
+                     np.full(2, place + BAR_AT))
+        for place, row in known
+    ]  # fmt: skip
+    colors = [rgba(row.color) for _, row in known]
+    bars = rr.LineStrips2D(strips, colors=colors, radii=ui(3.0), draw_order=20.0)
+    middle, count = 0.5 * frame.shape.width, len(chart.rows)
+    places = [(middle, (place + WORDS_AT) / count) for place in range(count)]
+    words = [f"{row.name}: {row.figures}" for row in chart.rows]
+    log(paths.part(path, "sources"), bars, written(places, words, colors=[rgba(WHITE)] * count))
+    if chart.rules:
+        lines = [frame.upright(decade(rule.at)) for rule in chart.rules]
+        shades = [rgba(rule.color) for rule in chart.rules]
+        across = rr.LineStrips2D(lines, colors=shades, radii=ui(0.7), draw_order=10.0)
+        log(paths.part(path, "answer"), across)

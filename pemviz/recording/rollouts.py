@@ -1,4 +1,4 @@
-"""A stage's rollouts: signals, detections and detection probabilities on ``step``."""
+"""A stage's rollouts: which are kept, their signals, detections and P(detected) on ``step``."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,11 @@ from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.drawn_rollout import faultless, faultless_probability
 from pemviz.simulators.slots import Slot
-from pemviz.types import Signal, StageResult, numbers_of
+from pemviz.types import RolloutBatch, Signal, StageResult, numbers_of
 
+ROLLOUT_LIMIT = 3000
+SMALLEST_STAGE = 10
+LEAST_ROBUST_SHARE = 4
 EMPHASISED = 5
 THICK = 2.5
 THIN = 1.0
@@ -20,6 +23,58 @@ PEM_ALPHA = 70
 CROWDED = 300
 RASTER_RANGE = (-0.23, 1.14)
 """Where the colour map has orange for a miss (0) and blue for a detection (1)."""
+
+
+def unvaried(rollouts: RolloutBatch) -> frozenset[str]:
+    """Signals that are the same in all rollouts, if others differ: what is missed does not matter.
+
+    Where all signals are the same, as without a miss, nothing is known of any.
+    """
+    same = {name for name, values in rollouts.signals.items() if not np.any(values != values[:1])}
+    return frozenset() if len(same) == len(rollouts.signals) else frozenset(same)
+
+
+def quota(*, rollouts: int, stages: int, limit: int = ROLLOUT_LIMIT) -> int | None:
+    """How many rollouts are kept of each stage of a repetition; ``None``: all."""
+    return None if rollouts <= limit else max(SMALLEST_STAGE, limit // max(stages, 1))
+
+
+def quota_text(per_stage: int | None) -> str:
+    """How many are kept, in a sentence."""
+    if per_stage is None:
+        return "Every rollout is recorded."
+    least = per_stage // LEAST_ROBUST_SHARE
+    return (
+        f"There are too many rollouts to record them all: of a stage with more than {per_stage}, "
+        f"the {least} least robust and an even sample of {per_stage - least} others are recorded. "
+        "Figures and texts count all of them."
+    )
+
+
+def choose(
+    robustness: FloatArray, per_stage: int | None, *, even: BoolArray | None = None
+) -> IntArray:
+    """Indices of the kept rollouts ``[M]`` among ``[N]``, most robust first.
+
+    A viewer draws in this order, so that the least robust end up on top.
+
+    Args:
+        robustness: ``[N]``.
+        per_stage: How many are kept, see :func:`quota`.
+        even: Which of the N are an even sample of more, ``[N]``, where the others are not.
+    """
+    order = np.argsort(-robustness, kind="stable").astype(np.int64)
+    if per_stage is None or order.size <= per_stage:
+        return order
+    least = per_stage // LEAST_ROBUST_SHARE
+    others = np.sort(order[: order.size - least])
+    if even is not None:
+        others = others[even[others]]
+    places = np.linspace(0, others.size - 1, per_stage - least).round().astype(np.int64)
+    chosen = np.zeros(order.size, dtype=np.bool_)
+    chosen[others[places]] = True
+    chosen[order[order.size - least :]] = True
+    return order[chosen[order]]
 
 
 def log_rollouts(
@@ -34,11 +89,13 @@ def log_rollouts(
     """Log the ``kept`` rollouts of a stage; each entity holds them in that order."""
     scored = stage.scored
     rollouts = scored.rollouts
-    steps = rollouts.detected.shape[1]
     number = numbers_of(rollouts.count, stage.drawn)
-    names = series_names(number[kept], scored.robustness[kept])
+    named = zip(number[kept].tolist(), scored.robustness[kept].tolist(), strict=True)
+    names = [f"rollout {rollout}, robustness {level:.3g}" for rollout, level in named]
     shades = series_colors(scored.violated[kept])
-    widths = series_widths(kept.size)
+    # the least robust, which are drawn last, are thick
+    thin = max(kept.size - EMPHASISED, 0)
+    widths = [THIN] * thin + [THICK] * (kept.size - thin)
 
     def log(part: str, values: FloatArray, colours: Sequence[Rgba]) -> None:
         path = paths.rollouts(stage.stage, part)
@@ -53,28 +110,29 @@ def log_rollouts(
     proposal = faultless_probability(rollouts.proposal_logit[kept], slots=slots)
     log(paths.PROPOSAL_SERIES, proposal, shades)
     detected = faultless(rollouts.detected, slots=slots)
-    _log_detections(file, stage.stage, detected[kept])
-    times = StepTimes(stage=stage.stage, count=steps, dt_s=dt_s)
-    sample = slice(None) if stage.drawn is None else stage.drawn.even
-    _log_missed_share(
-        file, scored.violated[sample], ~detected[sample], times=times, stage=stage.stage
+    # the least robust rollout in the first row
+    raster = np.ascontiguousarray(detected[kept][::-1].astype(np.uint8))
+    dimensions = ("rollout, least robust on top", "step")
+    tensor = rr.Tensor(raster, dim_names=dimensions, value_range=RASTER_RANGE)
+    file.at_stage(paths.rollouts(stage.stage, paths.DETECTED), tensor, stage=stage.stage)
+    _log_missed_share(file, stage, detected, dt_s=dt_s)
+    file.at_stage(
+        paths.rollouts(stage.stage, paths.TABLE),
+        rr.AnyValues(
+            rollout=number[kept],
+            robustness=scored.robustness[kept],
+            violated=scored.violated[kept],
+            log_weight=rollouts.log_weight[kept],
+            log_p=row_sums(rollouts.log_p)[kept],
+        ),
+        stage=stage.stage,
     )
-    _log_table(file, stage, kept, number=number[kept])
-
-
-def series_names(number: IntArray, robustness: FloatArray) -> list[str]:
-    """A name for each curve ``[M]``: the rollout's index in its stage and its robustness."""
-    named = zip(number.tolist(), robustness.tolist(), strict=True)
-    return [f"rollout {rollout}, robustness {level:.3g}" for rollout, level in named]
 
 
 def series_colors(violated: BoolArray) -> list[Rgba]:
     """Violated or not, the last ``EMPHASISED`` opaque."""
     faint = 110 if violated.size <= CROWDED else 60
-    plain = (
-        rgba(HOLDS, opacity=faint),
-        rgba(VIOLATED, opacity=faint + 40),
-    )
+    plain = (rgba(HOLDS, opacity=faint), rgba(VIOLATED, opacity=faint + 40))
     strong = (rgba(HOLDS), rgba(VIOLATED))
     first_strong = violated.size - EMPHASISED
     return [
@@ -83,64 +141,27 @@ def series_colors(violated: BoolArray) -> list[Rgba]:
     ]
 
 
-def series_widths(count: int) -> list[float]:
-    """The last ``EMPHASISED`` curves, the least robust, are thick."""
-    return [THICK if place >= count - EMPHASISED else THIN for place in range(count)]
-
-
-def _log_detections(file: RecordingFile, stage: int, detected: BoolArray) -> None:
-    """The outcomes as a raster, least robust rollout in the first row."""
-    raster = np.ascontiguousarray(detected[::-1].astype(np.uint8))
-    file.at_stage(
-        paths.rollouts(stage, paths.DETECTED),
-        rr.Tensor(
-            raster, dim_names=("rollout, least robust on top", "step"), value_range=RASTER_RANGE
-        ),
-        stage=stage,
-    )
-
-
 def _log_missed_share(
-    file: RecordingFile,
-    violated: BoolArray,
-    missed: BoolArray,
-    *,
-    times: StepTimes,
-    stage: int,
+    file: RecordingFile, stage: StageResult, detected: BoolArray, *, dt_s: float
 ) -> None:
     """The share of all rollouts that missed, for those that violate and those that do not.
 
     Of a large stage that is not held whole, the share of an even sample.
     """
-    path = paths.rollouts(stage, paths.MISSED_SHARE)
-    groups = {
-        "specification holds": (~violated, rgba(HOLDS)),
-        "violated": (violated, rgba(VIOLATED)),
-    }
-    present = {name: group for name, group in groups.items() if group[0].any()}
+    path = paths.rollouts(stage.stage, paths.MISSED_SHARE)
+    sample = slice(None) if stage.drawn is None else stage.drawn.even
+    violated, missed = stage.scored.violated[sample], ~detected[sample]
+    groups = [
+        ("specification holds", ~violated, rgba(HOLDS)),
+        ("violated", violated, rgba(VIOLATED)),
+    ]
+    present = [group for group in groups if group[1].any()]
     file.style(
         path,
-        names=[f"{name} ({int(rows.sum())})" for name, (rows, _) in present.items()],
-        colors=[color for _, color in present.values()],
+        names=[f"{name} ({int(rows.sum())})" for name, rows, _ in present],
+        colors=[color for *_, color in present],
         widths=[2.0] * len(present),
     )
-    shares = np.array([missed[rows].mean(axis=0) for rows, _ in present.values()])
+    shares = np.array([missed[rows].mean(axis=0) for _, rows, _ in present])
+    times = StepTimes(stage=stage.stage, count=missed.shape[1], dt_s=dt_s)
     file.series(path, shares, times=times)
-
-
-def _log_table(
-    file: RecordingFile, stage: StageResult, kept: IntArray, *, number: IntArray
-) -> None:
-    """What identifies and scores each curve, in the curves' order."""
-    rollouts, scored = stage.scored.rollouts, stage.scored
-    file.at_stage(
-        paths.rollouts(stage.stage, paths.TABLE),
-        rr.AnyValues(
-            rollout=number,
-            robustness=scored.robustness[kept],
-            violated=scored.violated[kept],
-            log_weight=rollouts.log_weight[kept],
-            log_p=row_sums(rollouts.log_p)[kept],
-        ),
-        stage=stage.stage,
-    )

@@ -1,30 +1,33 @@
-"""The least robust rollouts of any scenario that tells where its cars are, in 3D."""
+"""The least robust rollouts of any scenario that tells where its cars are, in 3D.
+
+Every rollout has a road of its own, the least robust one's nearest to the viewer. The ego car's
+centre stays at x = 0, so that the rollouts can be compared; the road moves instead. Coordinates: x
+ahead, y to the left, in metres. :mod:`pemviz.recording.scene_plan` has the same from above.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
-from pemviz.arrays import AnyArray, FloatArray
-from pemviz.colors import GREEN, GREY, WHITE, Rgba, car_color, rgba
+from pemviz.arrays import AnyArray
+from pemviz.colors import DETECTED, GREEN, GREY, MISSED, WHITE, Rgba, car_color, rgba
 from pemviz.recording import paths
-from pemviz.recording.scene_layout import (
-    AHEAD_M,
-    ANSWERS,
-    BEHIND_M,
-    DASH_M,
-    DASH_SPACING_M,
-    SIGMAS,
-    RoadPlace,
-    grey_from,
-    places_m,
-    road_place,
-    with_room,
-)
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
-from pemviz.simulators.scene import SceneCar, SceneTracks, SceneZone
+from pemviz.simulators.scene import Road, SceneCar, SceneTracks, SceneZone
 
+MOST_ROADS = 3
+WIDTH_M = 34.0
+"""Of all roads and verges together, which is where ranks end."""
+VERGE_M = 5.0
+"""Between two roads; a rollout's words stand there."""
+BEHIND_M, AHEAD_M = 15.0, 60.0
+DASH_M, DASH_SPACING_M = 3.0, 9.0
+ANSWERS: dict[int, Rgba] = {NOT_ASKED: rgba(GREY), RIGHT: rgba(DETECTED), WRONG: rgba(MISSED)}
+SIGMAS = 2.0
+"""How many standard deviations an ellipse of a track reaches."""
 PAINT: Rgba = (190, 190, 190, 255)
 ROAD: Rgba = (55, 55, 60, 255)
 RADII_M = {NOT_ASKED: 0.15, RIGHT: 0.3, WRONG: 0.6}
@@ -34,14 +37,65 @@ CABIN_SHARE, BODY_SHARE = 0.55, 0.58
 UNKNOWN_SD_M = 0.02
 
 
+@dataclass(frozen=True)
+class RoadPlace:
+    """Where a rollout's road lies.
+
+    Attributes:
+        rank: Of the rollout, from 1.
+        low_m: Right edge of its road, in the rollout's own y.
+        high_m: Left edge.
+    """
+
+    rank: int
+    low_m: float
+    high_m: float
+
+    @property
+    def shift_m(self) -> float:
+        """What is added to the rollout's own y."""
+        return (self.rank - 1) * (self.high_m - self.low_m + VERGE_M) - self.low_m
+
+
+def road_place(drawn: DrawnRollout, rank: int) -> RoadPlace:
+    """Where the road of the ``rank``-th rollout lies."""
+    edges_m = drawn.road.lane_edges_m
+    return RoadPlace(rank=rank, low_m=edges_m[0], high_m=edges_m[-1])
+
+
+def row_m(road: Road) -> float:
+    """How far a rollout's road is from the next."""
+    return road.lane_edges_m[-1] - road.lane_edges_m[0] + VERGE_M
+
+
+def roads_shown(road: Road) -> int:
+    """How many of the least robust rollouts there is room for: at least two."""
+    return min(max(int(WIDTH_M // row_m(road)), 2), MOST_ROADS)
+
+
+def with_room(
+    drawn: Sequence[DrawnRollout], titles: Sequence[str], *, stage: int
+) -> list[tuple[int, DrawnRollout, str, StepTimes]]:
+    """Those of the first rollouts that there is room for, with rank, title and times."""
+    shown = zip(drawn[: roads_shown(drawn[0].road)], titles, strict=False)
+    return [
+        (rank, one, title, StepTimes(stage, one.count, one.dt_s))
+        for rank, (one, title) in enumerate(shown, start=1)
+    ]
+
+
+def grey_from(drawn: DrawnRollout) -> int:
+    """The first state of contact: what follows is no motion of the encounter."""
+    return drawn.count if drawn.contact_step is None else drawn.contact_step
+
+
 def log_scene(
     file: RecordingFile, drawn: Sequence[DrawnRollout], *, titles: Sequence[str], stage: int
 ) -> None:
     """A road for each of the first rollouts; later calls replace what earlier ones drew."""
     file.static(paths.SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    for rank, (one, title) in enumerate(zip(with_room(drawn), titles, strict=False), start=1):
+    for rank, one, title, times in with_room(drawn, titles, stage=stage):
         place = road_place(one, rank)
-        times = StepTimes(stage=stage, count=one.count, dt_s=one.dt_s)
         _log_road(file, one, place, times=times)
         for car in range(len(one.cars)):
             _log_car(file, one, place, car, times=times)
@@ -85,12 +139,12 @@ def _log_car(
     shape, states = drawn.cars[car], drawn.states
     file.static(f"{path}/body", _body(shape))
     there = states.present[:, car]
-    height_m = np.where(there, 0.0, -100.0)  # out of sight
-    centre_m = np.column_stack([places_m(drawn, place, car), height_m])
     half = np.where(there, states.heading_rad[:, car], 0.0) / 2
     zeros = np.zeros_like(half)
     turned = np.stack([zeros, zeros, np.sin(half), np.cos(half)], axis=1)
-    centre_m = np.where(there[:, None], centre_m, [0.0, 0.0, -100.0])
+    ahead_m = states.x_m[:, car] - states.x_m[:, 0]
+    centre_m = np.stack([ahead_m, states.y_m[:, car] + place.shift_m, zeros], axis=1)
+    centre_m = np.where(there[:, None], centre_m, [0.0, 0.0, -100.0])  # out of sight
     file.along(path, rr.Transform3D.columns(translation=centre_m, quaternion=turned), times=times)
     shades = np.tile(np.array(rgba(car_color(car)), dtype=np.uint8), (drawn.count, 1))
     shades[grey_from(drawn) :] = rgba(GREY)
@@ -177,6 +231,8 @@ def _log_tracks(
         for sd_m in (tracks.x_sd_m, tracks.y_sd_m)
     ]
     sizes = np.stack([*reach, np.full(step.size, 0.05)], axis=1)
+    cars = [drawn.car_of_slot(int(one)) for one in slot]
+    car_sizes = np.array([(c.length_m, c.width_m, c.height_m) for c in cars]).reshape(-1, 3)
     lengths = shown.sum(axis=1)
     path = paths.lane(place.rank, "tracks")
     file.static(path, rr.Ellipsoids3D.from_fields(fill_mode="solid"))
@@ -186,16 +242,10 @@ def _log_tracks(
     file.along(path, columns.partition(lengths), times=times)
     file.static(f"{path}/cars", rr.Boxes3D.from_fields(fill_mode="majorwireframe"))
     boxes = rr.Boxes3D.columns(
-        centers=centers + np.array([0.0, 0.0, 0.65]), half_sizes=_sizes(drawn, slot) / 2,
+        centers=centers + np.array([0.0, 0.0, 0.65]), half_sizes=car_sizes / 2,
         colors=_white(step.size, opacity=255),
     )  # fmt: skip
     file.along(f"{path}/cars", boxes.partition(lengths), times=times)
-
-
-def _sizes(drawn: DrawnRollout, slots: AnyArray) -> FloatArray:
-    """Of the cars that slots are about, ``[N, 3]``."""
-    cars = [drawn.car_of_slot(int(slot)) for slot in slots]
-    return np.array([(c.length_m, c.width_m, c.height_m) for c in cars]).reshape(-1, 3)
 
 
 def _white(count: int, *, opacity: int) -> AnyArray:

@@ -11,21 +11,9 @@ import rerun as rr
 
 from pemviz.arrays import FloatArray
 from pemviz.colors import BLACK, GREEN, GREY, WHITE, Rgba, car_color, rgba
-from pemviz.recording import paths
+from pemviz.recording import paths, scene
 from pemviz.recording.plot import NO_DOT
-from pemviz.recording.scene_layout import (
-    AHEAD_M,
-    ANSWERS,
-    BEHIND_M,
-    DASH_M,
-    SIGMAS,
-    VERGE_M,
-    dash_starts_m,
-    grey_from,
-    roads_shown,
-    row_m,
-    with_room,
-)
+from pemviz.recording.scene import AHEAD_M, ANSWERS, BEHIND_M, DASH_M, VERGE_M, grey_from, row_m
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.drawn_rollout import NOT_ASKED, WRONG, DrawnRollout, answer_words
 from pemviz.simulators.scene import Road
@@ -78,17 +66,15 @@ class _Row:
 
 def plan_bounds(road: Road) -> Bounds:
     """What a view shows, from left to right and from top to bottom."""
-    return (-BEHIND_M - 4.0, AHEAD_M + 4.0), (-1.0, roads_shown(road) * row_m(road) + 1.0)
+    return (-BEHIND_M - 4.0, AHEAD_M + 4.0), (-1.0, scene.roads_shown(road) * row_m(road) + 1.0)
 
 
 def log_scene_plan(
     file: RecordingFile, drawn: Sequence[DrawnRollout], *, titles: Sequence[str], stage: int
 ) -> None:
     """A road for each of the first rollouts; later calls replace what earlier ones drew."""
-    for rank, (one, title) in enumerate(zip(with_room(drawn), titles, strict=False), start=1):
-        row = _Row(one, rank)
-        times = StepTimes(stage=stage, count=one.count, dt_s=one.dt_s)
-        steps = range(one.count)
+    for rank, one, title, times in scene.with_room(drawn, titles, stage=stage):
+        row, steps = _Row(one, rank), range(one.count)
         _log_asphalt(file, row)
         _log_strips(file, row, "lines", [_lane_lines(row, step) for step in steps], times=times)
         _log_strips(file, row, "cars", [_cars(row, step) for step in steps], times=times)
@@ -130,7 +116,9 @@ def _lane_lines(row: _Row, step: int) -> _Strips:
     down = row.down(np.asarray(edges_m))
     for y in (down[0], down[-1]):
         strips.add(np.array([(-BEHIND_M, y), (AHEAD_M, y)]), rgba(WHITE), THIN_M)
-    starts_m = dash_starts_m(float(row.drawn.states.x_m[step, 0]))
+    ego_x_m, spacing_m = float(row.drawn.states.x_m[step, 0]), scene.DASH_SPACING_M
+    first_m = -BEHIND_M - (ego_x_m - BEHIND_M) % spacing_m + spacing_m
+    starts_m = np.arange(first_m, AHEAD_M - DASH_M, spacing_m)
     for y in down[1:-1]:
         for x in starts_m:
             strips.add(np.array([(x, y), (x + DASH_M, y)]), rgba(WHITE), THIN_M)
@@ -192,7 +180,7 @@ def _tracks(row: _Row, step: int) -> _Strips:
         strips.add(
             _flat(row, centre + CORNERS * (shape.length_m, shape.width_m)), rgba(WHITE), THIN_M / 2
         )
-        reach = SIGMAS * np.array([tracks.x_sd_m[step, slot], tracks.y_sd_m[step, slot]])
+        reach = scene.SIGMAS * np.array([tracks.x_sd_m[step, slot], tracks.y_sd_m[step, slot]])
         ellipse = centre + np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) * reach
         if reach.any():
             strips.add(_flat(row, ellipse), rgba(WHITE), THIN_M)

@@ -1,4 +1,4 @@
-"""One recording being written: a thin layer over rerun that knows this project's timelines."""
+"""One recording being written, and made compact: a layer over rerun that knows the timelines."""
 
 import socket
 import threading
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.chunk import OptimizationProfile, RrdReader
 
 from pemviz.arrays import AnyArray
 from pemviz.errors import RunError
@@ -92,17 +93,14 @@ class RecordingFile:
 
     def at_stage(self, path: str, *archetypes: Any, stage: int) -> None:
         """Log something that belongs to a stage; it shows on every timeline."""
-        self._stream.set_time(paths.STAGE, sequence=stage)
         self._stream.set_time(paths.STEP, sequence=0)
         self._stream.set_time(paths.SIM_TIME, duration=0.0)
-        self._stream.log(path, *archetypes)
-        self._stream.reset_time()
-        self.logged.add(path)
+        self.on_stage_only(path, *archetypes, stage=stage)
 
-    def on_stage_only(self, path: str, archetype: Any, *, stage: int) -> None:
+    def on_stage_only(self, path: str, *archetypes: Any, stage: int) -> None:
         """Log a value whose horizontal axis is the stage."""
         self._stream.set_time(paths.STAGE, sequence=stage)
-        self._stream.log(path, archetype)
+        self._stream.log(path, *archetypes)
         self._stream.reset_time()
         self.logged.add(path)
 
@@ -155,17 +153,26 @@ class RecordingFile:
         try:
             self.flush()
         finally:
-            self._disconnect()
+            if not self._broken:
+                self._stream.disconnect()
+            else:
+                # the stream may never answer again, and at the process's end rerun would wait
+                rr.unregister_shutdown()
+                ending = threading.Thread(target=self._stream.disconnect, daemon=True)
+                ending.start()
+                ending.join(BROKEN_TIMEOUT_S)
 
-    def _disconnect(self) -> None:
-        """End the stream; one whose file cannot be written may never answer again."""
-        if not self._broken:
-            self._stream.disconnect()
-            return
-        rr.unregister_shutdown()  # at the process's end it would wait for the same thread
-        ending = threading.Thread(target=self._stream.disconnect, daemon=True)
-        ending.start()
-        ending.join(BROKEN_TIMEOUT_S)
+
+def blueprint_of(root: rrb.Container, time_panel: rrb.TimePanel) -> rrb.Blueprint:
+    """These views alone: the viewer's other panels are hidden."""
+    return rrb.Blueprint(
+        root,
+        time_panel,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )
 
 
 def _cannot_write(path: Path, error: Exception) -> str:
@@ -180,3 +187,31 @@ def _check_port(port: int) -> None:
         except OSError as error:
             message = f"live port {port}: cannot be used ({error.strerror or error})"
             raise RunError(message) from error
+
+
+def compact(path: Path, *, blueprint: rrb.Blueprint) -> None:
+    """Rewrite a recording with its chunks joined and one blueprint.
+
+    A recording that is written while a run goes on has many small chunks, whose headers take
+    more space than their data, and every layout that it ever had.
+
+    Raises:
+        RunError: It cannot be read or written; it is as it was.
+    """
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        reader = RrdReader(path)
+        (entry,) = reader.recordings()
+        store = reader.stream(store=entry).collect(optimize=OptimizationProfile.OBJECT_STORE)
+        stream = rr.RecordingStream(entry.application_id, recording_id=entry.recording_id)
+        stream.set_sinks(rr.FileSink(partial))
+        stream.send_blueprint(blueprint, make_active=True, make_default=True)
+        stream.send_chunks(store)
+        stream.flush()
+        stream.disconnect()
+        partial.replace(path)
+    except (OSError, ValueError, RuntimeError) as error:
+        message = f"recording {path}: cannot be compacted ({' '.join(str(error).split())})"
+        raise RunError(message) from error
+    finally:
+        partial.unlink(missing_ok=True)

@@ -9,31 +9,22 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pemviz.colors import (
-    BLUE,
-    DARK_GREY,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    WHITE,
-    Rgba,
-    rgba,
-)
+from pemviz import colors as shades
+from pemviz.colors import Rgba, rgba
 from pemviz.recording import paths
-from pemviz.recording.stream import RecordingFile
+from pemviz.recording.plot import ui, written
+from pemviz.recording.stream import RecordingFile, blueprint_of
 
-COLORS = tuple(map(rgba, (SKY, ORANGE, GREEN, VERMILLION, PURPLE, BLUE)))
+COLORS = tuple(
+    map(
+        rgba,
+        (shades.SKY, shades.ORANGE, shades.GREEN, shades.VERMILLION, shades.PURPLE, shades.BLUE),
+    )
+)
 WIDTH_TO_HEIGHT = 1.8
 SETTING_GAP = 1.5  # between settings, in rows
 MARGIN_ROWS = 1.5
 MOST_GRID_LINES = 12
-POINT_RADIUS = rr.Radius.ui_points(4.0)
-LINE_RADIUS: Any = rr.Radius.ui_points(1.5)
-THIN: Any = rr.Radius.ui_points(0.5)
-TEXT_ANCHOR = rr.Radius.ui_points(0.1)
 
 
 @dataclass(frozen=True)
@@ -100,7 +91,7 @@ def write_sweep_overview(
         RunError: It cannot be written.
     """
     recording = RecordingFile(path, name=name, layout="sweep")
-    recording.blueprint(sweep_blueprint())
+    recording.blueprint(_blueprint())
     recording.markdown(paths.SWEEP_SUMMARY, texts.summary)
     recording.markdown(paths.SWEEP_RUNS, texts.runs)
     recording.markdown(paths.SWEEP_SETTINGS, texts.settings)
@@ -109,7 +100,7 @@ def write_sweep_overview(
     recording.close()
 
 
-def sweep_blueprint() -> rrb.Blueprint:
+def _blueprint() -> rrb.Blueprint:
     """Tabs: all estimates above the summary, runs, settings."""
     estimates = rrb.Spatial2DView(
         name="Estimate and 95 % interval (thin grey: not a 95 % interval), log10",
@@ -117,18 +108,12 @@ def sweep_blueprint() -> rrb.Blueprint:
         background=[20, 20, 22],
     )
     summary = rrb.TextDocumentView(name="Summary", origin=paths.SWEEP_SUMMARY)
-    return rrb.Blueprint(
-        rrb.Tabs(
-            rrb.Vertical(estimates, summary, name="Estimates", row_shares=[3, 2]),
-            rrb.TextDocumentView(name="Runs", origin=paths.SWEEP_RUNS),
-            rrb.TextDocumentView(name="Settings", origin=paths.SWEEP_SETTINGS),
-        ),
-        rrb.TimePanel(state="hidden"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-        auto_layout=False,
+    tabs = rrb.Tabs(
+        rrb.Vertical(estimates, summary, name="Estimates", row_shares=[3, 2]),
+        rrb.TextDocumentView(name="Runs", origin=paths.SWEEP_RUNS),
+        rrb.TextDocumentView(name="Settings", origin=paths.SWEEP_SETTINGS),
     )
+    return blueprint_of(tabs, rrb.TimePanel(state="hidden"))
 
 
 @dataclass(frozen=True)
@@ -146,7 +131,13 @@ class _Frame:
 
 
 def _frame(settings: Sequence[SweepSetting]) -> _Frame:
-    values = [value for setting in settings for one in setting.estimates for value in _values(one)]
+    every = [one for setting in settings for one in setting.estimates]
+    values = [
+        value
+        for one in every
+        for value in (one.log10_probability, one.log10_ci_low, one.log10_ci_high)
+        if value is not None
+    ]
     low, high = (min(values), max(values)) if values else (-1.0, 0.0)
     first_rows: list[float] = []
     row = MARGIN_ROWS
@@ -157,84 +148,52 @@ def _frame(settings: Sequence[SweepSetting]) -> _Frame:
     return _Frame(math.floor(low - 0.5), math.ceil(high), row, tuple(first_rows))
 
 
-def _values(one: SweepEstimate) -> list[float]:
-    values = (one.log10_probability, one.log10_ci_low, one.log10_ci_high)
-    return [value for value in values if value is not None]
-
-
 def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -> None:
     frame = _frame(settings)
-    _log_grid(recording, frame)
-    _log_titles(recording, frame, settings)
+    step = max(1, math.ceil((frame.high - frame.low) / MOST_GRID_LINES))
+    decades = list(range(int(frame.low) + 1, int(frame.high) + 1, step))
+    grid = [[(frame.x(d), 0.0), (frame.x(d), frame.rows)] for d in decades]
+    lines = rr.LineStrips2D(grid, colors=rgba(shades.DARK_GREY), radii=ui(0.5))
+    recording.static(paths.sweep_estimates("grid/lines"), lines)
+    above, white = [(frame.x(d), -0.3) for d in decades], [rgba(shades.WHITE)] * len(decades)
+    numbers = written(above, [f"1e{d}" for d in decades], colors=white)
+    recording.static(paths.sweep_estimates("grid/decades"), numbers)
+    beside = [
+        (-0.25 * frame.rows, first + 0.5 * (len(setting.estimates) - 1))
+        for setting, first in zip(settings, frame.first_rows, strict=True)
+    ]
+    own = [COLORS[number % len(COLORS)] for number in range(len(settings))]
+    titles = written(beside, [setting.title for setting in settings], colors=own)
+    recording.static(paths.sweep_estimates("settings"), titles)
     points: list[tuple[float, float]] = []
     labels: list[str] = []
     colors: list[Rgba] = []
     strips: list[list[tuple[float, float]]] = []
     strip_colors: list[Rgba] = []
     strip_radii: list[Any] = []
-    for number, (setting, first) in enumerate(zip(settings, frame.first_rows, strict=True)):
-        for place, one in enumerate(setting.estimates):
-            row = first + place
-            log10_probability = one.log10_probability
-            color = rgba(GREY) if log10_probability is None else COLORS[number % len(COLORS)]
-            points.append(
-                (frame.x(frame.low if log10_probability is None else log10_probability), row)
-            )
-            labels.append(_label(setting, one))
+    for setting, first, setting_color in zip(settings, frame.first_rows, own, strict=True):
+        for row, one in enumerate(setting.estimates):
+            known = one.log10_probability is not None
+            color = setting_color if known else rgba(shades.GREY)
+            at = frame.low if one.log10_probability is None else one.log10_probability
+            points.append((frame.x(at), first + row))
+            labels.append(estimate_label(setting.title, one))
             colors.append(color)
             if one.log10_ci_low is not None and one.log10_ci_high is not None:
                 ends = (frame.x(one.log10_ci_low), frame.x(one.log10_ci_high))
-                strips.append([(ends[0], row), (ends[1], row)])
-                strip_colors.append(rgba(GREY) if one.caveats else color)
-                strip_radii.append(THIN if one.caveats else LINE_RADIUS)
+                strips.append([(end, first + row) for end in ends])
+                strip_colors.append(rgba(shades.GREY) if one.caveats else color)
+                strip_radii.append(ui(0.5) if one.caveats else ui(1.5))
     intervals = rr.LineStrips2D(strips, colors=strip_colors, radii=strip_radii)
     recording.static(paths.sweep_estimates("intervals"), intervals)
-    recording.static(
-        paths.sweep_estimates("points"),
-        rr.Points2D(points, colors=colors, labels=labels, show_labels=False, radii=POINT_RADIUS),
-    )
+    dots = rr.Points2D(points, colors=colors, labels=labels, show_labels=False, radii=ui(4.0))
+    recording.static(paths.sweep_estimates("points"), dots)
 
 
-def _label(setting: SweepSetting, one: SweepEstimate) -> str:
-    where = f"{setting.title}, seed {one.seed}"
-    log10_probability = one.log10_probability
-    if log10_probability is None:
+def estimate_label(title: str, one: SweepEstimate) -> str:
+    """What is said of a point: whose it is, its estimate, and why its interval is none."""
+    where = f"{title}, seed {one.seed}"
+    if one.log10_probability is None:
         return f"{where}: {one.note}"
     words = f"; not a 95 % interval: {'; '.join(one.caveats)}" if one.caveats else ""
-    return f"{where}: {10.0**log10_probability:.3g}{words}"
-
-
-def _log_grid(recording: RecordingFile, frame: _Frame) -> None:
-    step = max(1, math.ceil((frame.high - frame.low) / MOST_GRID_LINES))
-    decades = list(range(int(frame.low) + 1, int(frame.high) + 1, step))
-    strips = [[(frame.x(d), 0.0), (frame.x(d), frame.rows)] for d in decades]
-    recording.static(
-        paths.sweep_estimates("grid/lines"),
-        rr.LineStrips2D(strips, colors=rgba(DARK_GREY), radii=THIN),
-    )
-    recording.static(
-        paths.sweep_estimates("grid/decades"),
-        rr.Points2D(
-            [(frame.x(d), -0.3) for d in decades],
-            labels=[f"1e{d}" for d in decades],
-            colors=rgba(WHITE),
-            radii=TEXT_ANCHOR,
-            show_labels=True,
-        ),
-    )
-
-
-def _log_titles(recording: RecordingFile, frame: _Frame, settings: Sequence[SweepSetting]) -> None:
-    recording.static(
-        paths.sweep_estimates("settings"),
-        rr.Points2D(
-            [
-                (-0.25 * frame.rows, first + 0.5 * (len(setting.estimates) - 1))
-                for setting, first in zip(settings, frame.first_rows, strict=True)
-            ],
-            labels=[setting.title for setting in settings],
-            colors=[COLORS[number % len(COLORS)] for number in range(len(settings))],
-            radii=TEXT_ANCHOR,
-            show_labels=True,
-        ),
-    )
+    return f"{where}: {10.0**one.log10_probability:.3g}{words}"

@@ -1,16 +1,16 @@
 """The texts of a recording, as markdown."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 
 from pemviz.analysis.causes import CARRIED
 from pemviz.config.toml_files import config_text
-from pemviz.recording.latents import starts_table
 from pemviz.recording.learning import StageFigures
-from pemviz.recording.selection import Quota
-from pemviz.recording.worst import Track, rules_table
-from pemviz.reports.document import Section
-from pemviz.reports.estimate_words import end_text, share_text
+from pemviz.recording.rollouts import quota_text
+from pemviz.recording.worst import Track
+from pemviz.reports.escape import markdown_table, markdown_text
+from pemviz.reports.estimate_words import end_text, number_text, share_text
 from pemviz.reports.markdown import PLAIN_MARKS, sections_markdown
 from pemviz.reports.run_document import ANSWER, TRUST, WHY, run_document
 from pemviz.runs.result import RankedRollout, RunResult
@@ -19,13 +19,7 @@ from pemviz.simulators.slots import Slot
 
 NOTHING = "none"
 KINDS = {"pretrain": " (first)", "learn": "", "final": " (final)"}
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A figure for a reader; 'none' where it is undefined."""
-    return NOTHING if value is None else f"{value:.{digits}g}"
-
-
+RANKED_BY_RULE = 3
 READ_ON = (
     "## How to read on\n"
     "- **Learning**: how the proposal came about, stage by stage.\n"
@@ -36,13 +30,21 @@ READ_ON = (
     "The time panel below moves along a rollout (timelines `step` and `sim_time`). "
     "Choose `stage` there to replay the tab Learning."
 )
+SCENE_TEXT = (
+    "On the roads the ego's centre stays at 0 m. A line around a car, in 3D a mark over it, "
+    "tells what perception reports of it at the step: blue detected, orange missed (with a cross "
+    "from above; larger in 3D), none or grey where there is nothing to report. White outlines and "
+    "ellipses of two standard deviations: where the controller tracks a car. Green: how near a car "
+    "must be for a detection to brake hard, where the scenario tells. Grey cars: contact."
+)
 
 
 def answer_text(result: RunResult, *, running: bool) -> str:
     """The answer, how far it is open and what causes violations, and how to go on reading."""
     document = run_document(result, running=running)
     first, *others = document.choose(("answer", *ANSWER[2:], *WHY, *TRUST[:2], "question"))
-    parts = _markdown([first], level=1) + _markdown(others, level=2)
+    parts = sections_markdown([first], level=1, marks=PLAIN_MARKS)
+    parts += sections_markdown(others, level=2, marks=PLAIN_MARKS)
     return "\n\n".join([*parts, READ_ON])
 
 
@@ -51,19 +53,21 @@ def warnings_text(result: RunResult) -> str:
     return _page(result, "warnings", "extrapolation")
 
 
+def provenance_text(result: RunResult) -> str:
+    """Where the numbers come from and what they assume."""
+    return _page(result, "provenance", "assumptions")
+
+
 def _page(result: RunResult, *keys: str) -> str:
-    return "\n\n".join(_markdown(run_document(result).choose(keys), level=1))
-
-
-def _markdown(sections: Iterable[Section], *, level: int) -> list[str]:
-    return sections_markdown(sections, level=level, marks=PLAIN_MARKS)
+    sections = run_document(result).choose(keys)
+    return "\n\n".join(sections_markdown(sections, level=1, marks=PLAIN_MARKS))
 
 
 def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
     """Every stage's figures."""
     header = (
         "stage",
-        f"threshold{_bracketed(robustness_unit)}",
+        f"threshold [{robustness_unit}]" if robustness_unit else "threshold",
         "learned from",
         "violations",
         "ESS",
@@ -78,73 +82,83 @@ def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
     )
     doubts = [f"- stage {row.stage}: {'; '.join(row.caveats)}" for row in rows if row.caveats]
     why = "\n\n## Why some are not 95 % intervals\n" + "\n".join(doubts) if doubts else ""
-    return f"# Stages\n\n{note}" + _table(header, [_stage_row(row) for row in rows]) + why
+    return f"# Stages\n\n{note}" + markdown_table(header, [_stage_row(row) for row in rows]) + why
 
 
 def _stage_row(row: StageFigures) -> tuple[str, ...]:
     interval = "-"
     if row.log10_ci_low is not None and row.log10_ci_high is not None:
-        interval = f"{power_text(row.log10_ci_low)} to {power_text(row.log10_ci_high)}"
+        interval = f"{_power_text(row.log10_ci_low)} to {_power_text(row.log10_ci_high)}"
+        interval = f"({interval})" if row.caveats else interval
     return (
         f"{row.stage}{KINDS[row.kind]}",
-        number(row.threshold),
+        number_text(row.threshold, none=NOTHING),
         f"{row.elites}" if row.elites else NOTHING,
         f"{row.failures} of {row.rollouts}",
-        number(row.ess),
-        number(row.loss),
-        NOTHING if row.log10_probability is None else power_text(row.log10_probability),
-        f"({interval})" if row.caveats and interval != "-" else interval,
+        number_text(row.ess, none=NOTHING),
+        number_text(row.loss, none=NOTHING),
+        NOTHING if row.log10_probability is None else _power_text(row.log10_probability),
+        interval,
     )
 
 
-def power_text(log10: float) -> str:
+def _power_text(log10: float) -> str:
     """Ten to this power, also where that is too small for a double."""
     value = 10.0**log10
     return end_text(value) if value > 0.0 else f"1e{log10:.0f}"
 
 
-SCENE_TEXT = (
-    "On the roads the ego's centre stays at 0 m. A line around a car, in 3D a mark over it, "
-    "tells what perception reports of it at the step: blue detected, orange missed (with a cross "
-    "from above; larger in 3D), none or grey where there is nothing to report. White outlines and "
-    "ellipses of two standard deviations: where the controller tracks a car. Green: how near a car "
-    "must be for a detection to brake hard, where the scenario tells. Grey cars: contact."
-)
-
-
 def worst_table(
     tracks: Sequence[Track], by_rule: Mapping[str, Sequence[RankedRollout]] | None = None
 ) -> str:
-    """The least robust rollouts and, where there are rules, the first of each of them."""
+    """The least robust rollouts, of rules the first of each, and what they started with."""
     header = ("rank", "robustness", "share", "misses", "in a row", "NLL [nats]", "which")
     rows = [
         (
             f"{rank}",
-            f"{track.ranked.robustness:.3g}{'' if track.ranked.violated else ' (holds)'}",
+            _robustness(track.ranked),
             share_text(track.ranked.share),
             f"{track.ranked.misses}",
-            f"{longest_chain(track)}",
+            f"{_most_in_a_row(track)}",
             f"{track.ranked.nll:.1f}",
             track.name,
         )
         for rank, track in enumerate(tracks, start=1)
     ]
-    starts = starts_table([track.random for track in tracks])
-    return (
+    page = (
         "# Least robust rollouts\n\nFirst those that carry the estimate: with the largest "
         f"weights, {100 * CARRIED:g} % of it, each with its share. Misses: all of a rollout, also "
         "those that do not matter. NLL: how unlikely its outcomes are under the perception error "
-        "model.\n\n" + _table(header, rows) + rules_table(by_rule or {}) + starts
+        "model.\n\n" + markdown_table(header, rows)
     )
+    if by_rule:
+        of_rules = [
+            (
+                markdown_text(name),
+                _robustness(one),
+                share_text(one.share),
+                f"repetition {one.repetition}, stage {one.stage}, rollout {one.rollout}",
+            )
+            for name, ranked in by_rule.items()
+            for one in ranked[:RANKED_BY_RULE]
+        ]
+        page += "\n\n## Of each rule\n\nShares are of the answer to the rule.\n\n"
+        page += markdown_table(("rule", "robustness", "share", "which"), of_rules)
+    starts = [(f"{i}", markdown_text(t.random.start_text)) for i, t in enumerate(tracks, start=1)]
+    if any(words for _, words in starts):
+        page += "\n\n## Random at the start\n\n"
+        page += markdown_table(("rank", "started with"), starts)
+    return page
 
 
-def longest_chain(track: Track) -> int:
-    """Most misses in a row."""
-    longest = current = 0
-    for detected in track.detected.tolist():
-        current = 0 if detected else current + 1
-        longest = max(longest, current)
-    return longest
+def _most_in_a_row(track: Track) -> int:
+    """Misses."""
+    runs = groupby(track.detected.tolist())
+    return max((len(list(run)) for detected, run in runs if not detected), default=0)
+
+
+def _robustness(ranked: RankedRollout) -> str:
+    return f"{ranked.robustness:.3g}{'' if ranked.violated else ' (holds)'}"
 
 
 def config_document(result: RunResult) -> str:
@@ -157,16 +171,11 @@ def result_text(result: RunResult) -> str:
     return f"# result.json\n\n```json\n{json.dumps(result_document(result), indent=1)}\n```"
 
 
-def provenance_text(result: RunResult) -> str:
-    """Where the numbers come from and what they assume."""
-    return _page(result, "provenance", "assumptions")
-
-
 def contents_text(
-    quota: Quota, *, repetitions: int, slots: Sequence[Slot] = (), has_scene: bool = False
+    per_stage: int | None, *, repetitions: int, slots: Sequence[Slot], has_scene: bool
 ) -> str:
     """What this recording holds and leaves out."""
-    lines = [quota.describe()]
+    lines = [quota_text(per_stage)]
     if repetitions > 1:
         lines.append(
             f"There are {repetitions} repetitions: rollouts, curves and stage figures are those "
@@ -190,16 +199,3 @@ def contents_text(
         "proposal, grey the perception error model."
     )
     return "# About this recording\n\n" + "\n\n".join(lines)
-
-
-def _bracketed(unit: str) -> str:
-    return f" [{unit}]" if unit else ""
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [_row(header), _row(["---"] * len(header)), *(_row(row) for row in rows)]
-    return "\n".join(lines)
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -1,14 +1,16 @@
-"""The views of a recording as plain data: what is shown where, and under which title."""
+"""The views of a recording: what is shown where, as plain data, and as a rerun blueprint."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import rerun.blueprint as rrb
 
 from pemviz.recording import paths
 from pemviz.recording.plot import LARGE, NORMAL, ROWS, WITHOUT_LEGEND, Shape
 from pemviz.recording.scene_plan import Bounds, plan_bounds
+from pemviz.recording.stream import blueprint_of
 from pemviz.simulators.scene import Road
 from pemviz.types import Signal
 
@@ -16,9 +18,14 @@ ViewKind = Literal["text", "plot", "series", "tensor", "scene", "plan", "image"]
 ContainerKind = Literal["tabs", "horizontal", "vertical", "grid"]
 
 MOST_STAGE_TABS = 14
-GRID_COLUMNS = 3
 MOST_SIGNALS_IN_ROW = 4
 PROBABILITY_AXIS = (-0.02, 1.03)
+EYE_M = (-7.0, -13.0, 10.0)
+LOOK_AT_M = (11.0, 6.0, 0.0)
+LEGEND_CORNERS = {paths.MISSED_SHARE: rrb.Corner2D.RightTop}
+"""Of plots with few curves: where these hardly ever run."""
+PLOT_BACKGROUND = (13, 16, 17)
+"""That of the viewer's own plots."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,7 @@ class ContainerSpec:
     parts: tuple["ViewSpec | ContainerSpec", ...]
     shares: tuple[float, ...] | None = None
     active: int = 0
-    columns: int = GRID_COLUMNS
+    columns: int = 0
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,6 @@ class Subject:
     """What a run is about, as far as its views depend on it.
 
     Attributes:
-        method: Its name.
         stages: Stages of a repetition.
         repetitions: How many.
         signals: The scenario's signals.
@@ -79,7 +85,6 @@ class Subject:
         noise: Names what was random at steps; empty: nothing was.
     """
 
-    method: str
     stages: int
     repetitions: int
     signals: tuple[Signal, ...]
@@ -92,17 +97,8 @@ class Subject:
 
 def all_views(subject: Subject) -> ContainerSpec:
     """The tabs, in reading order."""
-    return ContainerSpec(
-        kind="tabs",
-        title="pemviz",
-        parts=(
-            _answer(subject),
-            _learning(subject),
-            _rollouts(subject),
-            _worst(subject),
-            _config(),
-        ),
-    )
+    tabs = (_answer(subject), _learning(subject), _rollouts(subject), _worst(subject), _config())
+    return ContainerSpec("tabs", "pemviz", tabs)
 
 
 def views_of(spec: ViewSpec | ContainerSpec) -> list[ViewSpec]:
@@ -130,18 +126,28 @@ def keep_views(spec: ContainerSpec, wanted: Callable[[ViewSpec], bool]) -> Conta
         shares.append(spec.shares[index] if spec.shares else 1.0)
     if not parts:
         return None
-    return replace(
-        spec,
-        parts=tuple(parts),
-        shares=tuple(shares) if spec.shares else None,
-        active=active,
-    )
+    new_shares = tuple(shares) if spec.shares else None
+    return replace(spec, parts=tuple(parts), shares=new_shares, active=active)
 
 
 def without_signals(spec: ContainerSpec, keys: Collection[str]) -> ContainerSpec:
     """The container without views of these signals, by their keys."""
     kept = keep_views(spec, lambda view: view.paths[0].rpartition("/")[2] not in keys)
     return spec if kept is None else kept
+
+
+def views_with_data(views: ContainerSpec, logged: Collection[str]) -> ContainerSpec:
+    """The views without those that would be empty."""
+    with_data = keep_views(views, lambda view: shown(view.paths[-1], logged))
+    return views if with_data is None else with_data
+
+
+def shown(path: str, logged: Collection[str]) -> bool:
+    """Whether something was logged that a view's path, or its subtree ``path/**``, shows."""
+    if path.endswith(paths.SUBTREE):
+        root = path.removesuffix(paths.SUBTREE)
+        return any(entity == root or entity.startswith(f"{root}/") for entity in logged)
+    return path in logged
 
 
 def shown_stages(stages: int, limit: int = MOST_STAGE_TABS) -> list[int]:
@@ -151,20 +157,33 @@ def shown_stages(stages: int, limit: int = MOST_STAGE_TABS) -> list[int]:
     return sorted({round(float(s)) for s in np.linspace(0, stages - 1, limit)})
 
 
-def _bracketed(unit: str) -> str:
-    return f" [{unit}]" if unit else ""
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
 
 
 def _title(signal: Signal) -> str:
-    return f"{signal.name.replace('_', ' ').capitalize()}{_bracketed(signal.unit)} against step"
+    name = signal.name.replace("_", " ").capitalize()
+    return f"{_with_unit(name, signal.unit)} against step"
+
+
+def _text(title: str, path: str) -> ViewSpec:
+    return ViewSpec("text", title, (path,))
 
 
 def _plot(title: str, path: str, *, shape: Shape = NORMAL) -> ViewSpec:
     return ViewSpec("plot", title, (path + paths.SUBTREE,), shape=shape)
 
 
-def _figure(title: str, name: str) -> ViewSpec:
-    return _plot(f"{title} against stage", paths.by_stage(name), shape=WITHOUT_LEGEND)
+def _beside(
+    title: str, *parts: ViewSpec | ContainerSpec, shares: tuple[float, ...] | None = None
+) -> ContainerSpec:
+    return ContainerSpec("horizontal", title, parts, shares=shares)
+
+
+def _below(
+    title: str, *parts: ViewSpec | ContainerSpec, shares: tuple[float, ...] | None = None
+) -> ContainerSpec:
+    return ContainerSpec("vertical", title, parts, shares=shares)
 
 
 def _estimate_view() -> ViewSpec:
@@ -172,7 +191,8 @@ def _estimate_view() -> ViewSpec:
 
 
 def _robustness_view(subject: Subject) -> ViewSpec:
-    title = f"Rollouts against robustness{_bracketed(subject.robustness_unit)}, newest stage"
+    axis = _with_unit("robustness", subject.robustness_unit)
+    title = f"Rollouts against {axis}, newest stage"
     return _plot(title, paths.ROBUSTNESS, shape=WITHOUT_LEGEND)
 
 
@@ -181,162 +201,153 @@ def _answer(subject: Subject) -> ContainerSpec:
     if subject.repetitions > 1:
         plots.append(_plot("Estimate against repetition", paths.REPETITIONS))
     plots.append(_estimate_view() if subject.stages > 1 else _robustness_view(subject))
-    texts = ContainerSpec(
-        "vertical",
-        "Texts",
-        (
-            ViewSpec("text", "Answer", (paths.ANSWER,)),
-            ViewSpec("text", "Warnings", (paths.WARNINGS,)),
-        ),
-        shares=(4.0, 1.0),
-    )
-    return ContainerSpec(
-        "horizontal",
-        "Answer",
-        (texts, ContainerSpec("vertical", "Plots", tuple(plots))),
-        shares=(1.0, 1.0),
-    )
+    answer, warnings = _text("Answer", paths.ANSWER), _text("Warnings", paths.WARNINGS)
+    texts = _below("Texts", answer, warnings, shares=(4.0, 1.0))
+    return _beside("Answer", texts, _below("Plots", *plots), shares=(1.0, 1.0))
 
 
 def _learning(subject: Subject) -> ContainerSpec:
-    unit = _bracketed(subject.robustness_unit)
     proposals = _plot("P(detected) against gap, by proposal", paths.PROPOSALS, shape=LARGE)
-    table = ViewSpec("text", "Stages", (paths.STAGE_TABLE,))
-    robustness = _robustness_view(subject)
+    table, robustness = _text("Stages", paths.STAGE_TABLE), _robustness_view(subject)
     if subject.stages == 1:
-        curves = ContainerSpec("vertical", "Now", (proposals, table))
-        return ContainerSpec("horizontal", "Learning", (curves, robustness), shares=(1.2, 1.0))
-    overview = ContainerSpec(
-        "horizontal",
-        "Proposals and estimates",
-        (proposals, ContainerSpec("vertical", "Results", (_estimate_view(), robustness))),
-        shares=(1.2, 1.0),
+        curves = _below("Now", proposals, table)
+        return _beside("Learning", curves, robustness, shares=(1.2, 1.0))
+    results = _below("Results", _estimate_view(), robustness)
+    overview = _beside("Proposals and estimates", proposals, results, shares=(1.2, 1.0))
+    titles = {
+        "threshold": _with_unit("Threshold", subject.robustness_unit),
+        "failures": "Violations",
+        "ess": "Effective sample size",
+        "loss": "Loss [nats a step]",
+    }
+    plots = tuple(
+        _plot(f"{title} against stage", paths.by_stage(name), shape=WITHOUT_LEGEND)
+        for name, title in titles.items()
     )
-    plots = ContainerSpec(
-        "grid",
-        "Plots",
-        (
-            _figure(f"Threshold{unit}", "threshold"),
-            _figure("Violations", "failures"),
-            _figure("Effective sample size", "ess"),
-            _figure("Loss [nats a step]", "loss"),
-        ),
-        columns=2,
-    )
-    figures = ContainerSpec("vertical", "Figures of every stage", (plots, table), shares=(1.3, 1.0))
+    grid = ContainerSpec("grid", "Plots", plots, columns=2)
+    figures = _below("Figures of every stage", grid, table, shares=(1.3, 1.0))
     return ContainerSpec("tabs", "Learning", (overview, figures))
 
 
 def _rollouts(subject: Subject) -> ContainerSpec:
-    shown = shown_stages(subject.stages)
-    tabs = tuple(_stage_rollouts(subject, stage) for stage in shown)
+    tabs = tuple(_stage_rollouts(subject, stage) for stage in shown_stages(subject.stages))
     return ContainerSpec("tabs", "Rollouts", tabs, active=len(tabs) - 1)
 
 
 def _stage_rollouts(subject: Subject, stage: int) -> ContainerSpec:
-    def path(part: str) -> str:
-        return paths.rollouts(stage, part)
-
-    signals = [
-        ViewSpec("series", _title(signal), (path(signal.key),)) for signal in subject.signals
-    ]
-    outcomes = [
-        ViewSpec(
-            "series",
-            "P(detected) against step",
-            (path(paths.PEM_SERIES), path(paths.PROPOSAL_SERIES)),
-            axis=PROBABILITY_AXIS,
-        ),
-        ViewSpec(
-            "series",
-            "Share missed against step",
-            (path(paths.MISSED_SHARE),),
-            axis=PROBABILITY_AXIS,
-        ),
-        ViewSpec(
-            "tensor",
-            "Missed (orange), by rollout and step",
-            (path(paths.DETECTED),),
-        ),
-    ]
-    many = len(signals) > MOST_SIGNALS_IN_ROW
-    rows = (
-        ContainerSpec(
-            "grid" if many else "horizontal", "Signals", tuple(signals), columns=MOST_SIGNALS_IN_ROW
-        ),
-        ContainerSpec("horizontal", "Perception", tuple(outcomes)),
+    signals = tuple(
+        ViewSpec("series", _title(signal), (paths.rollouts(stage, signal.key),))
+        for signal in subject.signals
     )
-    shares = (2.0, 1.0) if many else None
-    return ContainerSpec("vertical", f"Stage {stage}", rows, shares=shares)
+    pem, proposal, missed, detected = (
+        paths.rollouts(stage, name)
+        for name in (paths.PEM_SERIES, paths.PROPOSAL_SERIES, paths.MISSED_SHARE, paths.DETECTED)
+    )
+    perception = _beside(
+        "Perception",
+        ViewSpec("series", "P(detected) against step", (pem, proposal), axis=PROBABILITY_AXIS),
+        ViewSpec("series", "Share missed against step", (missed,), axis=PROBABILITY_AXIS),
+        ViewSpec("tensor", "Missed (orange), by rollout and step", (detected,)),
+    )
+    many = len(signals) > MOST_SIGNALS_IN_ROW
+    kind = "grid" if many else "horizontal"
+    above = ContainerSpec(kind, "Signals", signals, columns=MOST_SIGNALS_IN_ROW)
+    return _below(f"Stage {stage}", above, perception, shares=(2.0, 1.0) if many else None)
 
 
 def _worst(subject: Subject) -> ContainerSpec:
-    gap = subject.asked or subject.signals[0]
-    scenes = _scenes(subject)
-    frames = [ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,))]
-    plots = ContainerSpec(
-        "vertical",
-        "Plots",
-        (
-            *(frames if subject.frames else []),
-            ViewSpec(
-                "series",
-                f"Least robust: {_title(gap).lower()}",
-                (paths.worst_series(gap.key),),
-            ),
-            ViewSpec(
-                "series",
-                "P(detected) against step, grey: model",
-                (paths.WORST_DETECTION,),
-                axis=PROBABILITY_AXIS,
-            ),
-            *([ViewSpec("series", subject.noise, (paths.WORST_NOISE,))] if subject.noise else []),
+    """The least robust rollouts, in 3D and from above where the scenario tells where cars are."""
+    signal = subject.asked or subject.signals[0]
+    plots = [
+        ViewSpec(
+            "series", f"Least robust: {_title(signal).lower()}", (paths.worst_series(signal.key),)
         ),
-    )
-    lower = ContainerSpec(
-        "horizontal",
-        "Outcomes",
-        (
-            _plot("Misses against time, by rank", paths.OUTCOMES),
-            ViewSpec("text", "Ranking", (paths.WORST_SUMMARY,)),
+        ViewSpec(
+            "series", "P(detected) against step, grey: model", (paths.WORST_DETECTION,),
+            axis=PROBABILITY_AXIS,
         ),
-        shares=(1.6, 1.0),
-    )
-    if scenes is None:
-        return ContainerSpec("vertical", "Worst case", (plots, lower), shares=(1.25, 1.0))
-    upper = ContainerSpec("horizontal", "Scene", (scenes, plots), shares=(1.6, 1.0))
-    return ContainerSpec("vertical", "Worst case", (upper, lower), shares=(1.9, 1.0))
-
-
-def _scenes(subject: Subject) -> ContainerSpec | None:
-    """The least robust rollouts in 3D and from above, where the scenario tells where cars are."""
+    ]  # fmt: skip
+    if subject.frames:
+        plots.insert(0, ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,)))
+    if subject.noise:
+        plots.append(ViewSpec("series", subject.noise, (paths.WORST_NOISE,)))
+    upper = _below("Plots", *plots)
+    misses = _plot("Misses against time, by rank", paths.OUTCOMES)
+    ranking = _text("Ranking", paths.WORST_SUMMARY)
+    lower = _beside("Outcomes", misses, ranking, shares=(1.6, 1.0))
     if subject.road is None:
-        return None
+        return _below("Worst case", upper, lower, shares=(1.25, 1.0))
     title, path = "Least robust rollouts, seen from the ego car", paths.SCENE + paths.SUBTREE
     above = "Least robust rollouts from above; white: where the controller tracks a car"
     bounds = plan_bounds(subject.road)
     plan = ViewSpec("plan", above, (paths.PLAN + paths.SUBTREE,), bounds=bounds)
-    return ContainerSpec(
-        "vertical", "Scenes", (ViewSpec("scene", title, (path,)), plan), shares=(1.0, 1.0)
-    )
+    scenes = _below("Scenes", ViewSpec("scene", title, (path,)), plan, shares=(1.0, 1.0))
+    upper = _beside("Scene", scenes, upper, shares=(1.6, 1.0))
+    return _below("Worst case", upper, lower, shares=(1.9, 1.0))
 
 
 def _config() -> ContainerSpec:
-    left = ContainerSpec(
-        "vertical",
-        "About",
-        (
-            ViewSpec("text", "About this recording", (paths.CONTENTS,)),
-            ViewSpec("text", "Provenance", (paths.PROVENANCE,)),
-        ),
-        shares=(1.0, 2.0),
-    )
-    return ContainerSpec(
-        "horizontal",
-        "Config",
-        (
-            left,
-            ViewSpec("text", "Configuration", (paths.CONFIG,)),
-            ViewSpec("text", "Result", (paths.RESULT,)),
-        ),
-    )
+    about = _text("About this recording", paths.CONTENTS)
+    provenance = _text("Provenance", paths.PROVENANCE)
+    config, result = _text("Configuration", paths.CONFIG), _text("Result", paths.RESULT)
+    return _beside("Config", _below("About", about, provenance, shares=(1.0, 2.0)), config, result)
+
+
+def blueprint(views: ContainerSpec) -> rrb.Blueprint:
+    """The blueprint of these tabs; panels folded, time panel on ``step``."""
+    time_panel = rrb.TimePanel(timeline=paths.STEP, state="collapsed", play_state="paused")
+    return blueprint_of(_container(views), time_panel)
+
+
+def _container(spec: ContainerSpec) -> rrb.Container:
+    parts: list[Any] = [
+        _view(part) if isinstance(part, ViewSpec) else _container(part) for part in spec.parts
+    ]
+    shares = list(spec.shares) if spec.shares else None
+    match spec.kind:
+        case "tabs":
+            return rrb.Tabs(*parts, name=spec.title, active_tab=spec.active)
+        case "horizontal":
+            return rrb.Horizontal(*parts, name=spec.title, column_shares=shares)
+        case "vertical":
+            return rrb.Vertical(*parts, name=spec.title, row_shares=shares)
+        case "grid":
+            return rrb.Grid(*parts, name=spec.title, grid_columns=spec.columns)
+
+
+def _view(spec: ViewSpec) -> rrb.View:
+    """A view; one of a single entity has it as origin, for short legends."""
+    first = spec.paths[0].removesuffix(paths.SUBTREE)
+    common: dict[str, Any] = {
+        "name": spec.title,
+        "origin": first if len(spec.paths) == 1 else first.rpartition("/")[0],
+        "contents": [f"+ {path}" for path in spec.paths],
+    }
+    match spec.kind:
+        case "text":
+            return rrb.TextDocumentView(**common)
+        case "image":
+            return rrb.Spatial2DView(**common)
+        case "plot" | "plan":
+            x, y = spec.bounds or (spec.shape.bounds_x, spec.shape.bounds_y)
+            bounds = rrb.VisualBounds2D(x_range=x, y_range=y)
+            return rrb.Spatial2DView(**common, background=PLOT_BACKGROUND, visual_bounds=bounds)
+        case "series":
+            corner = LEGEND_CORNERS.get(first.rpartition("/")[2])
+            return rrb.TimeSeriesView(
+                **common,
+                axis_y=rrb.ScalarAxis(range=spec.axis) if spec.axis else None,
+                plot_legend=rrb.PlotLegend(corner, visible=corner is not None),
+            )
+        case "tensor":
+            mapping = rrb.TensorScalarMapping(colormap="spectral", mag_filter="nearest")
+            return rrb.TensorView(**common, scalar_mapping=mapping, view_fit="fill")
+        case "scene":
+            eye = rrb.EyeControls3D(
+                kind=rrb.Eye3DKind.Orbital,
+                position=EYE_M,
+                look_target=LOOK_AT_M,
+                eye_up=(0, 0, 1),
+            )
+            grid = rrb.LineGrid3D(visible=False)
+            return rrb.Spatial3DView(**common, line_grid=grid, eye_controls=eye)

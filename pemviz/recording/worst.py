@@ -1,19 +1,33 @@
-"""The least robust rollouts of a run: who they are, and their plots."""
+"""The least robust rollouts of a run: who they are, what was random in them, and their plots."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
+import rerun as rr
 
-from pemviz.arrays import BoolArray, FloatArray
-from pemviz.colors import PEM_ON_BLACK, PROPOSAL_ON_BLACK, rgba
-from pemviz.recording import paths
-from pemviz.recording.latents import Randomness, log_noise, randomness
-from pemviz.recording.outcomes import OutcomeRow, log_outcomes
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.colors import (
+    BLUE,
+    DETECTED,
+    GREEN,
+    GREY,
+    MISSED,
+    ORANGE,
+    PEM_ON_BLACK,
+    PROPOSAL_ON_BLACK,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    WHITE,
+    rgba,
+)
+from pemviz.latents import Latents
+from pemviz.recording import paths, plot
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
-from pemviz.reports.escape import markdown_table, markdown_text
-from pemviz.reports.estimate_words import share_text
 from pemviz.runs.drawn_rollout import (
     NOT_ASKED,
     DrawnRollout,
@@ -24,10 +38,46 @@ from pemviz.runs.drawn_rollout import (
     slots_of,
 )
 from pemviz.runs.result import RankedRollout, RunResult
+from pemviz.sampling.state.visibility import VISIBILITY
+from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.slots import SlotSimulator
+from pemviz.simulators.starts import named_starts
+from pemviz.simulators.told_errors import tells_errors
 from pemviz.types import Signal, Simulator, StageResult, place_of
 
-RANKED_BY_RULE = 3
+MOST_NOISE_SERIES = 8
+NOISE_COLORS = tuple(map(rgba, (ORANGE, SKY, GREEN, PURPLE, VERMILLION, BLUE)))
+MOST_STARTS = 6
+OUTCOME_ROWS = 8
+MISS_HEIGHT = 0.6
+"""Of a row."""
+DETECTION_RADIUS = 0.006
+"""Half of a detection's height, in heights of the plot."""
+SHORT_NAME = 8
+"""Letters of a row's name that the usual margin holds."""
+LONG_NAMES = plot.Shape(left=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Randomness:
+    """What was random in one rollout beside outcomes, in its scenario's terms where it has some.
+
+    Attributes:
+        start: What it started with, value and unit by name.
+        by_step: ``[T-1]`` by name: errors [m], or standard normals.
+        in_m: Whether they are errors.
+    """
+
+    start: Mapping[str, tuple[float, str]]
+    by_step: Mapping[str, FloatArray]
+    in_m: bool
+
+    @property
+    def start_text(self) -> str:
+        """In words; empty if there is nothing to tell."""
+        shown = [f"{n} {v:.3g} {unit}".rstrip() for n, (v, unit) in self.start.items()]
+        more = len(shown) - MOST_STARTS
+        return ", ".join(shown[:MOST_STARTS] + [f"{more} more"] * (more > 0))
 
 
 @dataclass(frozen=True)
@@ -65,11 +115,6 @@ class Track:
         repetition = f"repetition {ranked.repetition}, " if ranked.repetition else ""
         return f"{repetition}stage {ranked.stage}, rollout {ranked.rollout}"
 
-    @property
-    def title(self) -> str:
-        """For labels and legends."""
-        return f"{self.name}, robustness {self.ranked.robustness:.3g}"
-
 
 def update_tracks(
     tracks: Sequence[Track],
@@ -79,19 +124,18 @@ def update_tracks(
     simulator: Simulator | SlotSimulator,
 ) -> tuple[Track, ...]:
     """The tracks of ``result``'s least robust rollouts, kept ones and those of a new stage."""
-    logged = {_key(track.ranked): track for track in tracks}
+
+    def key(ranked: RankedRollout) -> tuple[int, int, int]:
+        return ranked.repetition, ranked.stage, ranked.rollout
+
+    logged = {key(track.ranked): track for track in tracks}
     current: list[Track] = []
     for ranked in result.least_robust:
-        key = _key(ranked)
-        if key in logged:
-            current.append(logged[key])
+        if key(ranked) in logged:
+            current.append(logged[key(ranked)])
         elif (ranked.repetition, ranked.stage) == (stage.repetition, stage.stage):
             current.append(_track(stage, ranked, simulator))
     return tuple(current)
-
-
-def _key(ranked: RankedRollout) -> tuple[int, int, int]:
-    return (ranked.repetition, ranked.stage, ranked.rollout)
 
 
 def _track(
@@ -101,43 +145,57 @@ def _track(
     row = place_of(ranked.rollout, stage.drawn)
     signals = {name: values[row].copy() for name, values in rollouts.signals.items()}
     memory = {name: values[row].copy() for name, values in rollouts.memory.items()}
+    detected, latents = rollouts.detected[row], rollouts.latents
     return Track(
         ranked=ranked,
         signals=signals,
-        detected=np.array(faultless(rollouts.detected[row], slots=slots)),
+        detected=np.array(faultless(detected, slots=slots)),
         pem_probability=faultless_probability(rollouts.pem_logit[row], slots=slots),
         proposal_probability=faultless_probability(rollouts.proposal_logit[row], slots=slots),
-        right_by_slot=right_by_slot(rollouts.detected[row], slots=slots),
-        outcomes=rollouts.detected[row].copy(),
-        random=randomness(
-            simulator, latents=rollouts.latents, row=row, signals=signals, memory=memory
-        ),
-        start=None if rollouts.latents is None else rollouts.latents.start[row].copy(),
-        drawn=drawn_rollout(
-            simulator,
-            signals=signals,
-            detected=rollouts.detected[row],
-            memory=memory,
-        ),
+        right_by_slot=right_by_slot(detected, slots=slots),
+        outcomes=detected.copy(),
+        random=_randomness(simulator, latents, row, signals, memory),
+        start=None if latents is None else latents.start[row].copy(),
+        drawn=drawn_rollout(simulator, signals=signals, detected=detected, memory=memory),
     )
 
 
-def rules_table(by_rule: Mapping[str, Sequence[RankedRollout]]) -> str:
-    """The least robust rollouts of each rule as markdown; nothing without rules."""
-    if not by_rule:
+def _randomness(
+    simulator: object,
+    latents: Latents | None,
+    row: int,
+    signals: Mapping[str, FloatArray],
+    memory: Mapping[str, AnyArray],
+) -> Randomness:
+    """Of one rollout, by latents of all of them and by signals and memory of its own."""
+    start: dict[str, tuple[float, str]] = {}
+    if latents is not None:
+        normals, named = latents.start[row : row + 1], named_starts(simulator)
+        if named is None:
+            start = {f"latent {place} at": (float(z), "") for place, z in enumerate(normals[0])}
+        else:
+            values = named.start_values(normals)
+            start = {
+                one.name.replace("_", " "): (float(values[one.name][0]), one.unit)
+                for one in named.starts
+            }
+    if VISIBILITY.name in signals:
+        start["visibility u in the end"] = float(signals[VISIBILITY.name][-1]), ""
+    if latents is None or not latents.noise.shape[2]:
+        return Randomness(start, {}, in_m=False)
+    telling = tells_errors(simulator)
+    errors = {} if telling is None else telling.told_errors(signals, memory)
+    noise = {f"latent {place}": values for place, values in enumerate(latents.noise[row].T)}
+    return Randomness(start, errors or noise, in_m=bool(errors))
+
+
+def noise_title(simulator: object) -> str:
+    """Names what is drawn of the least robust rollout's steps; empty if they have no latents."""
+    if not latent_counts(simulator).noise:
         return ""
-    rows = [
-        (
-            markdown_text(name),
-            f"{one.robustness:.3g}{'' if one.violated else ' (holds)'}",
-            share_text(one.share),
-            f"repetition {one.repetition}, stage {one.stage}, rollout {one.rollout}",
-        )
-        for name, ranked in by_rule.items()
-        for one in ranked[:RANKED_BY_RULE]
-    ]
-    words = "\n\n## Of each rule\n\nShares are of the answer to the rule.\n\n"
-    return words + markdown_table(("rule", "robustness", "share", "which"), rows)
+    if tells_errors(simulator) is None:
+        return "Rank 1: standard normals against step"
+    return "Rank 1: error of measured places [m] against step"
 
 
 def log_worst_plots(
@@ -148,44 +206,99 @@ def log_worst_plots(
     stage: int,
     dt_s: float,
 ) -> None:
-    """Signals of all tracks, outcomes of each, detection probabilities of the least robust."""
-    steps = tracks[0].detected.size
-    acting = StepTimes(stage=stage, count=steps, dt_s=dt_s)
-    drawn = tracks[::-1]
+    """Signals and outcomes of all tracks; of the least robust P(detected) and what was random."""
+
+    def series(path: str, values: AnyArray) -> None:
+        file.series(path, values, times=StepTimes(stage, count=values.shape[1], dt_s=dt_s))
+
+    drawn, worst = tracks[::-1], tracks[0]
     violated = np.array([track.ranked.violated for track in drawn])
     for signal in signals:
         path = paths.worst_series(signal.key)
-        values = np.array([track.signals[signal.name] for track in drawn])
         file.style(
             path,
-            names=[track.title for track in drawn],
+            names=[f"{one.name}, robustness {one.ranked.robustness:.3g}" for one in drawn],
             colors=series_colors(violated),
-            widths=[THICK if track is tracks[0] else THIN for track in drawn],
+            widths=[THICK if track is worst else THIN for track in drawn],
         )
-        file.series(path, values, times=StepTimes(stage=stage, count=steps + 1, dt_s=dt_s))
+        series(path, np.array([track.signals[signal.name] for track in drawn]))
     file.style(
         paths.WORST_DETECTION,
         names=["perception error model", "proposal it was sampled from"],
         colors=[rgba(PEM_ON_BLACK), rgba(PROPOSAL_ON_BLACK)],
         widths=[2.0, 2.0],
     )
-    worst = tracks[0]
-    file.series(
-        paths.WORST_DETECTION,
-        np.array([worst.pem_probability, worst.proposal_probability]),
-        times=acting,
-    )
-    log_noise(file, worst.random, stage=stage, dt_s=dt_s)
-    log_outcomes(file, _rows(tracks), stage=stage, dt_s=dt_s)
+    series(paths.WORST_DETECTION, np.array([worst.pem_probability, worst.proposal_probability]))
+    if noise := dict(list(worst.random.by_step.items())[:MOST_NOISE_SERIES]):
+        unit = " [m]" if worst.random.in_m else ""
+        file.style(
+            paths.WORST_NOISE,
+            names=[f"{name}{unit}" for name in noise],
+            colors=[NOISE_COLORS[place % len(NOISE_COLORS)] for place in range(len(noise))],
+            widths=[2.0] * len(noise),
+        )
+        series(paths.WORST_NOISE, np.array(list(noise.values())))
+    _log_outcomes(file, tracks, stage=stage, dt_s=dt_s)
 
 
-def _rows(tracks: Sequence[Track]) -> Sequence[OutcomeRow]:
-    """Outcomes by rank, with several slots a row for each of them."""
-    rows: list[OutcomeRow] = []
+@dataclass(frozen=True, eq=False)
+class _OutcomeRow:
+    """Whether perception was right ``[T-1]``, and whether there was anything to be right about."""
+
+    name: str
+    right: BoolArray
+    applies: BoolArray
+
+
+def _log_outcomes(file: RecordingFile, tracks: Sequence[Track], *, stage: int, dt_s: float) -> None:
+    """Misses against time by rank, with several slots a row for each, and where the time is."""
+    rows: list[_OutcomeRow] = []
     for rank, track in enumerate(tracks, start=1):
+        always = np.ones(track.detected.size, dtype=np.bool_)
         for slot, (name, right) in enumerate(track.right_by_slot.items()):
-            asked = None if track.drawn is None else track.drawn.answers[:, slot] != NOT_ASKED
-            rows.append(OutcomeRow(f"rank {rank}, {name}", right, asked))
+            in_view = always if track.drawn is None else track.drawn.answers[:, slot] != NOT_ASKED
+            rows.append(_OutcomeRow(f"rank {rank}, {name}", right, in_view))
         if not track.right_by_slot:
-            rows.append(OutcomeRow(f"rank {rank}", track.detected))
-    return rows
+            rows.append(_OutcomeRow(f"rank {rank}", track.detected, always))
+    rows = rows[:OUTCOME_ROWS]
+    steps = rows[0].right.size
+    frame = outcome_frame([row.name for row in rows], steps=steps, dt_s=dt_s)
+    log = partial(file.at_stage, stage=stage)
+    plot.log_axes(log, paths.OUTCOMES, frame)
+    for place, row in enumerate(rows, start=1):
+        log(paths.outcomes(place), _misses(frame, row, place=place, dt_s=dt_s))
+    entries = [(0, "missed", rgba(MISSED)), (1, "detected", rgba(DETECTED))]
+    if not all(np.all(row.applies) for row in rows):
+        entries.append((2, "not in view", rgba(GREY)))
+    plot.log_legend(log, paths.OUTCOMES, frame, entries)
+    times, path = StepTimes(stage, count=steps + 1, dt_s=dt_s), paths.part(paths.OUTCOMES, "time")
+    strips = [[frame.upright(step * dt_s)] for step in range(times.count)]
+    file.static(path, rr.LineStrips2D.from_fields(colors=[rgba(WHITE)], radii=[plot.ui(0.7)]))
+    file.along(path, rr.LineStrips2D.columns(strips=strips), times=times)
+
+
+def outcome_frame(names: Sequence[str], *, steps: int, dt_s: float) -> plot.Frame:
+    """Time to the right, rows downwards, the first on top."""
+    ticks = tuple((float(place), name) for place, name in enumerate(names, start=1))
+    y = plot.Axis(low=len(names) + 0.5, high=0.5, ticks=ticks)
+    shape = LONG_NAMES if max(map(len, names)) > SHORT_NAME else plot.NORMAL
+    return plot.Frame(x=plot.number_axis(0.0, steps * dt_s, unit="s"), y=y, shape=shape)
+
+
+def _misses(frame: plot.Frame, row: _OutcomeRow, *, place: int, dt_s: float) -> rr.LineStrips2D:
+    """A line along the row, and across it a stroke as wide as a step for every miss."""
+    steps = row.right.size
+    turns = np.flatnonzero(np.diff(row.applies)) + 1
+    runs = list(pairwise([0, *turns.tolist(), steps]))
+    lines = [frame.places(np.array(run) * dt_s, np.full(2, float(place))) for run in runs]
+    shades = [rgba(DETECTED if row.applies[first] else GREY) for first, _ in runs]
+    ends = np.array([place - MISS_HEIGHT / 2, place + MISS_HEIGHT / 2])
+    middles_s = (np.flatnonzero(~row.right & row.applies) + 0.5) * dt_s
+    missed = [frame.places(np.full(2, middle_s), ends) for middle_s in middles_s]
+    half_step = frame.shape.width / steps / 2.0
+    return rr.LineStrips2D(
+        [*lines, *missed],
+        colors=[*shades, *[rgba(MISSED)] * len(missed)],
+        radii=[*[DETECTION_RADIUS] * len(lines), *[half_step] * len(missed)],
+        draw_order=20.0,
+    )

@@ -8,8 +8,7 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.recording import Recorder
-from pemviz.recording.open import viewer_process
-from pemviz.recording.web import web_viewer
+from pemviz.recording.open import web_viewer
 from pemviz.runs.engine import run_experiment
 
 playwright = pytest.importorskip("playwright.sync_api")
@@ -31,7 +30,7 @@ def test_the_viewer_fetches_the_recording_and_nothing_from_outside(tmp_path: Pat
     run_experiment(config, observers=[Recorder(path)])
     fetched: list[str] = []
     with (
-        web_viewer(path, port=0, start=viewer_process) as address,
+        web_viewer(path, port=0) as address,
         playwright.sync_playwright() as driver,
     ):
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(SOFTWARE_GRAPHICS))

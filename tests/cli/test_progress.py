@@ -14,8 +14,7 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.panel.controller import Watcher
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.engine import run_experiment
-from tests.reports.runs import PLAN, estimate, result
-from tests.reports.test_causes_words import EXPLANATION
+from tests.reports.runs import EXPLANATION, PLAN, estimate, result
 
 EASY = ScenarioConfig(states=45, emergency_gap_m=12.0)
 

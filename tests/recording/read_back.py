@@ -1,4 +1,4 @@
-"""Reading a recording's rollouts back into arrays, with rerun's own reader."""
+"""Reading a recording back into arrays, with rerun's own reader."""
 
 import warnings
 from collections.abc import Iterator
@@ -12,6 +12,7 @@ import rerun as rr
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.errors import InputError
 from pemviz.recording import paths
+from pemviz.recording.plot import Frame
 
 TABLE_COLUMNS = ("rollout", "robustness", "violated", "log_weight", "log_p")
 SCALARS, TENSOR = "Scalars:scalars", "Tensor:data"
@@ -19,14 +20,9 @@ SCALARS, TENSOR = "Scalars:scalars", "Tensor:data"
 
 @dataclass(frozen=True)
 class RecordedStage:
-    """One stage's recorded rollouts, in the order of their index in the stage.
+    """One stage's ``[M]`` recorded rollouts, in the order of their index in the stage.
 
     Attributes:
-        rollout: ``[M]`` index in the stage.
-        robustness: ``[M]`` under the ranking metric.
-        violated: ``[M]`` the classical verdict.
-        log_weight: ``[M]`` log importance weight [nats].
-        log_p: ``[M]`` log likelihood under the perception error model [nats].
         series: By key: each signal ``[M, T]``, and P(detected) ``[M, T-1]`` of the perception
             error model (``p_detected_pem``) and the proposal (``p_detected_proposal``).
         detected: ``[M, T-1]`` outcomes.
@@ -39,50 +35,6 @@ class RecordedStage:
     log_p: FloatArray
     series: dict[str, FloatArray]
     detected: BoolArray
-
-
-def read_stages(path: Path) -> dict[int, RecordedStage]:
-    """Every stage's recorded rollouts, by stage.
-
-    A recording may have been cut short, or rewritten by ``rerun rrd optimize``. Read only files
-    that are otherwise whole: at other damage rerun's reader may end the process.
-
-    Raises:
-        InputError: The file cannot be read as a recording.
-    """
-    parts: dict[int, dict[str, Any]] = {}
-    for entity, batch in batches(path):
-        pieces = entity.strip("/").split("/")
-        if len(pieces) != 3 or f"/{pieces[0]}" != paths.ROLLOUTS:
-            continue
-        stage = int(pieces[1].removeprefix("stage_"))
-        found = parts.setdefault(stage, {})
-        _add(found, pieces[2], batch)
-    return {stage: _stage(found) for stage, found in sorted(parts.items()) if _whole(found)}
-
-
-def _add(found: dict[str, Any], part: str, batch: dict[str, Any]) -> None:
-    """Take what a chunk holds of a stage; an optimized recording spreads columns over chunks."""
-    if part == paths.TABLE:
-        columns = {n: np.array(_first(batch, n)) for n in TABLE_COLUMNS if n in batch}
-        found.setdefault(paths.TABLE, {}).update(columns)
-    elif part == paths.DETECTED:
-        if TENSOR in batch:
-            found[paths.DETECTED] = _raster(_first(batch, TENSOR)[0])
-    elif part != paths.MISSED_SHARE and SCALARS in batch:
-        rows = zip(batch[paths.STEP].tolist(), batch[SCALARS], strict=True)
-        found.setdefault("series", {}).setdefault(part, {}).update(rows)
-
-
-def batches(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Entity path and columns by name of every chunk that is not static, in the file's order.
-
-    Raises:
-        InputError: The file cannot be read as a recording.
-    """
-    for chunk in chunks(path):
-        if not chunk.is_static:
-            yield chunk.entity_path, _columns(chunk.to_record_batch())
 
 
 def chunks(path: Path) -> Iterator[Any]:
@@ -102,26 +54,91 @@ def chunks(path: Path) -> Iterator[Any]:
         raise InputError(message) from error
 
 
-def _columns(batch: Any) -> dict[str, Any]:
-    columns: dict[str, Any] = {}
-    for field, column in zip(batch.schema, batch.columns, strict=True):
-        if field.name == SCALARS:
-            columns[field.name] = _rows(column)
-        elif field.name == paths.STEP:
-            columns[field.name] = column.to_numpy(zero_copy_only=False)
-        else:
-            columns[field.name] = column
-    return columns
+def entities(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in chunks(path)}
 
 
-def _rows(column: Any) -> list[FloatArray]:
-    """A list column as one array for each row."""
-    values = column.flatten().to_numpy(zero_copy_only=False)
-    return np.split(values, np.cumsum(column.value_lengths().to_numpy(zero_copy_only=False))[:-1])
+def columns(path: Path, entity: str) -> dict[str, Any]:
+    """Every column logged along an entity, by name; of each the last."""
+    return {
+        name: column
+        for chunk in chunks(path)
+        if chunk.entity_path == entity and not chunk.is_static
+        for batch in [chunk.to_record_batch()]
+        for name, column in zip(batch.schema.names, batch.columns, strict=True)
+    }
 
 
-def _first(batch: dict[str, Any], name: str) -> Any:
-    return batch[name][0].as_py()
+def newest(path: Path, name: str) -> dict[str, list[Any]]:
+    """The last row of a component at each path."""
+    batches = ((chunk.entity_path, chunk.to_record_batch()) for chunk in chunks(path))
+    return {e: b[name].to_pylist()[-1] for e, b in batches if name in b.schema.names}
+
+
+def texts(path: Path) -> dict[str, str]:
+    """The last text at each path."""
+    return {entity: row[0] for entity, row in newest(path, "TextDocument:text").items()}
+
+
+def strips(path: Path, entity: str) -> list[AnyArray]:
+    """The last line strips ``[N, 2]`` at a path."""
+    return [np.array(strip, float) for strip in newest(path, "LineStrips2D:strips")[entity]]
+
+
+def dots(path: Path, entity: str) -> AnyArray:
+    """The last points ``[N, 2]`` at a path."""
+    return np.array(newest(path, "Points2D:positions")[entity], float)
+
+
+def values_at(frame: Frame, places: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """What was drawn at places ``[N, 2]``."""
+    across, up = places[:, 0] / frame.shape.width, 1.0 - places[:, 1]
+    return (
+        frame.x.low + across * (frame.x.high - frame.x.low),
+        frame.y.low + up * (frame.y.high - frame.y.low),
+    )
+
+
+def scalars(path: Path, entity: str, timeline: str) -> dict[int, list[float]]:
+    """Rows of scalars by time."""
+    rows = {}
+    for chunk in chunks(path):
+        if chunk.entity_path == entity and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            rows.update(zip(batch[timeline].to_pylist(), batch[SCALARS].to_pylist(), strict=True))
+    return rows
+
+
+def read_stages(path: Path) -> dict[int, RecordedStage]:
+    """Every stage's recorded rollouts, by stage.
+
+    A recording may have been cut short, or rewritten by ``rerun rrd optimize``, which spreads
+    columns over chunks. Read only files that are otherwise whole: at other damage rerun's reader
+    may end the process.
+
+    Raises:
+        InputError: The file cannot be read as a recording.
+    """
+    parts: dict[int, dict[str, Any]] = {}
+    for chunk in chunks(path):
+        root, *pieces = chunk.entity_path.strip("/").split("/")
+        if chunk.is_static or len(pieces) != 2 or f"/{root}" != paths.ROLLOUTS:
+            continue
+        stage, part = int(pieces[0].removeprefix("stage_")), pieces[1]
+        found = parts.setdefault(stage, {"table": {}, "series": {}})
+        batch = chunk.to_record_batch()
+        names = batch.schema.names
+        if part == paths.TABLE:
+            known = {n: np.array(batch[n][0].as_py()) for n in TABLE_COLUMNS if n in names}
+            found["table"].update(known)
+        elif part == paths.DETECTED and TENSOR in names:
+            found["detected"] = _raster(batch[TENSOR][0].as_py()[0])
+        elif part != paths.MISSED_SHARE and SCALARS in names:
+            steps = batch[paths.STEP].to_pylist()
+            rows = batch[SCALARS].flatten().to_numpy(zero_copy_only=False)
+            rows = rows.reshape(len(steps), -1)
+            found["series"].setdefault(part, {}).update(zip(steps, rows, strict=True))
+    return {stage: _stage(found) for stage, found in sorted(parts.items()) if _whole(found)}
 
 
 def _raster(tensor: dict[str, Any]) -> AnyArray:
@@ -132,23 +149,15 @@ def _raster(tensor: dict[str, Any]) -> AnyArray:
 
 
 def _whole(found: dict[str, Any]) -> bool:
-    table_whole = set(found.get(paths.TABLE, ())) == set(TABLE_COLUMNS)
-    return table_whole and paths.DETECTED in found and bool(found.get("series"))
+    return set(found["table"]) == set(TABLE_COLUMNS) and "detected" in found and found["series"]
 
 
 def _stage(found: dict[str, Any]) -> RecordedStage:
-    table = found[paths.TABLE]
-    order = np.argsort(table["rollout"])
+    order = np.argsort(found["table"]["rollout"])
     series = {
         key: np.stack([rows[step] for step in sorted(rows)], axis=1)[order]
         for key, rows in found["series"].items()
     }
-    return RecordedStage(
-        rollout=table["rollout"][order],
-        robustness=table["robustness"][order],
-        violated=table["violated"][order],
-        log_weight=table["log_weight"][order],
-        log_p=table["log_p"][order],
-        series=series,
-        detected=found[paths.DETECTED][::-1][order].astype(np.bool_),
-    )
+    table = {name: values[order] for name, values in found["table"].items()}
+    detected = found["detected"][::-1][order].astype(np.bool_)
+    return RecordedStage(**table, series=series, detected=detected)

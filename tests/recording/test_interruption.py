@@ -12,12 +12,12 @@ import pytest
 
 from pemviz.errors import InputError, RunError
 from pemviz.recording import Recorder, paths
-from pemviz.recording.web import free_port
+from pemviz.recording.open import free_port
 from pemviz.runs.engine import run
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
-from tests.recording.conftest import LEARNING, chunks, texts, with_blind_pem
-from tests.recording.read_back import read_stages
+from tests.recording.conftest import LEARNING, with_blind_pem
+from tests.recording.read_back import chunks, read_stages, texts
 from tests.recording.test_values import verify
 from tests.toy import MissCounter, constant_pem
 

@@ -10,15 +10,17 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.recording import Recorder, paths, text
-from pemviz.recording.blueprint import blueprint, shown, views_with_data
 from pemviz.recording.views import (
     ContainerSpec,
     Subject,
     ViewSpec,
     all_views,
+    blueprint,
     keep_views,
+    shown,
     shown_stages,
     views_of,
+    views_with_data,
 )
 from pemviz.reports.estimate_words import short_probability
 from pemviz.runs.engine import run
@@ -27,7 +29,8 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.simulators.drawn_scene import drawn_scene
-from tests.recording.conftest import LEARNING, chunks, record, texts, with_blind_pem
+from tests.recording.conftest import LEARNING, record, with_blind_pem
+from tests.recording.read_back import chunks, entities, texts
 
 PACKAGE = Path(text.__file__).parent
 TABS = ["Answer", "Learning", "Rollouts", "Worst case", "Config"]
@@ -37,7 +40,6 @@ def subject_of(recorded, **changes) -> Subject:
     started = recorded.events[0]
     config = started.config
     subject = Subject(
-        method=config.method,
         stages=started.stages,
         repetitions=config.repetitions,
         signals=started.signals,
@@ -45,10 +47,6 @@ def subject_of(recorded, **changes) -> Subject:
         road=drawn_scene(started.simulator).road,
     )
     return replace(subject, **changes)
-
-
-def entities(path: Path) -> set[str]:
-    return {chunk.entity_path for chunk in chunks(path)}
 
 
 def empty_views(views, logged):
@@ -171,7 +169,7 @@ def test_a_stopped_run_has_no_views_of_what_it_did_not_reach(tmp_path):
     assert paths.rollouts(1, "gap_m") not in logged
     assert "The run stopped" in texts(path)[paths.ANSWER]
     kept = views_with_data(
-        all_views(Subject("adaptive", 4, 1, experiment.problem.simulator.signals, "m")), logged
+        all_views(Subject(4, 1, experiment.problem.simulator.signals, "m")), logged
     )
     assert "Stage 1" not in str(kept)
 
@@ -258,7 +256,7 @@ def test_dropping_views_keeps_the_open_tab():
 def test_blueprints_are_built_for_any_number_of_stages(stages):
     signals = build_experiment(ExperimentConfig()).problem.simulator.signals
     for repetitions in (1, 5):
-        subject = Subject("adaptive", stages, repetitions, signals, "m", frames=True)
+        subject = Subject(stages, repetitions, signals, "m", frames=True)
         assert blueprint(all_views(subject)) is not None
 
 

@@ -12,26 +12,16 @@ from scipy.special import expit
 from pemviz.analysis.detection_curves import detection_curves, gap_grid
 from pemviz.arrays import row_sums
 from pemviz.recording import paths
-from pemviz.recording.estimates import stage_axis
-from pemviz.recording.learning import curve_frame, robustness_frame
-from pemviz.recording.outcomes import outcome_frame
+from pemviz.recording.learning import curve_frame, robustness_frame, stage_axis
 from pemviz.recording.plot import WITHOUT_LEGEND, Axis, Frame, decade_axis
 from pemviz.recording.recorder import CURVE_STEP_M
+from pemviz.recording.worst import outcome_frame
 from pemviz.runs.engine import run
 from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.rollouts.large_stages import weighed
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M
-from tests.recording.conftest import (
-    LEARNING,
-    chunks,
-    dots,
-    record,
-    scalars,
-    strips,
-    values_at,
-    with_blind_pem,
-)
-from tests.recording.read_back import read_stages
+from tests.recording.conftest import LEARNING, record, with_blind_pem
+from tests.recording.read_back import chunks, dots, read_stages, scalars, strips, values_at
 
 RERUN = Path(rerun_cli.__file__).parent / "rerun"
 

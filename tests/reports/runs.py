@@ -3,9 +3,12 @@
 import math
 from dataclasses import replace
 
+from pemviz.analysis.causes import BandMisses, Bursts, Spread
 from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan
+from pemviz.analysis.explanation import Explanation
 from pemviz.analysis.label_plan import BandPlan, LabelPlan
 from pemviz.analysis.model_uncertainty import DataBound, ModelInterval
+from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.config import ExperimentConfig
 from pemviz.runs.result import PemInfo, RankedRollout, RunResult
 from pemviz.sampling.zero_variance.reference import Reference
@@ -46,6 +49,28 @@ PLAN = DataPlan(
         wanted=85,
     ),
 )  # fmt: skip
+
+
+BURSTS = Bursts(
+    dt_s=0.05,
+    count=1.1,
+    misses=16.3,
+    frames=Spread(15.0, 10.0, 23.0),
+    begins_s=Spread(2.05, 1.6, 2.55),
+    begins_gap_m=Spread(9.0, 7.06, 11.44),
+    start=0.0026,
+    again=0.78,
+    whole=4.7e-10,
+)
+EXPLANATION = Explanation(
+    repetition=0,
+    misses_by_distance=(BandMisses(8.0, 10.0, 4.06, 1.0),),
+    miss_probability_by_step=(),
+    chains=(),
+    sensitivity=(BandSensitivity(None, None, 1.08, 0.024, 900.0, None, 0.011),) * 2,
+    memory=MemorySensitivity(0.2, 1.94, 0.0671, 250.0, None, 0.03),
+    bursts=BURSTS,
+)
 
 
 def estimate(**changes):

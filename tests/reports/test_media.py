@@ -40,8 +40,7 @@ from pemviz.reports.safety_case import safety_case_page
 from pemviz.reports.terminal import plain_lines, print_summary, summary_text
 from pemviz.runs.result import RuleAnswer, RunMemory
 from pemviz.sampling.bursts.curve import CurvePoint
-from tests.reports.runs import PLAN, estimate, result
-from tests.reports.test_causes_words import EXPLANATION
+from tests.reports.runs import EXPLANATION, PLAN, estimate, result
 from tests.runs.test_uncertainty import MODEL_CLASSES
 
 CURVE = tuple(

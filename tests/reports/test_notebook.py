@@ -16,8 +16,7 @@ from pemviz.runs.engine import run_experiment
 from pemviz.runs.observers import KeptStages, Rollout
 from pemviz.runs.result import RunMemory
 from pemviz.sampling.bursts.curve import CurvePoint
-from tests.reports.runs import NASTY, PLAN, estimate, nasty_result, result, warned
-from tests.reports.test_causes_words import EXPLANATION
+from tests.reports.runs import EXPLANATION, NASTY, PLAN, estimate, nasty_result, result, warned
 
 
 def tags(page):

@@ -1,17 +1,25 @@
-"""A scenario that tells where its cars are has its least robust rollouts drawn on their roads."""
+"""The least robust rollouts: on their roads, on film, with what was random in them."""
+
+from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
+import PIL.Image
 import pytest
+import rerun as rr
 
 import pemviz
 from pemviz.colors import DETECTED, GREY, MISSED, rgba
+from pemviz.config import ExperimentConfig, StartChoice
+from pemviz.config.toml_files import load_preset
 from pemviz.recording import paths
-from pemviz.recording.outcomes import outcome_frame
-from pemviz.recording.scene_layout import road_place
-from pemviz.recording.scene_plan import row_m
+from pemviz.recording.scene import road_place, row_m
+from pemviz.recording.worst import outcome_frame
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, drawn_rollout, remembered
-from tests.recording import read_back
-from tests.recording.conftest import record, strips, texts, values_at
+from pemviz.runs.experiment import build_experiment
+from tests.latent_toys import Drift, Flat
+from tests.recording.conftest import record, with_blind_pem
+from tests.recording.read_back import chunks, columns, scalars, strips, texts, values_at
 from tests.scene_toys import SPREAD_M, CameraOfTwo, CutIn
 
 
@@ -31,19 +39,8 @@ def rollout(recorded):
     return stage.scored.rollouts.take(slice(ranked.rollout, ranked.rollout + 1))
 
 
-def columns(recorded, entity):
-    """Every column logged along an entity, by name."""
-    return {
-        name: column
-        for chunk in read_back.chunks(recorded.path)
-        if chunk.entity_path == entity and not chunk.is_static
-        for batch in [chunk.to_record_batch()]
-        for name, column in zip(batch.schema.names, batch.columns, strict=True)
-    }
-
-
 def values(recorded, entity, name):
-    return columns(recorded, entity)[name].to_pylist()
+    return columns(recorded.path, entity)[name].to_pylist()
 
 
 def first_contact(rollout):
@@ -158,3 +155,123 @@ def test_a_row_of_outcomes_is_cut_where_its_car_comes_into_view_and_errors_are_t
         strokes_s = [at_s[0] for at_s, row in drawn if row[0] != row[1]]
         expected_s = (np.flatnonzero(wrong[:, slot]) + 0.5) * 0.1
         np.testing.assert_allclose(strokes_s, expected_s, atol=1e-4)
+
+
+def titles(recorded):
+    """Of the views in the recording's layout."""
+    reader = rr.chunk.RrdReader(recorded.path)
+    stored = [c.to_record_batch() for c in reader.stream(store=reader.blueprints()[-1])]
+    name = "ViewBlueprint:display_name"
+    rows = [
+        row for batch in stored if name in batch.schema.names for row in batch[name].to_pylist()
+    ]
+    return [title for row in rows for title in row]
+
+
+def by_step(recorded):
+    """What was random at each step of the least robust rollout, ``[T-1, M]``."""
+    rows = scalars(recorded.path, paths.WORST_NOISE, paths.STEP)
+    return np.array([rows[step] for step in sorted(rows)])
+
+
+def rank_one(recorded):
+    ranked = recorded.result.least_robust[0]
+    return ranked.rollout, recorded.stages[ranked.stage].scored.rollouts
+
+
+@pytest.fixture(scope="module")
+def braking(tmp_path_factory):
+    """Errors of the measured gap and obstacles that differ: experiment and record."""
+    config = ExperimentConfig(
+        method="monte-carlo", final_rollouts=10, position_errors="pointpillars", plan=False,
+        spec="always[0,99] (gap >= 9.0)", seed=2, frailty=0.4,
+    )  # fmt: skip
+    experiment = build_experiment(config)
+    return experiment, record(experiment, tmp_path_factory.mktemp("braking"))
+
+
+def test_errors_are_what_the_controller_measured_less_the_truth(braking):
+    """Step by step, from the rollout's own latents."""
+    experiment, recorded = braking
+    row, rollouts = rank_one(recorded)
+    simulator = experiment.declared.scenario
+    latents = rollouts.latents.take(np.array([row]))
+    states = simulator.initial(count=1, start=latents.start)
+    measured = []
+    for step in range(simulator.states - 1):
+        seen = simulator.perceived(states, np.array([True]), latents.noise[:, step])
+        measured.append(float(seen.gap_m[0] - states.signals["gap"][0]))
+        states = simulator.step(states, rollouts.detected[[row], step], latents.noise[:, step])
+    np.testing.assert_allclose(by_step(recorded)[:, 0], measured, atol=1e-9)
+    assert np.ptp(measured) > 0.1
+    assert "Rank 1: error of measured places [m] against step" in titles(recorded)
+
+
+def test_the_table_tells_starts_and_how_hard_the_obstacle_is_to_see(braking):
+    _, recorded = braking
+    row, rollouts = rank_one(recorded)
+    table = texts(recorded.path)[paths.WORST_SUMMARY].split("## Random at the start")[1]
+    first = next(line for line in table.splitlines() if line.startswith("| 1 |"))
+    assert f"latent 0 at {rollouts.latents.start[row, 0]:.3g}" in first
+    assert f"visibility u in the end {rollouts.signals['visibility'][row, -1]:.3g}" in first
+
+
+def test_a_logical_scenario_tells_of_every_car_and_names_its_start(tmp_path):
+    config = replace(
+        load_preset("cut-in"), method="monte-carlo", final_rollouts=10,
+        position_errors="pointpillars", plan=False,
+    )  # fmt: skip
+    experiment = build_experiment(config)
+    recorded = record(experiment, tmp_path)
+    row, rollouts = rank_one(recorded)
+    found, scenario = by_step(recorded), experiment.declared
+    signals = {name: values[[row], :-1] for name, values in rollouts.signals.items()}
+    present = scenario.present(signals)[0]
+    np.testing.assert_array_equal(np.isnan(found), ~np.repeat(present, 2, axis=-1))
+    assert found.shape == (scenario.states - 1, 2 * len(scenario.slots))
+    gap_m = float(scenario.start_values(rollouts.latents.start[[row]])["gap"][0])
+    assert f"gap {gap_m:.3g} m" in texts(recorded.path)[paths.WORST_SUMMARY]
+
+
+def test_latents_that_nobody_explains_are_shown_as_they_are(tmp_path):
+    drift = Drift(miss_m=0.4)
+    config = ExperimentConfig(
+        method="monte-carlo", final_rollouts=30, spec=drift.spec(1.0), plan=False
+    )
+    recorded = record(pemviz.build_experiment(config, simulator=drift, pem=Flat(0.1)), tmp_path)
+    row, rollouts = rank_one(recorded)
+    np.testing.assert_array_equal(by_step(recorded), rollouts.latents.noise[row])
+    assert "Rank 1: standard normals against step" in titles(recorded)
+
+
+def test_without_latents_nothing_is_said_of_them(learned):
+    assert "Random at the start" not in texts(learned.path)[paths.WORST_SUMMARY]
+    assert not any(title.startswith("Rank 1:") for title in titles(learned))
+
+
+def test_a_logical_scenario_is_filmed_with_its_own_start_and_in_grey_from_contact_on(tmp_path):
+    pytest.importorskip("highway_env")
+    preset = load_preset("braking")
+    config = replace(
+        preset, method="naive", naive_detection_probability=0.02, memory_s=0.0, rules=(),
+        spec="always[0,30] (clearance - collided >= 0)",
+        encounter=replace(preset.encounter, states=31), final_rollouts=20, plan=False,
+        start=(StartChoice(name="gap", distribution="uniform(8, 9)"),
+               StartChoice(name="brake_time", distribution="0.2")),
+    )  # fmt: skip
+    recorded = record(with_blind_pem(config), tmp_path, frames=True)
+    pictures = [c for c in chunks(recorded.path) if c.entity_path == paths.FRAMES]
+    rows = [c.to_record_batch()["EncodedImage:blob"] for c in pictures if not c.is_static]
+    frames = [np.asarray(PIL.Image.open(BytesIO(bytes(one[0]))).convert("RGB"), dtype=np.int64)
+              for row in rows for one in row.to_pylist()]  # fmt: skip
+    assert len(frames) == 31
+    ranked, (stage,) = recorded.result.least_robust[0], recorded.stages
+    signals = {name: v[ranked.rollout] for name, v in stage.scored.rollouts.signals.items()}
+    assert signals["collided"].any()
+    colored = [np.ptp(frame, axis=-1).max() > 60 for frame in frames]
+    assert colored == (signals["collided"] == 0.0).tolist()
+    # the orange car starts as far ahead of the blue one as in the rollout: 7.2 pixels a metre
+    orange = (frames[0][..., 0] > 150) & (frames[0][..., 2] < 90)
+    blue = (frames[0][..., 2] > 130) & (frames[0][..., 0] < 90)
+    gap_px = np.flatnonzero(orange.any(axis=0))[0] - np.flatnonzero(blue.any(axis=0))[-1]
+    assert gap_px / 7.2 == pytest.approx(signals["gap_lead"][0], abs=0.6)
