@@ -38,7 +38,6 @@ from pemviz.simulators.encounters.single_encounter import (
     acceleration,
     courses,
     first_touch,
-    sampled,
 )
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 
@@ -74,7 +73,7 @@ class SignalsObservation(ObservationType):
 
     def space(self) -> spaces.Box:
         """Anything finite that is not absurd."""
-        return spaces.Box(-LARGEST, LARGEST, (len(self.env.signals.names),), np.float64)
+        return spaces.Box(-LARGEST, LARGEST, (len(self.env.scenario.signals),), np.float64)
 
     def observe(self) -> FloatArray:
         """The current values."""
@@ -112,10 +111,9 @@ class EncounterEnv(ScriptedEnv):
             tracker: As ``ScenarioConfig.tracker``.
             render_mode: ``rgb_array`` to render frames ``[160, 640, 3]`` without a display.
         """
-        scenario = VectorizedEncounters(encounter, tuple(chosen), tracker)
-        self.encounter, self.tracker = encounter, scenario.tracker
-        self.distributions = scenario.distributions
-        self.start = np.zeros(scenario.latents.start)
+        self.encounter = encounter
+        self.scenario = VectorizedEncounters(encounter, tuple(chosen), tracker)
+        self.tracker, self.start = self.scenario.tracker, np.zeros(self.scenario.latents.start)
         self.empty_road = _road(encounter)
         super().__init__(encounter, shown_m=encounter.farthest_m, render_mode=render_mode)
 
@@ -145,7 +143,8 @@ class EncounterEnv(ScriptedEnv):
 
     def begin(self, start: FloatArray) -> None:
         """Put all cars at the start for standard normals ``[S]``."""
-        self.values = sampled(self.distributions, start)
+        values = self.scenario.start_values(start[None])
+        self.values = {name: float(of_one[0]) for name, of_one in values.items()}
         self.courses = courses(self.encounter, self.values)
         self.set_speed_mps = max(self.values["ego_speed"], 0.0)
         self.road = self.empty_road
@@ -171,6 +170,11 @@ class EncounterEnv(ScriptedEnv):
         """Where the other cars are."""
         return [car.place for car in self.others]
 
+    def present(self) -> BoolArray:
+        """Whether each is to be seen, or the ghost may appear, ``[K]``."""
+        signals = {name: np.array([value]) for name, value in self.signals.values().items()}
+        return self.scenario.present(signals)[0]
+
     def numbers(self) -> list[float]:
         """All that the future depends on beside tracks and outcomes; see :meth:`load`."""
         places = [number for car in self.cars for number in car.place]
@@ -192,7 +196,7 @@ class EncounterEnv(ScriptedEnv):
 
     def advance(self, detected: BoolArray) -> None:
         """Move one time step on for outcomes ``[K]``, without the costs of observing."""
-        hits = np.asarray(detected, dtype=np.bool_) & self.signals.present()
+        hits = np.asarray(detected, dtype=np.bool_) & self.present()
         if self.tracker is None:
             self.move(hits)
             return
@@ -276,7 +280,7 @@ class EncounterEnv(ScriptedEnv):
         self.advance(np.asarray(action, dtype=np.bool_))
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:  # noqa: ARG002
-        return {"present": self.signals.present()}
+        return {"present": self.present()}
 
 
 def _road(config: EncounterConfig) -> Road:

@@ -1,8 +1,8 @@
 """One encounter in plain numbers, for the highway-env back end.
 
-How it begins, what its other cars do, what the ego is told and does, what its camera sees and what
-rules ask for: written from the specification in ``pemviz/simulators/encounters/__init__.py`` alone,
-one encounter at a time, so that the vectorized back end can be held to it.
+How it begins, what its other cars do, how the ego drives and what rules ask for: written from the
+specification in ``pemviz/simulators/encounters/__init__.py`` alone, so that the vectorized back end
+can be held to it.
 """
 
 import math
@@ -11,16 +11,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numpy as np
 from scipy.optimize import brentq
 
-from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import EncounterConfig
-from pemviz.config.distribution_text import Distribution
 
 EXACT = 1e-15
-NEAREST_M = 0.5
-FULLY_OCCLUDED, PARTLY, LARGELY = 0.9, 0.1, 0.5
 MARKING_M, LEAST_SEEN_S, REGULATION_MPS2, REGULATION_S = 0.3, 0.72, 6.0, 0.35
 """UN R157, 5.2.5.2."""
 FARTHEST_S = 10.0
@@ -28,14 +23,7 @@ ROUNDING = 1e-9
 
 
 class Place(NamedTuple):
-    """Where a car is.
-
-    Attributes:
-        x_m: Its centre along the road.
-        y_m: To the left.
-        speed_mps: Where it heads.
-        heading_rad: Counterclockwise from the road's direction.
-    """
+    """A car's centre along the road and to the left, its speed, and where it heads."""
 
     x_m: float
     y_m: float
@@ -50,17 +38,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Course:
-    """What one of the other cars does.
-
-    Attributes:
-        name: Of the car.
-        start: Where it begins; its heading is not looked at.
-        to_m: Where it goes to the side [m].
-        begin_s: When it begins to.
-        within_s: How long that takes; 0: it keeps to its lane.
-        deceleration_mps2: Of its braking.
-        brake_time_s: When that begins.
-    """
+    """What one of the other cars does: begins, changes lane within some time (0: never), brakes."""
 
     name: str
     start: Place
@@ -99,15 +77,6 @@ def time_share(covered: float) -> float:
 
     root: Any = brentq(lacking, 0.0, 1.0, xtol=EXACT)
     return root
-
-
-def sampled(distributions: Mapping[str, Distribution], normals: FloatArray) -> dict[str, float]:
-    """Start values for standard normals ``[S]``; a fixed one takes none."""
-    rest = iter(normals)
-    return {
-        name: float(one.of(np.array([0.0 if one.fixed else next(rest)]))[0])
-        for name, one in distributions.items()
-    }
 
 
 def courses(config: EncounterConfig, values: Mapping[str, float]) -> list[Course]:
@@ -157,13 +126,7 @@ def _cut_out(config: EncounterConfig, values: Mapping[str, float], side_m: float
 
 
 class Told(NamedTuple):
-    """A car that the ego is told of.
-
-    Attributes:
-        gap_m: Bumper to bumper [m].
-        aside_m: To the left [m].
-        closing_mps: By how much the ego is the faster one [m/s].
-    """
+    """A car that the ego is told of: gap, offset to the left, by how much the ego is faster."""
 
     gap_m: float
     aside_m: float
@@ -173,14 +136,7 @@ class Told(NamedTuple):
 def acceleration(
     config: EncounterConfig, told: Sequence[Told], ego_mps: float, set_mps: float
 ) -> float:
-    """The ego's acceleration [m/s^2]: cruise, time gap, hard braking by time to collision.
-
-    Args:
-        config: Gains and limits.
-        told: The cars that it is told of.
-        ego_mps: Its speed [m/s].
-        set_mps: Its set speed [m/s].
-    """
+    """The ego's acceleration [m/s^2]: cruise, time gap, hard braking by time to collision."""
     in_path = [
         car
         for car in told
@@ -205,40 +161,6 @@ def acceleration(
     return max(wanted, -ego_mps / config.dt_s)
 
 
-class Sight(NamedTuple):
-    """What the camera sees of a car.
-
-    Attributes:
-        truncated: Share beyond the image's sides.
-        occluded: Share of the rest that other cars cover.
-        present: Whether it can be detected.
-        salient: Its salient variables, in KITTI's order.
-    """
-
-    truncated: float
-    occluded: float
-    present: bool
-    salient: tuple[float, ...]
-
-
-class _Outline(NamedTuple):
-    near_m: float
-    centre_m: float
-    left: float
-    right: float
-
-
-def sights(
-    config: EncounterConfig, offsets: Sequence[tuple[float, float]], headings: Sequence[float]
-) -> list[Sight]:
-    """Of each car, given gaps and offsets to the left [m] and headings [rad]."""
-    outlines = [_outline(config, gap_m, aside_m) for gap_m, aside_m in offsets]
-    return [
-        _sight(config, number, outlines, offsets[number][1], heading)
-        for number, heading in enumerate(headings)
-    ]
-
-
 def measured_place(
     config: EncounterConfig, gap_m: float, aside_m: float, along_m: float, across_m: float
 ) -> tuple[float, float]:
@@ -258,67 +180,8 @@ def measured_place(
     return gap_m + farther_m, aside_m - to_the_right_m
 
 
-def _outline(config: EncounterConfig, gap_m: float, aside_m: float) -> _Outline:
-    near_m = gap_m + config.camera_to_bumper_m
-    corners = [
-        (side * config.car_width_m / 2 - aside_m) / max(end_m, NEAREST_M)
-        for side in (-1.0, 1.0)
-        for end_m in (near_m, near_m + config.car_length_m)
-    ]
-    return _Outline(near_m, near_m + config.car_length_m / 2, min(corners), max(corners))
-
-
-def _sight(
-    config: EncounterConfig,
-    number: int,
-    outlines: Sequence[_Outline],
-    aside_m: float,
-    heading_rad: float,
-) -> Sight:
-    own = outlines[number]
-    edge = math.tan(math.radians(config.camera_half_angle_deg))
-    left, right = max(own.left, -edge), min(own.right, edge)
-    shown = max(right - left, 0.0)
-    truncated = 1.0 - shown / (own.right - own.left)
-    covering = [
-        (max(other.left, left), min(other.right, right))
-        for place, other in enumerate(outlines)
-        if (other.near_m, place) < (own.near_m, number) and other.centre_m > NEAREST_M
-    ]
-    occluded = _covered(covering) / shown if shown > 0.0 else 0.0
-    present = (
-        NEAREST_M < own.centre_m <= config.farthest_m
-        and truncated < 1.0
-        and occluded < FULLY_OCCLUDED
-    )
-    level = float(occluded >= PARTLY) + float(occluded >= LARGELY)
-    rotation_rad = -math.pi / 2 - heading_rad
-    salient = (
-        *(0.0, truncated, level, rotation_rad - math.atan2(-aside_m, own.centre_m)),
-        *(config.car_height_m, config.car_width_m, config.car_length_m),
-        *(-aside_m, config.camera_height_m, own.centre_m, rotation_rad),
-    )
-    return Sight(truncated, occluded, present, salient)
-
-
-def _covered(pieces: Sequence[tuple[float, float]]) -> float:
-    """Length of the union of intervals."""
-    covered, reached = 0.0, -math.inf
-    for left, right in sorted(pieces):
-        begin = max(left, reached)
-        if right > begin:
-            covered, reached = covered + right - begin, right
-    return covered
-
-
 class Touch(NamedTuple):
-    """The first contact of a step.
-
-    Attributes:
-        car: Which of the other cars.
-        share: Of the step.
-        impact_mps: At which speed.
-    """
+    """The first contact of a step: with which of the other cars, at which share, how fast."""
 
     car: int
     share: float
@@ -337,13 +200,7 @@ class Touch(NamedTuple):
 def first_touch(
     config: EncounterConfig, before: Sequence[Place], after: Sequence[Place]
 ) -> Touch | None:
-    """The ego's first contact over a step, places straight between old and new ones; or none.
-
-    Args:
-        config: Gives the cars' size.
-        before: The ego and the other cars.
-        after: Likewise.
-    """
+    """The ego's first contact over a step, places straight between old and new ones; or none."""
     found: Touch | None = None
     for car in range(1, len(before)):
         x_m, y_m = before[car].x_m - before[0].x_m, before[car].y_m - before[0].y_m
@@ -499,10 +356,6 @@ class Signals:
         least_s = closing_mps / (2.0 * REGULATION_MPS2) + REGULATION_S
         return min(max(self.offsets[0][0] / closing_mps - least_s, -FARTHEST_S), FARTHEST_S)
 
-    def sights(self) -> list[Sight]:
-        """What the camera sees of each other car."""
-        return sights(self.config, self.offsets, [car.heading_rad for car in self.others])
-
     @property
     def reported_offsets(self) -> list[tuple[float, float]]:
         """Gap and offset of all that perception may report: the cars, and a ghost last."""
@@ -514,21 +367,6 @@ class Signals:
         """From the ego's bumper to where a ghost may appear; ``None`` where none may."""
         place_m = self.start.get("ghost_gap")
         return None if place_m is None else place_m - self.ego.x_m
-
-    def present(self) -> BoolArray:
-        """Whether each is to be seen, or the ghost may appear, ``[K]``."""
-        found, ghost_m = [sight.present for sight in self.sights()], self.ghost_m
-        if ghost_m is not None:
-            config = self.config
-            z_m = ghost_m + config.camera_to_bumper_m + config.car_length_m / 2
-            hidden = any(self.offsets[car][0] < ghost_m for car in self._ahead())
-            found.append(0.5 < z_m <= config.farthest_m and not hidden)
-        return np.array(found, dtype=np.bool_)
-
-    @property
-    def names(self) -> list[str]:
-        """Of the signals, in their order."""
-        return list(self.values())
 
     def values(self) -> dict[str, float]:
         """The signals by name."""
