@@ -26,13 +26,14 @@ if TYPE_CHECKING:
     from pemviz.sampling.description import MethodDescription
     from pemviz.sampling.state.hidden import HiddenProperty, Known
     from pemviz.simulators.episodic import EpisodicSimulator, side_by_side
-    from pemviz.simulators.gymnasium_adapter import GymnasiumSimulator, GymnasiumSlotSimulator
-    from pemviz.simulators.gymnasium_episodes import (
+    from pemviz.simulators.gymnasium_adapter import (
         GymnasiumEpisodes,
+        GymnasiumSimulator,
         GymnasiumSlotEpisodes,
+        GymnasiumSlotSimulator,
         named_detections_action,
     )
-    from pemviz.simulators.latents import LatentSimulator
+    from pemviz.simulators.latents import LatentSimulator, NamesStarts
     from pemviz.simulators.quantised import quantised_start
     from pemviz.simulators.scene import (
         DrawsScene,
@@ -43,137 +44,64 @@ if TYPE_CHECKING:
         SceneTracks,
     )
     from pemviz.simulators.slots import Slot, SlotSimulator
-    from pemviz.simulators.starts import NamesStarts
     from pemviz.simulators.tracking.filters import AlphaBeta, Kalman
     from pemviz.simulators.tracking.tracked import tracked
     from pemviz.simulators.tracking.tracker import Tracker, TrackerState
     from pemviz.types import Estimate, Proposal, RolloutBatch, Signal, Simulator, StateBatch
 
 _HOMES = {
-    "AlphaBeta": "simulators.tracking.filters",
-    "BoolArray": "arrays",
-    "ConfigError": "errors",
-    "DetectorModel": "pem",
-    "DrawsScene": "simulators.scene",
-    "DrawsTracks": "simulators.scene",
-    "EpisodicSimulator": "simulators.episodic",
-    "Estimate": "types",
-    "Experiment": "runs.experiment",
-    "ExperimentConfig": "config",
-    "FloatArray": "arrays",
-    "GymnasiumEpisodes": "simulators.gymnasium_episodes",
-    "GymnasiumSimulator": "simulators.gymnasium_adapter",
-    "GymnasiumSlotEpisodes": "simulators.gymnasium_episodes",
-    "GymnasiumSlotSimulator": "simulators.gymnasium_adapter",
-    "HiddenProperty": "sampling.state.hidden",
-    "InputError": "errors",
-    "Kalman": "simulators.tracking.filters",
-    "KeptStages": "runs.observers",
-    "Known": "sampling.state.hidden",
-    "LatentCounts": "latents",
-    "LatentSimulator": "simulators.latents",
-    "Latents": "latents",
-    "LeastRobust": "runs.observers",
-    "MethodDescription": "sampling.description",
-    "NamesStarts": "simulators.starts",
-    "PemvizError": "errors",
-    "Proposal": "types",
-    "Road": "simulators.scene",
-    "Rollout": "runs.observers",
-    "RolloutBatch": "types",
-    "RunError": "errors",
-    "RunResult": "runs.result",
-    "RunStore": "runs.store",
-    "ScenarioConfig": "config",
-    "SceneCar": "simulators.scene",
-    "SceneStates": "simulators.scene",
-    "SceneTracks": "simulators.scene",
-    "Signal": "types",
-    "Simulator": "types",
-    "Slot": "simulators.slots",
-    "SlotSimulator": "simulators.slots",
-    "StateBatch": "types",
-    "StateFeatures": "proposals.offset_logistic",
-    "Tracker": "simulators.tracking.tracker",
-    "TrackerState": "simulators.tracking.tracker",
-    "build_experiment": "runs.experiment",
-    "named_detections_action": "simulators.gymnasium_episodes",
-    "quantised_start": "simulators.quantised",
-    "read_result": "runs.reading",
-    "run": "runs.engine",
-    "run_experiment": "runs.engine",
-    "side_by_side": "simulators.episodic",
-    "summary_text": "reports.terminal",
-    "tracked": "simulators.tracking.tracked",
+    "arrays": "BoolArray FloatArray",
+    "config": "ExperimentConfig ScenarioConfig",
+    "errors": "ConfigError InputError PemvizError RunError",
+    "latents": "LatentCounts Latents",
+    "pem": "DetectorModel",
+    "proposals.offset_logistic": "StateFeatures",
+    "reports.terminal": "summary_text",
+    "runs.engine": "run run_experiment",
+    "runs.experiment": "Experiment build_experiment",
+    "runs.observers": "KeptStages LeastRobust Rollout",
+    "runs.reading": "read_result",
+    "runs.result": "RunResult",
+    "runs.store": "RunStore",
+    "sampling.description": "MethodDescription",
+    "sampling.state.hidden": "HiddenProperty Known",
+    "simulators.episodic": "EpisodicSimulator side_by_side",
+    "simulators.gymnasium_adapter": (
+        "GymnasiumEpisodes GymnasiumSimulator GymnasiumSlotEpisodes GymnasiumSlotSimulator "
+        "named_detections_action"
+    ),
+    "simulators.latents": "LatentSimulator NamesStarts",
+    "simulators.quantised": "quantised_start",
+    "simulators.scene": "DrawsScene DrawsTracks Road SceneCar SceneStates SceneTracks",
+    "simulators.slots": "Slot SlotSimulator",
+    "simulators.tracking.filters": "AlphaBeta Kalman",
+    "simulators.tracking.tracked": "tracked",
+    "simulators.tracking.tracker": "Tracker TrackerState",
+    "types": "Estimate Proposal RolloutBatch Signal Simulator StateBatch",
 }
+"""Which names, by the module that defines them."""
 
 __all__ = [
-    "AlphaBeta",
-    "BoolArray",
-    "ConfigError",
-    "DetectorModel",
-    "DrawsScene",
-    "DrawsTracks",
-    "EpisodicSimulator",
-    "Estimate",
-    "Experiment",
-    "ExperimentConfig",
-    "FloatArray",
-    "GymnasiumEpisodes",
-    "GymnasiumSimulator",
-    "GymnasiumSlotEpisodes",
-    "GymnasiumSlotSimulator",
-    "HiddenProperty",
-    "InputError",
-    "Kalman",
-    "KeptStages",
-    "Known",
-    "LatentCounts",
-    "LatentSimulator",
-    "Latents",
-    "LeastRobust",
-    "MethodDescription",
-    "NamesStarts",
-    "PemvizError",
-    "Proposal",
-    "Road",
-    "Rollout",
-    "RolloutBatch",
-    "RunError",
-    "RunResult",
-    "RunStore",
-    "ScenarioConfig",
-    "SceneCar",
-    "SceneStates",
-    "SceneTracks",
-    "Signal",
-    "Simulator",
-    "Slot",
-    "SlotSimulator",
-    "StateBatch",
-    "StateFeatures",
-    "Tracker",
-    "TrackerState",
-    "__version__",
-    "build_experiment",
-    "named_detections_action",
-    "quantised_start",
-    "read_result",
-    "run",
-    "run_experiment",
-    "side_by_side",
-    "summary_text",
-    "tracked",
-]
+    "AlphaBeta", "BoolArray", "ConfigError", "DetectorModel", "DrawsScene", "DrawsTracks",
+    "EpisodicSimulator", "Estimate", "Experiment", "ExperimentConfig", "FloatArray",
+    "GymnasiumEpisodes", "GymnasiumSimulator", "GymnasiumSlotEpisodes", "GymnasiumSlotSimulator",
+    "HiddenProperty", "InputError", "Kalman", "KeptStages", "Known", "LatentCounts",
+    "LatentSimulator", "Latents", "LeastRobust", "MethodDescription", "NamesStarts", "PemvizError",
+    "Proposal", "Road", "Rollout", "RolloutBatch", "RunError", "RunResult", "RunStore",
+    "ScenarioConfig", "SceneCar", "SceneStates", "SceneTracks", "Signal", "Simulator", "Slot",
+    "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState", "__version__",
+    "build_experiment", "named_detections_action", "quantised_start", "read_result", "run",
+    "run_experiment", "side_by_side", "summary_text", "tracked",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """A public name, imported from where it is defined (PEP 562)."""
-    home = _HOMES.get(name)
-    if home is None:
-        message = f"module 'pemviz' has no attribute {name!r}"
-        raise AttributeError(message)
-    return getattr(import_module(f"pemviz.{home}"), name)
+    for home, names in _HOMES.items():
+        if name in names.split():
+            return getattr(import_module(f"pemviz.{home}"), name)
+    message = f"module 'pemviz' has no attribute {name!r}"
+    raise AttributeError(message)
 
 
 def __dir__() -> list[str]:

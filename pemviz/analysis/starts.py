@@ -19,8 +19,7 @@ from scipy.special import ndtri
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.config.ranges import AtLeastZero, Count, Log10
-from pemviz.simulators.latents import latent_counts
-from pemviz.simulators.starts import NamesStarts
+from pemviz.simulators.latents import NamesStarts, latent_counts
 
 DRAWN = 2**15
 WIDE, WIDE_SHARE = 2.0, 0.3

@@ -27,8 +27,9 @@ from pemviz.runs.drawn_rollout import (
     drawn_rollout,
     remembered,
 )
-from pemviz.simulators.drawn_scene import drawn_tracks
 from pemviz.simulators.episodic import episodic
+from pemviz.simulators.latents import within
+from pemviz.simulators.scene import DrawsTracks
 from pemviz.stl.formulas import Constant, Predicate
 from pemviz.stl.formulas import Signal as SignalOf
 from pemviz.types import Signal
@@ -95,7 +96,7 @@ def track(run: RunData, entry: RankedRow) -> Track:
     table = {n: values[0] for n, values in run.steps(["detected", "log_p", "log_q"], index).items()}
     detected = np.asarray(table["detected"], dtype=np.bool_)
     memory = {}
-    if drawn_tracks(simulator) is not None and episodic(simulator) is None:
+    if within(simulator, DrawsTracks) is not None and episodic(simulator) is None:
         latents = run.latents(index)
         start = None if latents is None else latents.start[0]
         noise = None if latents is None else latents.noise[0]

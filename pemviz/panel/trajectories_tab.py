@@ -36,7 +36,7 @@ from pemviz.panel.run_data import RunData
 from pemviz.reports.html import heading
 from pemviz.runs.specification import build_formula
 from pemviz.sampling.registry import by_name
-from pemviz.simulators.starts import named_starts
+from pemviz.simulators.latents import NamesStarts, within
 from pemviz.types import Simulator
 
 PAGE_ROWS = 12
@@ -197,7 +197,7 @@ def _start(run: RunData, latents: Latents) -> str:
     drawn, mean = latents.start[0], latents.start_mean[0]
     if not drawn.size:
         return ""
-    named = named_starts(run.simulator)
+    named = within(run.simulator, NamesStarts)
     if named is None:
         around = f", drawn around {_listed(mean)}" if np.any(mean) else ""
         return quiet(f"Standard normals at its start: {_listed(drawn)}{around}.")

@@ -39,10 +39,9 @@ from pemviz.runs.drawn_rollout import (
 )
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.sampling.state.visibility import VISIBILITY
-from pemviz.simulators.latents import latent_counts
+from pemviz.simulators.latents import NamesStarts, latent_counts, within
+from pemviz.simulators.scene import TellsErrors
 from pemviz.simulators.slots import SlotSimulator
-from pemviz.simulators.starts import named_starts
-from pemviz.simulators.told_errors import tells_errors
 from pemviz.types import Signal, Simulator, StageResult, place_of
 
 MOST_NOISE_SERIES = 8
@@ -170,7 +169,7 @@ def _randomness(
     """Of one rollout, by latents of all of them and by signals and memory of its own."""
     start: dict[str, tuple[float, str]] = {}
     if latents is not None:
-        normals, named = latents.start[row : row + 1], named_starts(simulator)
+        normals, named = latents.start[row : row + 1], within(simulator, NamesStarts)
         if named is None:
             start = {f"latent {place} at": (float(z), "") for place, z in enumerate(normals[0])}
         else:
@@ -183,7 +182,7 @@ def _randomness(
         start["visibility u in the end"] = float(signals[VISIBILITY.name][-1]), ""
     if latents is None or not latents.noise.shape[2]:
         return Randomness(start, {}, in_m=False)
-    telling = tells_errors(simulator)
+    telling = within(simulator, TellsErrors)
     errors = {} if telling is None else telling.told_errors(signals, memory)
     noise = {f"latent {place}": values for place, values in enumerate(latents.noise[row].T)}
     return Randomness(start, errors or noise, in_m=bool(errors))
@@ -193,7 +192,7 @@ def noise_title(simulator: object) -> str:
     """Names what is drawn of the least robust rollout's steps; empty if they have no latents."""
     if not latent_counts(simulator).noise:
         return ""
-    if tells_errors(simulator) is None:
+    if within(simulator, TellsErrors) is None:
         return "Rank 1: standard normals against step"
     return "Rank 1: error of measured places [m] against step"
 

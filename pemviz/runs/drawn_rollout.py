@@ -11,9 +11,9 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.simulators.drawn_scene import drawn_scene, drawn_tracks
-from pemviz.simulators.latents import begun, stepped
-from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
+from pemviz.simulators.drawn_scene import drawn_scene
+from pemviz.simulators.latents import begun, stepped, within
+from pemviz.simulators.scene import DrawsTracks, Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot, SlotSimulator
 from pemviz.types import Simulator, StateBatch
 
@@ -108,7 +108,7 @@ def drawn_rollout(
     scene = drawn_scene(simulator)
     if scene is None:
         return None
-    tracks, tells = None, drawn_tracks(simulator)
+    tracks, tells = None, within(simulator, DrawsTracks)
     if tells is not None and memory:
         steps = np.arange(next(iter(signals.values())).size)
         tracks = tells.scene_tracks(StateBatch(step=steps, signals=signals, memory=memory))

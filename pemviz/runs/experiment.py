@@ -30,7 +30,7 @@ from pemviz.sampling.slots import with_slots
 from pemviz.sampling.state.composed import as_member, composed, properties_of_memory
 from pemviz.sampling.state.hidden import HiddenProperty
 from pemviz.sampling.zero_variance.method import require_unsafe
-from pemviz.simulators.check_latents import latent_warnings
+from pemviz.simulators.check import latent_warnings
 from pemviz.simulators.episodic import EpisodicSimulator
 from pemviz.simulators.latents import LatentSimulator
 from pemviz.simulators.registry import build_named_simulator

@@ -22,8 +22,7 @@ from pemviz.runs.result import RunResult, StageSummary
 from pemviz.sampling.kept import log_of
 from pemviz.sampling.method import PoolsStages
 from pemviz.sampling.state.composed import ComposedSimulator, memory_of_pem
-from pemviz.simulators.latents import latent_counts, within
-from pemviz.simulators.starts import NamesStarts, named_starts
+from pemviz.simulators.latents import NamesStarts, latent_counts, within
 from pemviz.types import StageResult, numbers_of
 
 MOST_STARTS = 20_000
@@ -293,7 +292,7 @@ def interpret_repetition(
 
 def _starts_simulator(experiment: Experiment) -> NamesStarts | None:
     """The scenario, if it names its starts and any of them is random."""
-    found = named_starts(experiment.problem.simulator)
+    found = within(experiment.problem.simulator, NamesStarts)
     return None if found is None or not latent_counts(found).start else found
 
 

@@ -1,8 +1,8 @@
-"""A back end that remembers whether a rollout has violated already."""
+"""What is known of violations at a state: whether there has been one, can be or must be one."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -12,61 +12,13 @@ from pemviz.simulators.latents import begun, latent_counts, salient_of, stepped
 from pemviz.types import Signal, Simulator, StateBatch
 
 VIOLATED = "violated"
+SignalBounds: TypeAlias = Mapping[str, tuple[FloatArray | float, FloatArray | float]]
+"""Lowest and highest value by signal, ``[N]`` or one for all."""
 
 
 def violated_rule(rule: str) -> str:
     """The memory that says whether a rollout has broken one of several rules."""
     return f"{VIOLATED} {rule}"
-
-
-class Monitor(Protocol):
-    """Follows rollouts state by state, and tells which have violated whatever comes next."""
-
-    def start(self, *, count: int) -> Any:
-        """What is known of ``count`` rollouts before their first state."""
-        ...
-
-    def advance(self, known: Any, *, step: int, signals: Mapping[str, FloatArray]) -> Any:
-        """What is known with the states of ``step`` too, signals ``[N]``; changes nothing."""
-        ...
-
-    def violated(self, known: Any) -> BoolArray:
-        """Which rollouts violate the specification for certain, ``[N]``."""
-        ...
-
-
-@dataclass(frozen=True)
-class EachRule:
-    """A monitor of several rules, violated once all are broken, that tells of each.
-
-    Attributes:
-        monitors: By the rules' names; at least one.
-    """
-
-    monitors: Mapping[str, Monitor]
-
-    def start(self, *, count: int) -> Mapping[str, Any]:
-        """What is known of ``count`` rollouts before their first state, by rule."""
-        return {rule: one.start(count=count) for rule, one in self.monitors.items()}
-
-    def advance(
-        self, known: Mapping[str, Any], *, step: int, signals: Mapping[str, FloatArray]
-    ) -> Mapping[str, Any]:
-        """What is known with the states of ``step`` too, signals ``[N]``, by rule."""
-        return {
-            rule: one.advance(known[rule], step=step, signals=signals)
-            for rule, one in self.monitors.items()
-        }
-
-    def violated(self, known: Mapping[str, Any]) -> BoolArray:
-        """Which rollouts break every rule for certain, ``[N]``."""
-        return np.all(list(self.broken(known).values()), axis=0)
-
-    def broken(self, known: Mapping[str, Any]) -> Mapping[str, BoolArray]:
-        """Which break each rule for certain, ``[N]`` by the memory's name."""
-        return {
-            violated_rule(rule): one.violated(known[rule]) for rule, one in self.monitors.items()
-        }
 
 
 @dataclass(frozen=True)
@@ -142,6 +94,56 @@ class AbsorbingSimulator(WrappedSimulator):
         return replace(states, memory={**states.memory, VIOLATED: before | self.unsafe(states)})
 
 
+class Monitor(Protocol):
+    """Follows rollouts state by state, and tells which have violated whatever comes next."""
+
+    def start(self, *, count: int) -> Any:
+        """What is known of ``count`` rollouts before their first state."""
+        ...
+
+    def advance(self, known: Any, *, step: int, signals: Mapping[str, FloatArray]) -> Any:
+        """What is known with the states of ``step`` too, signals ``[N]``; changes nothing."""
+        ...
+
+    def violated(self, known: Any) -> BoolArray:
+        """Which rollouts violate the specification for certain, ``[N]``."""
+        ...
+
+
+@dataclass(frozen=True)
+class EachRule:
+    """A monitor of several rules, violated once all are broken, that tells of each.
+
+    Attributes:
+        monitors: By the rules' names; at least one.
+    """
+
+    monitors: Mapping[str, Monitor]
+
+    def start(self, *, count: int) -> Mapping[str, Any]:
+        """What is known of ``count`` rollouts before their first state, by rule."""
+        return {rule: one.start(count=count) for rule, one in self.monitors.items()}
+
+    def advance(
+        self, known: Mapping[str, Any], *, step: int, signals: Mapping[str, FloatArray]
+    ) -> Mapping[str, Any]:
+        """What is known with the states of ``step`` too, signals ``[N]``, by rule."""
+        return {
+            rule: one.advance(known[rule], step=step, signals=signals)
+            for rule, one in self.monitors.items()
+        }
+
+    def violated(self, known: Mapping[str, Any]) -> BoolArray:
+        """Which rollouts break every rule for certain, ``[N]``."""
+        return np.all(list(self.broken(known).values()), axis=0)
+
+    def broken(self, known: Mapping[str, Any]) -> Mapping[str, BoolArray]:
+        """Which break each rule for certain, ``[N]`` by the memory's name."""
+        return {
+            violated_rule(rule): one.violated(known[rule]) for rule, one in self.monitors.items()
+        }
+
+
 @dataclass(frozen=True)
 class MonitoredStates(StateBatch):
     """States together with what the monitor knows of the way that led to them.
@@ -208,3 +210,66 @@ def _own(states: StateBatch) -> StateBatch:
     """The back end's states in monitored ones."""
     own = states.own if isinstance(states, MonitoredStates) else None
     return states if own is None else own
+
+
+@runtime_checkable
+class BoundsSignals(Protocol):
+    """A simulator that says how far its signals can go, whatever perception reports.
+
+    States from which no rule can be broken any more then need not be followed to the end. A class
+    answers for its own ``step`` alone: one that inherits the method does not count.
+    """
+
+    def signal_bounds(self, states: StateBatch, *, steps: int) -> SignalBounds:
+        """Between which values signals stay, from states ``[N]`` to ``steps`` steps later.
+
+        True of every sequence of outcomes, and of rounding; a signal that is left out may take
+        any value.
+        """
+        ...
+
+
+@runtime_checkable
+class TellsReached(Protocol):
+    """A simulator that says how far its signals go at least.
+
+    States from which a rule is broken whatever follows need not be followed at all. A class answers
+    for its own ``step`` alone: one that inherits the method does not count.
+    """
+
+    def signals_reached(self, states: StateBatch, *, steps: int) -> SignalBounds:
+        """What signals reach at some of the next ``steps`` states, from states ``[N]``.
+
+        True of every sequence of outcomes, and of rounding: at one of those states the signal is
+        at most the first, at one at least the second; a signal that is left out may stay.
+        """
+        ...
+
+
+def tells_bounds(simulator: Simulator) -> bool:
+    """Whether a simulator, or what it wraps, bounds its signals."""
+    return isinstance(_telling(simulator, "signal_bounds"), BoundsSignals)
+
+
+def tells_reached(simulator: Simulator) -> bool:
+    """Whether a simulator, or what it wraps, says what its signals reach."""
+    return isinstance(_telling(simulator, "signals_reached"), TellsReached)
+
+
+def signal_bounds(simulator: Simulator, states: StateBatch, *, steps: int) -> SignalBounds:
+    """As :meth:`BoundsSignals.signal_bounds`, of what a simulator wraps; empty if none tells."""
+    telling = _telling(simulator, "signal_bounds")
+    return telling.signal_bounds(states, steps=steps) if isinstance(telling, BoundsSignals) else {}
+
+
+def signals_reached(simulator: Simulator, states: StateBatch, *, steps: int) -> SignalBounds:
+    """As :meth:`TellsReached.signals_reached`, of what a simulator wraps; empty if none tells."""
+    telling = _telling(simulator, "signals_reached")
+    return telling.signals_reached(states, steps=steps) if isinstance(telling, TellsReached) else {}
+
+
+def _telling(simulator: Simulator, method: str) -> Simulator | None:
+    """The simulator within all wrappers, if its own class has the method."""
+    while isinstance(simulator, WrappedSimulator):
+        simulator = simulator.scenario
+    return simulator if method in vars(type(simulator)) else None

@@ -1,10 +1,11 @@
-"""What views draw of a simulator: the scene that it tells of, or that of a gap and two speeds."""
+"""What views draw of a simulator: the scene that it offers, or that of a gap and two speeds."""
 
 from typing import Any
 
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking.contact import DRAWN_SIGNALS, FollowedCar
-from pemviz.simulators.scene import DrawsScene, DrawsTracks
+from pemviz.simulators.latents import within
+from pemviz.simulators.scene import DrawsScene
 from pemviz.simulators.slots import SlotSimulator
 
 
@@ -15,27 +16,13 @@ def drawn_scene(simulator: Any) -> DrawsScene | None:
         The scene of the simulator, or of the one that it wraps; without any, that of one car
         behind another where it has their gap and speeds; else ``None``.
     """
-    inwards = _inwards(simulator)
-    told = next((one for one in inwards if isinstance(one, DrawsScene)), None)
+    offered = within(simulator, DrawsScene)
     names = {signal.name for signal in simulator.signals}
-    if told is not None or isinstance(simulator, SlotSimulator) or not names >= DRAWN_SIGNALS:
-        return told
-    configs = (getattr(one, "config", None) for one in inwards)
-    config = next((one for one in configs if isinstance(one, ScenarioConfig)), None)
-    if config is None:
+    if offered is not None or isinstance(simulator, SlotSimulator) or not names >= DRAWN_SIGNALS:
+        return offered
+    part, config = simulator, None
+    while part is not None and not isinstance(config, ScenarioConfig):
+        config, part = getattr(part, "config", None), getattr(part, "scenario", None)
+    if not isinstance(config, ScenarioConfig):
         return FollowedCar(simulator.dt_s)
     return FollowedCar(simulator.dt_s, config.lead_length_m, config.emergency_gap_m)
-
-
-def drawn_tracks(simulator: Any) -> DrawsTracks | None:
-    """A simulator, or the one that it wraps, if it tells where it believes cars to be."""
-    return next((one for one in _inwards(simulator) if isinstance(one, DrawsTracks)), None)
-
-
-def _inwards(simulator: Any) -> list[Any]:
-    """A simulator, the one that it wraps as ``scenario``, and so on."""
-    layers: list[Any] = []
-    while simulator is not None:
-        layers.append(simulator)
-        simulator = getattr(simulator, "scenario", None)
-    return layers

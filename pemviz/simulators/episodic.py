@@ -19,41 +19,24 @@ from pemviz.faults import SimulationError, blame
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.simulators.latents import within
 from pemviz.simulators.slots import Slot
-from pemviz.types import Signal, StateBatch
+from pemviz.types import Signal, SimulatorFacts, StateBatch
 
 EPISODE = "episode_"
 """Memory: which episode a rollout is; not kept with rollouts."""
 
 
 @runtime_checkable
-class EpisodicSimulator(Protocol):
+class EpisodicSimulator(SimulatorFacts, Protocol):
     """An environment that is reset and stepped; no state of it is kept.
 
     With ``slots``, a method ``present`` and salient variables ``[..., K, D]`` as a
     :class:`pemviz.SlotSimulator` has them, ``step`` is given K outcomes. With ``latents`` as a
     :class:`pemviz.LatentCounts` ``reset`` is given the start's standard normals ``[S]``, if there
     are any, and ``step`` beside the outcome those of the step, ``[M]``.
+
+    An environment in another process may have ``begin_reset`` and ``begin_step``, with the same
+    arguments: they begin what the next ``reset`` or ``step`` returns, so that all work at once.
     """
-
-    @property
-    def name(self) -> str:
-        """For files and tables."""
-        ...
-
-    @property
-    def states(self) -> int:
-        """States in a rollout (T)."""
-        ...
-
-    @property
-    def dt_s(self) -> float:
-        """Time between two states [s]."""
-        ...
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """The signals that a state carries."""
-        ...
 
     @property
     def reset(self) -> Callable[..., Mapping[str, float]]:
@@ -68,29 +51,12 @@ class EpisodicSimulator(Protocol):
         """
         ...
 
-    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """Signals ``[...]`` to what perception depends on: salient variables ``[..., D]``."""
-        ...
-
-
-@runtime_checkable
-class WorksElsewhere(Protocol):
-    """An environment in another process: all are told to go on before one is waited for."""
-
-    def begin_reset(self, *given: Any) -> None:
-        """Begin what the next ``reset`` with the same arguments returns."""
-        ...
-
-    def begin_step(self, *given: Any) -> None:
-        """Begin what the next ``step`` with the same arguments returns."""
-        ...
-
 
 @dataclass
 class Running:
     """The environments of this process, and the episodes that they are in."""
 
-    environments: list[EpisodicSimulator] = field(default_factory=list[EpisodicSimulator])
+    environments: list[Any] = field(default_factory=list[Any])
     episodes: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     step: int = 0
     values: list[Mapping[str, float]] = field(default_factory=list[Mapping[str, float]])
@@ -190,22 +156,21 @@ class SideBySide:
         running, places = self.running, min(count, self.count)
         while len(running.environments) < places:
             running.environments.append(self.make())
-        given = (
-            [()] * count if start is None or not self.latents.at_start else [(z,) for z in start]
-        )
+        given = [()] * count
+        if start is not None and self.latents.at_start:
+            given = [(z,) for z in start]
         running.values, running.ended, running.step = [], [False] * count, 0
 
         def begin(row: int) -> None:
-            environment = running.environments[row]
-            if isinstance(environment, WorksElsewhere):
-                environment.begin_reset(*given[row])
+            running.environments[row].begin_reset(*given[row])
 
         def reset(row: int) -> None:
             values = running.environments[row % places].reset(*given[row])
             running.values.append(self._checked(values))
 
-        self._ask("reset", begin, range(count if count == places else 0))
-        self._ask("reset", reset, range(count))
+        if count == places and hasattr(self.example, "begin_reset"):
+            self._each("reset", begin, range(count))
+        self._each("reset", reset, range(count))
         running.episodes = np.array([next(_NUMBERS) for _ in range(count)], dtype=np.int64)
         return self._batch()
 
@@ -230,25 +195,24 @@ class SideBySide:
         going = [row for row, ended in enumerate(running.ended) if not ended]
 
         def begin(row: int) -> None:
-            environment = running.environments[row]
-            if isinstance(environment, WorksElsewhere):
-                environment.begin_step(*given[row])
+            running.environments[row].begin_step(*given[row])
 
         def step(row: int) -> None:
             values, ended = running.environments[row].step(*given[row])
             running.values[row], running.ended[row] = self._checked(values), bool(ended)
 
-        self._ask("step", begin, going)
-        self._ask("step", step, going)
+        if hasattr(self.example, "begin_step"):
+            self._each("step", begin, going)
+        self._each("step", step, going)
         running.step += 1
         return self._batch()
 
-    def _ask(self, what: str, ask: Callable[[int], None], rows: Iterable[int]) -> None:
-        """Ask one environment after the other; what one raises is told of its rollout."""
+    def _each(self, what: str, call: Callable[[int], None], rows: Iterable[int]) -> None:
+        """One environment after the other; what one raises is told of its rollout."""
         row = 0
         try:
             for row in rows:
-                ask(row)
+                call(row)
         except BaseException as error:  # an environment may raise anything
             rollouts = range(row, row + 1)
             what = f"simulator {self.name}: {what}"

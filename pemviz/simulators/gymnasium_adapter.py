@@ -1,9 +1,11 @@
-"""A gymnasium environment that is told, at each step, what perception detected.
+"""Gymnasium environments that are told, at each step, what perception detected.
 
 gymnasium itself is not imported here: whatever has ``reset`` and ``step`` will do.
 """
 
 import copy
+import hashlib
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -12,7 +14,6 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import ConfigError
-from pemviz.simulators.kept_steps import KeptSteps
 from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StateBatch
 
@@ -20,6 +21,9 @@ ENDED = "ended"
 SNAPSHOT = "snapshot"
 NUMBER = "environment_"
 KEPT_STEPS = 100_000
+TRIED = 500
+"""So many steps that are known are made again all the same: an environment that does not do the
+same from the same numbers is to be seen as it is, by the check of simulators and by runs."""
 
 
 class Environment(Protocol):
@@ -49,13 +53,21 @@ def signal_values(signals: Mapping[str, FloatArray]) -> FloatArray:
     return np.stack(list(signals.values()), axis=-1)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GymnasiumSimulator:
-    """Each rollout of a batch in turn is put into one environment, stepped, read back.
+def named_detections_action(
+    slots: Sequence[Slot],
+) -> Callable[[Sequence[bool]], dict[str, int]]:
+    """Perception's outcomes to the action of an environment whose action space is a ``Dict``.
 
-    The environment must do the same again from the same state; its own randomness, if it has
-    any, is that of ``seed``, so that the answer is for this one course of it. Once an episode
-    has ended, its signals stay as they are until the last step.
+    Args:
+        slots: Their names are the dict's keys, each a ``Discrete(2)``: 1 where detected.
+    """
+    names = [slot.name for slot in slots]
+    return lambda detected: dict(zip(names, map(int, detected), strict=True))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GymnasiumAdapter:
+    """One environment, and how perception and specifications see it.
 
     Attributes:
         environment: The environment; used by one thread at a time.
@@ -65,14 +77,8 @@ class GymnasiumSimulator:
         dt_s: Time between two states [s].
         salient_of: Signals ``[...]`` to what the detector's answer depends on ``[..., D]``.
         action_of: Perception's outcome to the environment's action.
-        get_state: All that decides how the environment goes on, as numbers ``[S]``. With
-            ``set_state`` it is quick and small; without the pair, a deep copy of the
-            environment is kept for every state of every rollout.
-        set_state: Puts the environment into a state that ``get_state`` gave.
         seed: The environment is reset with.
         name: For files and tables.
-        kept_steps: With the pair, so many steps are remembered and not made again, which methods
-            that go on from kept states ask for many times over; about 1 kB each.
     """
 
     environment: Environment
@@ -82,12 +88,82 @@ class GymnasiumSimulator:
     dt_s: float
     salient_of: Callable[[Mapping[str, FloatArray]], FloatArray] = signal_values
     action_of: Callable[[Any], Any] = detection_action
-    get_state: Callable[[Any], FloatArray] | None = None
-    set_state: Callable[[Any, FloatArray], None] | None = None
     seed: int = 0
     name: str = "gymnasium"
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """What the detector's answer depends on, ``[..., D]``."""
+        return self.salient_of({signal.name: signals[signal.name] for signal in self.signals})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GymnasiumSlots(GymnasiumAdapter):
+    """The same for K obstacles or ghosts a step, with a vector or a dict of outcomes as action.
+
+    Attributes:
+        slots: The K slots.
+        present_of: Signals ``[...]`` to where perception has something to answer, ``[..., K]``;
+            ``None``: everywhere.
+        reacts_of: Signals ``[...]`` to where the environment reacts to what is detected,
+            ``[..., K]``; ``None``: it may everywhere.
+        salient_of: Signals ``[...]`` to each slot's salient variables, ``[..., K, D]``; if it is
+            left out, these are its own signals.
+        action_of: Perception's outcomes, K of them, to the environment's action; see
+            :func:`named_detections_action` for a dict.
+    """
+
+    slots: tuple[Slot, ...]
+    present_of: Callable[[Mapping[str, FloatArray]], BoolArray] | None = None
+    reacts_of: Callable[[Mapping[str, FloatArray]], BoolArray] | None = None
+    action_of: Callable[[Any], Any] = detections_action
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Each slot's salient variables, ``[..., K, D]``."""
+        if self.salient_of is not signal_values:
+            return self.salient_of(signals)
+        by_slot = [[signals[name] for name in slot.signals] for slot in self.slots]
+        return np.stack([np.stack(own, axis=-1) for own in by_slot], axis=-2)
+
+    def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where perception has something to answer, ``[..., K]``."""
+        return self._by_slot(self.present_of, signals)
+
+    def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where what is detected may matter, ``[..., K]``."""
+        return self._by_slot(self.reacts_of, signals)
+
+    def _by_slot(
+        self,
+        function: Callable[[Mapping[str, FloatArray]], BoolArray] | None,
+        signals: Mapping[str, FloatArray],
+    ) -> BoolArray:
+        if function is not None:
+            return function(signals)
+        shape = next(iter(signals.values())).shape
+        return np.ones((*shape, len(self.slots)), dtype=np.bool_)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GymnasiumSimulator(GymnasiumAdapter):
+    """Each rollout of a batch in turn is put into one environment, stepped, read back.
+
+    The environment must do the same again from the same state; its own randomness, if it has
+    any, is that of ``seed``, so that the answer is for this one course of it. Once an episode
+    has ended, its signals stay as they are until the last step.
+
+    Attributes:
+        get_state: All that decides how the environment goes on, as numbers ``[S]``. With
+            ``set_state`` it is quick and small; without the pair, a deep copy of the
+            environment is kept for every state of every rollout.
+        set_state: Puts the environment into a state that ``get_state`` gave.
+        kept_steps: With the pair, so many steps are remembered and not made again, which methods
+            that go on from kept states take many times over; about 1 kB each.
+    """
+
+    get_state: Callable[[Any], FloatArray] | None = None
+    set_state: Callable[[Any, FloatArray], None] | None = None
     kept_steps: int = KEPT_STEPS
-    _steps: KeptSteps = field(init=False, repr=False)
+    _steps: "KeptSteps" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse half of the pair that keeps states as numbers.
@@ -120,10 +196,6 @@ class GymnasiumSimulator:
             for row, seen in enumerate(detected.tolist())
         ]
         return self._batch(rows, step=states.step + 1)
-
-    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """What the detector's answer depends on, ``[..., D]``."""
-        return self.salient_of({signal.name: signals[signal.name] for signal in self.signals})
 
     @property
     def _has_pair(self) -> bool:
@@ -185,16 +257,13 @@ class GymnasiumSimulator:
         return self.environment
 
     def _batch(self, rows: "list[_Row]", *, step: AnyArray) -> StateBatch:
-        observed = [values for values, _, _ in rows]
         signals = {
-            signal.name: np.array([values[signal.name] for values in observed], dtype=np.float64)
+            signal.name: np.array([values[signal.name] for values, _, _ in rows], dtype=np.float64)
             for signal in self.signals
         }
         ended = np.array([over for _, _, over in rows], dtype=np.bool_)
-        snapshots = [snapshot for _, snapshot, _ in rows]
-        return StateBatch(
-            step=step, signals=signals, memory={ENDED: ended, **self._remembered(snapshots)}
-        )
+        remembered = self._remembered([snapshot for _, snapshot, _ in rows])
+        return StateBatch(step=step, signals=signals, memory={ENDED: ended, **remembered})
 
     def _remembered(self, kept: list[Any]) -> dict[str, AnyArray]:
         if self._has_pair:
@@ -207,52 +276,79 @@ class GymnasiumSimulator:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GymnasiumSlotSimulator(GymnasiumSimulator):
-    """The same for K obstacles or ghosts a step: a :class:`pemviz.SlotSimulator`.
+class GymnasiumSlotSimulator(GymnasiumSlots, GymnasiumSimulator):
+    """The same for K obstacles or ghosts a step: a :class:`pemviz.SlotSimulator`."""
 
-    Attributes:
-        slots: The K slots.
-        present_of: Signals ``[...]`` to where perception has something to answer, ``[..., K]``;
-            ``None``: everywhere.
-        reacts_of: Signals ``[...]`` to where the environment reacts to what is detected,
-            ``[..., K]``; ``None``: it may everywhere.
-        salient_of: Signals ``[...]`` to each slot's salient variables, ``[..., K, D]``; if it is
-            left out, these are its own signals.
-        action_of: Perception's outcomes, K of them, to the environment's action.
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GymnasiumEpisodes(GymnasiumAdapter):
+    """One environment as a :class:`pemviz.EpisodicSimulator`: a step of it for each step.
+
+    It needs no ``get_state`` and is never copied, but must begin in the same state after each
+    reset with ``seed``, and do the same again for the same actions.
     """
 
-    slots: tuple[Slot, ...]
-    present_of: Callable[[Mapping[str, FloatArray]], BoolArray] | None = None
-    reacts_of: Callable[[Mapping[str, FloatArray]], BoolArray] | None = None
-    action_of: Callable[[Any], Any] = detections_action
+    def reset(self) -> Mapping[str, float]:
+        """The signals after a reset."""
+        return self.observe(self.environment.reset(seed=self.seed)[0])
 
-    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """Each slot's salient variables, ``[..., K, D]``."""
-        if self.salient_of is not signal_values:
-            return self.salient_of(signals)
-        by_slot = [[signals[name] for name in slot.signals] for slot in self.slots]
-        return np.stack([np.stack(own, axis=-1) for own in by_slot], axis=-2)
-
-    def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
-        """Where perception has something to answer, ``[..., K]``."""
-        return of_slots(self.present_of, signals, slots=self.slots)
-
-    def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:
-        """Where what is detected may matter, ``[..., K]``."""
-        return of_slots(self.reacts_of, signals, slots=self.slots)
+    def step(self, outcome: Any) -> tuple[Mapping[str, float], bool]:
+        """The signals after an outcome, and whether the episode is terminated or truncated."""
+        answer = self.environment.step(self.action_of(outcome))
+        return self.observe(answer[0]), bool(answer[2] or answer[3])
 
 
-def of_slots(
-    function: Callable[[Mapping[str, FloatArray]], BoolArray] | None,
-    signals: Mapping[str, FloatArray],
-    *,
-    slots: Sequence[Slot],
-) -> BoolArray:
-    """What a function says of signals ``[...]`` and each slot, ``[..., K]``; without one, yes."""
-    if function is not None:
-        return function(signals)
-    shape = next(iter(signals.values())).shape
-    return np.ones((*shape, len(slots)), dtype=np.bool_)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GymnasiumSlotEpisodes(GymnasiumSlots, GymnasiumEpisodes):
+    """The same for K obstacles or ghosts a step."""
+
+
+class KeptSteps:
+    """Where outcomes led from states given as numbers; beyond ``most``, the oldest are forgotten.
+
+    Methods that go on from kept states need the same step again and again: splitting's importance
+    function carries every state on to the end with the same few sequences of outcomes. An
+    environment that is once found to lead elsewhere has its steps made anew from then on.
+    What is sent to another process arrives empty.
+    """
+
+    def __init__(self, most: int) -> None:
+        """Prepare for so many steps; 0 keeps none."""
+        self._most = most
+        self._tried = 0
+        self._found: OrderedDict[bytes, FloatArray] = OrderedDict()
+
+    def reached(
+        self, state: FloatArray, outcome: Any, make: Callable[[], FloatArray]
+    ) -> FloatArray:
+        """Where a step leads from numbers ``[S]``, as numbers ``[R]``; ``make`` makes it.
+
+        Another last bit is another state.
+        """
+        if self._most == 0:
+            return make()
+        digest = hashlib.blake2b(state.tobytes(), digest_size=16)
+        digest.update(repr(outcome).encode())
+        key = digest.digest()
+        known = self._found.get(key)
+        if known is not None and self._tried >= TRIED:
+            self._found.move_to_end(key)
+            return known
+        fresh = make()
+        if known is not None:
+            self._tried += 1
+            if not np.array_equal(known, fresh):
+                self._most = 0
+                self._found.clear()
+                return fresh
+        self._found[key] = fresh
+        if len(self._found) > self._most:
+            self._found.popitem(last=False)
+        return fresh
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what was found."""
+        return {"_most": self._most, "_tried": 0, "_found": OrderedDict()}
 
 
 _Row = tuple[Mapping[str, float], Any, bool]

@@ -1,20 +1,21 @@
-"""Scenarios with latents, those without, and what wraps them: begun, stepped and asked alike."""
+"""Scenarios with latents, those without, and what wraps them: begun and stepped the same way."""
 
-from collections.abc import Mapping
-from typing import Any, NoReturn, Protocol, TypeVar, runtime_checkable
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame
 from pemviz.latents import NO_LATENTS, LatentCounts
-from pemviz.types import Signal, Simulator, StateBatch
+from pemviz.types import Signal, Simulator, SimulatorFacts, StateBatch
 
 Part = TypeVar("Part")
+Value = TypeVar("Value")
 
 
 @runtime_checkable
-class LatentSimulator(Protocol):
+class LatentSimulator(SimulatorFacts, Protocol):
     """A scenario that takes standard normals at the start, at every step, or both.
 
     Like :class:`pemviz.types.Simulator`, or like one with slots, but for what its counts add:
@@ -29,26 +30,6 @@ class LatentSimulator(Protocol):
         """How many."""
         ...
 
-    @property
-    def name(self) -> str:
-        """Back end's name for files and tables."""
-        ...
-
-    @property
-    def states(self) -> int:
-        """States in a rollout (T)."""
-        ...
-
-    @property
-    def dt_s(self) -> float:
-        """Time between two states [s]."""
-        ...
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """The signals that a state carries."""
-        ...
-
     def initial(self, *args: Any, **kwargs: Any) -> StateBatch:
         """``initial(*, count)`` or ``initial(*, count, start)``."""
         ...
@@ -57,8 +38,30 @@ class LatentSimulator(Protocol):
         """``step(states, detected)`` or ``step(states, detected, noise)``."""
         ...
 
-    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """Signals ``[...]`` to what perception depends on: salient variables ``[..., D]``."""
+
+@runtime_checkable
+class NamesStarts(Protocol):
+    """A scenario with latents at the start that says what they mean.
+
+    Any :class:`pemviz.Simulator` may offer it. Results then tell how the starts of violations
+    differ from all starts; `within` finds it inside of what wraps the scenario.
+    """
+
+    @property
+    def starts(self) -> tuple[Signal, ...]:
+        """The start values, in the order in which to show them; bounds are those of axes."""
+        ...
+
+    @property
+    def start_plane(self) -> tuple[str, str]:
+        """Names of two of them, across and up, that together tell most of the danger."""
+        ...
+
+    def start_values(self, start: FloatArray) -> Mapping[str, FloatArray]:
+        """Latents ``[N, S]`` to the start values by name, ``[N]`` each.
+
+        They may be derived ones too, such as a closing speed.
+        """
         ...
 
 
@@ -94,11 +97,12 @@ def begun(
         SimulationError: The scenario raises something.
     """
     latents = latent_counts(simulator).at_start
+    scenario: Any = simulator
     try:
         if latents == 0:
-            return _states(simulator, simulator.initial(count=count))
+            return _states(scenario, scenario.initial(count=count))
         given = np.zeros((count, latents)) if start is None else start
-        return _states(simulator, cast_latent(simulator).initial(count=count, start=given))
+        return _states(scenario, scenario.initial(count=count, start=given))
     except BaseException as error:  # theirs may raise anything
         blame(error, f"simulator {simulator.name}: initial", step=0, rollouts=range(count))
 
@@ -121,29 +125,30 @@ def stepped(
         SimulationError: The scenario raises something.
     """
     latents = latent_counts(simulator).noise
-    try:
+    scenario: Any = simulator
+
+    def step() -> StateBatch:
         if latents == 0:
-            return _states(simulator, simulator.step(states, detected))
+            return _states(scenario, scenario.step(states, detected))
         given = np.zeros((len(detected), latents)) if noise is None else noise
-        return _states(simulator, cast_latent(simulator).step(states, detected, given))
-    except BaseException as error:  # as above
-        _blame_at(error, simulator, "step", states)
+        return _states(scenario, scenario.step(states, detected, given))
+
+    return _evaluated(simulator, "step", states, step)
 
 
 def salient_of(simulator: Simulator, states: StateBatch) -> FloatArray:
     """What perception depends on at a simulator's own states: salient variables ``[N, D]``.
 
-    Asked are the signals, or the simulator's ``salient_at(states)`` if it has one: where states
-    already know what their signals would tell.
+    They come of the signals, or of the simulator's ``salient_at(states)`` if it has one: where
+    states already know what their signals would tell.
 
     Raises:
         SimulationError: The simulator raises something.
     """
     at_states = getattr(simulator, "salient_at", None)
-    try:
-        return simulator.salient(states.signals) if at_states is None else at_states(states)
-    except BaseException as error:  # as above
-        _blame_at(error, simulator, "salient", states)
+    if at_states is not None:
+        return _evaluated(simulator, "salient", states, lambda: at_states(states))
+    return _evaluated(simulator, "salient", states, lambda: simulator.salient(states.signals))
 
 
 def _states(simulator: Any, given: Any) -> StateBatch:
@@ -153,20 +158,13 @@ def _states(simulator: Any, given: Any) -> StateBatch:
     raise SimulationError(what, why="must be a pemviz.StateBatch")
 
 
-def _blame_at(error: BaseException, simulator: Any, asked: str, states: StateBatch) -> NoReturn:
-    """Tell of what a scenario raised at ``states``, which count its turns where it takes turns."""
-    turns, part = 1, simulator
-    while (inner := getattr(part, "scenario", None)) is not None:
-        turns, part = getattr(part, "turns", turns), inner
-    step = int(states.step) // turns if np.ndim(states.step) == 0 else None
-    blame(
-        error,
-        f"simulator {simulator.name}: {asked}",
-        step=step,
-        rollouts=range(len(next(iter(states.signals.values())))),
-    )
-
-
-def cast_latent(simulator: Any) -> LatentSimulator:
-    """A simulator that is known to declare latents."""
-    return simulator
+def _evaluated(simulator: Any, what: str, states: StateBatch, call: Callable[[], Value]) -> Value:
+    try:
+        return call()
+    except BaseException as error:  # as above
+        turns, part = 1, simulator  # states count turns where the scenario takes turns
+        while (inner := getattr(part, "scenario", None)) is not None:
+            turns, part = getattr(part, "turns", turns), inner
+        step = int(states.step) // turns if np.ndim(states.step) == 0 else None
+        rollouts = range(len(next(iter(states.signals.values()))))
+        blame(error, f"simulator {simulator.name}: {what}", step=step, rollouts=rollouts)

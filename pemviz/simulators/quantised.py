@@ -14,11 +14,16 @@ from scipy.special import ndtr, ndtri
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError
-from pemviz.latents import LatentCounts
 from pemviz.simulators.absorbing import WrappedSimulator
-from pemviz.simulators.latents import LatentSimulator, begun, latent_counts, stepped, within
+from pemviz.simulators.latents import (
+    LatentSimulator,
+    NamesStarts,
+    begun,
+    latent_counts,
+    stepped,
+    within,
+)
 from pemviz.simulators.slots import Slot, SlotSimulator
-from pemviz.simulators.starts import NamesStarts
 from pemviz.types import Signal, Simulator, StateBatch
 
 FARTHEST = 4.0
@@ -105,11 +110,6 @@ class QuantisedStart(WrappedSimulator):
     """
 
     cells: int
-
-    @property
-    def latents(self) -> LatentCounts:
-        """The scenario's own."""
-        return latent_counts(self.scenario)
 
     @property
     def start_cells(self) -> StartCells:

@@ -1,15 +1,15 @@
-"""What a scenario may offer so that views draw it: cars on a road, and where it tracks them.
+"""What a scenario may offer so that views draw it: cars on a road, tracks, measurement errors.
 
 The frame is the world's: x along the road, y to its left [m], headings counterclockwise from x
-[rad]; x and y are those of a car's centre. Any simulator may offer it, shipped or not: a view asks
-:mod:`pemviz.simulators.drawn_scene`, and draws whatever states files hold.
+[rad]; x and y are those of a car's centre. Any simulator may offer it, shipped or not: a view finds
+it by :mod:`pemviz.simulators.drawn_scene`, and draws whatever states files hold.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.types import StateBatch
 
 
@@ -129,4 +129,26 @@ class DrawsTracks(Protocol):
 
     def scene_tracks(self, states: StateBatch) -> SceneTracks:
         """States ``[...]``, memory included, to the tracks of the K slots, 1 without slots."""
+        ...
+
+
+@runtime_checkable
+class TellsErrors(Protocol):
+    """A scenario with latents of steps that says what errors they make.
+
+    Any :class:`pemviz.Simulator` may offer it; views then show errors in place of latents.
+    """
+
+    def told_errors(
+        self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
+    ) -> Mapping[str, FloatArray]:
+        """Measured minus true values at each step of one rollout [m].
+
+        Args:
+            signals: ``[T]`` by name.
+            memory: ``[T]`` by name, what its states remember.
+
+        Returns:
+            ``[T-1]`` by what was measured; NaN where nothing was.
+        """
         ...

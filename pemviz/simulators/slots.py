@@ -1,7 +1,7 @@
 """Several obstacles or ghosts a step: slots, which take turns within the step.
 
 Perception answers for every slot of a step. An unrolled step is one slot's turn: the error model
-is asked about that slot, its outcome is kept in the state's memory, and with the last slot's turn
+is evaluated for that slot, its outcome is kept in the state's memory, and with the last slot's turn
 the scenario moves. A scenario with K slots thereby is one with a single outcome a step, and what is
 a function of the state, such as what the slots before it brought in the same step, methods see.
 
@@ -9,17 +9,17 @@ An unrolled outcome says whether the slot's outcome is its nominal one; False is
 an obstacle, a report of a ghost. An absent slot's outcome is nominal for certain.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any, Protocol, runtime_checkable
+from functools import cached_property
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.latents import LatentCounts
 from pemviz.simulators.latents import begun, latent_counts, stepped
-from pemviz.types import CERTAIN, Signal, StateBatch
+from pemviz.types import CERTAIN, Signal, SimulatorFacts, StateBatch
 
 SLOT = "slot"
 """Signal: the number of the slot whose turn it is; there with two slots or more."""
@@ -46,36 +46,16 @@ class Slot:
 
 
 @runtime_checkable
-class SlotSimulator(Protocol):
+class SlotSimulator(SimulatorFacts, Protocol):
     """A scenario that moves when told, at each step, what perception reports in each of K slots.
 
     Like :class:`pemviz.types.Simulator`, whose members it shares; ``initial`` and ``step`` are
     pure. It may have a method ``reacts``, from signals ``[...]`` to whether it matters to the
     scenario what is reported in each slot, ``[..., K]``: proposals leave the other outcomes to the
     error model, which saves weight.
-    For speed it may have ``sight``, which is asked in place of ``present`` and ``salient``, and
+    For speed it may have ``sight``, evaluated in place of ``present`` and ``salient``, and
     ``reacts_in``, in place of ``reacts``: :class:`SeesAtOnce`, :class:`ReactsInSlot`.
     """
-
-    @property
-    def name(self) -> str:
-        """Back end's name for files and tables."""
-        ...
-
-    @property
-    def states(self) -> int:
-        """States in a rollout (T); perception acts at the first T - 1 of them."""
-        ...
-
-    @property
-    def dt_s(self) -> float:
-        """Time between two states [s]."""
-        ...
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """The signals that a state carries."""
-        ...
 
     @property
     def slots(self) -> tuple[Slot, ...]:
@@ -90,15 +70,11 @@ class SlotSimulator(Protocol):
         """The next states, given perception's outcomes ``[N, K]`` at ``states``."""
         ...
 
-    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """Signals ``[...]`` to what perception of each slot depends on, ``[..., K, D]``."""
-        ...
-
     def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """Signals ``[...]`` to whether perception may report something else than nominal there.
 
         For an obstacle: it is in view; for a ghost: one could appear. ``[..., K]``; what is absent
-        is not asked about, whatever its salient variables.
+        is left out, whatever its salient variables.
         """
         ...
 
@@ -239,11 +215,11 @@ class UnrolledSimulator:
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The slot's salient variables, whether it is present, its number, ``[..., D + 2]``."""
-        slot, sight = self.slot_of(signals), self._ask(self._own(signals))
+        slot, sight = self.slot_of(signals), self._sight(signals)
         salient = np.take_along_axis(sight.salient, slot[..., None, None], axis=-2)
         present = np.take_along_axis(sight.present, slot[..., None], axis=-1)
-        asked = np.concatenate([present, slot[..., None]], axis=-1, dtype=np.float64)
-        return np.concatenate([salient[..., 0, :], asked], axis=-1)
+        turn = np.concatenate([present, slot[..., None]], axis=-1, dtype=np.float64)
+        return np.concatenate([salient[..., 0, :], turn], axis=-1)
 
     def salient_at(self, states: StateBatch) -> FloatArray:
         """The same at states that are all in the turn of one slot, ``[N, D + 2]``."""
@@ -299,7 +275,7 @@ class UnrolledSimulator:
         """Unrolled states, or the scenario's, with what perception depends on at them."""
         if isinstance(states, SeenStates):
             return states
-        return _seen(states, self._ask(self._own(states.signals)))
+        return _seen(states, self._sight(states.signals))
 
     @staticmethod
     def is_own(name: str) -> bool:
@@ -310,19 +286,19 @@ class UnrolledSimulator:
     def _errors(self) -> tuple[str, ...]:
         return tuple(f"{ERROR}{slot}" for slot in range(self.turns - 1))
 
-    @cached_property
-    def _names(self) -> tuple[str, ...]:
-        return tuple(signal.name for signal in self.scenario.signals)
-
     def _own(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """The scenario's own signals alone."""
         return {name: signals[name] for name in self._names}
 
     @cached_property
-    def _ask(self) -> Callable[[Mapping[str, FloatArray]], Sight]:
+    def _names(self) -> tuple[str, ...]:
+        return tuple(signal.name for signal in self.scenario.signals)
+
+    def _sight(self, signals: Mapping[str, FloatArray]) -> Sight:
+        own = self._own(signals)
         if isinstance(self.scenario, SeesAtOnce):
-            return self.scenario.sight
-        return partial(_AskedSight, self.scenario)
+            return self.scenario.sight(own)
+        return cast(Sight, _EvaluatedSight(self.scenario, own))  # cached properties are properties
 
     def _in_turn(
         self, states: StateBatch, errors: Mapping[str, AnyArray], *, turn: int, step: Any
@@ -337,28 +313,19 @@ class UnrolledSimulator:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _AskedSight:
-    """What a scenario answers at states, asked once."""
+class _EvaluatedSight:
+    """What a scenario says of signals, evaluated once."""
 
-    scenario: SlotSimulator
-    signals: Mapping[str, FloatArray]
+    def __init__(self, scenario: SlotSimulator, signals: Mapping[str, FloatArray]) -> None:
+        self._scenario, self._signals = scenario, signals
 
-    @property
+    @cached_property
     def present(self) -> BoolArray:
-        return self._present
+        return self._scenario.present(self._signals)
 
-    @property
+    @cached_property
     def salient(self) -> FloatArray:
-        return self._salient
-
-    @cached_property
-    def _present(self) -> BoolArray:
-        return self.scenario.present(self.signals)
-
-    @cached_property
-    def _salient(self) -> FloatArray:
-        return self.scenario.salient(self.signals)
+        return self._scenario.salient(self._signals)
 
 
 def _seen(states: StateBatch, sight: Sight) -> SeenStates:

@@ -22,7 +22,7 @@ from pemviz.sampling.zero_variance.reachable_states import (
 )
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.sampling.zero_variance.values import solve
-from pemviz.simulators.bounds import signal_bounds, signals_reached, tells_bounds, tells_reached
+from pemviz.simulators.absorbing import signal_bounds, signals_reached, tells_bounds, tells_reached
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.latents import begun
 

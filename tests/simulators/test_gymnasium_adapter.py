@@ -9,7 +9,7 @@ import pytest
 
 import pemviz
 from pemviz.sampling.rollouts.simulate import replay
-from pemviz.simulators.kept_steps import TRIED, KeptSteps
+from pemviz.simulators.gymnasium_adapter import TRIED, KeptSteps
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,

@@ -11,6 +11,7 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import load_preset, with_own_rules
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import check_simulator
+from pemviz.simulators.check_declared import Complaint, check_starts
 from pemviz.simulators.merge import CARS, LANES
 from pemviz.simulators.merge.highway_env_merge import CONFIG
 from pemviz.simulators.merge.scenario import (
@@ -20,7 +21,6 @@ from pemviz.simulators.merge.scenario import (
     MergeSimulator,
     ego_action,
 )
-from pemviz.simulators.starts import check_starts
 
 SIMULATOR = MergeSimulator(ScenarioConfig())
 STEPS = 20
@@ -61,7 +61,7 @@ def test_start_values_are_where_and_how_fast_the_environment_s_cars_begin() -> N
         for what in ("gap", "speed"):
             got = states.signals[f"{what}_{car}"]
             np.testing.assert_allclose(values[f"{car}_{what}"], got, rtol=0.0, atol=1e-9)
-    check_starts(SIMULATOR, "merge")
+    check_starts(SIMULATOR, Complaint("merge"))
 
 
 def test_a_car_missed_all_along_is_driven_into_and_one_detected_is_not() -> None:

@@ -8,7 +8,9 @@ import pytest
 import pemviz
 from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.drawn_scene import drawn_scene, drawn_tracks
+from pemviz.simulators.drawn_scene import drawn_scene
+from pemviz.simulators.latents import within
+from pemviz.simulators.scene import DrawsTracks
 from pemviz.simulators.slots import UnrolledSimulator
 from tests.lattice_walk import ToySimulator
 from tests.scene_toys import CutIn
@@ -62,6 +64,6 @@ def test_a_scene_that_keeps_to_the_contract_passes_and_is_found_behind_wrappers(
     check_simulator(scenario)
     wrapped = WrappedSimulator(UnrolledSimulator(scenario))
     assert drawn_scene(wrapped) is scenario
-    assert drawn_tracks(wrapped) is scenario
+    assert within(wrapped, DrawsTracks) is scenario
     assert drawn_scene(ToySimulator()) is None
-    assert drawn_tracks(UnrolledSimulator(ToySimulator())) is None
+    assert within(UnrolledSimulator(ToySimulator()), DrawsTracks) is None

@@ -9,7 +9,7 @@ import pytest
 
 import pemviz
 from pemviz.simulators.check import check_simulator
-from pemviz.simulators.starts import named_starts
+from pemviz.simulators.latents import NamesStarts, within
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "random_start.py"
 STANDING_CAR = runpy.run_path(str(EXAMPLE))["StandingCar"]
@@ -67,5 +67,5 @@ def test_they_are_found_inside_of_what_wraps_the_scenario():
     behind = pemviz.tracked(simulator, pemviz.Tracker(hits=2, window=3, dt_s=0.1))
     pem = runpy.run_path(str(EXAMPLE))["Camera"]()
     experiment = pemviz.build_experiment(config, simulator=behind, pem=pem)
-    assert named_starts(experiment.problem.simulator) is simulator
-    assert named_starts(object()) is None
+    assert within(experiment.problem.simulator, NamesStarts) is simulator
+    assert within(object(), NamesStarts) is None

@@ -23,7 +23,7 @@ from pemviz.sampling.zero_variance.unsafe_states import (
     UnsafeStates,
     certain_violation,
 )
-from pemviz.simulators.bounds import signal_bounds, tells_bounds
+from pemviz.simulators.absorbing import signal_bounds, tells_bounds
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.quantised import start_cells
 from pemviz.types import Simulator, StateBatch

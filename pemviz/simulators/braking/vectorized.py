@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.simulators.bounds import SignalBounds
+from pemviz.simulators.absorbing import SignalBounds
 from pemviz.simulators.braking.compiled import CompiledRollouts, compiled_loops
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
