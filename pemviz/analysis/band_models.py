@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.analysis.causes import failures_of
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem import PemCard
 from pemviz.pem.data.support import BEHIND_M, DISTANCE_EDGES_M, SHAPE, cell_of
 from pemviz.pem.models.tabulated import TabulatedPem
@@ -24,6 +24,7 @@ from pemviz.sampling.estimates.importance_weights import effective_sample_size, 
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.rollouts.batches import run_here
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.types import Estimate, ScoredRollouts
 
 BANDS = SHAPE[-1]
@@ -94,15 +95,10 @@ def rollouts_under(
 ) -> tuple[Estimate, ScoredRollouts, FloatArray]:
     """A small run of method ``mixture``.
 
-    Args:
-        problem: On a fast simulator.
-        features: What proposals look at.
-        seed: Root of all randomness.
-
     Returns:
         The estimate, all rollouts, and their log weights ``[N]``.
     """
-    asked = replace(problem, run_batches=run_here, finished=nothing_finished)
+    here = replace(problem, run_batches=run_here, finished=nothing_finished)
     method = MixtureSampling(
         learning_stages=LEARNING_STAGES,
         rollouts=LEARNING_ROLLOUTS,
@@ -110,13 +106,20 @@ def rollouts_under(
         seed=seed,
         features=features,
     )
-    state = method.init(asked, repetition=0)
+    state = method.init(here, repetition=0)
     drawn: list[ScoredRollouts] = []
     while not method.is_done(state):
-        state, stage = method.step(asked, state)
+        state, stage = method.step(here, state)
         drawn.append(stage.scored)
     scored = ScoredRollouts.concatenate([replace(part, timings_s={}) for part in drawn])
     return method.estimate(state), scored, method.pooled_log_weight(state)
+
+
+def visited_salient(problem: Problem) -> FloatArray:
+    """Variables ``[2, T, 11]`` of the states with all outcomes missed, and with all detected."""
+    outcomes = np.zeros((2, problem.simulator.states - 1), dtype=np.bool_)
+    outcomes[1] = True
+    return problem.simulator.salient(replay(simulator=problem.simulator, detected=outcomes))
 
 
 def band_outcomes(
@@ -133,8 +136,13 @@ def band_outcomes(
         return BandOutcomes(np.empty(0), nothing, nothing, scored.rollouts.count, np.empty((0, 11)))
     salient = problem.simulator.salient(failures.rollouts.decision_states().signals)
     band = cell_of(salient)[-1].reshape(failures.deciding.shape)
-    misses = _counted(band, failures.missed)
-    hits = _counted(band, failures.deciding & failures.rollouts.detected)
+
+    def counted(chosen: BoolArray) -> FloatArray:
+        each = [np.count_nonzero(chosen & (band == index), axis=1) for index in range(BANDS)]
+        return np.stack(each, axis=1).astype(np.float64)
+
+    misses = counted(failures.missed)
+    hits = counted(failures.deciding & failures.rollouts.detected)
     share = np.clip(miss, MOST_CERTAIN, 1.0 - MOST_CERTAIN)
     own = misses @ np.log(share) + hits @ np.log1p(-share)
     return BandOutcomes(
@@ -144,10 +152,3 @@ def band_outcomes(
         rollouts=scored.rollouts.count,
         salient=salient[failures.deciding],
     )
-
-
-def _counted(band: IntArray, chosen: BoolArray) -> FloatArray:
-    """How many of the chosen steps ``[V, T-1]`` lie in each band, ``[V, B]``."""
-    return np.stack(
-        [np.count_nonzero(chosen & (band == index), axis=1) for index in range(BANDS)], axis=1
-    ).astype(np.float64)

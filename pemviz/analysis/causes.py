@@ -156,8 +156,8 @@ def miss_probability_by_step(failures: Failures) -> FloatArray:
     return failures.share @ np.ascontiguousarray(failures.missed)
 
 
-def likeliest_chains(failures: Failures, *, count: int = CHAINS) -> tuple[Chain, ...]:
-    """The ``count`` chains of misses that carry most of the failure probability."""
+def likeliest_chains(failures: Failures) -> tuple[Chain, ...]:
+    """The ten chains of misses that carry most of the failure probability."""
     missed = failures.missed
     packed = np.packbits(missed, axis=1)
     _, first, group = np.unique(packed, axis=0, return_index=True, return_inverse=True)
@@ -165,7 +165,7 @@ def likeliest_chains(failures: Failures, *, count: int = CHAINS) -> tuple[Chain,
     share = np.bincount(group, weights=failures.share)
     drawn = np.bincount(group)
     log_p = row_sums(np.where(failures.deciding, failures.rollouts.log_p, 0.0))
-    order = np.argsort(-share, kind="stable")[:count]
+    order = np.argsort(-share, kind="stable")[:CHAINS]
     return tuple(
         Chain(
             missed_steps=tuple(int(step) for step in np.flatnonzero(missed[first[chain]])),

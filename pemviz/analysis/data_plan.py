@@ -132,16 +132,10 @@ class SequencePlan:
     wanted: Count
 
 
-def sequence_plan(
-    fitted: FittedMemory, *, example: str, is_own: bool, factor: float = WANTED_FACTOR
-) -> SequencePlan | None:
-    """How many sequences fix the memory time to within ``factor``; ``None`` if it may be 0.
+def sequence_plan(fitted: FittedMemory, *, example: str, is_own: bool) -> SequencePlan | None:
+    """How many sequences fix the memory time to within WANTED_FACTOR; ``None`` if it may be 0.
 
-    Args:
-        fitted: The memory that sequences at hand tell of.
-        example: The name of the model that has it.
-        is_own: Whether that is the run's.
-        factor: Above 1.
+    ``example`` names the model whose memory it is, which may be the run's own.
     """
     low_s, high_s = fitted.tau_interval_s
     if low_s <= 0.0 or high_s <= low_s:
@@ -149,7 +143,7 @@ def sequence_plan(
     wanted = sequences_for(
         half_width=0.5 * math.log(high_s / low_s),
         sequences=fitted.sequences,
-        wanted=math.log(factor),
+        wanted=math.log(WANTED_FACTOR),
         confidence=fitted.confidence,
     )
     return SequencePlan(
@@ -159,7 +153,7 @@ def sequence_plan(
         low_s=low_s,
         high_s=high_s,
         sequences=fitted.sequences,
-        factor=factor,
+        factor=WANTED_FACTOR,
         wanted=wanted,
     )
 
@@ -167,11 +161,8 @@ def sequence_plan(
 def sequences_for(*, half_width: float, sequences: int, wanted: float, confidence: float) -> int:
     """Fewest sequences whose interval is ``wanted`` wide to either side.
 
-    Args:
-        half_width: That of ``sequences``, at least two.
-        sequences: How many there are.
-        wanted: What is asked for, in the same unit.
-        confidence: Of both intervals.
+    ``half_width`` is that of ``sequences``, at least two, in the same unit; both intervals have the
+    same confidence.
     """
 
     def width(count: int) -> float:

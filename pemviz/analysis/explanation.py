@@ -10,31 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pemviz.analysis.causes import (
-    BandMisses,
-    Bursts,
-    Chain,
-    Failures,
-    bursts_of,
-    failures_of,
-    likeliest_chains,
-    miss_probability_by_step,
-    misses_by_distance,
-)
-from pemviz.analysis.outcome_likelihood import (
-    FrailOutcomes,
-    IndependentOutcomes,
-    MemoryLikelihood,
-    OutcomeLikelihood,
-    RememberedOutcomes,
-)
-from pemviz.analysis.sensitivity import (
-    BandSensitivity,
-    MemorySensitivity,
-    band_sensitivities,
-    mean_sum,
-    memory_sensitivity,
-)
+from pemviz.analysis import causes, sensitivity
+from pemviz.analysis import outcome_likelihood as outcomes
+from pemviz.analysis.causes import BandMisses, Bursts, Chain, Failures
+from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.arrays import FloatArray
 from pemviz.config.ranges import AtLeastZero, Count, Share
 from pemviz.proposals.offset_logistic import StateFeatures
@@ -72,7 +51,7 @@ class SlotErrors:
 
 
 def slot_errors(
-    failures: Failures, *, folding: Folding, likelihood: OutcomeLikelihood
+    failures: Failures, *, folding: Folding, likelihood: outcomes.OutcomeLikelihood
 ) -> tuple[SlotErrors, ...]:
     """Errors by slot of weighted violations as methods know them."""
     by_step = np.clip(failures.share @ np.ascontiguousarray(failures.missed), 0.0, 1.0)
@@ -83,7 +62,7 @@ def slot_errors(
     for number, slot in enumerate(folding.simulator.slots):
         inside = np.zeros_like(failures.deciding)
         inside[:, number :: folding.turns] = failures.deciding[:, number :: folding.turns]
-        elasticity, error = mean_sum(failures, slope, inside)
+        elasticity, error = sensitivity.mean_sum(failures, slope, inside)
         errors = float(by_slot[number].sum())
         rows.append(
             SlotErrors(
@@ -170,7 +149,7 @@ def explain(
         folding: To the scenario's own steps, where it has slots.
         system: The scenario with its hidden properties, if it has any.
     """
-    failures = failures_of(stage.scored, features=features)
+    failures = causes.failures_of(stage.scored, features=features)
     if failures is None or stage.log10_probability is None:
         return None
     rollouts = failures.rollouts
@@ -179,23 +158,25 @@ def explain(
     log_mu = stage.log10_probability * math.log(10.0)
     properties = () if system is None else system.properties
     visibility = property_in(properties, Visibility)
-    remembered: MemoryLikelihood | None = None
+    remembered: outcomes.MemoryLikelihood | None = None
     if system is not None and visibility is not None:
-        remembered = FrailOutcomes.of(rollouts, system=system, visibility=visibility)
+        remembered = outcomes.FrailOutcomes.of(rollouts, system=system, visibility=visibility)
     elif tau_s > 0.0:
-        remembered = RememberedOutcomes.of(rollouts, tau_s=tau_s, dt_s=dt_s)
+        remembered = outcomes.RememberedOutcomes.of(rollouts, tau_s=tau_s, dt_s=dt_s)
     labels = [one.label for one in properties if one.label]
     memory = None
     if remembered is not None and remembered.tau_s > 0.0:
-        memory = memory_sensitivity(failures, remembered, log_probability=log_mu, target=target)
+        memory = sensitivity.memory_sensitivity(
+            failures, remembered, log_probability=log_mu, target=target
+        )
     turns = 1 if folding is None else folding.turns
     explanation = Explanation(
         repetition=stage.repetition,
         stage=stage.stage,
-        misses_by_distance=misses_by_distance(failures, edges=edges),
-        miss_probability_by_step=tuple(miss_probability_by_step(failures).tolist()),
-        chains=likeliest_chains(failures),
-        sensitivity=band_sensitivities(
+        misses_by_distance=causes.misses_by_distance(failures, edges=edges),
+        miss_probability_by_step=tuple(causes.miss_probability_by_step(failures).tolist()),
+        chains=causes.likeliest_chains(failures),
+        sensitivity=sensitivity.band_sensitivities(
             failures,
             log_probability=log_mu,
             edges=edges,
@@ -204,7 +185,7 @@ def explain(
             untold=f"not told with {' and '.join(labels)}" if labels else None,
         ),
         memory=memory,
-        bursts=bursts_of(
+        bursts=causes.bursts_of(
             failures,
             # where the scenario itself reacts, whatever is remembered as well
             mattering=own_features(features).reacts(rollouts.decision_states()),
@@ -215,7 +196,7 @@ def explain(
     )
     if folding is None or turns == 1:
         return explanation
-    likelihood = remembered or IndependentOutcomes.of(rollouts)
+    likelihood = remembered or outcomes.IndependentOutcomes.of(rollouts)
     by_step = any_error_by_step(failures, folding=folding)
     return replace(
         explanation,

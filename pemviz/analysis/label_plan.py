@@ -19,7 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq, minimize
 
-from pemviz.analysis.band_models import BANDS, MOST_CERTAIN, BandOutcomes, band_outcomes
+from pemviz.analysis.band_models import (
+    BANDS,
+    MOST_CERTAIN,
+    BandOutcomes,
+    band_outcomes,
+    visited_salient,
+)
 from pemviz.analysis.binomial_plan import (
     MOST_LABELS,
     POWER,
@@ -42,7 +48,6 @@ from pemviz.pem.models.protocol import as_rows
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.problem import Problem
-from pemviz.sampling.rollouts.simulate import replay
 
 GRID = 60
 SMALLEST = 1e-6
@@ -82,6 +87,17 @@ class LabelledBand:
     obstacles: int
     missed: int
     assumed: float
+
+    def needed(self, bound: float, *, confidence: float, power: float) -> LabelsNeeded | None:
+        """The smallest further sample that shows P(missed) <= ``bound`` with this power."""
+        return labels_needed(
+            obstacles=self.obstacles,
+            missed=self.missed,
+            bound=bound,
+            assumed=self.assumed,
+            confidence=confidence,
+            power=power,
+        )
 
 
 def cheapest_requirement(
@@ -198,22 +214,14 @@ def _cost(band: LabelledBand, confidence: float, power: float | None) -> Callabl
     """
     lowest = SMALLEST if power is None else max(NEAREST * band.assumed, SMALLEST)
     places = np.linspace(min(math.log(lowest), -1e-6), math.log(LARGEST), GRID)
-    obstacles, missed = band.obstacles, band.missed
     labels: list[float] = []
     for bound in map(math.exp, places.tolist()):
         if power is None:
             needed = labels_if_none_missed(
-                obstacles=obstacles, missed=missed, bound=bound, confidence=confidence
+                obstacles=band.obstacles, missed=band.missed, bound=bound, confidence=confidence
             )
         else:
-            found = labels_needed(
-                obstacles=obstacles,
-                missed=missed,
-                bound=bound,
-                assumed=band.assumed,
-                confidence=confidence,
-                power=power,
-            )
+            found = band.needed(bound, confidence=confidence, power=power)
             needed = MOST_LABELS if found is None else found.labels
         labels.append(float(needed))
 
@@ -356,14 +364,6 @@ class Task:
         return 1.0 - (1.0 - CONFIDENCE) / int(filled.sum())
 
 
-def visited_salient(problem: Problem) -> FloatArray:
-    """Variables ``[2, T, 11]`` of the states with all outcomes missed, and with all detected."""
-    simulator = problem.simulator
-    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
-    outcomes[1] = True
-    return simulator.salient(replay(simulator=simulator, detected=outcomes))
-
-
 def label_plan(
     problem: Problem,
     *,
@@ -477,14 +477,7 @@ def _samples(
 
     def at(power: float) -> list[LabelsNeeded | None]:
         return [
-            labels_needed(
-                obstacles=band.obstacles,
-                missed=band.missed,
-                bound=float(required[band.band]),
-                assumed=band.assumed,
-                confidence=confidence,
-                power=power,
-            )
+            band.needed(float(required[band.band]), confidence=confidence, power=power)
             for band in bands
         ]
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.analysis.band_models import rollouts_under
+from pemviz.analysis.band_models import rollouts_under, visited_salient
 from pemviz.arrays import Batch, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Share
 from pemviz.errors import PemError
@@ -41,12 +41,7 @@ from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
 from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts, weighed
-from pemviz.sampling.rollouts.simulate import replay
-from pemviz.sampling.state.composed import (
-    memory_of_pem,
-    own_pem,
-    own_salient,
-)
+from pemviz.sampling.state.composed import memory_of_pem, own_pem, own_salient
 from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
 
 MOST_VIOLATIONS = 2_000
@@ -114,7 +109,7 @@ class SomeViolations(Batch):
 
 @dataclass(frozen=True)
 class Violating(SomeViolations):
-    """Violations with their rollouts, as model classes are asked of them.
+    """Violations with their rollouts, as model classes re-weight them.
 
     Attributes:
         rollouts: ``[V]``.
@@ -140,32 +135,31 @@ def violating(scored: ScoredRollouts) -> Violating:
     count = violations.size
     if count > MOST_VIOLATIONS:
         violations = violations[np.arange(MOST_VIOLATIONS) * count // MOST_VIOLATIONS]
+    stands_for = math.log(count / violations.size) if count else 0.0
     return Violating(
         rollout=violations,
         rollouts=scored.rollouts.take(violations),
-        log_stands_for=np.full(
-            violations.size, math.log(count / violations.size) if count else 0.0
-        ),
+        log_stands_for=np.full(violations.size, stands_for),
     )
 
 
 def model_class_ratios(
-    asked: Violating, *, simulator: Simulator, model_classes: Sequence[Pem]
+    violations: Violating, *, simulator: Simulator, model_classes: Sequence[Pem]
 ) -> ModelClassRatios:
     """What ``model_classes`` make of violations.
 
-    Of several stages together sooner than one by one: what it takes to ask a model along the gap
+    Of several stages together: what it takes to evaluate a model along the gap
     hardly grows with the number of rollouts.
 
     Args:
-        asked: The violations.
+        violations: To be re-weighted.
         simulator: That they come from.
         model_classes: F models.
     """
-    if asked.rollout.size == 0:
+    if violations.rollout.size == 0:
         empty = np.empty((0, len(model_classes)))
-        return ModelClassRatios(asked.rollout, asked.log_stands_for, empty)
-    failing = asked.rollouts
+        return ModelClassRatios(violations.rollout, violations.log_stands_for, empty)
+    failing = violations.rollouts
     salient = simulator.salient(failing.decision_states().signals)
     log_p = row_sums(failing.log_p)
     columns = [
@@ -173,8 +167,8 @@ def model_class_ratios(
         for model in model_classes
     ]
     return ModelClassRatios(
-        rollout=asked.rollout,
-        log_stands_for=asked.log_stands_for,
+        rollout=violations.rollout,
+        log_stands_for=violations.log_stands_for,
         log_ratio=np.stack(columns, axis=1),
     )
 
@@ -275,10 +269,14 @@ def model_interval(repetitions: Sequence[MemberEstimates]) -> ModelInterval:
         effective_failures=np.sum([e.effective_failures for e in repetitions], axis=0),
     )
     interval = pem_interval(pooled, few_effective=SMALL_ESS)
+    low, high, median = (
+        10.0**value if math.isfinite(value) else None
+        for value in (interval.log10_low, interval.log10_high, interval.log10_median)
+    )
     return ModelInterval(
-        low=_power(interval.log10_low),
-        high=_power(interval.log10_high),
-        median=_power(interval.log10_median),
+        low=low,
+        high=high,
+        median=median,
         members=interval.members,
         confidence=interval.confidence,
         warnings=interval.warnings,
@@ -325,11 +323,7 @@ def data_bound(
     support = support_of(own_pem(problem.pem))
     if support is None:
         return None
-    simulator = problem.simulator
-    outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
-    outcomes[1] = True
-    visited = simulator.salient(replay(simulator=simulator, detected=outcomes))
-    visited = own_salient(problem.pem, visited)
+    visited = own_salient(problem.pem, visited_salient(problem))
     is_frail = memory_of_pem(problem.pem).frailty > 0.0
     bound = data_bound_pem(visited, support=support, confidence=CONFIDENCE)
     batches = sample_batches(
@@ -375,7 +369,3 @@ def extrapolation_warnings(
 def _log_mean_finite(log_values: FloatArray) -> float:
     finite = log_values[np.isfinite(log_values)]
     return log_sum(finite) - math.log(log_values.size) if finite.size else -math.inf
-
-
-def _power(log10_value: float) -> float | None:
-    return 10.0**log10_value if math.isfinite(log10_value) else None

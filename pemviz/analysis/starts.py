@@ -36,6 +36,8 @@ OUTER = 0.005
 REACH = 5.0**0.5
 """Of the kernel, in standard deviations of it."""
 MOST_POINTS = 200
+SHIFTED = 0.25
+"""Deviations from which on a value counts as shifted."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +99,7 @@ def violating_starts(
 ) -> WeightedStarts:
     """Those of violations; copies of a start, as splitting's particles are, count as one.
 
-    Args:
-        simulator: The scenario.
-        latents: ``[V, S]``.
-        log_share: What each contributes, up to a factor, ``[V]``.
+    Latents are ``[V, S]``; ``log_share [V]`` is what each contributes, up to a factor.
     """
     kept = np.isfinite(log_share)
     latents, log_share = latents[kept], log_share[kept]
@@ -220,9 +219,9 @@ class DangerousStarts:
     plane: StartMap | None = None
     points: tuple[StartPoint, ...] = ()
 
-    def shifted(self, *, least: float = 0.25) -> tuple[StartValue, ...]:
+    def shifted(self) -> tuple[StartValue, ...]:
         """Values by how far violations lie from all starts, the farthest first."""
-        far = [one for one in self.values if one.shift is not None and abs(one.shift) >= least]
+        far = [one for one in self.values if one.shift is not None and abs(one.shift) >= SHIFTED]
         return tuple(sorted(far, key=lambda one: -abs(one.shift or 0.0)))
 
 
@@ -253,10 +252,7 @@ def dangerous_starts(
 ) -> tuple[DangerousStarts, ...]:
     """Of violations in all, then of each rule's; none where no violation was seen.
 
-    Args:
-        simulator: What the rollouts come from.
-        violations: Of all rollouts that the estimate averages.
-        rules: Names.
+    Violations are of all rollouts that the estimate averages.
     """
     drawn = all_starts(simulator)
     kinds = [(None, violations), *((rule, violations.under_rule(rule)) for rule in rules)]
@@ -285,7 +281,7 @@ def _of_violations(
             for signal in simulator.starts
         ),
         plane=(
-            start_map(simulator, drawn, sample, log10_probability=log10)
+            _start_map(simulator, drawn, sample, log10_probability=log10)
             if sample.effective >= FEWEST_OF_MAP
             else None
         ),
@@ -306,21 +302,14 @@ def _start_value(
     return StartValue(name, unit, every, tuple(ranges), shift)
 
 
-def start_map(
+def _start_map(
     simulator: NamesStarts,
     drawn: WeightedStarts,
     sample: WeightedStarts,
     *,
     log10_probability: float,
 ) -> StartMap | None:
-    """The plane's map, see :mod:`pemviz.analysis.starts`; ``None`` without a plane.
-
-    Args:
-        simulator: That names the plane.
-        drawn: All starts.
-        sample: Those of violations.
-        log10_probability: Of a violation, over all starts.
-    """
+    """The map; ``None`` without a plane. The probability is that of a violation over all starts."""
     axes = [_axis(name, drawn, sample) for name in simulator.start_plane]
     if any(reach == 0.0 for _, reach in axes):
         return None

@@ -23,6 +23,7 @@ from pemviz.chunks import map_rows
 from pemviz.types import CERTAIN, StateBatch
 
 GAP_SCALE_M = 12.0
+"""The input is the gap divided by this."""
 HIDDEN_UNITS = 32
 FARTHEST_M = 1e6
 EPOCHS_BETWEEN_PAUSES = 50
@@ -41,16 +42,14 @@ class GapNetwork:
     Attributes:
         weights: Three matrices, shapes ``[32, 1]``, ``[32, 32]``, ``[2, 32]``.
         biases: Three vectors, shapes ``[32]``, ``[32]``, ``[2]``.
-        gap_scale_m: The input is the gap divided by this.
     """
 
     weights: tuple[FloatArray, FloatArray, FloatArray]
     biases: tuple[FloatArray, FloatArray, FloatArray]
-    gap_scale_m: float = GAP_SCALE_M
 
     def logit_at(self, gap_m: FloatArray) -> FloatArray:
         """Logit of 'detected' at gaps of any shape ``[...]``."""
-        rows = gap_m.reshape(-1)[:, None] / self.gap_scale_m
+        rows = gap_m.reshape(-1)[:, None] / GAP_SCALE_M
         return map_rows(self._forward, rows).reshape(gap_m.shape)
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
@@ -344,7 +343,7 @@ def fit_gap_network(
     """
     at, gradient, step_size = _parameters(start), Parameters(), Parameters()
     loss = GapLoss(
-        table.gap_m / start.gap_scale_m,
+        table.gap_m / GAP_SCALE_M,
         detected_weight=table.detected_weight,
         missed_weight=table.missed_weight,
     )
@@ -369,7 +368,6 @@ def fit_gap_network(
             start.weights[2] + signs[:, None] * moved[0],
         ),
         biases=(at.layer_1[1].copy(), at.bias_2.copy(), start.biases[2] + signs * moved[1]),
-        gap_scale_m=start.gap_scale_m,
     )
     return trained, final
 

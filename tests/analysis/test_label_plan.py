@@ -6,7 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.analysis.band_models import BANDS, BandOutcomes, band_model, band_outcomes
+from pemviz.analysis.band_models import (
+    BANDS,
+    BandOutcomes,
+    band_model,
+    band_outcomes,
+    visited_salient,
+)
 from pemviz.analysis.data_plan import labels_to_halve, refit_plan, sequences_for
 from pemviz.analysis.label_plan import (
     POWER,
@@ -14,7 +20,6 @@ from pemviz.analysis.label_plan import (
     cheapest_requirement,
     label_plan,
     labelled,
-    visited_salient,
 )
 from pemviz.analysis.model_uncertainty import data_bound
 from pemviz.config import ExperimentConfig, ScenarioConfig

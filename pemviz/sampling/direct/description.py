@@ -14,36 +14,37 @@ from pemviz.sampling.description import (
 )
 
 if TYPE_CHECKING:
+    from pemviz.proposals.fixed import ConstantProposal, PemProposal
     from pemviz.sampling.back_end import BackEnd
     from pemviz.sampling.direct.method import DirectSampling
 
 
-def _build_monte_carlo(config: ExperimentConfig, back_end: BackEnd) -> DirectSampling:
-    from pemviz.proposals.fixed import PemProposal  # noqa: PLC0415  slow to import
-    from pemviz.sampling.direct.method import DirectSampling  # noqa: PLC0415  as above
+def _sampling_from(
+    proposal: PemProposal | ConstantProposal, name: str, config: ExperimentConfig, back_end: BackEnd
+) -> DirectSampling:
+    from pemviz.sampling.direct.method import DirectSampling  # noqa: PLC0415  slow to import
     from pemviz.sampling.rollouts.large_stages import largest_part  # noqa: PLC0415  as above
 
     return DirectSampling(
-        name=MONTE_CARLO.name,
-        proposal=PemProposal(),
+        name=name,
+        proposal=proposal,
         rollouts=config.final_rollouts,
         seed=config.seed,
         largest_part=largest_part(states=back_end.simulator.states),
     )
+
+
+def _build_monte_carlo(config: ExperimentConfig, back_end: BackEnd) -> DirectSampling:
+    from pemviz.proposals.fixed import PemProposal  # noqa: PLC0415  slow to import
+
+    return _sampling_from(PemProposal(), MONTE_CARLO.name, config, back_end)
 
 
 def _build_naive(config: ExperimentConfig, back_end: BackEnd) -> DirectSampling:
     from pemviz.proposals.fixed import ConstantProposal  # noqa: PLC0415  slow to import
-    from pemviz.sampling.direct.method import DirectSampling  # noqa: PLC0415  as above
-    from pemviz.sampling.rollouts.large_stages import largest_part  # noqa: PLC0415  as above
 
-    return DirectSampling(
-        name=NAIVE.name,
-        proposal=ConstantProposal(detection_probability=config.naive_detection_probability),
-        rollouts=config.final_rollouts,
-        seed=config.seed,
-        largest_part=largest_part(states=back_end.simulator.states),
-    )
+    proposal = ConstantProposal(detection_probability=config.naive_detection_probability)
+    return _sampling_from(proposal, NAIVE.name, config, back_end)
 
 
 MONTE_CARLO = MethodDescription(

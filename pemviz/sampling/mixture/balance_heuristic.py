@@ -52,13 +52,10 @@ class Planned:
         before: IntArray,
         proposals: int,
     ) -> "Planned":
-        """Before any of the parts is drawn, or between two.
+        """Before any of the parts is sampled, or between two.
 
-        Args:
-            sizes: Of the final batch's parts.
-            components: What each rollout of a part is drawn from, by its size.
-            before: Likewise of each rollout before the final batch.
-            proposals: K.
+        ``components`` are what each rollout of a part of a size is sampled from, ``before`` those
+        of the rollouts before the final batch; proposals are K.
         """
         columns = 1 + proposals
         final = np.zeros(columns, dtype=np.int64)
@@ -353,10 +350,9 @@ class Pool:
         )
 
     def weights_among(self, part: slice) -> FloatArray:
-        """Log weights ``[n]`` of a part of all rollouts, as draws from that part's own mixture.
+        """Log weights ``[n]`` of a part of all rollouts, as samples from that part's own mixture.
 
-        Args:
-            part: The final batch, or what was drawn before it.
+        The part is the final batch, or what was sampled before it.
         """
         if not self.failing or part.stop is not None:
             own = slice(*np.searchsorted(self.rows, part.indices(self.drawn)[:2]).tolist())
@@ -381,21 +377,13 @@ class Pool:
     @property
     def by_exploration(self) -> BoolArray:
         """Whether exploration is most of what could draw each of the F violations, ``[F]``."""
-        learned, shares = self.violated[: len(self.log_ratio)], self._log_shares
+        learned = self.violated[: len(self.log_ratio)]
+        shares = log_shares(np.bincount(self.component, minlength=self.log_ratio.shape[1]))
         final = [
             weights.by_exploration[self._until][self.violated[weights.rollout]]
             for weights in self.failing
         ]
         return np.concatenate([mostly_by_exploration(self.log_ratio[learned], shares), *final])
-
-    @property
-    def _until(self) -> Rule:
-        """The rule until which rollouts count: none where there are not several."""
-        return self.rule if self.rule in self.rule_log_ratio else None
-
-    @property
-    def _log_shares(self) -> FloatArray:
-        return log_shares(np.bincount(self.component, minlength=self.log_ratio.shape[1]))
 
     def _with_final(
         self, before: FloatArray, final: Sequence[tuple[IntArray, Mapping[Rule, FloatArray]]]
@@ -407,13 +395,16 @@ class Pool:
             found[rollout] = under[self._until]
         return found
 
+    @property
+    def _until(self) -> Rule:
+        """The rule until which rollouts count: none where there are not several."""
+        return self.rule if self.rule in self.rule_log_ratio else None
+
 
 def balance_weights(log_ratio: FloatArray, component: IntArray) -> FloatArray:
     """-log sum_k (n_k / N) exp(log_ratio_k), ``[H]``.
 
-    Args:
-        log_ratio: Of H of the rollouts, ``[H, K]``.
-        component: Of all that the shares are counted of, ``[N]``.
+    Of H of the rollouts, for ratios ``[H, K]``; shares are counted of components ``[N]``.
     """
     return weights(log_ratio, log_shares(np.bincount(component, minlength=log_ratio.shape[1])))
 

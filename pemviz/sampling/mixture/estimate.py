@@ -22,7 +22,7 @@ from pemviz.sampling.estimates.estimate import (
 )
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
 from pemviz.sampling.kept import COUNTS, KeptRepetition, Recounted
-from pemviz.sampling.mixture.balance_heuristic import Judged, Pool
+from pemviz.sampling.mixture.balance_heuristic import Pool
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.types import Diagnostic, Estimate
 
@@ -128,20 +128,25 @@ def _filled(values: AnyArray, size: int, fill: float) -> AnyArray:
 def disagreements(pool: Pool, *, final: slice) -> Sequence[Diagnostic]:
     """Of a pool whose last rollouts, ``final`` of all, are the final batch."""
     judged = pool.judged
-    late = [_among_itself(pool, judged, part) for part in (slice(0, final.start), final)]
+    late = [
+        _of(pool.weights_among(part), judged.violated[part], judged.component[part])
+        for part in (slice(0, final.start), final)
+    ]
     odd = np.arange(pool.drawn) % 2 == 1
     halves = [
         _of(judged.log_weight[half], judged.violated[half], judged.component[half])
         for half in (odd, ~odd)
     ]
+    # of the estimate, from failures for which exploration was most of what could draw them
+    by_exploration = 0.0
+    if pool.violated.any():
+        log_weight, alone = pool.log_weight[pool.violated], pool.by_exploration
+        if alone.any():
+            by_exploration = float(np.exp(log_sum(log_weight[alone]) - log_sum(log_weight)))
     return (
         *parts_disagreement(late=_errors_apart(*late), halves=_errors_apart(*halves)),
-        *exploration_alone(_share_of_exploration(pool)),
+        *exploration_alone(by_exploration),
     )
-
-
-def _among_itself(pool: Pool, judged: Judged, part: slice) -> LogEstimate:
-    return _of(pool.weights_among(part), judged.violated[part], judged.component[part])
 
 
 def _of(log_weight: FloatArray, violated: BoolArray, component: IntArray) -> LogEstimate:
@@ -159,11 +164,3 @@ def _errors_apart(first: LogEstimate, second: LogEstimate) -> float:
     (one, error), (other, other_error) = np.exp(np.array([first, second]) - largest)
     joint = PARTS_ADAPTATION * float(np.hypot(error, other_error))
     return abs(float(one - other)) / joint if joint > 0.0 else 0.0
-
-
-def _share_of_exploration(pool: Pool) -> float:
-    """Of the estimate, from failures for which exploration was most of what could draw them."""
-    if not pool.violated.any():
-        return 0.0
-    log_weight, alone = pool.log_weight[pool.violated], pool.by_exploration
-    return float(np.exp(log_sum(log_weight[alone]) - log_sum(log_weight))) if alone.any() else 0.0

@@ -38,6 +38,8 @@ from pemviz.sampling.mixture.failure_modes import (
 )
 
 NEGLIGIBLE_SHARE = 1e-4
+ESS_SHARE = 0.1
+"""Weights are smoothed until their effective sample size is this share of the elites'."""
 MOST_LEARNED = 10_000
 """Rollouts that a proposal is fitted to: of more, drawn by their weights. Every decision of theirs
 takes its monomials' memory several times over, and a fit's own error is a hundredth by then."""
@@ -78,15 +80,12 @@ class FitSettings:
 
     Attributes:
         elites: Fewer violating rollouts than this, and the level is raised until there are.
-        ess_share: Weights are smoothed until their effective sample size is this share of
-            the elites', at least ``elites``.
         ridge: Penalty of the coefficients of degree 1; each further degree doubles it.
         alpha: Exponent of the weights; ``None``: by their effective sample size.
         sigma: Elites of a level above 0 are 1 - sigma of the rollouts, and ``elites`` at least.
     """
 
     elites: int = 10
-    ess_share: float = 0.1
     ridge: float = 0.3
     alpha: float | None = None
     sigma: float = 0.95
@@ -218,7 +217,7 @@ def _fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) 
         # smoothed anew, for a mode may have few rollouts where all together have many
         known = log_weight[own > 0.5]
         if settings.alpha is None and known.size:
-            least = _least_ess(known.size, settings.elites, settings)
+            least = _least_ess(known.size, settings.elites)
             exponent = min(exponent, smoothing_exponent(known, least_ess=least))
         log_part = exponent * log_weight + np.log(np.maximum(own, np.finfo(float).tiny))
         part = np.zeros(pool.count)
@@ -314,7 +313,7 @@ def _fit_to_hidden_modes(
         if not own.count or float(np.exp(log_sum(log_weight) - log_all)) < least_share:
             continue
         if effective_sample_size(log_weight) <= KNOWN_ESS:
-            least = _least_ess(own.count, FEW_ELITES, settings)
+            least = _least_ess(own.count, FEW_ELITES)
             weight = _weights(pool, own, smoothing_exponent(log_weight, least_ess=least))
             fits.append(fitted(pool, basis, own, weight, settings))
     return fits
@@ -402,13 +401,13 @@ def smoothed(pool: Pool, elites: Elites, settings: FitSettings) -> tuple[FloatAr
     """Weights ``[N]`` of the pool's rollouts, and the exponent that they are smoothed by."""
     exponent = settings.alpha
     if exponent is None:
-        least = _least_ess(elites.count, settings.elites, settings)
+        least = _least_ess(elites.count, settings.elites)
         exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=least)
     return _weights(pool, elites, exponent), exponent
 
 
-def _least_ess(count: int, elites: int, settings: FitSettings) -> float:
-    return float(min(max(elites, settings.ess_share * count), count / 2))
+def _least_ess(count: int, elites: int) -> float:
+    return float(min(max(elites, ESS_SHARE * count), count / 2))
 
 
 def _weights(pool: Pool, elites: Elites, exponent: float) -> FloatArray:
@@ -473,10 +472,7 @@ def _ridge(basis: PolynomialBasis, settings: FitSettings, *, varied: bool) -> Fl
 def failing_elites(robustness: FloatArray, violated: BoolArray, *, least: int) -> Elites:
     """The violating rollouts; with too few of them the least robust others as well.
 
-    Args:
-        robustness: ``[N]``.
-        violated: ``[N]``.
-        least: So many elites at least, or a third of all.
+    They are ``least`` at least, or a third of all ``[N]``.
     """
     least = min(least, max(1, violated.size // 3))
     if int(violated.sum()) >= least:
@@ -495,11 +491,7 @@ def guided_elites(
     is ``least_ess`` at least. What fails in an improbable way, far below what is known well, does
     not draw the level down to 0.
 
-    Args:
-        robustness: ``[N]``.
-        violated: ``[N]``.
-        log_weight: Exponents included, ``[N]``.
-        least_ess: Least effective sample size of the elites.
+    Robustness, verdicts and log weights, exponents included, are ``[N]``.
     """
     score = np.where(violated, np.minimum(robustness, VIOLATION_THRESHOLD), robustness)
     order = np.argsort(score, kind="stable")
