@@ -8,12 +8,15 @@ be enumerated, and one number of states a step, over which a recursion is exact.
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import expit, logsumexp
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.types import Signal, StateBatch, outcome_log_likelihood
+from pemviz.pem import Pem
+from pemviz.sampling.problem import Problem
+from pemviz.types import Signal, Simulator, StateBatch, outcome_log_likelihood
 
 GAP = "gap"
 
@@ -91,6 +94,13 @@ def toy_robustness(signals: Mapping[str, FloatArray]) -> FloatArray:
 def toy_violated(signals: Mapping[str, FloatArray]) -> BoolArray:
     """Which rollouts ``[N, T]`` arrive at 0."""
     return toy_robustness(signals) < 0.0
+
+
+def toy_problem_of(simulator: Simulator, pem: Pem, **options: Any) -> Problem:
+    """The question how likely the walk is to arrive at 0."""
+    return Problem(
+        simulator, pem, toy_robustness, toy_violated, **{"unsafe": toy_unsafe, **options}
+    )
 
 
 def toy_probability_by_recursion(simulator: ToySimulator, pem: ToyPem) -> float:

@@ -72,3 +72,16 @@ class ConstantPem:
     def logit(self, salient):
         value = math.log1p(-self.miss_probability) - math.log(self.miss_probability)
         return np.full(np.shape(salient)[:-1], value)
+
+
+def carried_out(method, problem, *, repetition=0):
+    """The estimate of a repetition, and its stages."""
+    state, stages = method.init(problem, repetition=repetition), []
+    while not method.is_done(state):
+        state, stage = method.step(problem, state)
+        stages.append(stage)
+    return method.estimate(state), stages
+
+
+def estimate_of(method, problem, *, repetition=0):
+    return carried_out(method, problem, repetition=repetition)[0]

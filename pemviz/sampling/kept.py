@@ -30,7 +30,7 @@ class KeepsColumns(Protocol[State_contra]):
     """A method whose estimate rests on more of each rollout than every run folder keeps."""
 
     def kept_columns(self, state: State_contra) -> Mapping[str, AnyArray]:
-        """What that is of all rollouts of a repetition that is done, ``[N]`` by name, as drawn.
+        """What that is of all rollouts of a repetition that is done, ``[N]`` by name, in order.
 
         What is otherwise under a rule has the rule's name after its own and a dot.
         """
@@ -43,7 +43,7 @@ class KeptStage:
 
     Attributes:
         kind: What it is for.
-        rollouts: How many it drew.
+        rollouts: How many it sampled.
         failures: How many of them violate.
         log_probability: Of its own estimate [nats]; -inf if nothing failed.
     """
@@ -87,7 +87,7 @@ class KeptRepetition:
         return final[self.stage]
 
     def rollouts(self, kind: StageKind | None = None) -> int:
-        """How many were drawn, in stages of a kind or in all."""
+        """How many were sampled, in stages of a kind or in all."""
         return sum(stage.rollouts for stage in self.stages if kind in (None, stage.kind))
 
     def column(self, name: str) -> AnyArray | None:

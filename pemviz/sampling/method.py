@@ -57,7 +57,7 @@ class PoolsStages(Protocol[State_contra]):
     """A method whose estimate averages the rollouts of all stages, weighted together."""
 
     def pooled_log_weight(self, state: State_contra) -> FloatArray:
-        """Log weights ``[N]`` of all rollouts of a repetition that is done, as drawn.
+        """Log weights ``[N]`` of all rollouts of a repetition that is done, in order.
 
         NaN where a rollout does not violate and its weight is not known.
         """
@@ -66,7 +66,7 @@ class PoolsStages(Protocol[State_contra]):
 
 @runtime_checkable
 class AnswersRules(Protocol[State]):
-    """A method that also answers each of several rules from what it has drawn."""
+    """A method that also answers each of several rules from what it has sampled."""
 
     def under_rule(self, state: State, rule: str) -> State:
         """The state as it would be had the verdicts been those of one rule."""
@@ -87,7 +87,7 @@ def sample_stage(
     repetition: int,
     stage: int,
 ) -> ScoredRollouts:
-    """A stage's rollouts: those that an interrupted run left, or else drawn and scored.
+    """A stage's rollouts: those that an interrupted run left, or else sampled and scored.
 
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
@@ -128,9 +128,7 @@ def importance_stage_figures(
 ) -> tuple[int, float, float | None, float | None]:
     """Failures, probability, its log10 and the failing weights' effective sample size.
 
-    Args:
-        scored: A stage's rollouts.
-        drawn: All of them, where ``scored`` holds some alone.
+    ``drawn`` are all of a stage's rollouts, where ``scored`` holds some alone.
     """
     violated = scored.violated if drawn is None else drawn.violated
     failures = int(violated.sum())

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pemviz.proposals.fixed import ConstantProposal, PemProposal
+from pemviz.proposals.fixed import PemProposal
 from pemviz.reports.gate import interval_caveats
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.diagnostics import (
@@ -37,6 +37,7 @@ from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.sampling.splitting.estimate import died_out, spread_diagnostics, width_diagnostics
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.types import DiagnosticKind
+from tests.toy import estimate_of
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pemviz"
 
@@ -60,19 +61,12 @@ def counted(problem, *, rollouts, seed=0, repetition=0):
     method = DirectSampling(
         name="monte-carlo", proposal=PemProposal(), rollouts=rollouts, seed=seed
     )
-    return _estimate(method, problem, repetition=repetition)
+    return estimate_of(method, problem, repetition=repetition)
 
 
 def split(problem, *, stages, rollouts=20, repetition=0):
     method = SplittingSampling(stages=stages, rollouts=rollouts, seed=3)
-    return _estimate(method, problem, repetition=repetition)
-
-
-def _estimate(method, problem, *, repetition):
-    state = method.init(problem, repetition=repetition)
-    while not method.is_done(state):
-        state, _ = method.step(problem, state)
-    return method.estimate(state)
+    return estimate_of(method, problem, repetition=repetition)
 
 
 def impossible(problem):
@@ -332,11 +326,3 @@ def test_no_text_of_the_package_retypes_a_limit():
         and limits.search(node.value)
     ]
     assert retyped == []
-
-
-def test_a_proposal_that_never_fails_is_no_count(toy_problem):
-    """The same rollouts without a failure: an upper bound from a count, none from weights."""
-    method = DirectSampling(name="naive", proposal=ConstantProposal(0.9), rollouts=20, seed=0)
-    found = _estimate(method, toy_problem, repetition=0)
-    assert (found.failures, found.ci_high) == (0, None)
-    assert interval_caveats(found)

@@ -1,17 +1,32 @@
-"""Estimates against a scenario whose answer is a binomial tail."""
+"""Weights and their tail by plain formulas and arviz-stats, estimates by a binomial tail."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
+from arviz_stats.base.array import array_stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.reports.gate import interval_caveats
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.estimate import log_normal_interval, negative_log_likelihood
-from pemviz.sampling.estimates.importance_weights import pareto_k_hat
+from pemviz.sampling.estimates.importance_weights import (
+    effective_sample_size,
+    fitted_shape,
+    largest_share,
+    log_mean_failing_weight,
+    log_std_error,
+    pareto_k_hat,
+    smoothed_weights,
+    tail_shape,
+)
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
+from pemviz.sampling.method import elite_threshold, elites
 from tests.toy import exact_failure_probability
 
 TRUTH = exact_failure_probability(steps=6, miss_probability=0.1)
@@ -101,19 +116,6 @@ def test_both_nlls():
     assert negative_log_likelihood(np.array([])) == (None, None)
 
 
-@pytest.mark.parametrize("shape", [0.3, 1.5])
-def test_pareto_k_hat_finds_the_tail_index(shape):
-    """k-hat of 4,000 Pareto draws; its spread there is about 0.1, 0.35 is over 3 of them."""
-    weight = stats.genpareto.rvs(shape, size=4_000, random_state=np.random.default_rng(1))
-    assert pareto_k_hat(np.log(weight + 1.0)) == pytest.approx(shape, abs=0.35)
-
-
-def test_pareto_k_hat_is_undefined_for_few_or_equal_weights():
-    assert pareto_k_hat(np.zeros(100)) is None
-    assert pareto_k_hat(np.array([0.0, 1.0, 2.0])) is None
-    pareto_k_hat(np.linspace(-5_000.0, 0.0, 60))  # more than doubles hold: no warning, no crash
-
-
 def test_log_normal_interval_is_symmetric_on_the_log_scale():
     low, high = log_normal_interval(math.log(1e-15), relative_error=0.5)
     assert low * high == pytest.approx(1e-30)
@@ -139,3 +141,119 @@ def test_repetitions_give_mean_and_standard_error_between_them(toy_problem):
         sum((e.nll_mean or 0) * e.failures for e in found) / together.failures
     )
     assert summarise_repetitions(found[:1]) is found[0]
+
+
+logs = arrays(np.float64, st.integers(2, 30), elements=st.floats(-30, 30))
+
+
+@given(logs, st.floats(0, 1))
+def test_smoothed_weights_are_powers_that_sum_to_one(log_weight, alpha):
+    weight = smoothed_weights(log_weight, alpha=alpha)
+    assert weight.sum() == pytest.approx(1.0)
+    naive = np.exp(log_weight) ** alpha
+    np.testing.assert_allclose(weight, naive / naive.sum(), rtol=1e-12)
+
+
+@given(logs, st.data())
+def test_estimate_and_error_agree_with_the_plain_formulas(log_weight, data):
+    violated = data.draw(arrays(np.bool_, log_weight.size))
+    terms = np.exp(log_weight) * violated
+    if not violated.any():
+        assert log_mean_failing_weight(log_weight, violated) == -np.inf
+        return
+    assert np.exp(log_mean_failing_weight(log_weight, violated)) == pytest.approx(terms.mean())
+    error = np.std(terms, ddof=1) / np.sqrt(terms.size)
+    assert np.exp(log_std_error(log_weight, violated)) == pytest.approx(
+        error, rel=1e-6, abs=1e-9 * terms.max()
+    )
+
+
+def test_weights_far_below_double_precision_keep_their_logs():
+    log_weight = np.array([-10_000.0, -10_001.0, -9_000.0])
+    violated = np.array([True, True, False])
+    expected = -10_000.0 + np.log((1.0 + np.exp(-1.0)) / 3.0)
+    assert log_mean_failing_weight(log_weight, violated) == pytest.approx(expected, abs=1e-9)
+    assert np.isfinite(log_std_error(log_weight, violated))
+    assert 1.0 < effective_sample_size(log_weight[violated]) < 2.0
+
+
+def test_a_huge_weight_of_a_rollout_that_does_not_violate_changes_nothing():
+    log_weight = np.array([0.0, 0.0, 5_000.0])
+    violated = np.array([True, True, False])
+    assert np.exp(log_mean_failing_weight(log_weight, violated)) == pytest.approx(2 / 3)
+    assert np.exp(log_std_error(log_weight, violated)) == pytest.approx(1 / 3)
+
+
+@given(logs)
+def test_effective_sample_size_and_share(log_weight):
+    weight = np.exp(log_weight)
+    assert effective_sample_size(log_weight) == pytest.approx(
+        weight.sum() ** 2 / (weight**2).sum(), rel=1e-9
+    )
+    assert largest_share(log_weight) == pytest.approx(weight.max() / weight.sum(), rel=1e-9)
+    assert 1.0 - 1e-9 <= effective_sample_size(log_weight) <= log_weight.size + 1e-9
+
+
+@given(
+    st.lists(st.floats(-10, 10), min_size=1, max_size=200),
+    st.sampled_from(["0.95", "0.96", "0.97", "0.98", "0.99"]),
+)
+def test_threshold_is_the_papers_order_statistic(values, sigma):
+    robustness = np.array(values)
+    index = min(int(Fraction(sigma) * len(values)), len(values) - 1)  # exact floor
+    expected = max(sorted(values, reverse=True)[index], 0.0)
+    assert elite_threshold(robustness, sigma=float(sigma)) == expected
+    chosen = elites(robustness, threshold=expected)
+    assert chosen.sum() == sum(value <= expected for value in values)
+
+
+def test_a_hundred_rollouts_have_five_elites():
+    robustness = np.arange(1.0, 101.0)
+    threshold = elite_threshold(robustness, sigma=0.95)
+    assert threshold == 5.0
+    assert elites(robustness, threshold=threshold).sum() == 5
+
+
+def by_arviz(log_weight):
+    """k-hat of weights; psislw takes log likelihoods, whose negatives are its log weights."""
+    with np.errstate(all="ignore"):
+        return float(array_stats.psislw(-log_weight)[1])
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(25, 2000),
+    spread=st.floats(1e-6, 30.0),
+    centre=st.floats(-700.0, 50.0),
+    digits=st.integers(0, 15),
+)
+@settings(deadline=None, max_examples=150)
+def test_it_is_arviz_stats_to_the_last_bit(seed, count, spread, centre, digits):
+    rng = np.random.default_rng(seed)
+    log_weight = centre + np.round(spread * rng.standard_normal(count), digits)  # ties too
+    try:
+        expected = by_arviz(log_weight)
+    except ValueError:
+        with pytest.raises(ValueError, match="the same"):
+            tail_shape(log_weight)
+        return
+    with np.errstate(all="ignore"):
+        np.testing.assert_array_equal(tail_shape(log_weight), expected)
+
+
+@pytest.mark.parametrize("shape", [0.2, 0.5, 0.9])
+def test_the_shape_of_a_pareto_distribution(shape):
+    # the estimator's standard deviation is about (1 + k) / sqrt(n): 0.02; false alarms below 1e-6
+    uniform = np.random.default_rng(3).random(10_000)
+    excess = np.sort(np.expm1(-shape * np.log(uniform)) / shape)
+    assert fitted_shape(excess) == pytest.approx(shape, abs=0.1)
+
+
+def test_where_there_is_no_figure():
+    rng = np.random.default_rng(0)
+    assert pareto_k_hat(rng.standard_normal(24)) is None  # a tail of four
+    assert pareto_k_hat(np.zeros(100)) is None
+    pareto_k_hat(np.linspace(-5_000.0, 0.0, 60))  # more than doubles hold: no warning, no crash
+    one_alone = np.concatenate([np.full(99, -900.0), [0.0]])
+    assert pareto_k_hat(one_alone) == by_arviz(one_alone)
+    assert pareto_k_hat(rng.standard_normal(25)) is not None

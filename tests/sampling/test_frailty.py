@@ -25,7 +25,7 @@ from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.state import visibility
@@ -37,8 +37,14 @@ from pemviz.sampling.zero_variance.proposal import with_defence
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
 from pemviz.types import RolloutBatch, outcome_log_likelihood
 from tests.faults.test_resume import StopAfter, contents, folder_of
-from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
-from tests.sampling.test_memory import estimate_of, with_memory
+from tests.lattice_walk import (
+    ToyPem,
+    ToySimulator,
+    toy_problem_of,
+    toy_unsafe,
+)
+from tests.sampling.test_memory import with_memory
+from tests.toy import estimate_of
 
 SIMULATOR, PEM = ToySimulator(initial_gap=4, largest_gap=6, states=9), ToyPem(at_zero=2.5)
 CHAINS = np.array(list(itertools.product((False, True), repeat=SIMULATOR.states - 1)))
@@ -70,13 +76,7 @@ def by_enumeration(memory, *, factor=1.0, pem=PEM):
 def frail_problem(memory, pem=PEM):
     back_end = BackEnd(SIMULATOR, SignalFeatures(SIMULATOR.signals), SIMULATOR, 4096)
     back_end, model = with_memory(back_end, pem, memory=memory)
-    return Problem(
-        simulator=back_end.simulator,
-        pem=model,
-        robustness=toy_robustness,
-        violated=toy_violated,
-        unsafe=toy_unsafe,
-    ), back_end
+    return toy_problem_of(back_end.simulator, model), back_end
 
 
 def all_rollouts(problem):

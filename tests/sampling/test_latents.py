@@ -35,7 +35,7 @@ from tests.latent_toys import (
     miss_of_either,
 )
 from tests.lattice_walk import ToyPem, ToySimulator
-from tests.sampling.test_pooled_batches import at_once
+from tests.sampling.test_batches import at_once
 
 ERRS = Flat(0.1)
 WALK = "always[0,14] (gap >= 0.5)"

@@ -19,7 +19,7 @@ from pemviz.runs.store import carry_out
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.problem import sample
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.state.composed import (
     ComposedPem,
@@ -31,8 +31,12 @@ from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
 from pemviz.types import LAST_OUTCOME, Signal
 from tests.faults.test_resume import StopAfter, contents, folder_of
-from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
-from tests.toy import ConstantPem, MissCounter
+from tests.lattice_walk import (
+    ToyPem,
+    ToySimulator,
+    toy_problem_of,
+)
+from tests.toy import ConstantPem, MissCounter, estimate_of
 
 SIMULATOR, PEM = ToySimulator(initial_gap=4, largest_gap=6, states=13), ToyPem(at_zero=2.5)
 TAUS_S = (0.3, 1.0, 5.0, 60.0)
@@ -65,20 +69,7 @@ def with_memory(back_end, pem, *, memory):
 def remembering_problem(tau_s, simulator=SIMULATOR, pem=PEM):
     back_end = BackEnd(simulator, SignalFeatures(simulator.signals), simulator, 4096)
     back_end, pem = with_memory(back_end, pem, memory=Memory(tau_s=tau_s))
-    return Problem(
-        simulator=back_end.simulator,
-        pem=pem,
-        robustness=toy_robustness,
-        violated=toy_violated,
-        unsafe=toy_unsafe,
-    ), back_end
-
-
-def estimate_of(method, problem):
-    state = method.init(problem, repetition=0)
-    while not method.is_done(state):
-        state, _ = method.step(problem, state)
-    return method.estimate(state)
+    return toy_problem_of(back_end.simulator, pem), back_end
 
 
 @pytest.mark.parametrize("tau_s", [0.0, *TAUS_S])

@@ -23,18 +23,11 @@ from pemviz.sampling.bursts.curve import (
     frailty_curve,
     memory_curve,
 )
-from pemviz.sampling.problem import Problem
 from pemviz.types import Diagnostic
-from tests.lattice_walk import toy_robustness, toy_unsafe, toy_violated
+from tests.lattice_walk import toy_problem_of, toy_robustness
 from tests.sampling.test_memory import PEM, SIMULATOR, by_enumeration
 
-PROBLEM = Problem(
-    simulator=SIMULATOR,
-    pem=PEM,
-    robustness=toy_robustness,
-    violated=toy_violated,
-    unsafe=toy_unsafe,
-)
+PROBLEM = toy_problem_of(SIMULATOR, PEM)
 
 
 def curve_of(problem=PROBLEM, **options):

@@ -24,34 +24,15 @@ from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,
-    toy_robustness,
+    toy_problem_of,
     toy_unsafe,
-    toy_violated,
 )
-from tests.toy import ConstantPem, MissCounter
+from tests.toy import ConstantPem, MissCounter, carried_out
 
 
-def problem_of(simulator, pem):
-    return Problem(
-        simulator=simulator,
-        pem=pem,
-        robustness=toy_robustness,
-        violated=toy_violated,
-    )
-
-
-def drawn(problem, *, count, generator):
+def sampled(problem, *, count, generator):
     (particles,) = continued(problem, [beginning(problem, count=count, generator=generator)])
     return particles
-
-
-def run_all(method, problem):
-    state = method.init(problem, repetition=0)
-    stages = []
-    while not method.is_done(state):
-        state, stage = method.step(problem, state)
-        stages.append(stage)
-    return method.estimate(state), stages
 
 
 def test_runs_are_unbiased():
@@ -59,7 +40,7 @@ def test_runs_are_unbiased():
     simulator, pem = ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.5)
     truth = toy_probability_by_recursion(simulator, pem)
     assert truth < 1e-4
-    problem = problem_of(simulator, pem)
+    problem = toy_problem_of(simulator, pem)
     runs = split(problem, count=60, generators=np.random.default_rng(3).spawn(150))
     logs = [run.log_probability for run in runs]
     assert stats.ttest_1samp(np.exp(logs) / truth, 1.0).pvalue > 1e-4
@@ -83,10 +64,10 @@ def test_runs_are_unbiased_where_the_importance_function_misleads():
 
 def test_runs_that_keep_step_are_what_each_is_alone():
     """In batches of 40 rollouts runs of 30 go one by one, in batches of 90 by threes."""
-    problem = problem_of(ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.0))
+    problem = toy_problem_of(ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.0))
     method = SplittingSampling(stages=5, rollouts=30, seed=2)
     alone, *together = (
-        run_all(method, replace(problem, batch_rollouts=size)) for size in (40, 90, 4096)
+        carried_out(method, replace(problem, batch_rollouts=size)) for size in (40, 90, 4096)
     )
     for found, stages in together:
         assert found == alone[0]
@@ -101,8 +82,8 @@ def test_runs_that_keep_step_are_what_each_is_alone():
 def test_estimate_is_near_the_truth_and_says_how_near():
     simulator, pem = ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.5)
     truth = toy_probability_by_recursion(simulator, pem)
-    found, stages = run_all(
-        SplittingSampling(stages=10, rollouts=150, seed=4), problem_of(simulator, pem)
+    found, stages = carried_out(
+        SplittingSampling(stages=10, rollouts=150, seed=4), toy_problem_of(simulator, pem)
     )
     assert all(stage.log10_probability is not None for stage in stages)
     assert found.ci_low < truth < found.ci_high
@@ -112,9 +93,9 @@ def test_estimate_is_near_the_truth_and_says_how_near():
 
 
 def test_restarted_particles_share_the_past():
-    problem = problem_of(ToySimulator(), ToyPem(at_zero=0.0, slope=0.0))
+    problem = toy_problem_of(ToySimulator(), ToyPem(at_zero=0.0, slope=0.0))
     generator = np.random.default_rng(5)
-    first = drawn(problem, count=40, generator=generator)
+    first = sampled(problem, count=40, generator=generator)
     parent, cut = np.arange(40)[::-1], np.tile([9, 6], 20)
     (again,) = continued(problem, [restart(first, parent=parent, cut=cut, generator=generator)])
     order = np.argsort(cut, kind="stable")
@@ -150,16 +131,12 @@ def test_continuing_from_kept_states_is_replaying(braking):
 
 def test_looks_are_where_an_unlikely_outcome_changed_something(braking):
     """Beyond 10 m the ego takes no notice of what it detects."""
-    particles = drawn(braking, count=300, generator=np.random.default_rng(2))
+    particles = sampled(braking, count=300, generator=np.random.default_rng(2))
     fresh = np.diff(particles.evaluations, axis=1) > 0
-    near = particles.rollouts.signals["gap"][:, :-1] < braking_limit_m()
+    near = particles.rollouts.signals["gap"][:, :-1] < ExperimentConfig().scenario.emergency_gap_m
     np.testing.assert_array_equal(fresh[:, :-1], (near & ~particles.rollouts.detected)[:, :-1])
     assert not fresh[:, -1].any()  # the last state needs none
     assert 0 < fresh.sum() < (~particles.rollouts.detected).sum()
-
-
-def braking_limit_m():
-    return ExperimentConfig().scenario.emergency_gap_m
 
 
 @dataclass
@@ -188,7 +165,7 @@ def test_cost_is_linear_in_the_length_of_a_rollout(states):
         violated=lambda signals: signals["gap"].min(axis=1) < -0.7 * states,
     )
     count, each = 20, 2 + math.ceil(math.log2(states))  # two extremes and a bisection
-    particles = drawn(problem, count=count, generator=np.random.default_rng(0))
+    particles = sampled(problem, count=count, generator=np.random.default_rng(0))
     assert particles.evaluations.max() <= MOST_EVALUATIONS
     assert simulator.rows <= (2 + each * MOST_EVALUATIONS) * states * count
     before = simulator.rows
@@ -212,7 +189,7 @@ def counted(miss_probability, states=20):
 def test_importance_counts_the_misses_that_are_needed():
     """One, two or three more misses of probability q: minus as many times log q."""
     problem, q = counted(0.07), 0.07
-    particles = drawn(problem, count=100, generator=np.random.default_rng(6))
+    particles = sampled(problem, count=100, generator=np.random.default_rng(6))
     row, step = np.repeat(np.arange(100), 12), np.tile(np.arange(12), 100)
     needed = 3 - np.cumsum(~particles.rollouts.detected, axis=1)[row, step - 1] * (step > 0)
     found = importance(problem, particles.rollouts, row=row, step=step)
@@ -250,7 +227,7 @@ def test_importance_where_the_first_misses_cost_nothing():
         robustness=lambda signals: np.minimum(signals["gap"].min(axis=1), 5.0) - 3.0,
         violated=None,
     )
-    rollouts = drawn(problem, count=5, generator=np.random.default_rng(1)).rollouts
+    rollouts = sampled(problem, count=5, generator=np.random.default_rng(1)).rollouts
     (found,) = importance(problem, rollouts, row=np.array([0]), step=np.array([0]))
     needed = 24.0 + 0.24 / (0.24 + 0.25)
     assert found == pytest.approx(-needed * np.log(0.3), rel=1e-9)
@@ -258,7 +235,7 @@ def test_importance_where_the_first_misses_cost_nothing():
 
 def test_importance_knows_what_is_out_of_reach_and_what_has_happened():
     problem = counted(0.5, states=6)
-    particles = drawn(problem, count=200, generator=np.random.default_rng(7))
+    particles = sampled(problem, count=200, generator=np.random.default_rng(7))
     misses = (~particles.rollouts.detected).sum(axis=1)
     robustness = problem.robustness(particles.rollouts.signals)
     np.testing.assert_array_equal(particles.lowest < 0.0, misses >= 4)
@@ -286,7 +263,7 @@ def test_either_outcome_may_be_the_bad_one():
     truth = stats.binom.sf(3, 19, 0.07)
     for run in (one, other):
         assert abs(run.log_probability - np.log(truth)) < 1.5
-    rollouts = drawn(problem, count=30, generator=np.random.default_rng(9)).rollouts
+    rollouts = sampled(problem, count=30, generator=np.random.default_rng(9)).rollouts
     row, step = np.arange(30), np.full(30, 5)
     turned = replace(rollouts, detected=~rollouts.detected, pem_logit=-rollouts.pem_logit)
     np.testing.assert_allclose(
@@ -297,8 +274,8 @@ def test_either_outcome_may_be_the_bad_one():
 
 
 def test_a_violation_out_of_reach_is_no_bare_zero():
-    problem = problem_of(ToySimulator(initial_gap=8, states=5), ToyPem())
-    found, _ = run_all(SplittingSampling(stages=2, rollouts=20, seed=7), problem)
+    problem = toy_problem_of(ToySimulator(initial_gap=8, states=5), ToyPem())
+    found, _ = carried_out(SplittingSampling(stages=2, rollouts=20, seed=7), problem)
     assert found.probability == 0.0
     assert found.ci_high is None
     assert found.warnings
@@ -307,7 +284,7 @@ def test_a_violation_out_of_reach_is_no_bare_zero():
 @pytest.mark.parametrize("kind", ["absorbing", "monitored"])
 def test_states_that_cannot_be_kept_are_refused(kind):
     """An absorbing violation stands in the memory; what a monitor knows does not."""
-    problem = problem_of(ToySimulator(), ToyPem(at_zero=0.0))
+    problem = toy_problem_of(ToySimulator(), ToyPem(at_zero=0.0))
     formula = parse("always[0,14] (gap > 0)", signals=["gap"])
     wrapped = {
         "absorbing": AbsorbingSimulator(problem.simulator, toy_unsafe),
@@ -332,14 +309,14 @@ def test_what_is_no_number_is_told_with_its_step():
             return replace(after, signals={"gap": gap})
 
     with pytest.raises(SimulationError, match="gap is nan in rollout 0, step 7"):
-        split(problem_of(Broken(), ToyPem()), count=5, generators=[np.random.default_rng(0)])
+        split(toy_problem_of(Broken(), ToyPem()), count=5, generators=[np.random.default_rng(0)])
 
 
 def test_progress_follows_the_levels_down_and_never_exceeds_the_whole():
     """About twelve cuts at 2e-7: every one moves it, long before anything violates."""
     heard = []
     problem = replace(
-        problem_of(ToySimulator(initial_gap=6, states=14), ToyPem(at_zero=2.5)),
+        toy_problem_of(ToySimulator(initial_gap=6, states=14), ToyPem(at_zero=2.5)),
         progress=lambda done, total: heard.append((done, total)),
     )
     (found,) = split(problem, count=60, generators=[np.random.default_rng(8)])

@@ -8,7 +8,6 @@ from scipy import stats
 
 from pemviz.reports.gate import decide_gate
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
-from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.estimate import (
     FEW_RUNS,
     LARGE_COMMON_ANCESTRY,
@@ -23,9 +22,9 @@ from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,
-    toy_robustness,
-    toy_violated,
+    toy_problem_of,
 )
+from tests.toy import estimate_of as estimate_from
 
 PARTICLES = 8
 
@@ -92,20 +91,13 @@ def test_an_upper_end_is_a_probability():
 
 def test_least_variance_is_no_more_than_the_variance():
     """Of 30 runs, whose own variance is below 0.47 of the true one with probability 1e-3."""
-    problem = toy_problem()
-    runs = split(problem, count=100, generators=np.random.default_rng(1).spawn(30))
+    runs = split(RARE, count=100, generators=np.random.default_rng(1).spawn(30))
     variance = np.var([one.log_probability for one in runs], ddof=1)
     least = np.mean([one.least_variance for one in runs])
     assert 0.0 < least < variance * 29 / stats.chi2.ppf(0.001, 29)
 
 
-def toy_problem(initial_gap=5):
-    return Problem(
-        simulator=ToySimulator(initial_gap=initial_gap, states=12),
-        pem=ToyPem(at_zero=2.5),
-        robustness=toy_robustness,
-        violated=toy_violated,
-    )
+RARE = toy_problem_of(ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.5))
 
 
 def test_intervals_cover_over_seeds():
@@ -113,15 +105,10 @@ def test_intervals_cover_over_seeds():
 
     Those that are withheld count neither way; most are shown.
     """
-    problem = toy_problem()
-    truth = toy_probability_by_recursion(problem.simulator, problem.pem)
+    truth = toy_probability_by_recursion(RARE.simulator, RARE.pem)
     covers = []
     for seed in range(20):
-        method = SplittingSampling(stages=6, rollouts=120, seed=seed)
-        state = method.init(problem, repetition=0)
-        while not method.is_done(state):
-            state, _ = method.step(problem, state)
-        found = method.estimate(state)
+        found = estimate_from(SplittingSampling(stages=6, rollouts=120, seed=seed), RARE)
         if found.ci_low is not None:
             covers.append(found.ci_low <= truth <= found.ci_high)
         else:
@@ -209,12 +196,7 @@ def test_runs_in_which_nothing_was_cut_are_plain_monte_carlo():
 
 def test_a_likely_violation_needs_no_levels():
     """Violations in about 0.8 of all rollouts: within four standard errors (6e-5)."""
-    problem = Problem(
-        simulator=ToySimulator(initial_gap=2, states=12),
-        pem=ToyPem(at_zero=-0.5),
-        robustness=toy_robustness,
-        violated=toy_violated,
-    )
+    problem = toy_problem_of(ToySimulator(initial_gap=2, states=12), ToyPem(at_zero=-0.5))
     truth = toy_probability_by_recursion(problem.simulator, problem.pem)
     assert truth > 0.6
     runs = split(problem, count=300, generators=np.random.default_rng(3).spawn(3))

@@ -13,34 +13,20 @@ from pemviz.reports.gate import interval_caveats
 from pemviz.sampling.adaptive.method import AdaptiveSampling
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.problem import Problem
 from pemviz.sampling.splitting.method import SplittingSampling
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,
-    toy_robustness,
-    toy_unsafe,
-    toy_violated,
+    toy_problem_of,
 )
+from tests.toy import carried_out
 
 SIMULATOR = ToySimulator(initial_gap=3, largest_gap=3, states=1000)
 
 
-def run(method, pem, *, unsafe=toy_unsafe):
-    problem = Problem(
-        simulator=SIMULATOR,
-        pem=pem,
-        robustness=toy_robustness,
-        violated=toy_violated,
-        unsafe=unsafe,
-    )
-    state = method.init(problem, repetition=0)
-    stages = []
-    while not method.is_done(state):
-        state, stage = method.step(problem, state)
-        stages.append(stage)
-    return method.estimate(state), stages
+def run(method, pem):
+    return carried_out(method, toy_problem_of(SIMULATOR, pem))
 
 
 def assert_finite(found, stages):

@@ -1,4 +1,4 @@
-"""The reference, and what is said where an estimate disagrees with it."""
+"""The reference, what is said where an estimate disagrees with it, and building that is stopped."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from pemviz.proposals.fixed import ConstantProposal
+from pemviz.proposals.zero_variance import ZeroVarianceProposal
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.diagnostics import reference_disagreement
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.batches import run_here
 from pemviz.sampling.zero_variance import reference as reference_module
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
-from pemviz.sampling.zero_variance.proposal import averaged
+from pemviz.sampling.zero_variance.proposal import averaged, build_zero_variance_proposal
 from pemviz.sampling.zero_variance.reference import (
     Reference,
     exact_log_probability,
@@ -28,27 +28,14 @@ from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,
-    toy_robustness,
+    toy_problem_of,
     toy_unsafe,
-    toy_violated,
 )
+from tests.toy import estimate_of
 
 SIMULATOR, PEM = ToySimulator(initial_gap=5, states=20), ToyPem(at_zero=2.5)
 TRUTH = toy_probability_by_recursion(SIMULATOR, PEM)
-PROBLEM = Problem(
-    simulator=SIMULATOR,
-    pem=PEM,
-    robustness=toy_robustness,
-    violated=toy_violated,
-    unsafe=toy_unsafe,
-)
-
-
-def estimate_of(method, problem=PROBLEM, *, repetition=0):
-    state = method.init(problem, repetition=repetition)
-    while not method.is_done(state):
-        state, _ = method.step(problem, state)
-    return method.estimate(state)
+PROBLEM = toy_problem_of(SIMULATOR, PEM)
 
 
 def test_reference_is_the_exact_answer():
@@ -126,11 +113,11 @@ def test_all_methods_agree_with_the_reference():
         DirectSampling(name="naive", proposal=ConstantProposal(0.4), rollouts=50_000, seed=1),
     )
     for method in methods:
-        assert disagreement(estimate_of(method), known) == ()
+        assert disagreement(estimate_of(method, PROBLEM), known) == ()
 
 
 def test_disagreement_is_said_in_words():
-    found = estimate_of(ZeroVarianceSampling(twin=SIMULATOR, rollouts=500, seed=2))
+    found = estimate_of(ZeroVarianceSampling(twin=SIMULATOR, rollouts=500, seed=2), PROBLEM)
     wrong = Reference(probability=3 * TRUTH, std_error=0.0, log10_probability=None)
     (warning,) = disagreement(found, wrong)
     assert "0.33 times the reference" in warning.text
@@ -143,12 +130,12 @@ def test_results_do_not_depend_on_the_batch_size(name):
         if name == "zero-variance"
         else MixtureSampling(learning_stages=3, rollouts=70, final_rollouts=70, seed=3)
     )
-    assert estimate_of(method) == estimate_of(method, replace(PROBLEM, batch_rollouts=11))
+    assert estimate_of(method, PROBLEM) == estimate_of(method, replace(PROBLEM, batch_rollouts=11))
 
 
 def test_repetitions_average_the_unbiased_figures_too():
     method = MixtureSampling(learning_stages=3, rollouts=60, final_rollouts=60, seed=4)
-    found = [estimate_of(method, repetition=repetition) for repetition in range(4)]
+    found = [estimate_of(method, PROBLEM, repetition=repetition) for repetition in range(4)]
     summary = summarise_repetitions(found)
     assert summary.probability == pytest.approx(np.mean([e.probability for e in found]))
     expected = np.mean([e.unbiased_probability for e in found])
@@ -170,3 +157,81 @@ def test_cells_are_averaged_by_the_shares_of_their_states():
     expected = [(0.04 + 0.08) / 0.2, (0.05 + 0.04 + 0.09) / 0.8]
     np.testing.assert_array_equal(table.keys, [-3, 7])
     np.testing.assert_allclose(1.0 / (1.0 + np.exp(table.logit)), expected, rtol=1e-12)
+
+
+class StopError(Exception):
+    pass
+
+
+class Pause:
+    """Counts its calls, and raises at one of them."""
+
+    def __init__(self, *, stop_at: int | None = None):
+        self.calls = 0
+        self._stop_at = stop_at
+
+    def __call__(self):
+        self.calls += 1
+        if self.calls == self._stop_at:
+            raise StopError
+
+
+def build(pem, pause) -> ZeroVarianceProposal:
+    method = ZeroVarianceSampling(twin=SIMULATOR, rollouts=20, seed=1)
+    return method.init(toy_problem_of(SIMULATOR, pem, pause=pause), repetition=0).proposal
+
+
+def content(proposal: ZeroVarianceProposal) -> list[np.ndarray]:
+    sizes = range(len(proposal.coarse_cells))
+    tables = [
+        cells
+        for layer in proposal.tables
+        for cells in (layer.states, *(layer.coarse[size] for size in sizes))
+    ]
+    return [part for cells in tables for part in (cells.keys, cells.logit)]
+
+
+def assert_same(found: ZeroVarianceProposal, expected: ZeroVarianceProposal):
+    assert found.log_probability == expected.log_probability
+    assert found.defensive == expected.defensive
+    for one, other in zip(content(found), content(expected), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_pause_that_raises_stops_the_build_wherever_it_is():
+    """At every single call, from the first to the last; the next build is whole."""
+    pem = ToyPem()
+    whole = build_zero_variance_proposal(twin=SIMULATOR, pem=pem, unsafe=toy_unsafe)
+    counting = Pause()
+    assert_same(build(ToyPem(), counting), whole)
+    # each of 19 steps has two moves, a merge, and two directions of the recursion
+    assert counting.calls > 5 * 19
+    for stop_at in range(1, counting.calls + 1):
+        pem, pause = ToyPem(), Pause(stop_at=stop_at)  # a model of its own: nothing is kept of it
+        with pytest.raises(StopError):
+            build(pem, pause)
+        assert pause.calls == stop_at
+    again = Pause()
+    assert_same(build(pem, again), whole)
+    assert again.calls == counting.calls
+
+
+def test_what_was_built_before_outlives_a_build_that_is_stopped():
+    first = ToyPem(at_zero=2.0)
+    kept = build(first, Pause())
+    with pytest.raises(StopError):
+        build(ToyPem(at_zero=1.0), Pause(stop_at=9))
+    unused = Pause()
+    assert_same(build(first, unused), kept)
+    assert unused.calls == 0
+
+
+@pytest.mark.parametrize("answer", [reference, exact_log_probability])
+def test_the_reference_stops_too(answer):
+    counting = Pause()
+    answer(toy_problem_of(SIMULATOR, ToyPem(), pause=counting), twin=SIMULATOR)
+    assert counting.calls > 3 * 19
+    with pytest.raises(StopError):
+        answer(
+            toy_problem_of(SIMULATOR, ToyPem(), pause=Pause(stop_at=counting.calls)), twin=SIMULATOR
+        )

@@ -26,21 +26,10 @@ from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,
-    toy_robustness,
+    toy_problem_of,
     toy_unsafe,
-    toy_violated,
 )
 from tests.toy import FunctionPem
-
-
-def toy_problem(simulator, pem):
-    return Problem(
-        simulator=simulator,
-        pem=pem,
-        robustness=toy_robustness,
-        violated=toy_violated,
-        unsafe=toy_unsafe,
-    )
 
 
 def value_of(simulator, pem, *, largest_layer=1000):
@@ -75,7 +64,7 @@ def test_value_is_exact_on_the_toy(initial, more, states, at_zero, slope):
 def test_without_defence_every_violation_weighs_the_same(initial, states, at_zero):
     simulator, pem = ToySimulator(initial_gap=initial, states=states), ToyPem(at_zero=at_zero)
     method = ZeroVarianceSampling(twin=simulator, rollouts=50, seed=1, defensive_steps=1e-11)
-    found, stage = run(method, toy_problem(simulator, pem))
+    found, stage = run(method, toy_problem_of(simulator, pem))
     expected = toy_probability_by_recursion(simulator, pem)
     assert stage.scored.violated.all()
     np.testing.assert_allclose(stage.scored.rollouts.log_weight, np.log(expected), rtol=1e-8)
@@ -150,7 +139,7 @@ def test_unbiased_with_a_wrong_twin():
 def test_coverage_on_the_toy():
     """200 runs; covering 90 % or more at a true 95 %: false alarm below 0.2 % (binomial)."""
     simulator, pem = ToySimulator(initial_gap=6, states=25), ToyPem(at_zero=3.0)
-    problem = toy_problem(simulator, pem)
+    problem = toy_problem_of(simulator, pem)
     truth = toy_probability_by_recursion(simulator, pem)
     method = ZeroVarianceSampling(twin=simulator, rollouts=300, seed=5, defensive_steps=2.4)
     found = [run(method, problem, repetition=index)[0] for index in range(200)]
@@ -162,7 +151,7 @@ def test_a_thousand_steps_and_ten_thousand_nats():
     simulator = ToySimulator(initial_gap=999, largest_gap=999, states=1000)
     pem = ToyPem(at_zero=10.0, slope=0.0)
     method = ZeroVarianceSampling(twin=simulator, rollouts=200, seed=6)
-    found, stage = run(method, toy_problem(simulator, pem))
+    found, stage = run(method, toy_problem_of(simulator, pem))
     expected = -999 * np.log1p(np.exp(10.0)) / np.log(10.0)
     assert found.probability == 0.0
     assert found.log10_probability == pytest.approx(expected, rel=1e-4)
@@ -185,7 +174,7 @@ def test_paper_with_the_authors_model(authors_checkpoint):
 def test_states_that_violated_already_are_left_to_the_error_model():
     simulator, pem = ToySimulator(initial_gap=2, states=12), ToyPem()
     method = ZeroVarianceSampling(twin=simulator, rollouts=200, seed=7)
-    _, stage = run(method, toy_problem(simulator, pem))
+    _, stage = run(method, toy_problem_of(simulator, pem))
     rollouts = stage.scored.rollouts
     gone = np.minimum.accumulate(rollouts.signals["gap"][:, :-1], axis=1) <= 0
     assert gone.any()

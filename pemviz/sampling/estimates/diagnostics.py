@@ -3,18 +3,11 @@
 But for those of splitting's runs, which stand beside it.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    pass
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from pemviz.sampling.estimates.importance_weights import WeightFigures
 from pemviz.types import Diagnostic, DiagnosticKind, Estimate
@@ -224,11 +217,9 @@ def not_absorbing() -> Diagnostic:
 
 
 def called_safe(share: float, *, relative_error: float | None) -> Sequence[Diagnostic]:
-    """Of an approximate value function, which may call states safe that are not.
+    """Of an approximate value function, by the share that leads by way of states called safe.
 
-    Args:
-        share: Of the failure probability that leads by way of them.
-        relative_error: The estimate's standard error as a share of it; ``None`` without failures.
+    ``relative_error`` is the estimate's standard error as a share of it; ``None`` without failures.
     """
     limit = relative_error or 0.0
     if share <= limit:
@@ -243,9 +234,8 @@ def called_safe(share: float, *, relative_error: float | None) -> Sequence[Diagn
 def parts_disagreement(*, late: float, halves: float) -> Sequence[Diagnostic]:
     """Of an average of weights, parts of which are estimates of the same.
 
-    Args:
-        late: Joint standard errors between the final batch and what was drawn before it.
-        halves: Between every other rollout and the rest.
+    In joint standard errors between the final batch and what was sampled before it (``late``), and
+    between every other rollout and the rest (``halves``).
     """
     errors, which = max(
         (late, "those drawn last and those before"), (halves, "one half and the other")
@@ -260,12 +250,7 @@ def parts_disagreement(*, late: float, halves: float) -> Sequence[Diagnostic]:
 
 
 def exploration_alone(share: float) -> Sequence[Diagnostic]:
-    """Of proposals that were fitted beside exploration proposals that nothing is fitted to.
-
-    Args:
-        share: Of the estimate, from rollouts that exploration proposals would draw sooner than all
-            the others.
-    """
+    """Of an estimate a share of which exploration proposals would sample sooner than all others."""
     if share <= LARGE_SHARE:
         return ()
     text = (
@@ -282,13 +267,8 @@ def reference_disagreement(
 
     They agree if the reference lies in the estimate's interval, or within three of their joint
     standard errors both as they are and as logarithms: a linear scale is blind to an estimate
-    that is many times too high, a logarithmic one to one that is as many times too low.
-
-    Args:
-        estimate: What is compared.
-        probability: The reference.
-        std_error: Its standard error.
-        trusted: Whether the reference's own diagnostics hold.
+    that is many times too high, a logarithmic one to one that is as many times too low. The
+    reference is ``trusted`` if its own diagnostics hold.
     """
     low, high = estimate.ci_low, estimate.ci_high
     if low is not None and high is not None and low <= probability <= high:
@@ -339,21 +319,18 @@ def repetition_diagnostics(
 ) -> tuple[Diagnostic, ...]:
     """Of the mean of repetitions: what is wrong with how many of them.
 
-    Values are the least favourable among the repetitions.
-
-    Args:
-        estimates: Several repetitions.
-        log10_probability: Of their mean; ``None`` if nothing failed.
+    Values are the least favourable among the repetitions; ``log10_probability`` is that of their
+    mean.
     """
     each = [_of_repetition(estimate) for estimate in estimates]
     found: list[Diagnostic] = []
     for kind, meaning in MEANINGS.items():
-        alike = [one for diagnostics in each for one in diagnostics if one.kind == kind]
-        if alike and meaning.in_repetitions is not None:
-            values = [one.value for one in alike if one.value is not None]
-            text = f"in {len(alike)} of {len(each)} repetitions {meaning.in_repetitions}"
+        same = [one for diagnostics in each for one in diagnostics if one.kind == kind]
+        if same and meaning.in_repetitions is not None:
+            values = [one.value for one in same if one.value is not None]
+            text = f"in {len(same)} of {len(each)} repetitions {meaning.in_repetitions}"
             worst = meaning.worst(values) if values else None
-            found.append(replace(alike[0], value=worst, text=text))
+            found.append(replace(same[0], value=worst, text=text))
     tiny = () if log10_probability is None else _below_doubles(log10_probability)
     return (*found, *tiny)
 
@@ -371,12 +348,7 @@ def _of_repetition(estimate: Estimate) -> Sequence[Diagnostic]:
 
 
 def classified(texts: Sequence[str], estimate: Estimate) -> tuple[Diagnostic, ...]:
-    """The diagnostics of an estimate of which only the warnings' texts were kept.
-
-    Args:
-        texts: Its warnings.
-        estimate: Its figures.
-    """
+    """The diagnostics of an estimate of which only the warnings' ``texts`` were kept."""
     return tuple(_of_text(text, estimate) for text in texts)
 
 

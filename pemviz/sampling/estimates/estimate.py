@@ -1,6 +1,7 @@
 """Failure probabilities from scored rollouts."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
@@ -60,33 +61,11 @@ def importance_sampling_estimate(
     rollouts: WeighedRollouts, *, method: str, rollouts_simulated: int
 ) -> Estimate:
     """The average weight of violations, with a log-normal interval."""
-    failures = rollouts.failures
-    figures = weight_figures(rollouts.log_weight)
-    log_probability = log_mean_weight(rollouts.log_weight, of=rollouts.count)
-    log10_probability = log_probability / math.log(10.0) if failures else None
-    log_error = _log_std_error(rollouts)
-    return _estimate(
-        rollouts,
-        method=method,
-        probability=math.exp(log_probability),
-        log10_probability=log10_probability,
-        std_error=math.exp(log_error) if failures else None,
-        interval=(
-            log_normal_interval(
-                log_probability, relative_error=math.exp(log_error - log_probability)
-            )
-            if failures
-            else (None, None)
-        ),
-        figures=figures,
-        diagnostics=weight_diagnostics(
-            figures,
-            failures=failures,
-            rollouts=rollouts.count,
-            log10_probability=log10_probability,
-        ),
-        rollouts_simulated=rollouts_simulated,
-    )
+    log_weight, violated = np.zeros(rollouts.count), np.zeros(rollouts.count, dtype=np.bool_)
+    log_weight[rollouts.row], violated[rollouts.row] = rollouts.log_weight, True
+    log_error = log_std_error(log_weight, violated)
+    found = _average(rollouts, method=method, log_error=log_error)
+    return replace(found, rollouts_simulated=rollouts_simulated or rollouts.count)
 
 
 def mixture_estimate(
@@ -110,45 +89,44 @@ def mixture_estimate(
             of a stratified sample.
         log_p: Log likelihood under the error model, ``[N]``.
         frozen_log_weight: Weights of the final batch among itself, ``[M]``: its proposals were
-            fixed before it was drawn, so its average is unbiased.
+            fixed before it was sampled, so its average is unbiased.
         frozen: Which rollouts those are.
         adaptation: Factor on the standard error.
     """
-    failures = int(violated.sum())
-    final_component = component[frozen]
-    unbiased = log_mean_failing_weight(frozen_log_weight, violated[frozen])
-    unbiased_error = log_stratified_error(frozen_log_weight, violated[frozen], final_component)
-    figures = weight_figures(log_weight[violated])
-    log_probability = log_mean_failing_weight(log_weight, violated)
-    log10_probability = log_probability / math.log(10.0) if failures else None
-    interval, log_error = (None, None), None
+    row = np.flatnonzero(violated)
+    rollouts = WeighedRollouts(violated.size, row, log_weight[row], log_p[row])
+    log_error = log_stratified_error(log_weight, violated, component) + math.log(adaptation)
+    fails = violated[frozen]
+    unbiased = log_mean_failing_weight(frozen_log_weight, fails)
+    unbiased_error = log_stratified_error(frozen_log_weight, fails, component[frozen])
+    return replace(
+        _average(rollouts, method=method, log_error=log_error),
+        unbiased_probability=math.exp(unbiased),
+        unbiased_std_error=math.exp(unbiased_error) if fails.any() else None,
+    )
+
+
+def _average(rollouts: WeighedRollouts, *, method: str, log_error: float) -> Estimate:
+    """The average weight of violations, whose standard error has a logarithm that is known."""
+    failures, figures = rollouts.failures, weight_figures(rollouts.log_weight)
+    log_probability = log_mean_weight(rollouts.log_weight, of=rollouts.count)
+    log10_probability, std_error, interval = None, None, (None, None)
     if failures:
-        log_error = log_stratified_error(log_weight, violated, component) + math.log(adaptation)
-        interval = log_normal_interval(
-            log_probability, relative_error=math.exp(log_error - log_probability)
-        )
-    nll_mean, nll_log_mean = negative_log_likelihood(log_p[violated])
-    return Estimate(
+        log10_probability = log_probability / math.log(10.0)
+        std_error, relative_error = math.exp(log_error), math.exp(log_error - log_probability)
+        interval = log_normal_interval(log_probability, relative_error=relative_error)
+    return _estimate(
+        rollouts,
         method=method,
         probability=math.exp(log_probability),
         log10_probability=log10_probability,
-        std_error=None if log_error is None else math.exp(log_error),
-        ci_low=interval[0],
-        ci_high=interval[1],
-        rollouts_simulated=int(violated.size),
-        rollouts_in_estimate=int(violated.size),
-        failures=failures,
-        nll_mean=nll_mean,
-        nll_log_mean=nll_log_mean,
-        ess=figures.ess,
-        pareto_k=figures.pareto_k,
-        max_weight_share=figures.max_weight_share,
-        unbiased_probability=math.exp(unbiased),
-        unbiased_std_error=math.exp(unbiased_error) if violated[frozen].any() else None,
+        std_error=std_error,
+        interval=interval,
+        figures=figures,
         diagnostics=weight_diagnostics(
             figures,
             failures=failures,
-            rollouts=violated.size,
+            rollouts=rollouts.count,
             log10_probability=log10_probability,
         ),
     )
@@ -204,13 +182,6 @@ def negative_log_likelihood(log_p: FloatArray) -> tuple[float | None, float | No
     return float(-np.mean(log_p)), float(np.log(log_p.size)) - log_sum(log_p)
 
 
-def _log_std_error(rollouts: WeighedRollouts) -> float:
-    """Log of the standard error of the average weight of violations [nats]; -inf without one."""
-    log_weight, violated = np.zeros(rollouts.count), np.zeros(rollouts.count, dtype=np.bool_)
-    log_weight[rollouts.row], violated[rollouts.row] = rollouts.log_weight, True
-    return log_std_error(log_weight, violated)
-
-
 def _estimate(
     rollouts: WeighedRollouts,
     *,
@@ -221,7 +192,6 @@ def _estimate(
     interval: tuple[float | None, float | None],
     figures: WeightFigures,
     diagnostics: tuple[Diagnostic, ...],
-    rollouts_simulated: int | None = None,
 ) -> Estimate:
     nll_mean, nll_log_mean = negative_log_likelihood(rollouts.log_p)
     return Estimate(
@@ -231,7 +201,7 @@ def _estimate(
         std_error=std_error,
         ci_low=interval[0],
         ci_high=interval[1],
-        rollouts_simulated=rollouts_simulated or rollouts.count,
+        rollouts_simulated=rollouts.count,
         rollouts_in_estimate=rollouts.count,
         failures=rollouts.failures,
         nll_mean=nll_mean,

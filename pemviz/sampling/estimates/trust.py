@@ -35,11 +35,8 @@ def interval_caveats(
     """Why ``ci_low`` and ``ci_high`` are no interval at ``confidence``; empty if they are one.
 
     An estimate whose interval is none decides nothing: the gate, claims and all that call an answer
-    reliable ask here too.
-
-    Args:
-        estimate: Whose interval.
-        diagnostics: All that is known to be wrong; ``None``: the estimate's own.
+    reliable go by this too. ``diagnostics`` are all that is known to be wrong; ``None``: the
+    estimate's own.
     """
     wrong = estimate.diagnostics if diagnostics is None else diagnostics
     return caveats(wrong, method=estimate.method)
@@ -48,9 +45,7 @@ def interval_caveats(
 def remedy(method: str, *, latents: bool = False) -> str:
     """What to try where an answer of ``method`` is not to be trusted, in words.
 
-    Args:
-        method: By name.
-        latents: Whether the scenario has latents, so that no method runs through its states.
+    With ``latents`` no method runs through the scenario's states.
     """
     described = _description(method)
     if described is None:
@@ -104,12 +99,9 @@ def stage_interval(
 ) -> StageBounds:
     """Interval of P(violation) from one stage's rollouts, at 95 % unless it has caveats.
 
-    Args:
-        scored: The stage's rollouts.
-        interval: ``binomial`` (Clopper and Pearson 1934), ``log-normal`` (from the weights of
-            the violations), or another: the stage tells none.
-        method: Name of the method, for the estimate.
-        drawn: All of them, where ``scored`` holds some alone and the method weighs them.
+    ``binomial`` (Clopper and Pearson 1934), ``log-normal`` from the weights of the violations, or
+    another: the stage tells none. ``drawn`` are all rollouts, where ``scored`` holds some alone and
+    the method weighs them.
     """
     if interval == "binomial":
         estimate = monte_carlo_estimate(weighed(scored), method=method)

@@ -2,7 +2,7 @@
 
 States, error model and features of the scenario are each followed by those of its hidden
 properties, in their order. Nothing else wraps them: a system is put together once, and what a
-property knows is asked of the property.
+property knows the property says.
 """
 
 import hashlib
@@ -19,13 +19,7 @@ from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.back_end import BackEnd
-from pemviz.sampling.state.hidden import (
-    CARRIED,
-    HiddenProperty,
-    KnowsChains,
-    OwnLogit,
-    RestoresMemory,
-)
+from pemviz.sampling.state.hidden import CARRIED, HiddenProperty, OwnLogit
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.state.visibility import Visibility
 from pemviz.simulators.absorbing import WrappedSimulator
@@ -78,11 +72,7 @@ class ComposedSimulator(WrappedSimulator):
         return reached
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """The scenario's salient variables, and what properties tell the model, ``[..., D + K]``.
-
-        Args:
-            signals: ``[...]``.
-        """
+        """The scenario's salient variables, and what properties show, ``[..., D + K]``."""
         return self._followed(self.scenario.salient(self._scenario_signals(signals)), signals)
 
     def salient_at(self, states: StateBatch) -> FloatArray:
@@ -116,8 +106,8 @@ class ComposedSimulator(WrappedSimulator):
         return {name: values for name, values in signals.items() if name not in added}
 
     def _followed(self, own: FloatArray, signals: Mapping[str, FloatArray]) -> FloatArray:
-        told = [signals[name][..., None] for one in self.properties for name in one.told]
-        return np.concatenate((own, *told), -1)
+        shown = [signals[name][..., None] for one in self.properties for name in one.shown]
+        return np.concatenate((own, *shown), -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,15 +159,13 @@ class ComposedPem:
     def after(self, own: FloatArray, salient: FloatArray) -> FloatArray:
         """Logits ``[...]`` that follow from those of the model of single outcomes ``[...]``.
 
-        Args:
-            own: Its logits.
-            salient: As for :meth:`logit`; only the properties' columns are looked at.
+        Of the salient variables only the properties' columns are looked at.
         """
         return self._fold(lambda: own, self._shown(salient))
 
     @property
     def _width(self) -> int:
-        return sum(len(one.told) for one in self.properties)
+        return sum(len(one.shown) for one in self.properties)
 
     def _shown(self, salient: FloatArray) -> FloatArray:
         return salient[..., salient.shape[-1] - self._width :]
@@ -185,7 +173,7 @@ class ComposedPem:
     def _fold(self, own: OwnLogit, shown: FloatArray) -> FloatArray:
         place = 0
         for one in self.properties:
-            width = len(one.told)
+            width = len(one.shown)
             own = partial(one.logit, shown[..., place : place + width], own)
             place += width
         return own()
@@ -198,17 +186,12 @@ class ChainModel(ComposedPem):
     def log_likelihood(self, salient: FloatArray, detected: BoolArray) -> FloatArray:
         """Log likelihood of rollouts' outcomes together ``[N]`` [nats], under this very model.
 
-        What the salient variables tell of properties is left out: it may be another model's.
-
-        Args:
-            salient: Of a system with these properties, ``[N, T-1, D + K]``.
-            detected: The outcomes, ``[N, T-1]``.
+        What the salient variables ``[N, T-1, D + K]`` say of properties is left out: it may be
+        another model's.
         """
         own = self.pem.logit(self.own_salient(salient))
-        last = self.properties[-1]
-        if isinstance(last, KnowsChains):
-            return last.log_likelihood(own, detected)
-        return self._step_by_step(own, detected)
+        found = self.properties[-1].log_likelihood(own, detected)
+        return self._step_by_step(own, detected) if found is None else found
 
     def _step_by_step(self, own: FloatArray, detected: BoolArray) -> FloatArray:
         """The filter itself, on states that show nothing but the properties."""
@@ -225,8 +208,8 @@ class ChainModel(ComposedPem):
                 else:
                     known = one.next(before, detected[:, step - 1], states, model)
                 states = _with(states, known.signals, known.memory)
-            told = [states.signals[name] for one in self.properties for name in one.told]
-            shown = np.stack(told, axis=-1) if told else np.empty((len(detected), 0))
+            columns = [states.signals[name] for one in self.properties for name in one.shown]
+            shown = np.stack(columns, axis=-1) if columns else np.empty((len(detected), 0))
             logit = self._fold(partial(model, states), shown)
             log_p += outcome_log_likelihood(logit, detected[:, step])
             before = states
@@ -235,7 +218,7 @@ class ChainModel(ComposedPem):
 
 @dataclass(frozen=True, eq=False)
 class OtherModel(ChainModel):
-    """A model of whole chains whose outcomes another one's system was drawn with."""
+    """A model of whole chains whose outcomes another one's system was sampled with."""
 
     def logit(self, salient: FloatArray) -> FloatArray:  # noqa: ARG002
         """The system's states know what follows under another model.
@@ -243,7 +226,7 @@ class OtherModel(ChainModel):
         Raises:
             TypeError: Always; see :meth:`log_likelihood`.
         """
-        message = "what this error model says depends on all outcomes so far: ask log_likelihood"
+        message = "what this error model says depends on all outcomes so far: use log_likelihood"
         raise TypeError(message)
 
 
@@ -409,8 +392,7 @@ def property_in(properties: Sequence[HiddenProperty], kind: type[Kind]) -> Kind 
 def memory_of_pem(pem: Pem) -> Memory:
     """How an error model's misses hang together."""
     properties = hidden_in(pem)
-    last = property_in(properties, LastOutcome)
-    visibility = property_in(properties, Visibility)
+    last, visibility = property_in(properties, LastOutcome), property_in(properties, Visibility)
     return Memory(
         tau_s=0.0 if last is None else last.tau_s,
         frailty=0.0 if visibility is None else visibility.memory.frailty,
@@ -426,7 +408,7 @@ def without_following(simulator: Simulator) -> Simulator:
 
 
 def dynamics_of(simulator: Simulator) -> Simulator:
-    """What steps a system's states where nobody asks the error model."""
+    """What steps a system's states where nobody evaluates the error model."""
     found = within(simulator, ComposedSimulator)
     if found is None or found.pem is None:
         return simulator
@@ -444,8 +426,7 @@ def carried_at(
         return {}
     carried: dict[str, AnyArray] = {}
     for one in found.properties:
-        if isinstance(one, RestoresMemory):
-            carried |= one.memory_at(rollouts, step=step, model=found.own_logit)
+        carried |= one.memory_at(rollouts, step=step, model=found.own_logit)
     return carried
 
 

@@ -11,7 +11,7 @@ outcomes with whatever is hidden integrated out.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,12 +20,12 @@ from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.types import RolloutBatch, Signal, StateBatch
 
 OwnLogit = Callable[[], FloatArray]
-"""Logit of P(detected) ``[...]`` without the property, asked only where it is needed."""
-AskModel = Callable[[StateBatch], FloatArray]
+"""Logit of P(detected) ``[...]`` without the property, evaluated only where it is needed."""
+ModelLogit = Callable[[StateBatch], FloatArray]
 """States ``[...]`` to the logits of P(detected) of the model of single outcomes, ``[...]``."""
 CARRIED = "pemviz carries: "
 """Names of memory that is for going on from a state alone begin so; rollouts do not keep it, and
-method ``splitting`` asks for it anew (:class:`RestoresMemory`)."""
+method ``splitting`` restores it (:meth:`HiddenProperty.memory_at`)."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class HiddenProperty(ABC):
     Attributes:
         signals: What rollouts keep and views show of it.
         follows_model: Whether what is known depends on the error model, too, and not on the
-            outcomes alone: then other models of the same rollouts are asked by
+            outcomes alone: then other models of the same rollouts are evaluated by
             :meth:`~pemviz.sampling.state.composed.ChainModel.log_likelihood`.
     """
 
@@ -60,7 +60,7 @@ class HiddenProperty(ABC):
         return ""
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def shown(self) -> tuple[str, ...]:
         """Names of the signals that :meth:`logit` is given; all."""
         return tuple(signal.name for signal in self.signals)
 
@@ -69,17 +69,16 @@ class HiddenProperty(ABC):
         return memory.startswith(CARRIED)
 
     @abstractmethod
-    def begin(self, states: StateBatch, model: AskModel) -> Known:
-        """What is known before any outcome.
+    def begin(self, states: StateBatch, model: ModelLogit) -> Known:
+        """What is known before any outcome, at initial states ``[N]``.
 
-        Args:
-            states: Initial states ``[N]``, with the properties before this one.
-            model: Asked only by properties that follow the error model.
+        These are with the properties before this one. Only properties that follow the error
+        ``model`` may evaluate it.
         """
 
     @abstractmethod
     def next(
-        self, before: StateBatch, detected: BoolArray, states: StateBatch, model: AskModel
+        self, before: StateBatch, detected: BoolArray, states: StateBatch, model: ModelLogit
     ) -> Known:
         """What is known after outcomes ``detected [N]`` at ``before`` have led to ``states``."""
 
@@ -87,9 +86,8 @@ class HiddenProperty(ABC):
     def logit(self, shown: FloatArray, own: OwnLogit) -> FloatArray:
         """Logit of P(detected | outcomes so far), ``[...]``.
 
-        Args:
-            shown: What the signals that are :attr:`told` say, ``[..., K]``.
-            own: Logits of the model of single outcomes, with the properties before this one.
+        From what the signals that are :attr:`shown` say, ``[..., K]``, and the logits of the model
+        of single outcomes with the properties before this one.
         """
 
     def features(self, states: StateBatch) -> tuple[FloatArray, ...]:
@@ -99,11 +97,8 @@ class HiddenProperty(ABC):
     def matters(self, features: StateFeatures, states: StateBatch) -> BoolArray | None:  # noqa: ARG002
         """Where an outcome may matter, ``[...]``; ``None``: where the rest of the system says.
 
-        Everywhere: an outcome to which the scenario does not react still is known of.
-
-        Args:
-            features: The scenario's own.
-            states: ``[...]``.
+        Everywhere: an outcome to which the scenario does not react still is known of. ``features``
+        are the scenario's own.
         """
         return np.ones(states.shape, dtype=np.bool_)
 
@@ -111,28 +106,22 @@ class HiddenProperty(ABC):
         """The same to a proposal, which may leave outcomes to the model that matter little."""
         return self
 
-
-@runtime_checkable
-class RestoresMemory(Protocol):
-    """A property whose :data:`CARRIED` memory follows from a rollout up to a state."""
-
     def memory_at(
-        self, rollouts: RolloutBatch, *, step: IntArray, model: AskModel
+        self,
+        rollouts: RolloutBatch,  # noqa: ARG002
+        *,
+        step: IntArray,  # noqa: ARG002
+        model: ModelLogit,  # noqa: ARG002
     ) -> Mapping[str, AnyArray]:
-        """The memory ``[N]`` at states of rollouts that led there.
+        """The :data:`CARRIED` memory ``[N]`` at states of rollouts that led there; none.
 
-        Args:
-            rollouts: N, whole up to these states.
-            step: Which of each, ``[N]``, ascending.
-            model: Of single outcomes.
+        The rollouts are whole up to their states ``step [N]``, ascending.
         """
-        ...
+        return {}
 
+    def log_likelihood(self, own: FloatArray, detected: BoolArray) -> FloatArray | None:  # noqa: ARG002
+        """Log likelihood ``[N]`` of chains of outcomes ``[N, T-1]``, from their own logits.
 
-@runtime_checkable
-class KnowsChains(Protocol):
-    """A property that says how likely chains of outcomes are without going step by step."""
-
-    def log_likelihood(self, own: FloatArray, detected: BoolArray) -> FloatArray:
-        """Log likelihood of outcomes ``[N, T-1]`` together, ``[N]``, from their own logits."""
-        ...
+        ``None``: it takes going step by step.
+        """
+        return None

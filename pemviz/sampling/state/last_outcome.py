@@ -13,12 +13,12 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem.models.memory import persistence, remembering_logit
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.state.hidden import AskModel, HiddenProperty, Known, OwnLogit
+from pemviz.sampling.state.hidden import HiddenProperty, Known, ModelLogit, OwnLogit
 from pemviz.types import CERTAIN, LAST, LAST_OUTCOME, Signal, StateBatch
 
 SHORT_RHO = 0.1
-"""Below, proposals leave outcomes that the scenario ignores to the model: what remains of them is
-worth less than what changing them costs in weights. On one scenario with rho 0.08 the error of
+"""Below, proposals leave outcomes that the scenario ignores to the model: what remains of them
+matters less than what changing them costs in weights. On one scenario with rho 0.08 the error of
 method ``mixture`` falls from 11 to 4 %; with rho 0.37 it makes no difference."""
 
 
@@ -62,7 +62,7 @@ class LastOutcome(HiddenProperty):
         """The last outcomes of slots."""
         return self.turns is not None and memory.startswith(LAST)
 
-    def begin(self, states: StateBatch, model: AskModel) -> Known:  # noqa: ARG002  outcomes alone
+    def begin(self, states: StateBatch, model: ModelLogit) -> Known:  # noqa: ARG002  outcomes alone
         """None yet."""
         none = np.zeros(states.shape)
         slots = {f"{LAST}{slot}": np.zeros(states.shape) for slot in range(self.turns or 0)}
@@ -73,7 +73,7 @@ class LastOutcome(HiddenProperty):
         before: StateBatch,
         detected: BoolArray,
         states: StateBatch,
-        model: AskModel,  # noqa: ARG002  as above
+        model: ModelLogit,  # noqa: ARG002  as above
     ) -> Known:
         """The outcome itself; with slots that of the slot whose turn is next, if it is there."""
         outcome = np.where(detected, 1.0, -1.0)
@@ -100,7 +100,7 @@ class LastOutcome(HiddenProperty):
         return np.ones_like(states.signals[LAST_OUTCOME.name], dtype=np.bool_)
 
     def for_proposals(self) -> "LastOutcome":
-        """The same, which leaves the model where that is worth its price."""
+        """The same, which leaves the model where that pays."""
         if self.rho < SHORT_RHO:
             return replace(self, ignores=True)
         steps = None if self.rho >= 1.0 else int(np.ceil(np.log(SHORT_RHO) / np.log(self.rho)))

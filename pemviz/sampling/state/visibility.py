@@ -24,7 +24,7 @@ from pemviz.pem.models.memory import (
     remembered_outcomes,
 )
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.state.hidden import CARRIED, AskModel, HiddenProperty, Known, OwnLogit
+from pemviz.sampling.state.hidden import CARRIED, HiddenProperty, Known, ModelLogit, OwnLogit
 from pemviz.sampling.state.last_outcome import last_outcome
 from pemviz.types import RolloutBatch, Signal, StateBatch
 
@@ -59,7 +59,7 @@ class Visibility(HiddenProperty):
     signals: ClassVar[tuple[Signal, ...]] = (VISIBILITY, SEEN_LOGIT)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def shown(self) -> tuple[str, ...]:
         """The logit alone."""
         return (SEEN_LOGIT.name,)
 
@@ -73,14 +73,14 @@ class Visibility(HiddenProperty):
         """Correlation of one outcome with the next, beyond what the obstacle explains."""
         return float(persistence(self.dt_s, self.memory.tau_s))
 
-    def begin(self, states: StateBatch, model: AskModel) -> Known:
+    def begin(self, states: StateBatch, model: ModelLogit) -> Known:
         """Before any outcome u is a standard normal."""
         log_weight = self.nodes.log_weight
         everywhere = np.broadcast_to(log_weight, (*states.shape, log_weight.size))
         return self._known(states, model(states), everywhere, np.zeros(states.shape))
 
     def next(
-        self, before: StateBatch, detected: BoolArray, states: StateBatch, model: AskModel
+        self, before: StateBatch, detected: BoolArray, states: StateBatch, model: ModelLogit
     ) -> Known:
         """The posterior of u after outcomes ``[N]``."""
         after = before.memory[NEXT]
@@ -107,9 +107,7 @@ class Visibility(HiddenProperty):
     def log_outcomes(self, own: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Log P(missed) and log P(detected) by node, ``[N, J]``.
 
-        Args:
-            own: Logits of the model of single outcomes, ``[N]``.
-            last: :data:`~pemviz.sampling.state.last_outcome.LAST_OUTCOME`, ``[N]``.
+        From the logits of the model of single outcomes ``[N]`` and the outcome before ``[N]``.
         """
         return remembered_outcomes(self.nodes.log_outcomes(own), last=last, rho=self.rho)
 
@@ -125,12 +123,7 @@ class Visibility(HiddenProperty):
         return log_p
 
     def log_likelihood(self, own: FloatArray, detected: BoolArray) -> FloatArray:
-        """Log likelihood of rollouts' outcomes ``[N, T-1]`` together, ``[N]``.
-
-        Args:
-            own: Logits of a model of single outcomes, ``[N, T-1]``.
-            detected: The outcomes.
-        """
+        """Log likelihood of rollouts' outcomes ``[N, T-1]`` together, ``[N]``."""
         log_joint = np.tile(self.nodes.log_weight, (len(detected), 1))
         last = np.zeros(len(detected))
         for step in range(detected.shape[1]):
@@ -139,7 +132,7 @@ class Visibility(HiddenProperty):
         return log_sums(log_joint)
 
     def memory_at(
-        self, rollouts: RolloutBatch, *, step: IntArray, model: AskModel
+        self, rollouts: RolloutBatch, *, step: IntArray, model: ModelLogit
     ) -> Mapping[str, AnyArray]:
         """What :data:`NEXT` holds at states of rollouts that led there, ``[N]``."""
         log_joint = np.tile(self.nodes.log_weight, (rollouts.count, 1))
@@ -156,7 +149,7 @@ class Visibility(HiddenProperty):
         rollouts: RolloutBatch,
         rows: slice | IntArray,
         step: int | IntArray,
-        model: AskModel,
+        model: ModelLogit,
     ) -> tuple[FloatArray, FloatArray]:
         signals = {name: values[rows, step] for name, values in rollouts.signals.items()}
         logit = model(StateBatch(np.asarray(step), signals))
@@ -198,7 +191,7 @@ class GivenVisibility(HiddenProperty):
 
     follows_model: ClassVar[bool] = False
 
-    def begin(self, states: StateBatch, model: AskModel) -> Known:  # noqa: ARG002  nothing to know
+    def begin(self, states: StateBatch, model: ModelLogit) -> Known:  # noqa: ARG002  nothing to know
         """Nothing."""
         return Known({})
 
@@ -207,7 +200,7 @@ class GivenVisibility(HiddenProperty):
         before: StateBatch,  # noqa: ARG002  as above
         detected: BoolArray,  # noqa: ARG002
         states: StateBatch,  # noqa: ARG002
-        model: AskModel,  # noqa: ARG002
+        model: ModelLogit,  # noqa: ARG002
     ) -> Known:
         """Nothing."""
         return Known({})
@@ -222,12 +215,12 @@ def _log_outcomes(
 ) -> Callable[[slice], tuple[FloatArray, FloatArray]]:
     """What :meth:`Visibility.log_outcomes` gives some of states ``[N]``, of a chunk at a time.
 
-    Rollouts meet few gaps, since equal outcomes lead to equal states: alike states are asked once.
+    Rollouts meet few gaps, since equal outcomes lead to equal states: those are evaluated once.
     """
-    alike = distinct_rows(np.stack([own, last], axis=1)) if own.size >= FEWEST else None
-    if alike is None:
+    same = distinct_rows(np.stack([own, last], axis=1)) if own.size >= FEWEST else None
+    if same is None:
         return lambda rows: visibility.log_outcomes(own[rows], last[rows])
-    first, place = alike
+    first, place = same
     miss, hit = np.empty((2, first.size, visibility.nodes.u.size))
     for start in range(0, first.size, CHUNK_ROWS):
         rows = slice(start, start + CHUNK_ROWS)
