@@ -1,8 +1,8 @@
-"""What code of other people's raises while it is asked: told in one line, with where and how.
+"""What code of other people's raises while it is evaluated: one line, with where and how.
 
 Simulators, error models, proposals and methods may raise anything, SystemExit and KeyboardInterrupt
-included. Whoever asks them hands what they raise to :func:`blame`; what a signal raises, a person's
-Ctrl-C above all, is no fault of theirs and passes.
+included. Whoever calls them hands what they raise to :func:`blame`; what a signal raises, a
+person's Ctrl-C above all, is no fault of theirs and passes.
 """
 
 import contextlib
@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
@@ -36,10 +36,10 @@ class SimulationError(RunError):
     and text: it can be sent from one process to another.
 
     Attributes:
-        what: What was asked, and what came of it.
+        what: What was evaluated, and what came of it.
         why: What was raised, or what is allowed.
-        step: The scenario's own step, or those that were asked about at once.
-        rollouts: Which of the stage's: the one, or all that were asked about at once.
+        step: The scenario's own step, or those that were evaluated at once.
+        rollouts: Which of the stage's: the one, or all that were evaluated at once.
         among: One of so many, where they do not lie beside each other.
         ahead: So many stages after the one that is being carried out.
         during: The stage and the repetition, in words.
@@ -63,16 +63,13 @@ class SimulationError(RunError):
 
     def __str__(self) -> str:
         """One line: what, where, why."""
-        place = [self._rollouts(), _numbered("step", self.step)]
-        words = ", ".join(part for part in place if part)
-        where = f" in {words}" if words else ""
+        rollouts = _numbered("rollout", self.rollouts)
+        if self.among is not None:
+            rollouts = f"one of {self.among} rollouts"
+        place = ", ".join(part for part in (rollouts, _numbered("step", self.step)) if part)
+        where = f" in {place}" if place else ""
         during = f" ({self.during})" if self.during else ""
         return one_line(f"{self.what}{where}{during}{f': {self.why}' if self.why else ''}")
-
-    def _rollouts(self) -> str:
-        return _numbered("rollout", self.rollouts) if self.among is None else (
-            f"one of {self.among} rollouts"
-        )  # fmt: skip
 
     def add(self, *, step: int | range | None = None, rollouts: range | None = None) -> None:
         """Where it was, as far as that is not known better."""
@@ -95,11 +92,11 @@ def blame(
     step: int | range | None = None,
     rollouts: range | None = None,
 ) -> NoReturn:
-    """Raise, of what was raised while something was asked, what tells of it.
+    """Raise what tells of an error that something raised.
 
     Args:
         error: What was raised.
-        what: What was asked.
+        what: By what.
         step: See :class:`SimulationError`.
         rollouts: Likewise, as they are counted where this is called.
 
@@ -109,7 +106,7 @@ def blame(
             what was given.
     """
     error = presentable(error)
-    if is_from_outside(error) or isinstance(error, StopRequested | InputError):
+    if from_outside(error) is not None or isinstance(error, StopRequested | InputError):
         raise error
     if isinstance(error, SimulationError):
         error.add(step=step, rollouts=rollouts)
@@ -158,7 +155,7 @@ def reordered(order: Sequence[int]) -> Generator[None, None, None]:
 
 @contextlib.contextmanager
 def of_no_rollouts() -> Generator[None, None, None]:
-    """Let a fault name none of a stage's rollouts: it is others that are asked about here."""
+    """Let a fault name none of a stage's rollouts: it is others that are evaluated here."""
     try:
         yield
     except SimulationError as error:
@@ -178,7 +175,7 @@ def refusing() -> Generator[None, None, None]:
     except SimulationError as error:
         raise InputError(str(error)) from error.__cause__
     except BaseException as error:
-        if isinstance(error, Exception) or is_from_outside(error):
+        if isinstance(error, Exception) or from_outside(error) is not None:
             raise
         last = traceback.extract_tb(_from_theirs(error.__traceback__))[0]
         message = f"{last.name} ({last.filename}, line {last.lineno}) raises {told(error)}"
@@ -191,7 +188,7 @@ def told(error: BaseException) -> str:
     Raises:
         BaseException: It comes from outside.
     """
-    if is_from_outside(error):
+    if from_outside(error) is not None:
         raise error
     if isinstance(error, SimulationError):
         return str(error) if error.__cause__ is None else told(error.__cause__)
@@ -202,17 +199,23 @@ def told(error: BaseException) -> str:
 def presentable(error: BaseException) -> BaseException:
     """What was raised, or one that stands for it if to look at it would raise more."""
     try:
-        seen: set[int] = set()
-        each: BaseException | None = error
-        while each is not None and id(each) not in seen:
-            seen.add(id(each))
+        for each in _chain(error):
             shown = each.__class__, each.__traceback__, getattr(each, MARK, False)
             shown = *shown, getattr(each, "__notes__", ())
-            each = each.__cause__ or each.__context__
     except BaseException:  # theirs, as all of it
         kind = type.__getattribute__(type(error), "__name__")
         return RuntimeError(f"a {kind} that cannot be looked at")
     return error
+
+
+def _chain(error: BaseException) -> Iterator[BaseException]:
+    """An error and what led to it, each once."""
+    seen: set[int] = set()
+    each: BaseException | None = error
+    while each is not None and id(each) not in seen:
+        yield each
+        seen.add(id(each))
+        each = each.__cause__ or each.__context__
 
 
 def message_of(error: BaseException) -> str:
@@ -266,7 +269,7 @@ class _Marking:
 
 
 def mark_from_outside(error: BaseException) -> None:
-    """Let :func:`is_from_outside` know it."""
+    """Let :func:`from_outside` know it."""
     setattr(error, MARK, True)
 
 
@@ -291,23 +294,14 @@ def signals_told_apart() -> Generator[None, None, None]:
                 signal.signal(number, before[number])
 
 
-def is_from_outside(error: BaseException) -> bool:
-    """Whether a signal raised it, or what led to it, and not the code that was asked."""
-    return from_outside(error) is not None
-
-
 def from_outside(error: BaseException) -> BaseException | None:
     """What a signal raised, be it the error or what led to it; ``None``: it is another's.
 
     Where that cannot be told, a KeyboardInterrupt counts as a signal's.
     """
-    seen: set[int] = set()
-    each: BaseException | None = error
-    while each is not None and id(each) not in seen:
+    for each in _chain(error):
         if getattr(each, MARK, False):
             return each
-        seen.add(id(each))
-        each = each.__cause__ or each.__context__
     return error if isinstance(error, KeyboardInterrupt) and _may_get_signals() else None
 
 

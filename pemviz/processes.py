@@ -72,11 +72,7 @@ def signals_held_back() -> Generator[None, None, None]:
 
 
 def end_with_parent(scratch: Path | None = None) -> None:
-    """Let this process end when the one that started it does, however that ended.
-
-    Args:
-        scratch: A folder that nobody needs then; removed.
-    """
+    """Let this process end when the one that started it does, and remove the folder ``scratch``."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -100,11 +96,9 @@ class ProcessPool:
     """
 
     def __init__(self, count: int, *, scratch: Path | None = None) -> None:
-        """Plan for ``count`` processes; none is started yet.
+        """Plan for at least one process; none is started yet.
 
-        Args:
-            count: How many; at least 1.
-            scratch: A folder to remove if this process dies.
+        If this process dies, the folder ``scratch`` is removed.
         """
         self._processes: list[BaseProcess] = []
         self._executor = ProcessPoolExecutor(
@@ -131,7 +125,12 @@ class ProcessPool:
         try:
             call = ForkingPickler.dumps((function, arguments, named))
         except BaseException as error:
-            return _failed(error)
+            failed: Future[Returned] = Future()
+            if not isinstance(error, Exception):
+                why = f"pickling what a worker process is to work on raises {told(error)}"
+                error = RunError(why)
+            failed.set_exception(error)
+            return failed
         # a process that stops at the terminal's signals would look like one that died
         with one_thread_each(), signals_held_back():
             future = self._executor.submit(_called, bytes(call))
@@ -146,18 +145,8 @@ class ProcessPool:
 
 
 def _called(call: bytes) -> Any:
-    """What this process' parent asked for."""
     function, arguments, named = cast(Any, ForkingPickler).loads(call)
     return function(*arguments, **named)
-
-
-def _failed(error: BaseException) -> Future[Any]:
-    """The future of a call that cannot be handed to a process."""
-    failed: Future[Any] = Future()
-    if not isinstance(error, Exception):
-        error = RunError(f"pickling what a worker process is to work on raises {told(error)}")
-    failed.set_exception(error)
-    return failed
 
 
 def map_in_processes(
@@ -181,13 +170,16 @@ def map_in_processes(
         RunError: A process died.
         Exception: What a call raised.
     """
-    pause = check_stop or _nothing
-    tell = on_done or _nothing
+    pause, tell = check_stop or _nothing, on_done or _nothing
+    results: dict[int, Result] = {}
     if workers == 1 or len(items) <= 1:
-        return [_in_turn(function, i, item, tell, pause) for i, item in enumerate(items)]
+        for index, item in enumerate(items):
+            pause()
+            results[index] = function(item)
+            tell(index)
+        return list(results.values())
     with ProcessPool(min(workers, len(items))) as pool:
         futures = {pool.submit(function, item): index for index, item in enumerate(items)}
-        results: dict[int, Result] = {}
         pending = set(futures)
         while pending:
             pause()
@@ -201,18 +193,4 @@ def map_in_processes(
     return [results[index] for index in range(len(items))]
 
 
-def _in_turn(
-    function: Callable[[Item], Result],
-    index: int,
-    item: Item,
-    tell: Callable[[int], None],
-    pause: Callable[[], None],
-) -> Result:
-    pause()
-    result = function(item)
-    tell(index)
-    return result
-
-
-def _nothing(*_: object) -> None:
-    """Nobody asked to be told."""
+def _nothing(*_: object) -> None: ...

@@ -41,7 +41,7 @@ def simulator_names() -> tuple[str, ...]:
     return SIMULATORS.names()
 
 
-def build_named_simulator(
+def build_named_simulator(  # noqa: PLR0911 (one case per simulator)
     name: str,
     scenario: ScenarioConfig,
     *,
@@ -70,8 +70,16 @@ def build_named_simulator(
         from pemviz.simulators.merge.scenario import MergeSimulator  # noqa: PLC0415  as above
 
         return MergeSimulator(scenario)
+    if name == "sumo" and sumo is not None and sumo.config is not None:
+        from pemviz.simulators.sumo.traffic.simulator import build_traffic  # noqa: PLC0415  scipy
+
+        return build_traffic(sumo, scenario)
     if name == "sumo":
-        return _sumo(scenario, errors, sumo)
+        from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415  as above
+        from pemviz.simulators.sumo.scenarios import SumoBraking  # noqa: PLC0415
+
+        check_installed()
+        return SumoBraking(scenario, errors)
     if name == "vectorized":
         from pemviz.simulators.braking.vectorized import VectorizedSimulator  # noqa: PLC0415  as above
 
@@ -89,29 +97,10 @@ def build_named_simulator(
     )
 
 
-def _sumo(
-    scenario: ScenarioConfig, errors: RangeErrors | None, sumo: SumoConfig | None
-) -> Simulator:
-    """The braking scenario on SUMO, or traffic of its own."""
-    if sumo is not None and sumo.config is not None:
-        from pemviz.simulators.sumo.traffic.simulator import build_traffic  # noqa: PLC0415  scipy
-
-        return build_traffic(sumo, scenario)
-    from pemviz.simulators.sumo.engine import check_installed  # noqa: PLC0415  as above
-    from pemviz.simulators.sumo.scenarios import SumoBraking  # noqa: PLC0415
-
-    check_installed()
-    return SumoBraking(scenario, errors)
-
-
 def build_encounter_simulator(
     config: ExperimentConfig, *, errors: PlaneErrors | None = None
 ) -> "LogicalScenario":
-    """The back end of the logical scenario that ``config`` names.
-
-    Args:
-        config: What is asked.
-        errors: Of the places that it measures.
+    """The back end of the logical scenario that ``config`` names, with errors of places.
 
     Raises:
         ConfigError: It has none of that name, or a start value's distribution cannot be.

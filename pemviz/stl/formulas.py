@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import ClassVar, Literal, TypeAlias
 
 from pemviz.errors import InputError
@@ -50,6 +50,7 @@ class Node(ABC):
     """What formulas and numbers share: parts, and limits on how many."""
 
     strength: ClassVar[int]  # how tightly the text form binds, see the grammar
+    _children: tuple[Node, ...] = field(init=False, repr=False, compare=False)
     _depth: int = field(init=False, repr=False, compare=False)
     _nodes: int = field(init=False, repr=False, compare=False)
 
@@ -59,16 +60,19 @@ class Node(ABC):
 
     def children(self) -> tuple[Node, ...]:
         """The direct parts, left to right."""
-        return ()
+        return self._children
 
     def __post_init__(self) -> None:
-        parts = self.children()
+        values = [getattr(self, one.name) for one in fields(self) if one.init]
+        flat = [part for value in values for part in (value if type(value) is tuple else [value])]
+        parts = tuple(part for part in flat if isinstance(part, Node))
         depth = 1 + max((part._depth for part in parts), default=0)
         nodes = 1 + sum(part._nodes for part in parts)
         if depth > MAX_DEPTH:
             raise FormulaError(f"formula is nested too deeply; at most {MAX_DEPTH} levels")
         if nodes > MAX_NODES:
             raise FormulaError(f"formula is too long; at most {MAX_NODES} parts")
+        object.__setattr__(self, "_children", parts)
         object.__setattr__(self, "_depth", depth)
         object.__setattr__(self, "_nodes", nodes)
 
@@ -123,9 +127,6 @@ class _Binary(Expression):
 
     symbol: ClassVar[str]
 
-    def children(self) -> tuple[Node, ...]:
-        return self.left, self.right
-
     def __str__(self) -> str:
         # The text form groups from the left, so an equally strong right side needs parentheses.
         left = self._text(self.left, self.strength)
@@ -172,9 +173,6 @@ class Negative(Expression):
 
     strength: ClassVar[int] = 3
 
-    def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (self.operand,)
-
     def __str__(self) -> str:
         # "-2.0" is a number of its own: the minus of a number stays outside parentheses.
         if isinstance(self.operand, Constant):
@@ -187,9 +185,6 @@ class Absolute(Expression):
     """``abs(operand)``."""
 
     operand: Expression
-
-    def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (self.operand,)
 
     def __str__(self) -> str:
         return f"abs({self.operand})"
@@ -205,9 +200,6 @@ class _Extreme(Expression):
         super().__post_init__()
         if len(self.operands) < 2:
             raise FormulaError(f"{self.word} takes two or more numbers, separated by commas")
-
-    def children(self) -> tuple[Node, ...]:
-        return self.operands
 
     def __str__(self) -> str:
         return f"{self.word}({', '.join(str(operand) for operand in self.operands)})"
@@ -264,9 +256,6 @@ class Predicate(Formula):
 
     strength: ClassVar[int] = 6
 
-    def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return self.left, self.right
-
     @property
     def is_lower_bound(self) -> bool:
         """Whether more of ``left`` is better (``>=``, ``>``)."""
@@ -289,9 +278,6 @@ class Not(Formula):
 
     strength: ClassVar[int] = 5
 
-    def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return (self.operand,)
-
     def __str__(self) -> str:
         return f"not {self._text(self.operand, Truth.strength)}"
 
@@ -301,9 +287,6 @@ class _Junction(Formula):
     parts: tuple[Formula, ...]
 
     word: ClassVar[str]
-
-    def children(self) -> tuple[Node, ...]:
-        return self.parts
 
     def __str__(self) -> str:
         return f" {self.word} ".join(self._text(part, self.strength + 1) for part in self.parts)
@@ -333,9 +316,6 @@ class Implies(Formula):
     conclusion: Formula
 
     strength: ClassVar[int] = 1
-
-    def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return self.premise, self.conclusion
 
     def __str__(self) -> str:
         return f"{self._text(self.premise, 2)} -> {self._text(self.conclusion, 2)}"
@@ -376,9 +356,6 @@ class _Window(_Timed):
 
     strength: ClassVar[int] = 5
 
-    def children(self) -> tuple[Node, ...]:
-        return (self.operand,)
-
     def __str__(self) -> str:
         return f"{self.head} ({self.operand})"
 
@@ -410,9 +387,6 @@ class Until(_Timed):
 
     word: ClassVar[str] = "until"
     strength: ClassVar[int] = 4
-
-    def children(self) -> tuple[Node, ...]:  # noqa: D102
-        return self.left, self.right
 
     def __str__(self) -> str:
         return f"({self.left}) {self.head} ({self.right})"

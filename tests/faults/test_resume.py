@@ -41,6 +41,27 @@ def folder_of(root, name):
     return folder
 
 
+@pytest.fixture(scope="module")
+def small():
+    return build_experiment(replace(SMALL, repetitions=1))
+
+
+@pytest.fixture(scope="module")
+def expected(small, tmp_path_factory):
+    """What the small run, which nobody disturbed, left."""
+    folder = folder_of(tmp_path_factory.mktemp("small"), "whole")
+    carry_out(small, folder)
+    return contents(folder)
+
+
+def stopped(experiment, folder, *, after):
+    """Carry out so many stages."""
+    stop = StopAfter(after)
+    result = carry_out(experiment, folder, observers=[stop], should_stop=stop)
+    assert result.status == "stopped"
+    return folder
+
+
 class StopAfter:
     """Asks to stop once so many stages are done; the count goes on over several runs."""
 
@@ -64,10 +85,8 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
     carry_out(experiment, whole)
     parts = folder_of(tmp_path, "parts")
     stages = [s["stage"] for s in contents(whole)["result"]["stages"]]
-    for stop_after in range(1, len(stages), 2):
-        stop = StopAfter(stop_after)
-        result = carry_out(experiment, parts, observers=[stop], should_stop=stop)
-        assert result.status == "stopped"
+    for after in range(1, len(stages), 2):
+        stopped(experiment, parts, after=after)
         assert len(load_rollouts(parts)["stage"]) > 0
     carry_out(experiment, parts)
     assert contents(parts) == contents(whole)
@@ -87,23 +106,17 @@ def test_a_stopped_run_of_a_logical_scenario_goes_on_to_the_same_bytes(tmp_path)
     whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
     carry_out(experiment, whole)
     assert contents(whole)["result"]["estimate"]["failures"] > 0
-    stop = StopAfter(2)
-    assert carry_out(experiment, parts, observers=[stop], should_stop=stop).status == "stopped"
-    carry_out(experiment, parts)
+    carry_out(experiment, stopped(experiment, parts, after=2))
     assert contents(parts) == contents(whole)
 
 
-@pytest.mark.parametrize("stop_after", [1, 6])
-def test_stopping_while_it_reads_back_loses_nothing(stop_after, tmp_path):
+@pytest.mark.parametrize("after", [1, 6])
+def test_stopping_while_it_reads_back_loses_nothing(after, tmp_path):
     experiment = build_experiment(SMALL)
-    stop = StopAfter(8)  # the first repetition has five stages
-    carry_out(experiment, tmp_path, observers=[stop], should_stop=stop)
-    before = contents(tmp_path)
+    # the first repetition has five stages
+    before = contents(stopped(experiment, tmp_path, after=8))
     assert len(before["result"]["stages"]) == 8
-    again = StopAfter(stop_after)
-    result = carry_out(experiment, tmp_path, observers=[again], should_stop=again)
-    assert result.status == "stopped"
-    assert contents(tmp_path) == before
+    assert contents(stopped(experiment, tmp_path, after=after)) == before
 
 
 class EndsBefore:
@@ -118,17 +131,15 @@ class EndsBefore:
             raise KeyboardInterrupt
 
 
-def test_a_run_is_done_once_its_recording_is_whole(tmp_path):
-    experiment = build_experiment(replace(SMALL, repetitions=1))
-    whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
-    carry_out(experiment, whole)
+def test_a_run_is_done_once_its_recording_is_whole(small, expected, tmp_path):
+    parts = folder_of(tmp_path, "parts")
     recorder = EndsBefore(parts)
     with pytest.raises(KeyboardInterrupt):
-        carry_out(experiment, parts, recorders=[recorder])
+        carry_out(small, parts, recorders=[recorder])
     assert recorder.said == "stopped"
     assert contents(parts)["result"]["status"] == "stopped"
-    assert carry_out(experiment, parts).status == "done"
-    assert contents(parts) == contents(whole)
+    assert carry_out(small, parts).status == "done"
+    assert contents(parts) == expected
 
 
 def test_a_resumed_runs_recording_takes_the_old_ones_place(tmp_path):
@@ -139,7 +150,7 @@ def test_a_resumed_runs_recording_takes_the_old_ones_place(tmp_path):
     assert list(tmp_path.glob(".*partial")) == []
 
 
-def test_finished_stages_are_not_simulated_again(tmp_path):
+def test_finished_stages_are_not_simulated_again(small, tmp_path):
     drawn = []
 
     def counting(simulator, pem, tasks):
@@ -147,11 +158,8 @@ def test_finished_stages_are_not_simulated_again(tmp_path):
             drawn.append(batch.count)
             yield batch
 
-    experiment = build_experiment(replace(SMALL, repetitions=1))
-    problem = replace(experiment.problem, run_batches=counting)
-    experiment = replace(experiment, problem=problem)
-    stop = StopAfter(3)
-    carry_out(experiment, tmp_path, observers=[stop], should_stop=stop)
+    experiment = replace(small, problem=replace(small.problem, run_batches=counting))
+    stopped(experiment, tmp_path, after=3)
     drawn.clear()
     carry_out(experiment, tmp_path)
     assert drawn[:2] == [40, 60]  # then the data's bound
@@ -179,13 +187,8 @@ def test_a_run_that_failed_goes_on_once_the_fault_is_gone(tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["cut", "noise", "other shape", "gone"])
-def test_a_damaged_stage_is_computed_again(damage, tmp_path, caplog):
-    experiment = build_experiment(replace(SMALL, repetitions=1))
-    whole = folder_of(tmp_path, "whole")
-    carry_out(experiment, whole)
-    parts = folder_of(tmp_path, "parts")
-    stop = StopAfter(3)
-    carry_out(experiment, parts, observers=[stop], should_stop=stop)
+def test_a_damaged_stage_is_computed_again(small, expected, damage, tmp_path, caplog):
+    parts = stopped(small, folder_of(tmp_path, "parts"), after=3)
     path = sorted((parts / "stages").glob("*.npz"))[1]
     data = path.read_bytes()
     match damage:
@@ -200,43 +203,39 @@ def test_a_damaged_stage_is_computed_again(damage, tmp_path, caplog):
             np.savez(path, **changed)
         case "gone":
             path.unlink()
-    carry_out(experiment, parts)
+    carry_out(small, parts)
     assert ("it is computed again" in caplog.text) == (damage != "gone")
-    assert contents(parts) == contents(whole)
+    assert contents(parts) == expected
 
 
 @pytest.mark.parametrize("left", [b"", b"\0" * 4096, b'{"schema": 1, "run_id'])
-def test_a_result_lost_in_a_power_cut_is_made_again_from_the_stages(left, tmp_path, caplog):
-    experiment = build_experiment(replace(SMALL, repetitions=1))
-    whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
-    carry_out(experiment, whole)
-    stop = StopAfter(3)
-    carry_out(experiment, parts, observers=[stop], should_stop=stop)
+def test_a_result_lost_in_a_power_cut_is_made_again_from_the_stages(
+    small, expected, left, tmp_path, caplog
+):
+    parts = stopped(small, folder_of(tmp_path, "parts"), after=3)
     (parts / "result.json").write_bytes(left)
     stages = sorted((parts / "stages").glob("*.npz"))
     before = [path.read_bytes() for path in stages]
-    again = StopAfter(1)
-    carry_out(experiment, parts, observers=[again], should_stop=again)
+    stopped(small, parts, after=1)
     (line,) = caplog.messages
     assert line.startswith(f"run {parts}: result.json cannot be read; the run goes on")
     assert [path.read_bytes() for path in stages] == before
     assert json.loads((parts / "result.json").read_text())["status"] == "stopped"
-    carry_out(experiment, parts)
-    assert contents(parts) == contents(whole)
+    carry_out(small, parts)
+    assert contents(parts) == expected
     assert len(caplog.messages) == 1
 
 
 @pytest.mark.parametrize("left", [b"", b"{}", b'{"schema": 1}'])
-def test_a_damaged_result_is_refused_without_stages_or_where_it_is_a_document(left, tmp_path):
-    experiment = build_experiment(replace(SMALL, repetitions=1))
-    folder = folder_of(tmp_path, "run")
-    stop = StopAfter(2)
-    carry_out(experiment, folder, observers=[stop], should_stop=stop)
+def test_a_damaged_result_is_refused_without_stages_or_where_it_is_a_document(
+    small, left, tmp_path
+):
+    folder = stopped(small, tmp_path, after=2)
     if not left:
         shutil.rmtree(folder / "stages")
     (folder / "result.json").write_bytes(left)
     with pytest.raises(InputError, match=r"result .*result\.json"):
-        carry_out(experiment, folder)
+        carry_out(small, folder)
     assert (folder / "result.json").read_bytes() == left
 
 
@@ -255,32 +254,22 @@ def test_another_error_model_under_the_same_name_is_refused(tmp_path):
         carry_out(experiment, tmp_path)
 
 
-def test_settings_that_were_changed_meanwhile_are_refused(tmp_path):
-    folder = stopped_run(tmp_path)
+def test_settings_that_were_changed_meanwhile_are_refused(small, tmp_path):
+    folder = stopped(small, tmp_path, after=2)
     config = (folder / "config.toml").read_text()
     (folder / "config.toml").write_text(config.replace("rollouts = 40", "rollouts = 80", 1))
     with pytest.raises(InputError, match="begun with settings other than those"):
         record.run(["--resume", str(folder), "--no-recording"])
 
 
-def stopped_run(root):
-    experiment = build_experiment(replace(SMALL, repetitions=1))
-    folder = folder_of(root, "stopped")
-    stop = StopAfter(2)
-    carry_out(experiment, folder, observers=[stop], should_stop=stop)
-    return folder
-
-
 def test_the_command_resumes_and_keeps_the_old_recording_until_the_new_is_whole(
-    tmp_path, capsys, monkeypatch
+    small, expected, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setenv("CI", "1")
-    whole = folder_of(tmp_path, "whole")
-    carry_out(build_experiment(replace(SMALL, repetitions=1)), whole)
-    folder = stopped_run(tmp_path)
+    folder = stopped(small, folder_of(tmp_path, "stopped"), after=2)
     (folder / "run.rrd").write_bytes(b"the old recording")
     assert record.run(["--resume", str(folder), "--no-frames"]) == EXIT_DONE
-    assert contents(folder) == contents(whole)
+    assert contents(folder) == expected
     assert (folder / "run.rrd").stat().st_size > 100_000
     assert not (folder / ".run.rrd.partial").exists()
     capsys.readouterr()
@@ -303,8 +292,8 @@ def test_the_command_resumes_and_keeps_the_old_recording_until_the_new_is_whole(
         (["--resume", "{run}", "--preset", "paper"], "give only one of them"),
     ],
 )
-def test_what_cannot_be_resumed_is_told_in_one_line(words, message, tmp_path):
-    folder = stopped_run(tmp_path)
+def test_what_cannot_be_resumed_is_told_in_one_line(small, words, message, tmp_path):
+    folder = stopped(small, tmp_path, after=2)
     before = contents(folder)
     with pytest.raises(InputError) as caught:
         record.run([word.format(run=folder) for word in words])
