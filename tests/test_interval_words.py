@@ -138,7 +138,7 @@ def test_every_page_of_the_panel(method, reliable, shown, tmp_path):
     assert ("not a 95 % interval" in both) == bool(against)
     assert all(words in both for words in against)
     dashed = f"stroke-dasharray='{learning_tab.DOUBTED}'"
-    assert (dashed in compare_tab.estimates_plot([run, other])) == bool(against)
+    assert (dashed in compare_tab.runs_page([run, other])) == bool(against)
     (tmp_path / "a-run").mkdir()
     write_result(tmp_path / "a-run", result)
     (tmp_path / "a-run" / "config.toml").write_text(config_text(result.config), encoding="utf-8")

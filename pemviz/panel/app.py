@@ -3,9 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import viser
 
@@ -35,42 +33,39 @@ LOG = logging.getLogger(__name__)
 FRAME_S = 1 / 12
 REFRESH_S = 0.2
 LIST_S = 2.0
+QUICK_ROLLOUTS = 200
 
 
 class Session:
     """Does what a browser asks for, and refreshes its page."""
 
     def __init__(self, client: viser.ClientHandle, hub: Hub) -> None:
-        self._browser = Browser(client, hub)
+        self.browser = Browser(client, hub)
         self._refreshed_s = self._listed_s = 0.0
-        self._thread = threading.Thread(
+        self.thread = threading.Thread(
             target=self._live, name=f"pemviz-browser-{client.client_id}", daemon=True
         )
 
-    def start(self) -> None:
-        """Build the page and keep it up to date."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """The browser is gone."""
-        self._browser.close()
-
-    def join(self, *, timeout_s: float = 10.0) -> None:
-        """Wait until the session has ended; after :meth:`close`."""
-        self._thread.join(timeout_s)
-
     def _live(self) -> None:
+        browser = self.browser
         try:
             self._build()
         except BaseException:
-            if not self._browser.closed:
+            if not browser.closed:
                 LOG.exception("building the page failed")
             return
-        while not self._browser.closed:
-            self._guarded(self._turn)
+        while not browser.closed:  # what fails is told to the person, and the session goes on
+            try:
+                self._turn()
+            except PemvizError as error:
+                browser.tell("This did not work", " ".join(str(error).split()))
+            except BaseException as error:  # one browser's trouble must not end its page
+                if not browser.closed:
+                    LOG.exception("a browser's request failed")
+                    browser.tell("This did not work", f"{type(error).__name__}: {error}")
 
     def _build(self) -> None:
-        browser = self._browser
+        browser = self.browser
         with browser.client.atomic():
             self.head = Head(browser)
             self.player = Player(browser)
@@ -102,14 +97,12 @@ class Session:
             self._refresh()
 
     def _fit(self) -> None:
-        """Lay the windows over the scene as large as it is."""
         self.analysis.fit()
         self.player.window.fit()
 
     def _turn(self) -> None:
-        """Do what is asked, or else let time pass."""
-        work = self._browser.next_work(pause_s=FRAME_S if self.player.playing else REFRESH_S)
-        if self._browser.closed:
+        work = self.browser.next_work(pause_s=FRAME_S if self.player.playing else REFRESH_S)
+        if self.browser.closed:
             return
         work()
         self.player.advance()
@@ -124,7 +117,7 @@ class Session:
     def _refresh(self) -> None:
         """Show what has changed in the state that all share."""
         self._refreshed_s = time.monotonic()
-        browser = self._browser
+        browser = self.browser
         state = browser.hub.controller.state
         if state.version == browser.shown_version:
             return
@@ -138,24 +131,8 @@ class Session:
             self.why.refresh(run)
             self.trajectories.refresh(run)
             self.weights.refresh(run)
-            self.compare.refresh(state, run)
+            self.compare.refresh(run)
             self.recordings.refresh(state)
-
-    def _guarded(self, work: Callable[[], None]) -> None:
-        """Do ``work``; what fails is told to the person, and the session goes on."""
-        browser = self._browser
-        try:
-            work()
-        except PemvizError as error:
-            browser.tell("This did not work", " ".join(str(error).split()))
-        except BaseException as error:  # one browser's trouble must not end its page
-            if browser.closed:
-                return
-            LOG.exception("a browser's request failed")
-            browser.tell("This did not work", f"{type(error).__name__}: {error}")
-
-
-QUICK_ROLLOUTS = 200
 
 
 class App:
@@ -193,33 +170,30 @@ class App:
             sessions = list(self._sessions.values())
             self._sessions.clear()
         for session in sessions:
-            session.close()
+            session.browser.close()
         self.server.stop()
 
     def _connect(self, client: viser.ClientHandle) -> None:
         session = Session(client, self._hub)
         with self._lock:
             self._sessions[client.client_id] = session
-        session.start()
+        session.thread.start()
 
     def _disconnect(self, client: viser.ClientHandle) -> None:
         with self._lock:
             session = self._sessions.pop(client.client_id, None)
         if session is not None:
-            session.close()
-            session.join()
+            session.browser.close()
+            session.thread.join(10.0)
             del session
             give_back()
 
 
 def show_something(controller: Controller, recordings: RecordingsFolder) -> None:
     """Show the shipped sample, else the newest readable run, else a quick look that is not kept."""
-    candidates: list[Path] = []
     sample = sample_run()
-    if sample is not None:
-        candidates.append(sample)
-    candidates += [recordings.root / name for name in recordings.names()]
-    for folder in candidates:
+    shipped = [] if sample is None else [sample]
+    for folder in (*shipped, *(recordings.root / name for name in recordings.names())):
         try:
             controller.show(load_run(folder))
         except InputError as error:

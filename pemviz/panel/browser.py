@@ -29,11 +29,8 @@ class Hub:
     """What all browsers share.
 
     Attributes:
-        controller: Runs experiments.
-        recordings: The runs kept.
         open_recording: Serves a recording to a viewer and returns the viewer's address;
             ``None`` where there is no viewer.
-        loaded: Runs that browsers have loaded.
     """
 
     controller: Controller
@@ -46,12 +43,9 @@ class Browser:
     """A connected browser: its own selection, and the queue of what it asks for.
 
     Attributes:
-        client: The connection.
-        hub: What it shares with others.
         loaded: The run that it loaded; ``None`` while it looks at the one that all share.
         selections: How often it has chosen which run to look at.
-        shown_version: The version of the shared state that its page shows; -1 if the page is to
-            be refreshed whatever the version.
+        shown_version: The version of the shared state that its page shows; -1: to be refreshed.
     """
 
     def __init__(self, client: viser.ClientHandle, hub: Hub) -> None:
@@ -62,7 +56,7 @@ class Browser:
         self.shown_version = -1
         self._closed = threading.Event()
         self._work: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._later: dict[str, Callable[[], None]] = {}
+        self._later: Callable[[], None] | None = None
 
     @property
     def closed(self) -> bool:
@@ -90,33 +84,32 @@ class Browser:
         What ``work`` raises is raised there, and told to the person; ``ended`` is done before
         either.
         """
-        ended = _nothing if ended is None else ended
 
         def carry_out() -> None:
             try:
-                found = work()
+                outcome = partial(then, work())
             except BaseException as error:  # the session's thread tells it
+                outcome = partial(_fail, error)
+            if ended is not None:
                 self.post(ended)
-                self.post(partial(_fail, error))
-            else:
-                self.post(ended)
-                self.post(partial(then, found))
+            self.post(outcome)
 
         threading.Thread(target=carry_out, name="pemviz-beside", daemon=True).start()
 
-    def later(self, name: str, work: Callable[[], None]) -> None:
-        """Have the session's thread do something once it has nothing else to do.
+    def later(self, work: Callable[[], None]) -> None:
+        """Have the session's thread do something, in place of what waits, once it is idle.
 
-        Work of the same name replaces what still waits; only for the session's own thread.
+        Only for the session's own thread.
         """
-        self._later[name] = work
+        self._later = work
 
     def next_work(self, *, pause_s: float) -> Callable[[], None]:
         """What to do next; nothing if ``pause_s`` seconds pass without a request."""
         try:
-            return self._work.get(timeout=0.0 if self._later else pause_s)
+            return self._work.get(timeout=pause_s if self._later is None else 0.0)
         except queue.Empty:
-            return self._later.pop(next(iter(self._later))) if self._later else _nothing
+            work, self._later = self._later, None
+            return _nothing if work is None else work
 
     def on(self, work: Callable[[], None]) -> Callable[[Any], None]:
         """A callback for a control: does ``work`` if a person moved it, not the program."""
@@ -150,12 +143,6 @@ def _nothing() -> None:
     """Time passes."""
 
 
-def set_html(handle: viser.GuiHtmlHandle, content: str) -> None:
-    """Replace what an HTML element shows, if it differs."""
-    if handle.content != content:
-        handle.content = content
-
-
 def element_id(handle: viser.GuiInputHandle[int]) -> str:
     """The id of the input's element in the page."""
     return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]
@@ -165,12 +152,7 @@ class Window:
     """A window over the scene, as wide as the scene is."""
 
     def __init__(self, client: viser.ClientHandle, *, at_top: bool) -> None:
-        """Place it.
-
-        Args:
-            client: The browser.
-            at_top: Whether it reaches from the top down, and not up from the bottom.
-        """
+        """Place it: from the top down, or up from the bottom."""
         self.panel = client.gui.add_panel()
         self._client = client
         self._at_top = at_top

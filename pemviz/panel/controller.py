@@ -5,7 +5,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +26,8 @@ from pemviz.runs.events import (
     RunDone,
     RunFailed,
     RunStarted,
+    StageDone,
 )
-from pemviz.runs.events import StageDone as StageDoneEvent
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
@@ -36,19 +36,14 @@ from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator, StageResult, numbers_of
 
+LOG = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is.
+    """How far a run is; stage and repetition are zero-based.
 
     Attributes:
-        repetition: Zero-based.
-        repetitions: How many there are.
-        stage: The stage under way, zero-based.
-        stages: Stages of a repetition.
-        done: Rollouts simulated.
-        planned: Rollouts that the run will simulate.
-        elapsed_s: Time since the start.
         by_level: Whether ``done`` and ``planned`` tell how far splitting's levels have come, and
             count no rollouts.
     """
@@ -73,9 +68,6 @@ class Progress:
         return self.elapsed_s * (1.0 - self.share) / self.share if self.share > 0.0 else None
 
 
-Publish = Callable[[RunData, Progress], None]
-
-
 class Watcher:
     """Observer that publishes a run's state after every event worth showing."""
 
@@ -83,22 +75,15 @@ class Watcher:
         self,
         *,
         folder: Path | None,
-        publish: Publish,
+        publish: Callable[[RunData, Progress], None],
         own: Simulator | SlotSimulator | None = None,
     ) -> None:
-        """Prepare.
-
-        Args:
-            folder: Where the run lies on disk, if it does.
-            publish: What is told of every state of the run.
-            own: The scenario, if it is another than the braking scenario.
-        """
+        """Prepare to ``publish`` every state of the run; ``own`` as of :class:`RunData`."""
         self._started: RunStarted | None = None
         self._folder = folder
         self._own = own
         self._publish = publish
         self._began_s = time.monotonic()
-        self._gap_m: FloatArray = np.empty(0)
         self._done_before = 0
         self.run: RunData | None = None
         self.progress = Progress(0, 1, 0, 1, 0, 0, 0.0)
@@ -115,15 +100,12 @@ class Watcher:
                     stage=event.stage,
                     done=self._done_before + event.done,
                 )
-            case StageDoneEvent():
+            case StageDone():
                 self._add_stage(event.stage, event.result)
-                self._set_result(event.result)
-            case RepetitionDone():
-                self._set_result(event.result)
-            case RunDone() | RunFailed():
-                self._set_result(event.result)
+            case RepetitionDone() | RunDone() | RunFailed():
                 if self.run is not None:
-                    self.run = replace(self.run, running=False)
+                    going_on = isinstance(event, RepetitionDone)
+                    self.run = replace(self.run, result=event.result, running=going_on)
         elapsed_s = time.monotonic() - self._began_s
         self.progress = replace(self.progress, elapsed_s=elapsed_s)
         if self.run is not None:
@@ -131,11 +113,10 @@ class Watcher:
 
     def _start(self, event: RunStarted) -> None:
         self._started = event
+        gap_m, detection = np.empty(0), np.empty(0)
         if self._own is None and any(signal.name == GAP for signal in event.signals):
-            self._gap_m = gap_grid(event.simulator)
-            detection = pem_curve(simulator=event.simulator, pem=event.pem, gap_m=self._gap_m)
-        else:
-            detection = np.empty(0)
+            gap_m = gap_grid(event.simulator)
+            detection = pem_curve(simulator=event.simulator, pem=event.pem, gap_m=gap_m)
         self.progress = replace(
             self.progress,
             repetitions=event.config.repetitions,
@@ -145,16 +126,12 @@ class Watcher:
         )
         self.run = RunData(
             result=event.result,
-            gap_m=self._gap_m,
+            gap_m=gap_m,
             pem_detection=detection,
             folder=self._folder,
             running=True,
             own=self._own,
         )
-
-    def _set_result(self, result: RunResult) -> None:
-        if self.run is not None:
-            self.run = replace(self.run, result=result)
 
     def _add_stage(self, stage: StageResult, result: RunResult) -> None:
         run, started = self.run, self._started
@@ -165,42 +142,27 @@ class Watcher:
         self.progress = replace(self.progress, done=self._done_before, stage=stage.stage + 1)
         part = stage_arrays(stage, started.signals)
         part[ROLLOUT] = numbers_of(stage.scored.rollouts.count, stage.drawn)
-        curve = self._curve(stage, started)
         self.run = replace(
             run,
-            curves=run.curves if curve is None else (*run.curves, curve),
+            result=result,
+            curves=(*run.curves, *self._curve(stage, started, run.gap_m)),
             parts=thinned((*run.parts, part), stages=result.stages),
             simulated=run.simulated + count,
         )
 
-    def _curve(self, stage: StageResult, started: RunStarted) -> ProposalCurve | None:
-        proposal = stage.sampled_from if stage.learned is None else stage.learned
-        last = stage.kind == "final" and stage.stage > 0
-        if not self._gap_m.size or last:
-            return None
+    def _curve(
+        self, stage: StageResult, started: RunStarted, gap_m: FloatArray
+    ) -> tuple[ProposalCurve, ...]:
+        if not gap_m.size or (stage.kind == "final" and stage.stage > 0):
+            return ()
         curves = detection_curves(
             simulator=started.simulator,
             pem=started.pem,
-            proposal=proposal,
-            gap_m=self._gap_m,
+            proposal=stage.sampled_from if stage.learned is None else stage.learned,
+            gap_m=gap_m,
             rollouts=stage.scored.rollouts,
         )
-        return ProposalCurve(
-            repetition=stage.repetition,
-            stage=stage.stage,
-            kind=stage.kind,
-            gap_m=self._gap_m,
-            detection=curves.proposal,
-        )
-
-
-LOG = logging.getLogger(__name__)
-
-ObserverFactory = Callable[[Path], Sequence[Observer]]
-
-
-def _no_observers(folder: Path) -> Sequence[Observer]:  # noqa: ARG001
-    return ()
+        return (ProposalCurve(stage.repetition, stage.stage, curves.proposal),)
 
 
 @dataclass(frozen=True)
@@ -209,9 +171,6 @@ class PanelState:
 
     Attributes:
         run: The run under way, or the last one; ``None`` only before the first.
-        progress: Of the run under way or last.
-        running: Whether an experiment runs or is about to.
-        stopping: Whether it was asked to stop.
         error: Why the last experiment did not run to its end, in one line.
         version: Grows with every change.
         finished_runs: How many experiments have ended; recordings may be new.
@@ -226,35 +185,21 @@ class PanelState:
     finished_runs: int = 0
 
 
-@dataclass(frozen=True)
-class _Request:
-    config: ExperimentConfig
-    keep: bool
-    done: threading.Event = field(default_factory=threading.Event)
-
-
 class Controller:
-    """Runs one experiment at a time.
+    """Runs one experiment at a time; every public method returns at once, from any thread."""
 
-    Every public method returns at once and may be called from any thread.
-
-    Attributes:
-        recordings: The folder in which runs are kept.
-    """
-
-    def __init__(self, recordings: Path, *, observers: ObserverFactory = _no_observers) -> None:
-        """Start the worker.
-
-        Args:
-            recordings: Where runs are kept.
-            observers: Given a run folder, further observers of the run, e.g. a recorder.
-        """
+    def __init__(
+        self, recordings: Path, *, observers: Callable[[Path], Sequence[Observer]] | None = None
+    ) -> None:
+        """Start the worker; ``observers`` gives a run folder's observers, e.g. a recorder."""
         self.recordings = recordings
         self._observers = observers
         self._lock = threading.Lock()
         self._state = PanelState()
         self._stop = threading.Event()
-        self._requests: queue.SimpleQueue[_Request | None] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[tuple[ExperimentConfig, bool] | None] = (
+            queue.SimpleQueue()
+        )
         self._worker = threading.Thread(target=self._work, name="pemviz-engine", daemon=True)
         self._worker.start()
 
@@ -269,11 +214,9 @@ class Controller:
         self._change(lambda state: replace(state, run=run))
 
     def start(self, config: ExperimentConfig, *, keep: bool = True) -> bool:
-        """Ask for a run; ``False`` if one is under way already.
+        """Ask for a run, kept in a folder or not; ``False`` if one is under way already.
 
-        Args:
-            config: What to run; what is wrong with it is told in the state.
-            keep: Whether to leave a run folder.
+        What is wrong with the configuration is told in the state.
         """
         with self._lock:
             if self._state.running:
@@ -287,7 +230,7 @@ class Controller:
                 progress=None,
                 version=self._state.version + 1,
             )
-        self._requests.put(_Request(config=config, keep=keep))
+        self._requests.put((config, keep))
         return True
 
     def stop(self) -> None:
@@ -310,7 +253,14 @@ class Controller:
 
     def _work(self) -> None:
         while (request := self._requests.get()) is not None:
-            error = self._carry_out(request)
+            error = None
+            try:
+                self._run(*request)
+            except PemvizError as wrong:
+                error = " ".join(str(wrong).split())
+            except BaseException as wrong:  # the server outlives whatever fails in a run
+                LOG.exception("the run failed")
+                error = f"the run failed: {type(wrong).__name__}: {' '.join(str(wrong).split())}"
             self._change(
                 lambda state, error=error: replace(
                     state,
@@ -321,52 +271,26 @@ class Controller:
                 )
             )
 
-    def _carry_out(self, request: _Request) -> str | None:
-        """Run; the reason in one line if it did not come to its end."""
-        try:
-            self._run(request)
-        except PemvizError as error:
-            return " ".join(str(error).split())
-        except BaseException as error:  # the server outlives whatever fails in a run
-            LOG.exception("the run failed")
-            return f"the run failed: {type(error).__name__}: {' '.join(str(error).split())}"
-        return None
-
-    def _run(self, request: _Request) -> None:
-        experiment = build_experiment(request.config)
+    def _run(self, config: ExperimentConfig, keep: bool) -> None:
+        experiment = build_experiment(config)
         own = own_scenario(experiment.declared, experiment.config)
-        folder = None
-        observers: list[Observer] = []
-        if request.keep:
-            try:
-                folder = create_run_folder(self.recordings, label=request.config.method)
-            except InputError as error:
-                message = str(error).replace("out =", "recordings =", 1)
-                raise InputError(message) from error
-            observers += self._observers(folder)
+        stop = self._stop.is_set
+        if not keep:
+            watcher = Watcher(folder=None, publish=self._publish, own=own)
+            run_engine(experiment, run_id="quick look", observers=[watcher], should_stop=stop)
+            return
+        try:
+            folder = create_run_folder(self.recordings, label=config.method)
+        except InputError as error:
+            message = str(error).replace("out =", "recordings =", 1)
+            raise InputError(message) from error
+        recorders = [] if self._observers is None else self._observers(folder)
         watcher = Watcher(folder=folder, publish=self._publish, own=own)
-        if folder is None:
-            run_engine(
-                experiment,
-                run_id="quick look",
-                observers=[watcher],
-                should_stop=self._stop.is_set,
-            )
-        else:
-            carry_out(
-                experiment,
-                folder,
-                recorders=observers,
-                observers=[watcher],
-                should_stop=self._stop.is_set,
-            )
-            self._show_all(watcher.run, folder)
-
-    def _show_all(self, run: RunData | None, folder: Path) -> None:
-        """Show all rollouts that the folder of a run keeps, if it was too large to hold them."""
+        carry_out(experiment, folder, recorders=recorders, observers=[watcher], should_stop=stop)
+        run = watcher.run
         if run is None or run.kept == run.simulated:
             return
-        stored = load_run(folder)
+        stored = load_run(folder)  # all that the folder keeps, as it was too large to hold
         if stored.kept > run.kept:
             whole = replace(run, parts=stored.parts, mapped=stored.mapped)
             self._change(lambda state: replace(state, run=whole))

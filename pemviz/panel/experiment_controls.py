@@ -29,6 +29,28 @@ from pemviz.runs.experiment import build_simulator
 from pemviz.simulators.registry import build_encounter_simulator
 from pemviz.types import Simulator
 
+SIDES = ("left", "right")
+DRAWN_BACK_END = "vectorized"
+STARTS_HINT = (
+    "Start values with other distributions than those below, a line NAME = DISTRIBUTION each: a "
+    "number, which fixes it, normal(mean, sd), lognormal(median, spread), uniform(low, high), and "
+    "'in [low, high]' behind one to cut it. Empty: all as below."
+)
+FOLDER = "Tracker and position errors"
+NONE, COUNTED, FROM_FILE = "none", "M/N", "a file"
+FIRST = TrackerSettings(hits=2, window=3, coast=0.5)
+"""What the controls hold before a tracker is chosen."""
+COAST_STEP_S = 0.05
+HITS_HINT = "M: detections among the last N outcomes that make the lead car tracked."
+WINDOW_HINT = "N: outcomes over which detections are counted."
+COAST_HINT = "How long a tracked car stays so without a detection [s]."
+FILTER_HINT = "Of the gap and its change, while the lead car is tracked."
+OPTIONS_HINT = (
+    "NAME=VALUE, separated by commas: alpha, beta of alpha-beta; position-sd [m], acceleration-sd "
+    "[m/s^2], speed-sd [m/s] of kalman. Empty: the filter's own."
+)
+FILE_HINT = "Path of a file of 'pemviz pem fit --position-errors', where the panel runs."
+
 
 @lru_cache(maxsize=8)
 def field_docs(kind: type) -> dict[str, str]:
@@ -48,13 +70,13 @@ def field_docs(kind: type) -> dict[str, str]:
     return docs
 
 
-def limits(name: str, *, step: float) -> tuple[float, float]:
-    """Bounds of a number field of the experiment; an open bound is moved inwards by a step.
+def limits(name: str, *, step: float, kind: type = ExperimentConfig) -> tuple[float, float]:
+    """Bounds of a number field; an open bound is moved inwards by a step.
 
     Raises:
         ValueError: The field declares no bounds.
     """
-    annotation = get_type_hints(ExperimentConfig, include_extras=True)[name]
+    annotation = get_type_hints(kind, include_extras=True)[name]
     arms = (annotation, *get_args(annotation))  # what may be left out is a union with None
     for limit in (part for arm in arms for part in get_args(arm)):
         if isinstance(limit, Range) and limit.low is not None and limit.high is not None:
@@ -69,25 +91,11 @@ def hint(name: str) -> str:
     return field_docs(ExperimentConfig)[name]
 
 
-SIDES = ("left", "right")
-DRAWN_BACK_END = "vectorized"
-STARTS_HINT = (
-    "Start values with other distributions than those below, a line NAME = DISTRIBUTION each: a "
-    "number, which fixes it, normal(mean, sd), lognormal(median, spread), uniform(low, high), and "
-    "'in [low, high]' behind one to cut it. Empty: all as below."
-)
-
-
 class EncounterControls:
     """Shown while the settings are those of a logical scenario."""
 
     def __init__(self, gui: viser.GuiApi, changed: Callable[[Any], None]) -> None:
-        """Add the controls.
-
-        Args:
-            gui: Where.
-            changed: Called when a person has changed one.
-        """
+        """Add the controls; ``changed`` is called when a person has changed one."""
         docs = field_docs(EncounterConfig)
         self._base = EncounterConfig()
         self.side = gui.add_dropdown("Side", SIDES, hint=docs["side"])
@@ -107,8 +115,7 @@ class EncounterControls:
         self.side.value, self.neighbour.value = self._base.side, self._base.neighbour
         self.starts.value = "\n".join(f"{one.name} = {one.distribution}" for one in config.start)
         for control in (self.side, self.neighbour, self.starts):
-            if control.visible != self.chosen:
-                control.visible = self.chosen
+            control.visible = self.chosen
 
     def into(self, config: ExperimentConfig) -> ExperimentConfig:
         """A configuration with what the controls say.
@@ -125,7 +132,7 @@ class EncounterControls:
         return replace(config, encounter=encounter, start=start)
 
 
-def asked_simulator(config: ExperimentConfig) -> Simulator:
+def plain_simulator(config: ExperimentConfig) -> Simulator:
     """The scenario whose signals a specification is about."""
     plain = replace(config, rules=(), simulator=DRAWN_BACK_END)
     if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
@@ -133,42 +140,22 @@ def asked_simulator(config: ExperimentConfig) -> Simulator:
     return cast(Simulator, build_encounter_simulator(plain))
 
 
-def check_encounter(config: ExperimentConfig) -> None:
-    """Refuse what cannot be had of a logical scenario.
+def check_back_end(config: ExperimentConfig) -> None:
+    """Refuse what cannot be had of a logical scenario, or with errors of measured positions.
 
     Raises:
         InputError: The line says what.
     """
-    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
+    logical = config.encounter.logical_scenario != NO_LOGICAL_SCENARIO
+    if logical or config.position_errors is not None:
         check_method_fits(config, build_back_end(config))
-
-
-FOLDER = "Tracker and position errors"
-NONE, COUNTED, FROM_FILE = "none", "M/N", "a file"
-FIRST = TrackerSettings(hits=2, window=3, coast=0.5)
-"""What the controls hold before a tracker is chosen."""
-COAST_STEP_S = 0.05
-HITS_HINT = "M: detections among the last N outcomes that make the lead car tracked."
-WINDOW_HINT = "N: outcomes over which detections are counted."
-COAST_HINT = "How long a tracked car stays so without a detection [s]."
-FILTER_HINT = "Of the gap and its change, while the lead car is tracked."
-OPTIONS_HINT = (
-    "NAME=VALUE, separated by commas: alpha, beta of alpha-beta; position-sd [m], acceleration-sd "
-    "[m/s^2], speed-sd [m/s] of kalman. Empty: the filter's own."
-)
-FILE_HINT = "Path of a file of 'pemviz pem fit --position-errors', where the panel runs."
 
 
 class PerceptionControls:
     """A folder, folded away at first; shown for the shipped simulators alone, which take both."""
 
     def __init__(self, gui: viser.GuiApi, changed: Callable[[Any], None]) -> None:
-        """Add the controls.
-
-        Args:
-            gui: Where.
-            changed: Called when a person has changed one.
-        """
+        """Add the controls; ``changed`` is called when a person has changed one."""
         self._base = ScenarioConfig()
         self._takes_errors = True
         self._folder = gui.add_folder(FOLDER, expand_by_default=False)
@@ -197,12 +184,7 @@ class PerceptionControls:
         self.file.value = "" if named is None or shipped else named
 
     def offer(self, simulator: str, *, errors: bool = True) -> None:
-        """Show what a simulator takes, and what the present choices need.
-
-        Args:
-            simulator: Its name.
-            errors: Whether it measures with errors, if it is a shipped one.
-        """
+        """Show what a simulator takes, ``errors`` too or not, and what the choices need."""
         self._takes_errors = errors
         counted = self.kind.value == COUNTED
         filtered = counted and self.filter.value != NO_TRACKER
@@ -213,8 +195,7 @@ class PerceptionControls:
             (self.errors, errors),
             (self.file, errors and self.errors.value == FROM_FILE),
         ):
-            if control.visible != shown:
-                control.visible = shown
+            control.visible = shown
 
     def into(self, config: ExperimentConfig) -> ExperimentConfig:
         """A configuration with what the controls say; without errors where they are not offered."""
@@ -230,14 +211,12 @@ class PerceptionControls:
         self.kind = gui.add_dropdown(
             "Tracker", [NONE, COUNTED], hint=field_docs(ScenarioConfig)["tracker"]
         )
-        low, high = _ends("hits")
-        self.hits = gui.add_number(
-            "Hits M", FIRST.hits, min=int(low), max=int(high), step=1, hint=HITS_HINT
-        )
+        low, high = map(int, limits("hits", step=1, kind=TrackerSettings))
+        self.hits = gui.add_number("Hits M", FIRST.hits, min=low, max=high, step=1, hint=HITS_HINT)
         self.window = gui.add_number(
-            "Outcomes N", FIRST.window, min=int(low), max=int(high), step=1, hint=WINDOW_HINT
+            "Outcomes N", FIRST.window, min=low, max=high, step=1, hint=WINDOW_HINT
         )
-        low, high = _ends("coast")
+        low, high = limits("coast", step=COAST_STEP_S, kind=TrackerSettings)
         self.coast = gui.add_number(
             "Coasting [s]", FIRST.coast, min=low, max=high, step=COAST_STEP_S, hint=COAST_HINT
         )
@@ -263,23 +242,3 @@ def same_tracker(typed: str, before: str) -> str:
         return before if read_tracker(typed) == read_tracker(before) else typed
     except ConfigError:  # told when the configuration is checked
         return typed
-
-
-def check_measured(config: ExperimentConfig) -> None:
-    """Refuse position errors that cannot be used, or with which the method can do nothing.
-
-    Raises:
-        InputError: They are such.
-    """
-    if config.position_errors is not None:
-        check_method_fits(config, build_back_end(config))
-
-
-def _ends(name: str) -> tuple[float, float]:
-    """Bounds of a number of a tracker's settings."""
-    annotation = get_type_hints(TrackerSettings, include_extras=True)[name]
-    (limit,) = (part for part in get_args(annotation) if isinstance(part, Range))
-    if limit.low is None or limit.high is None:
-        message = f"{name} declares no bounds"
-        raise ValueError(message)
-    return limit.low, limit.high

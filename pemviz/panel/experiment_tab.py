@@ -3,32 +3,32 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from html import escape
 from pathlib import Path
-from typing import cast, get_args
+from typing import Any
 
 import viser
 
-from pemviz.config import METHODS, ExperimentConfig, MetricName
+from pemviz.config import METHODS, ExperimentConfig
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO, start_values
 from pemviz.config.rule_words import read_rules, rules_text
 from pemviz.config.toml_files import load_preset, preset_names
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import InputError
-from pemviz.panel.browser import Browser, set_html
+from pemviz.panel.browser import Browser
 from pemviz.panel.controller import PanelState
 from pemviz.panel.experiment_controls import (
     EncounterControls,
     PerceptionControls,
-    asked_simulator,
-    check_encounter,
-    check_measured,
+    check_back_end,
     hint,
     limits,
+    plain_simulator,
 )
-from pemviz.panel.page import block, good, grid, quiet
+from pemviz.panel.page import block, quiet
+from pemviz.panel.ranking import METRIC_NAMES
 from pemviz.pem import shipped_pems
-from pemviz.reports.html import warning
+from pemviz.reports.document import Paragraph, Table, Verdict
+from pemviz.reports.html import blocks_html, warning
 from pemviz.runs.specification import build_formula
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.registry import simulator_names
@@ -38,55 +38,6 @@ WORDS = {
     "cut-in": "a car cuts in ahead of the ego",
     "cut-out": "a lead car leaves the lane and reveals a slower one",
 }
-
-
-def scenario_text(config: ExperimentConfig) -> str:
-    """The scenario in a sentence."""
-    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
-        return encounter_text(config)
-    scenario, errors = config.scenario, config.position_errors
-    end_s = (scenario.states - 1) * scenario.dt_s
-    measured = "" if errors is None else f", measured with errors of {Path(errors).name},"
-    follows = "" if scenario.tracker == NO_TRACKER else f", by a tracker ({scenario.tracker}),"
-    return block(
-        quiet(
-            f"Scenario: both cars drive {scenario.initial_speed_kmh:g} km/h, "
-            f"{scenario.initial_gap_m:g} m apart, when the lead car brakes at "
-            f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
-            f"A detection{follows} below {scenario.emergency_gap_m:g} m{measured} makes the ego "
-            f"brake at {scenario.emergency_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
-            f"{scenario.states} states, {scenario.dt_s:g} s apart ({end_s:.2f} s)."
-        )
-    )
-
-
-def encounter_text(config: ExperimentConfig) -> str:
-    """The logical scenario in a sentence, and what is drawn for each encounter."""
-    encounter, chosen = config.encounter, {one.name: one.distribution for one in config.start}
-    tracker = config.scenario.tracker
-    tracked = "" if tracker == NO_TRACKER else f" It acts on a tracker ({tracker})."
-    end_s = (encounter.states - 1) * encounter.dt_s
-    lines = [
-        [
-            value.name.replace("_", " "),
-            escape(chosen.get(value.name, value.distribution)),
-            value.unit,
-        ]
-        for value in start_values(encounter)
-    ]
-    return block(
-        quiet(
-            f"Logical scenario {encounter.logical_scenario}: "
-            f"{WORDS[encounter.logical_scenario]}. The ego "
-            "keeps its speed and a gap, and brakes hard at "
-            f"{encounter.hard_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO} when the time to "
-            f"collision is too small.{tracked} {encounter.states} states, {encounter.dt_s:g} s "
-            f"apart ({end_s:.1f} s). Drawn for each encounter:"
-        )
-        + grid(["start value", "distribution", ""], lines, name="Start values")
-    )
-
-
 FIRST_PRESET = "paper"
 PRESET_HINT = (
     "Shipped configuration that fills in all controls and the scenario: paper (70 km/h, lead car "
@@ -104,7 +55,7 @@ ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
 FRAILTY_STEP = 0.05
 MEMORY_STEP_S = 0.01
 TARGET_WORDS = " Empty: none."
-WAITS = "Run waits until what is said below to be wrong is mended."
+WAITS = "Run waits until what is said below to be wrong is fixed."
 LIMIT_HINT = (
     "Limit of a gate: beside the answer it is told whether the upper 95 % bound stays below it, as "
     "pemviz record --fail-above does; above 0, at most 1. Empty: none."
@@ -117,6 +68,46 @@ MOST_ENCOUNTERS = 1e6
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
 
 
+def scenario_text(config: ExperimentConfig) -> str:
+    """The scenario in a sentence; of a logical one also what is drawn for each encounter."""
+    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
+        return _encounter_text(config)
+    scenario, errors = config.scenario, config.position_errors
+    end_s = (scenario.states - 1) * scenario.dt_s
+    measured = "" if errors is None else f", measured with errors of {Path(errors).name},"
+    follows = "" if scenario.tracker == NO_TRACKER else f", by a tracker ({scenario.tracker}),"
+    return block(
+        quiet(
+            f"Scenario: both cars drive {scenario.initial_speed_kmh:g} km/h, "
+            f"{scenario.initial_gap_m:g} m apart, when the lead car brakes at "
+            f"{scenario.lead_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
+            f"A detection{follows} below {scenario.emergency_gap_m:g} m{measured} makes the ego "
+            f"brake at {scenario.emergency_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}. "
+            f"{scenario.states} states, {scenario.dt_s:g} s apart ({end_s:.2f} s)."
+        )
+    )
+
+
+def _encounter_text(config: ExperimentConfig) -> str:
+    encounter, chosen = config.encounter, {one.name: one.distribution for one in config.start}
+    tracker = config.scenario.tracker
+    tracked = "" if tracker == NO_TRACKER else f" It acts on a tracker ({tracker})."
+    end_s = (encounter.states - 1) * encounter.dt_s
+    words = (
+        f"Logical scenario {encounter.logical_scenario}: {WORDS[encounter.logical_scenario]}. "
+        "The ego keeps its speed and a gap, and brakes hard at "
+        f"{encounter.hard_deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO} when the time to "
+        f"collision is too small.{tracked} {encounter.states} states, {encounter.dt_s:g} s "
+        f"apart ({end_s:.1f} s). Drawn for each encounter:"
+    )
+    rows = tuple(
+        (value.name.replace("_", " "), chosen.get(value.name, value.distribution), value.unit)
+        for value in start_values(encounter)
+    )
+    drawn = Table(("start value", "distribution", ""), rows)
+    return block(blocks_html([Paragraph(words, tone="quiet"), drawn]))
+
+
 class ExperimentTab:
     """Controls of an experiment; this browser's own."""
 
@@ -124,10 +115,16 @@ class ExperimentTab:
         self._browser = browser
         self._base = load_preset(FIRST_PRESET)
         self._running = self._wrong = False
-        self._add_buttons()
         self._add_choices()
-        self._add_numbers()
         self._add_specification()
+        self._plain: dict[str, Any] = {
+            "method": self.method, "metric": self.metric, "sigma": self.sigma,
+            "stages": self.stages, "rollouts": self.rollouts,
+            "final_rollouts": self.final_rollouts, "seed": self.seed, "pem": self.pem,
+            "simulator": self.simulator, "memory_s": self.memory, "frailty": self.frailty,
+            "memory_curve": self.memory_curve, "reference": self.reference, "spec": self.spec,
+        }  # fmt: skip
+        """Controls by the field of a configuration whose value they hold as it is."""
         self._fill(self._base)
 
     @property
@@ -137,61 +134,36 @@ class ExperimentTab:
         Raises:
             InputError: What was typed as a target is no probability.
         """
+        method, alpha = by_name(self.method.value), self.alpha.value
+        own = self.own_alpha.value if method.alpha is None else alpha == method.alpha
         settings = replace(
             self._base,
-            method=self.method.value,
-            metric=cast(MetricName, self.metric.value),
-            alpha=self._alpha(),
-            sigma=self.sigma.value,
-            stages=self.stages.value,
-            rollouts=self.rollouts.value,
-            final_rollouts=self.final_rollouts.value,
-            seed=self.seed.value,
-            pem=self.pem.value,
-            simulator=self.simulator.value,
-            memory_s=float(self.memory.value),
-            frailty=float(self.frailty.value),
-            target=self._target(),
-            encounters_per_hour=self._encounters(),
-            memory_curve=self.memory_curve.value,
-            reference=self.reference.value,
-            spec=self.spec.value,
+            **{name: control.value for name, control in self._plain.items()}
+            | {"memory_s": float(self.memory.value), "frailty": float(self.frailty.value)},
+            alpha=None if own else alpha,
+            target=read_number(self.target.value, name="target"),
+            encounters_per_hour=read_number(
+                self.encounters.value, name="encounters per hour", most=MOST_ENCOUNTERS
+            ),
             rules=(),
         )
         settings = self.encounter.into(self.perception.into(settings))
         return settings.with_rules(self._rules())
 
     def _rules(self) -> Mapping[str, str]:
-        """The rules typed, name to formula.
-
-        Raises:
-            InputError: A line is no rule.
-        """
         return read_rules([line for line in self.rules.value.splitlines() if line.strip()])
-
-    def _target(self) -> float | None:
-        return read_number(self.target.value, name="target")
-
-    def _fail_above(self) -> float | None:
-        return read_number(self.fail_above.value, name="fail above")
-
-    def _encounters(self) -> float | None:
-        most, name = MOST_ENCOUNTERS, "encounters per hour"
-        return read_number(self.encounters.value, name=name, most=most)
 
     def refresh(self, state: PanelState) -> None:
         """Run is possible while nothing runs and nothing is wrong, Stop while something runs."""
         self._running = state.running
-        self._enable_run()
-        idle = not state.running or state.stopping
-        if self.stop.disabled != idle:
-            self.stop.disabled = idle
+        self.run.disabled = self._running or self._wrong
+        self.stop.disabled = not state.running or state.stopping
 
     @property
     def limit(self) -> float | None:
         """What the upper bound must not exceed; ``None`` where nothing sensible is said."""
         try:
-            return self._fail_above()
+            return read_number(self.fail_above.value, name="fail above")
         except InputError:
             return None
 
@@ -200,37 +172,30 @@ class ExperimentTab:
         self._base = config
         self._fill(config)
 
-    def _add_buttons(self) -> None:
+    def _add_choices(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
         self.run = gui.add_button("Run", icon=viser.Icon.PLAYER_PLAY, color="blue", hint=RUN_HINT)
         self.stop = gui.add_button(
             "Stop", icon=viser.Icon.PLAYER_STOP, color="red", disabled=True, hint=STOP_HINT
         )
         self._waits = gui.add_html("")
-        self.run.on_click(browser.on(self._run))
-        self.stop.on_click(browser.on(browser.hub.controller.stop))
-
-    def _add_choices(self) -> None:
-        gui, browser = self._browser.client.gui, self._browser
         self.preset = gui.add_dropdown(
             "Preset", preset_names(), initial_value=FIRST_PRESET, hint=PRESET_HINT
         )
         self.method = gui.add_dropdown("Method", METHODS.names(), hint=hint("method"))
-        self.metric = gui.add_dropdown("Metric", get_args(MetricName), hint=hint("metric"))
-        self.preset.on_update(browser.on(self._choose_preset))
-        self.method.on_update(browser.on(self._choose_parts))
-
-    def _add_numbers(self) -> None:
-        self.own_alpha = self._browser.client.gui.add_checkbox(
-            "Method's own alpha", True, hint=OWN_ALPHA_HINT
-        )
-        self.own_alpha.on_update(self._browser.on(self._enable))
-        self.alpha = self._float("alpha", "alpha", step=ALPHA_STEP)
-        self.sigma = self._float("sigma", "sigma", step=SIGMA_STEP)
+        self.metric = gui.add_dropdown("Metric", METRIC_NAMES, hint=hint("metric"))
+        self.own_alpha = gui.add_checkbox("Method's own alpha", True, hint=OWN_ALPHA_HINT)
+        self.alpha = self._float("alpha", step=ALPHA_STEP)
+        self.sigma = self._float("sigma", step=SIGMA_STEP)
         self.stages = self._count("Stages", "stages")
         self.rollouts = self._count("Rollouts", "rollouts")
         self.final_rollouts = self._count("Final rollouts", "final_rollouts")
         self.seed = self._count("Seed", "seed")
+        self.run.on_click(browser.on(self._run))
+        self.stop.on_click(browser.on(browser.hub.controller.stop))
+        self.preset.on_update(browser.on(lambda: self.show(load_preset(self.preset.value))))
+        self.method.on_update(browser.on(self._choose_parts))
+        self.own_alpha.on_update(browser.on(self._enable))
 
     def _add_specification(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
@@ -266,10 +231,9 @@ class ExperimentTab:
             chosen.on_update(browser.on(self._choose_parts))
         self.fail_above.on_update(browser.on(self._judge))
 
-    def _float(self, label: str, name: str, *, step: float) -> viser.GuiSliderHandle[float]:
+    def _float(self, name: str, *, step: float) -> viser.GuiSliderHandle[float]:
         low, high = limits(name, step=step)
-        initial = low if getattr(self._base, name) is None else getattr(self._base, name)
-        return self._browser.client.gui.add_slider(label, low, high, step, initial, hint=hint(name))
+        return self._browser.client.gui.add_slider(name, low, high, step, low, hint=hint(name))
 
     def _count(self, label: str, name: str) -> viser.GuiNumberHandle[int]:
         low, high = limits(name, step=1)
@@ -282,48 +246,31 @@ class ExperimentTab:
             hint=hint(name),
         )
 
-    def _choose_preset(self) -> None:
-        self.show(load_preset(self.preset.value))
-
     def _choose_parts(self) -> None:
         """What there is to choose beside them, and what fits, may be different."""
         self._enable()
         self._check()
 
     def _fill(self, config: ExperimentConfig) -> None:
-        if config.method not in self.method.options:
-            self.method.options = (*self.method.options, config.method)
-        self.method.value, self.metric.value = config.method, config.metric
-        self._fill_alpha(config)
-        self.sigma.value = config.sigma
-        self.stages.value, self.rollouts.value = config.stages, config.rollouts
-        self.final_rollouts.value, self.seed.value = config.final_rollouts, config.seed
-        if config.pem not in self.pem.options:
-            self.pem.options = (*self.pem.options, config.pem)
-        if config.simulator not in self.simulator.options:
-            self.simulator.options = (*self.simulator.options, config.simulator)
-        self.pem.value, self.simulator.value = config.pem, config.simulator
-        self.frailty.value = config.frailty
-        self.memory.value, self.memory_curve.value = config.memory_s, config.memory_curve
-        self.reference.value, self.rules.value = config.reference, rules_text(config.rules)
-        self.spec.value = config.spec
-        self.target.value = "" if config.target is None else f"{config.target:g}"
-        encounters = config.encounters_per_hour
-        self.encounters.value = "" if encounters is None else f"{encounters:g}"
+        for dropdown, value in (
+            (self.method, config.method), (self.pem, config.pem),
+            (self.simulator, config.simulator),
+        ):  # fmt: skip
+            if value not in dropdown.options:
+                dropdown.options = (*dropdown.options, value)
+        for name, control in self._plain.items():
+            control.value = getattr(config, name)
+        self.own_alpha.value = config.alpha is None
+        own = by_name(config.method).alpha
+        self.alpha.value = config.alpha if config.alpha is not None else own or ALPHA_AT_FIRST
+        self.rules.value = rules_text(config.rules)
+        for text, number in (
+            (self.target, config.target), (self.encounters, config.encounters_per_hour),
+        ):  # fmt: skip
+            text.value = "" if number is None else f"{number:g}"
         self.encounter.fill(config)
         self.perception.fill(config)
         self._choose_parts()
-
-    def _fill_alpha(self, config: ExperimentConfig) -> None:
-        own = by_name(config.method).alpha
-        self.own_alpha.value = config.alpha is None
-        self.alpha.value = config.alpha if config.alpha is not None else own or ALPHA_AT_FIRST
-
-    def _alpha(self) -> float | None:
-        """What the controls say; ``None`` where this is what the method does by itself."""
-        own = by_name(self.method.value).alpha
-        left_out = self.own_alpha.value if own is None else self.alpha.value == own
-        return None if left_out else self.alpha.value
 
     def _enable(self) -> None:
         """Grey out what the method does not use; a slider's box cannot be, so sliders go."""
@@ -335,30 +282,15 @@ class ExperimentTab:
             (self.alpha, "alpha" in used and not (chooses and self.own_alpha.value)),
             (self.sigma, "sigma" in used),
         ):
-            if control.visible != shown:
-                control.visible = shown
+            control.visible = shown
         logical_scenario = self.encounter.chosen
         self.perception.offer(self.simulator.value, errors=not logical_scenario)
         for control in (self.frailty, self.memory_curve, self.reference):
-            if (
-                control.visible == logical_scenario
-            ):  # not with several obstacles, nor without a twin
-                control.visible = not logical_scenario
-        for name, control in (
-            ("stages", self.stages),
-            ("rollouts", self.rollouts),
-            ("final_rollouts", self.final_rollouts),
-        ):
-            if control.disabled == (name in used):
-                control.disabled = name not in used
-
-    def _enable_run(self) -> None:
-        disabled = self._running or self._wrong
-        if self.run.disabled != disabled:
-            self.run.disabled = disabled
+            control.visible = not logical_scenario  # none with several obstacles, without a twin
+        for name in ("stages", "rollouts", "final_rollouts"):
+            self._plain[name].disabled = name not in used
 
     def _judge(self) -> None:
-        """The limit of the gate has changed."""
         self._check()
         self._browser.refresh()
 
@@ -368,26 +300,28 @@ class ExperimentTab:
         complaints = list(self._complaints())
         self._wrong = bool(complaints)
         if not self._wrong:
-            set_html(self._facts, scenario_text(self.config))
-        set_html(self._verdict, verdict(complaints, rules=self.spec.disabled))
-        set_html(self._waits, block(quiet(WAITS)) if complaints else "")
-        self._enable_run()
+            self._facts.content = scenario_text(self.config)
+        self._verdict.content = verdict(complaints, rules=self.spec.disabled)
+        self._waits.content = block(quiet(WAITS)) if complaints else ""
+        self.run.disabled = self._running or self._wrong
 
     def _complaints(self) -> Iterator[str]:
-        """What is wrong, a line each."""
         wrong = False
         yield from self._misunderstood()
-        for read in (self._target, self._encounters, self._fail_above):
+        for typed, name, most in (
+            (self.target, "target", 1.0),
+            (self.encounters, "encounters per hour", MOST_ENCOUNTERS),
+            (self.fail_above, "fail above", 1.0),
+        ):
             try:
-                read()
+                read_number(typed.value, name=name, most=most)
             except InputError as error:
                 wrong = True
                 yield str(error)
         if not wrong:
             try:
                 self.config.validate()
-                check_measured(self.config)
-                check_encounter(self.config)
+                check_back_end(self.config)
             except InputError as error:
                 yield str(error)
 
@@ -399,7 +333,7 @@ class ExperimentTab:
             return
         try:
             plain = replace(self.encounter.into(self._base), rules=())
-            simulator = asked_simulator(plain)
+            simulator = plain_simulator(plain)
         except InputError as error:
             yield str(error)
             return
@@ -442,6 +376,7 @@ def read_number(typed: str, *, name: str, most: float = 1.0) -> float | None:
 def verdict(complaints: Sequence[str], *, rules: bool = False) -> str:
     """What is wrong with what was typed; the specification itself is not repeated."""
     if not complaints:
-        return block(good(f"The {'rules are' if rules else 'specification is'} understood."))
+        words = f"The {'rules are' if rules else 'specification is'} understood."
+        return block(blocks_html([Verdict("yes", words)]))
     lines = "".join(warning(words) for words in complaints)
     return block(f"<div role='alert'>{lines}</div>")

@@ -2,9 +2,9 @@
 
 from html import escape
 
-from pemviz.panel.browser import Browser, set_html
+from pemviz.panel.browser import Browser
 from pemviz.panel.controller import PanelState, Progress
-from pemviz.panel.page import block, good, number, quiet
+from pemviz.panel.page import block, quiet
 from pemviz.panel.run_data import RunData
 from pemviz.reports.document import Caution, Figure, Paragraph
 from pemviz.reports.gate import decide_run
@@ -15,26 +15,17 @@ from pemviz.reports.run_document import run_document
 
 
 def headline(run: RunData | None, *, limit: float | None = None) -> str:
-    """The run's name and its answer.
-
-    Args:
-        run: The run shown.
-        limit: What its upper bound is to be compared with.
-    """
+    """The run's name and its answer, its upper bound compared with a limit."""
     if run is None:
         return block(quiet("Nothing has run yet. Press Run in the Experiment tab."))
-    config = run.config
     title = (
         f"<div style='display:flex;justify-content:space-between;gap:8px'>"
         f"<b>{escape(run.name)}</b>"
-        f"<span style='color:#52606d'>{escape(config.method)}, {escape(config.metric)}</span></div>"
+        f"<span style='color:#52606d'>{escape(run.config.method)}, "
+        f"{escape(run.config.metric)}</span></div>"
     )
-    return block(title + _answer(run) + _gate(run, limit))
-
-
-def _answer(run: RunData) -> str:
-    """The answer in brief, what speaks against it, and how far it is open."""
-    document = run_document(run.result, running=run.running)
+    gate = None if limit is None or run.running else decide_run(run.result, limit=limit)
+    document = run_document(run.result, gate=gate, running=run.running)
     doubts = [one for one in document.blocks("warnings") if isinstance(one, Caution)]
     more = f" (and {len(doubts) - 1} more in Why)" * (len(doubts) > 1)
     worth = assumption_worth(run.result.memory)
@@ -47,16 +38,7 @@ def _answer(run: RunData) -> str:
     ]
     for collect, then in short_rows(run.result)[:1]:
         lines.append(Paragraph(f"Measure next: {collect}; {then} (more in Why)", tone="quiet"))
-    return blocks_html(lines)
-
-
-def _gate(run: RunData, limit: float | None) -> str:
-    """Whether the answer stays below a limit; nothing without one."""
-    if limit is None or run.running:
-        return ""
-    decision = decide_run(run.result, limit=limit)
-    words = f"Fail above {number(limit, 2)}: {decision.sentence}"
-    return good(words) if decision.outcome == "passed" else warning(words)
+    return block(title + blocks_html([*lines, *document.blocks("gate")]))
 
 
 def status(state: PanelState) -> str:
@@ -70,12 +52,11 @@ def status(state: PanelState) -> str:
     elif state.progress is None:
         words = "Starting\N{HORIZONTAL ELLIPSIS}"
     else:
-        words = progress_text(state.progress)
+        words = _progress_text(state.progress)
     return block(f"<div role='status'>{quiet(words)}</div>")
 
 
-def progress_text(progress: Progress) -> str:
-    """Stage, rollouts, time left."""
+def _progress_text(progress: Progress) -> str:
     stage = min(progress.stage, progress.stages - 1)
     words = f"Stage {stage} of {progress.stages - 1}"
     if progress.stages == 1:
@@ -86,17 +67,13 @@ def progress_text(progress: Progress) -> str:
         words += f": {progress.share:.0%} of the way to violations"
     else:
         words += f": {progress.done:,} of {progress.planned:,} rollouts"
-    if progress.left_s is not None:
-        words += f", about {_duration(progress.left_s)} left"
-    return words
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{max(1, round(seconds))} s"
-    if seconds < 5400.0:
-        return f"{round(seconds / 60)} min"
-    return f"{seconds / 3600:.1f} h"
+    left_s = progress.left_s
+    if left_s is None:
+        return words
+    left = f"{max(1, round(left_s))} s"
+    if left_s >= 90.0:
+        left = f"{round(left_s / 60)} min" if left_s < 5400.0 else f"{left_s / 3600:.1f} h"
+    return f"{words}, about {left} left"
 
 
 class Head:
@@ -110,8 +87,7 @@ class Head:
 
     def refresh(self, state: PanelState, run: RunData | None, *, limit: float | None) -> None:
         """Show the state; the answer is judged by ``limit``."""
-        set_html(self._headline, headline(run, limit=limit))
-        set_html(self._status, status(state))
-        if self._bar.visible != state.running:
-            self._bar.visible = state.running
+        self._headline.content = headline(run, limit=limit)
+        self._status.content = status(state)
+        self._bar.visible = state.running
         self._bar.value = 100.0 * state.progress.share if state.progress is not None else 0.0

@@ -16,7 +16,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.errors import InputError
 from pemviz.files.array_files import LARGEST_READ_BYTES, load_tensors, map_arrays
-from pemviz.panel.rollout_tables import check_table, checked_rows, numbered, thinned
+from pemviz.panel.rollout_tables import by_stage, check_table, checked_rows, numbered, thinned
 from pemviz.panel.run_data import ProposalCurve, RunData, detection_probability, own_scenario
 from pemviz.pem import load_pem
 from pemviz.proposals.gap_network import gap_network_from_arrays
@@ -27,7 +27,7 @@ from pemviz.runs.rollout_files import load_rollouts, stage_files
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
-from pemviz.types import Simulator, StageKind
+from pemviz.types import Simulator
 
 READ_BYTES = 64 * 1024**2
 """Larger files of rollouts stay on disk."""
@@ -110,20 +110,17 @@ def load_run(folder: Path, *, most_read_bytes: int = READ_BYTES) -> RunData:
 
 
 def _with_curves(run: RunData, table: Mapping[str, AnyArray], folder: Path) -> RunData:
-    """The run with curves of the error model and of proposals against the gap."""
     config = run.config
     simulator = VectorizedSimulator(config.scenario)
     gap_m = gap_grid(simulator)
     try:
-        pem = load_pem(config.pem)
-        pem_detection = pem_curve(simulator=simulator, pem=pem, gap_m=gap_m)
-        curves = _learned_curves(folder, config, gap_m=gap_m)
+        pem_detection = pem_curve(simulator=simulator, pem=load_pem(config.pem), gap_m=gap_m)
     except InputError:  # the error model's file may be elsewhere by now: the rollouts tell too
-        every = np.arange(table["violated"].size if table else 0)
-        visited = _spread(every, most=VISITED_ROLLOUTS)
-        pem_detection = _visited_curve(_visited(table, visited, folder), "log_p", gap_m=gap_m)
-        curves = _learned_curves(folder, config, gap_m=gap_m)
-    curves_from = None
+        pem_detection = np.full(gap_m.size, np.nan)
+        if table:
+            rows = _spread(np.arange(table["violated"].size), most=VISITED_ROLLOUTS)
+            pem_detection = _visited_curve(table, rows, "log_p", folder, gap_m=gap_m)
+    curves, curves_from = _learned_curves(folder, config, gap_m=gap_m), None
     if not curves and table:
         follows_model = by_name(config.method).follows_model
         curves, curves_from = _visited_curves(
@@ -142,10 +139,8 @@ def _own_scenario(config: ExperimentConfig) -> Simulator | SlotSimulator | None:
     """
     if config.is_braking_scenario:
         return None
-    if (
-        config.encounter.logical_scenario != NO_LOGICAL_SCENARIO
-    ):  # the same states on every back end
-        config = replace(config, simulator=DRAWN_BACK_END)
+    if config.encounter.logical_scenario != NO_LOGICAL_SCENARIO:
+        config = replace(config, simulator=DRAWN_BACK_END)  # the same states on every back end
     found = build_back_end(config).simulator
     return own_scenario(found.scenario if isinstance(found, UnrolledSimulator) else found, config)
 
@@ -194,8 +189,7 @@ def _learned_curves(
             detection = np.asarray(expit(logit), dtype=np.float64)
         except (KeyError, ValueError):
             return ()
-        kind: StageKind = "learn" if stage else "pretrain"
-        curves.append(ProposalCurve(repetition, stage, kind, gap_m, detection))
+        curves.append(ProposalCurve(repetition, stage, detection))
     return tuple(curves)
 
 
@@ -208,16 +202,14 @@ def _visited_curves(
     that is, where any has more.
     """
     curves: list[ProposalCurve] = []
-    key = table["repetition"].astype(np.int64) * (1 << 32) + table["stage"]
-    order = np.argsort(key, kind="stable")
-    stages = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    stages = by_stage(table)
     stages = stages[-1:] if follows_model else stages[-MOST_CURVES:]
     most = VISITED_ROLLOUTS // len(stages)
     for rows in stages:
         repetition, stage = (int(table[name][rows[0]]) for name in ("repetition", "stage"))
-        part = _visited(table, _spread(rows, most=most), folder)
-        detection = _visited_curve(part, "log_q", gap_m=gap_m)
-        curves.append(ProposalCurve(repetition, stage, "learn", gap_m, detection))
+        visited = _spread(rows, most=most)
+        detection = _visited_curve(table, visited, "log_q", folder, gap_m=gap_m)
+        curves.append(ProposalCurve(repetition, stage, detection))
     return tuple(curves), most if any(rows.size > most for rows in stages) else None
 
 
@@ -230,20 +222,14 @@ def _spread(rows: IntArray, *, most: int) -> IntArray:
     return rows[(firsts[:, None] + np.arange(GROUP_ROWS)).ravel()]
 
 
-def _visited(table: Mapping[str, AnyArray], rows: IntArray, folder: Path) -> dict[str, AnyArray]:
-    """What curves are made of, of some rollouts."""
-    names = ("gap_m", "detected", "log_p", "log_q") if table else ()
-    return checked_rows(table, names, rows, where=str(folder))
-
-
 def _visited_curve(
-    table: Mapping[str, AnyArray], likelihood: str, *, gap_m: FloatArray
-) -> FloatArray:
-    """Mean P(detected) ``[G]`` at the gaps visited; NaN elsewhere."""
-    if not table:
-        return np.full(gap_m.size, np.nan)
-    detection = detection_probability(table[likelihood], table["detected"]).ravel()
-    gaps = table["gap_m"][:, :-1].ravel()
+    table: Mapping[str, AnyArray], rows: IntArray, likelihood: str, folder: Path, *,
+    gap_m: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Mean P(detected) ``[G]`` at the gaps that some rollouts visited; NaN elsewhere."""
+    part = checked_rows(table, ("gap_m", "detected", likelihood), rows, where=str(folder))
+    detection = detection_probability(part[likelihood], part["detected"]).ravel()
+    gaps = part["gap_m"][:, :-1].ravel()
     edges = np.arange(gap_m[0] - BIN_M / 2, gap_m[-1] + BIN_M, BIN_M)
     inside = (gaps >= edges[0]) & (gaps < edges[-1]) & np.isfinite(detection)
     index = np.digitize(gaps[inside], edges) - 1

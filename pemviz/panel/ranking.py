@@ -4,22 +4,25 @@ import csv
 import io
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import Literal, cast, get_args
 
 import numpy as np
 
 from pemviz import stl
 from pemviz.analysis.causes import carrying, contributions
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config import MetricName
-from pemviz.panel.rollout_tables import final_violations, latent_names, verdicts
-from pemviz.panel.run_data import AT_ONCE, Progress, Report, RunData, Scan, row_parts
+from pemviz.panel.rollout_tables import by_stage, final_violations, in_stage, latent_names, verdicts
+from pemviz.panel.run_data import AT_ONCE, Report, RunData, Scan, ScanProgress, row_parts
 from pemviz.runs.drawn_rollout import slots_of
 from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
 from pemviz.sampling.method import elite_threshold
 from pemviz.sampling.method import elites as elites_of_stage
 from pemviz.sampling.registry import by_name
 from pemviz.types import Simulator
+
+Among = Literal["carrying", "all"]
+METRIC_NAMES: tuple[MetricName, ...] = get_args(MetricName)
 
 
 def shares(run: RunData, *, rule: str | None = None) -> FloatArray:
@@ -28,40 +31,28 @@ def shares(run: RunData, *, rule: str | None = None) -> FloatArray:
     Of the answer to one rule, if it is given. All are 0 as long as no rollout of a final stage
     violates.
     """
-    return run.memo.get(("shares", rule), lambda: _shares(run, rule=rule))
+
+    def compute() -> FloatArray:
+        violated = final_violations(run.rollouts, stages=run.result.stages, rule=rule)
+        return contributions(log_contributions(run), violated=violated)
+
+    return run.memo.get(("shares", rule), compute)
 
 
 def log_contributions(run: RunData) -> FloatArray:
-    """Log weights ``[N]`` by which violations of one or several stages compare [nats]."""
-    return run.log_weight + _log_stage_weight(run)
-
-
-def _shares(run: RunData, *, rule: str | None) -> FloatArray:
-    violated = final_violations(run.rollouts, stages=run.result.stages, rule=rule)
-    return contributions(log_contributions(run), violated=violated)
-
-
-def _log_stage_weight(run: RunData) -> FloatArray:
-    """Log weight ``[N]`` that a rollout has through its stage.
+    """Log weights ``[N]`` by which violations of one or several stages compare [nats].
 
     Where stages are independent runs of rollouts without weights, the runs differ by many
     powers of ten: a run's estimate is shared by its violations.
     """
-    rollouts = run.rollouts
-    log_weight = np.zeros(rollouts["violated"].shape[0])
+    log_weight = np.array(run.log_weight)
     if by_name(run.config.method).has_likelihood_ratios:
         return log_weight
     for stage in run.result.stages:
         if stage.log10_probability is not None and stage.failures:
-            inside = (rollouts["repetition"] == stage.repetition) & (
-                rollouts["stage"] == stage.stage
-            )
             share = math.log(10.0) * stage.log10_probability - math.log(stage.failures)
-            log_weight[inside] = share
+            log_weight[in_stage(run.rollouts, stage)] += share
     return log_weight
-
-
-Among = Literal["carrying", "all"]
 
 
 @dataclass(frozen=True)
@@ -69,7 +60,6 @@ class Ranking:
     """Rollouts under one metric.
 
     Attributes:
-        metric: Its name.
         robustness: ``[N]`` in the order of the run's tables.
         share: ``[N]`` of the answer that each contributes.
         order: ``[M]`` indices into the tables of those that are ranked, first ranks first.
@@ -101,13 +91,22 @@ def rank(
         InputError: The metric cannot score them: agm, with bounds that rollouts leave.
     """
     robustness = run.scans.value(*_scoring(run, metric, rule))
-    return run.memo.get(
-        ("ranking", metric, among, by_share, rule),
-        lambda: _rank(run, robustness, metric, among=among, by_share=by_share, rule=rule),
-    )
+
+    def compute() -> Ranking:
+        share = shares(run, rule=rule) if run.parts else np.empty(0)
+        carries = carrying(share)
+        every = among == "all" or not carries.any()
+        chosen = np.arange(share.size) if every else np.flatnonzero(carries)
+        order = chosen[np.argsort(robustness[chosen], kind="stable")]
+        if by_share:
+            order = order[np.argsort(-share[order], kind="stable")]
+        ranked: Among = "all" if every else "carrying"
+        return Ranking(metric, robustness, share, order.astype(np.int64), ranked, by_share, rule)
+
+    return run.memo.get(("ranking", metric, among, by_share, rule), compute)
 
 
-def scoring(run: RunData, metric: MetricName, *, rule: str | None = None) -> Progress | None:
+def scoring(run: RunData, metric: MetricName, *, rule: str | None = None) -> ScanProgress | None:
     """Have the scores that :func:`rank` needs computed; ``None`` once they are there.
 
     It returns at once: scores of a large run are computed on a thread of their own.
@@ -123,31 +122,6 @@ def is_scored(run: RunData, metric: MetricName) -> bool:
 
 def _scoring(run: RunData, metric: MetricName, rule: str | None) -> tuple[object, Scan[FloatArray]]:
     return ("robustness", metric, rule), lambda report: _robustness(run, metric, rule, report)
-
-
-def _rank(
-    run: RunData,
-    robustness: FloatArray,
-    metric: MetricName,
-    *,
-    among: Among,
-    by_share: bool,
-    rule: str | None,
-) -> Ranking:
-    share = shares(run, rule=rule) if run.parts else np.empty(0)
-    carries = carrying(share)
-    chosen = np.arange(share.size)
-    if among == "carrying" and carries.any():
-        chosen = np.flatnonzero(carries)
-    else:
-        among = "all"
-    order = chosen[np.argsort(robustness[chosen], kind="stable")]
-    if by_share:
-        order = order[np.argsort(-share[order], kind="stable")]
-    return Ranking(
-        metric=metric, robustness=robustness, share=share, order=order.astype(np.int64),
-        among=among, by_share=by_share, rule=rule,
-    )  # fmt: skip
 
 
 def _robustness(run: RunData, metric: MetricName, rule: str | None, report: Report) -> FloatArray:
@@ -203,17 +177,12 @@ def row(run: RunData, ranking: Ranking, place: int) -> RankedRow:
         ),
         log_weight=float(run.log_weight[index]),
         share=float(ranking.share[index]),
-        misses=_errors(run, index),
+        misses=int(_error_counts(run, index)[0]),
     )
 
 
-def _errors(run: RunData, index: int) -> int:
-    """How often perception errs in a rollout, in whichever slot."""
-    return int(_error_counts(run, slice(index, index + 1))[0])
-
-
-def _error_counts(run: RunData, rows: slice) -> IntArray:
-    """The same ``[R]`` of several."""
+def _error_counts(run: RunData, rows: int | slice) -> IntArray:
+    """How often perception errs in rollouts ``[R]``, in whichever slot."""
     detected, slots = run.steps(["detected"], rows)["detected"], slots_of(run.simulator)
     nominal = np.array([slot.nominal for slot in slots], dtype=np.bool_) if slots else True
     wrong = detected != nominal
@@ -227,10 +196,7 @@ def elites(run: RunData, ranking: Ranking, *, sigma: float) -> BoolArray:
     :mod:`pemviz.sampling.method`.
     """
     chosen = np.zeros(ranking.robustness.size, dtype=np.bool_)
-    repetition, stage = (run.rollouts[name] for name in ("repetition", "stage"))
-    key = repetition.astype(np.int64) * (1 << 32) + stage
-    order = np.argsort(key, kind="stable")
-    for rows in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+    for rows in by_stage(run.rollouts):
         robustness = ranking.robustness[rows]
         threshold = elite_threshold(robustness, sigma=sigma)
         chosen[rows] = elites_of_stage(robustness, threshold=threshold)
@@ -253,7 +219,10 @@ def ranking_csv(run: RunData, ranking: Ranking) -> str:
     broken = {one.name: verdicts(table, rule=one.name) for one in run.config.rules}
     violated = verdicts(table, rule=ranking.rule)
     columns = [table[name] for name in ("repetition", "stage", "rollout")]
-    (misses, nll), log_weight = _misses_and_nll(run), run.log_weight
+    misses, nll, log_weight = np.empty(run.kept, np.int64), np.empty(run.kept), run.log_weight
+    for rows in row_parts(run.kept):
+        misses[rows] = _error_counts(run, rows)
+        nll[rows] = -row_sums(np.asarray(run.steps(["log_p"], rows)["log_p"], np.float64))
     for place, index in enumerate(ranking.order.tolist()):
         names = " ".join(name for name, breaks in broken.items() if breaks[index])
         writer.writerow(
@@ -263,11 +232,3 @@ def ranking_csv(run: RunData, ranking: Ranking) -> str:
              repr(float(nll[index])), int(misses[index]), *(names for _ in rules)]
         )  # fmt: skip
     return text.getvalue()
-
-
-def _misses_and_nll(run: RunData) -> tuple[IntArray, FloatArray]:
-    """Errors ``[N]`` of each rollout, and its negative log-likelihood ``[N]`` [nats]."""
-    misses, nll = np.empty(run.kept, dtype=np.int64), np.empty(run.kept)
-    for rows in row_parts(run.kept):
-        misses[rows], nll[rows] = _error_counts(run, rows), run.pem_nll(rows)
-    return misses, nll

@@ -30,15 +30,7 @@ class RunEntry:
     """A line of the list of runs.
 
     Attributes:
-        name: The run folder's name.
-        status: How it ended.
-        method: The method.
-        metric: The metric.
-        seed: The seed.
-        probability: The estimate; ``None`` if there is none.
-        unreliable: Why it must not decide anything; empty if nothing speaks against it.
-        has_recording: Whether there is a ``run.rrd``.
-        notes: What somebody noted about it; empty if nobody did.
+        unreliable: Why the estimate must not decide anything; empty if nothing speaks against it.
     """
 
     name: str
@@ -53,11 +45,7 @@ class RunEntry:
 
 
 class RecordingsFolder:
-    """Runs by name; no name reaches outside the folder.
-
-    Attributes:
-        root: The folder; it need not exist yet.
-    """
+    """Runs by name below ``root``, which need not exist; no name reaches outside it."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -65,18 +53,14 @@ class RecordingsFolder:
 
     def entries(self) -> list[RunEntry]:
         """All readable runs, newest first (the names start with the time)."""
-        return [
-            replace(found, notes=self.notes(found.name))
-            for found in self._found()
-            if isinstance(found, RunEntry)
-        ]
+        found = [self._entry(name) for name in self.names()]
+        readable = [one for one in found if isinstance(one, RunEntry)]
+        return [replace(one, notes=self.notes(one.name)) for one in readable]
 
     def damaged(self) -> list[str]:
         """What is wrong with the runs that cannot be read, one line each."""
-        return [found for found in self._found() if isinstance(found, str)]
-
-    def _found(self) -> list[RunEntry | str]:
-        return [self._entry(name) for name in self.names()]
+        found = [self._entry(name) for name in self.names()]
+        return [one for one in found if isinstance(one, str)]
 
     def names(self) -> list[str]:
         """Names of run folders, newest first; not links, which lead elsewhere, nor hidden ones."""
@@ -172,18 +156,29 @@ class RecordingsFolder:
 
     def _entry(self, name: str) -> RunEntry | str:
         """The run's line, or what is wrong with it."""
-        path = self.root / name / RESULT_FILE
+        folder = self.root / name
         try:
-            changed_s = path.stat().st_mtime
+            changed_s = (folder / RESULT_FILE).stat().st_mtime
         except OSError as error:
             return f"run {name}: cannot be read ({error.strerror or error})"
+        cached = self._entries.get(name)
+        if cached is not None and cached[0] == changed_s:
+            return cached[1]
         try:
-            cached = self._entries.get(name)
-            if cached is not None and cached[0] == changed_s:
-                return cached[1]
-            entry = _entry_of(name, read_listed(path.parent), folder=path.parent)
+            result = read_listed(folder)
         except InputError as error:
             entry = str(error)
+        else:
+            entry = RunEntry(
+                name=name,
+                status=result.status,
+                method=result.config.method,
+                metric=result.config.metric,
+                seed=result.config.seed,
+                probability=None if result.estimate is None else result.estimate.probability,
+                unreliable=run_interval_caveats(result),
+                has_recording=(folder / "run.rrd").is_file(),
+            )
         self._entries[name] = (changed_s, entry)
         return entry
 
@@ -197,32 +192,13 @@ def read_listed(folder: Path) -> RunResult:
     return read_whole_run(folder, most_bytes=LISTED_BYTES)
 
 
-def _entry_of(name: str, result: RunResult, *, folder: Path) -> RunEntry:
-    return RunEntry(
-        name=name,
-        status=result.status,
-        method=result.config.method,
-        metric=result.config.metric,
-        seed=result.config.seed,
-        probability=None if result.estimate is None else result.estimate.probability,
-        unreliable=run_interval_caveats(result),
-        has_recording=(folder / "run.rrd").is_file(),
-    )
-
-
-Viewer = Callable[[Path], AbstractContextManager[str]]
-
-
 class Viewers:
     """Opens a viewer for a recording once, and closes the oldest when there are too many."""
 
-    def __init__(self, viewer: Viewer, *, limit: int = 4) -> None:
-        """Nothing is opened yet.
-
-        Args:
-            viewer: Serves a recording until left; gives the page's address.
-            limit: How many viewers may be open.
-        """
+    def __init__(
+        self, viewer: Callable[[Path], AbstractContextManager[str]], *, limit: int = 4
+    ) -> None:
+        """``viewer`` serves a recording until left, and gives its address."""
         self._viewer = viewer
         self._limit = limit
         self._lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""The list of kept runs."""
+"""The Recordings tab: runs that are kept; loading, settings, notes, downloads, deleting."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -7,9 +7,9 @@ from pathlib import Path
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
-from pemviz.panel.browser import Browser, set_html
+from pemviz.panel.browser import Browser
 from pemviz.panel.controller import PanelState
-from pemviz.panel.page import block, grid, number, quiet
+from pemviz.panel.page import block, number, quiet
 from pemviz.panel.ranking import rank, ranking_csv
 from pemviz.panel.recordings_folder import RunEntry, read_listed
 from pemviz.panel.rollout_player import Player
@@ -21,6 +21,16 @@ MOST_COMPLAINTS = 10
 TABLE_PX = 260
 SHOWN_NOTES = 120
 ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
+HEADER = ("run, notes", "method", "P(violation)", "reliable?", "status")
+NONE = "no runs yet"
+SETTINGS_HINT = "Fill the Experiment tab with the settings of the run chosen; nothing is run yet."
+NOTES_HINT = "Kept in the run's folder as notes.txt, and shown in the table below."
+DELETE_HINT = "Delete the folder of the run chosen for good; asks first."
+DOWNLOAD_HINT = (
+    "Of the run chosen: its recording, its result, its ranking as a table. Of the rollout shown: "
+    "a page that plays the scene without a server."
+)
+DOWNLOADS = ("run.rrd", "result.json", "CSV", "3D scene (HTML)")
 
 
 def recordings_table(
@@ -33,39 +43,31 @@ def recordings_table(
     if not entries:
         words = f"There are no runs in {folder} yet. Press Run in the Experiment tab."
         return block(complaints + quiet(words))
-    lines = [
-        [
-            f"{escape(entry.name)}{_notes(entry)}",
+    lines: list[str] = []
+    for entry in entries:
+        notes, verdict = " ".join(entry.notes.split()), "\N{CHECK MARK} yes"
+        if notes:  # the first words; all of them where the pointer rests
+            short = notes if len(notes) <= SHOWN_NOTES else notes[: SHOWN_NOTES - 1] + ELLIPSIS
+            notes = f"<br><i title='{escape(notes, quote=True)}'>{escape(short)}</i>"
+        if entry.probability is None:
+            verdict = "no estimate"
+        elif entry.unreliable:
+            reasons = escape("; ".join(entry.unreliable), quote=True)
+            verdict = f"<span title='{reasons}'>\N{WARNING SIGN} unreliable</span>"
+        values = (
+            f"{escape(entry.name)}{notes}",
             f"{escape(entry.method)}<br>{escape(entry.metric)}<br>seed {entry.seed}",
             number(entry.probability),
-            _reliability(entry),
+            verdict,
             escape(entry.status) + ("" if entry.has_recording else "<br>no .rrd"),
-        ]
-        for entry in entries
-    ]
-    header = ("run, notes", "method", "P(violation)", "reliable?", "status")
-    table = grid(header, lines, name="Recordings")
-    table = f"<div style='max-height:{TABLE_PX}px;overflow-y:auto'>{table}</div>"
+        )
+        lines.append(f"<tr>{''.join(f'<td>{value}</td>' for value in values)}</tr>")
+    heads = "".join(f"<th>{head}</th>" for head in HEADER)
+    table = (
+        f"<div style='max-height:{TABLE_PX}px;overflow-y:auto'><table aria-label='Recordings'>"
+        f"<thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+    )
     return block(table + complaints + quiet(f"Folder: {folder}"))
-
-
-def _notes(entry: RunEntry) -> str:
-    """The first words of a run's notes; all of them where the pointer rests."""
-    words = " ".join(entry.notes.split())
-    if not words:
-        return ""
-    short = words if len(words) <= SHOWN_NOTES else words[: SHOWN_NOTES - 1] + ELLIPSIS
-    return f"<br><i title='{escape(words, quote=True)}'>{escape(short)}</i>"
-
-
-def _reliability(entry: RunEntry) -> str:
-    """Whether the estimate may decide anything; why not stands where the pointer rests."""
-    if entry.probability is None:
-        return "no estimate"
-    if not entry.unreliable:
-        return "\N{CHECK MARK} yes"
-    reasons = escape("; ".join(entry.unreliable), quote=True)
-    return f"<span title='{reasons}'>\N{WARNING SIGN} unreliable</span>"
 
 
 def delete_question(name: str) -> str:
@@ -82,17 +84,6 @@ def viewer_link(address: str, *, name: str) -> str:
     )
 
 
-NONE = "no runs yet"
-SETTINGS_HINT = "Fill the Experiment tab with the settings of the run chosen; nothing is run yet."
-NOTES_HINT = "Kept in the run's folder as notes.txt, and shown in the table below."
-DELETE_HINT = "Delete the folder of the run chosen for good; asks first."
-DOWNLOAD_HINT = (
-    "Of the run chosen: its recording, its result, its ranking as a table. Of the rollout shown: "
-    "a page that plays the scene without a server."
-)
-DOWNLOADS = ("run.rrd", "result.json", "CSV", "3D scene (HTML)")
-
-
 class RecordingsTab:
     """This browser's choice of a run."""
 
@@ -104,14 +95,7 @@ class RecordingsTab:
         use_settings: Callable[[ExperimentConfig], None],
         list_runs: Callable[[tuple[str, ...]], None],
     ) -> None:
-        """Build it.
-
-        Args:
-            browser: The browser.
-            player: Holds the rollout shown.
-            use_settings: Fills the Experiment tab.
-            list_runs: Told of the names of all runs when they have changed.
-        """
+        """Build it; ``use_settings`` fills the Experiment tab, ``list_runs`` is told new names."""
         self._browser = browser
         self._player = player
         self._use_settings = use_settings
@@ -119,12 +103,7 @@ class RecordingsTab:
         self._moment = (-1, False)
         self._seen: object = None
         self._opening: Path | None = None
-        self._add_choice()
-        self._add_notes()
-        self.name.on_update(browser.on(self._chosen))
-
-    def _add_choice(self) -> None:
-        gui, browser = self._browser.client.gui, self._browser
+        gui = browser.client.gui
         self.name = gui.add_dropdown("Run", list[str]([NONE]), initial_value=NONE,
             hint="A run of the recordings folder, newest first.")  # fmt: skip
         self.load = gui.add_button("Load", hint="Show this run here; other browsers keep theirs.")
@@ -132,8 +111,7 @@ class RecordingsTab:
             hint="Show the run that was started last, or is under way.")  # fmt: skip
         self.settings = gui.add_button("Use this run's settings", color="gray", hint=SETTINGS_HINT)
         self._table = gui.add_html("")
-        self.download = gui.add_button_group("Download", DOWNLOADS,
-            hint=DOWNLOAD_HINT)  # fmt: skip
+        self.download = gui.add_button_group("Download", DOWNLOADS, hint=DOWNLOAD_HINT)
         self.viewer = gui.add_button("Open in rerun", color="gray",
             visible=browser.hub.open_recording is not None,
             hint="Serve this run's recording to rerun's viewer in the browser.")  # fmt: skip
@@ -143,19 +121,16 @@ class RecordingsTab:
         self.settings.on_click(browser.on(self._settings))
         self.download.on_click(browser.on(self._download))
         self.viewer.on_click(browser.on(self._open))
-
-    def _add_notes(self) -> None:
-        gui, browser = self._browser.client.gui, self._browser
         self.notes = gui.add_text("Notes", "", multiline=True, hint=NOTES_HINT)
         self.save = gui.add_button("Save notes", color="gray", hint=NOTES_HINT)
         self.delete = gui.add_button("Delete", color="red", hint=DELETE_HINT)
         self.save.on_click(browser.on(self._save))
         self.delete.on_click(browser.on(self._ask))
+        self.name.on_update(browser.on(self._chosen))
 
     def refresh(self, state: PanelState) -> None:
         """List the folder anew when a run began or ended."""
-        if self.back.visible != (self._browser.loaded is not None):
-            self.back.visible = self._browser.loaded is not None
+        self.back.visible = self._browser.loaded is not None
         self._moment = (state.finished_runs, state.running)
         self.look()
 
@@ -179,10 +154,10 @@ class RecordingsTab:
             self._list_runs(tuple(entry.name for entry in entries))
         damaged = folder.damaged()
         table = recordings_table(entries, folder=str(folder.root), damaged=damaged)
-        set_html(self._table, table)
+        self._table.content = table
 
     def _chosen(self) -> None:
-        set_html(self._link, "")
+        self._clear_link()
         self.notes.value = self._browser.hub.recordings.notes(self.name.value)
 
     def _load(self) -> None:
@@ -204,8 +179,11 @@ class RecordingsTab:
                     look = partial(hub.loaded.disagreement, folder)
                     browser.beside(look, partial(self._held_to_files, run))
 
-        set_html(self._link, block(quiet(f"Opening {escape(name)} ...")))
-        browser.beside(read, show, ended=lambda: set_html(self._link, ""))
+        self._link.content = block(quiet(f"Opening {escape(name)} ..."))
+        browser.beside(read, show, ended=self._clear_link)
+
+    def _clear_link(self) -> None:
+        self._link.content = ""
 
     def _held_to_files(self, run: RunData, wrong: InputError | None) -> None:
         """Say what large files contradict, and show the run no longer."""
@@ -257,36 +235,32 @@ class RecordingsTab:
 
     def _download(self) -> None:
         browser, word, name = self._browser, self.download.value, self.name.value
+        hub = browser.hub
         if word == "CSV":
-            folder = browser.hub.recordings.folder(name)
+            folder = hub.recordings.folder(name)
             browser.tell("CSV", f"The ranking of {name} is being written.", color="blue")
-            browser.beside(partial(self._csv, folder), partial(self._send, f"{name}.csv"))
-            return
-        self._send(*self._downloaded(word, name))
 
-    def _csv(self, folder: Path) -> bytes:
-        run = self._browser.hub.loaded.get(folder)
-        return ranking_csv(run, rank(run, run.config.metric)).encode()
+            def ranked() -> bytes:
+                run = hub.loaded.get(folder)
+                return ranking_csv(run, rank(run, run.config.metric)).encode()
+
+            browser.beside(ranked, partial(self._send, f"{name}.csv"))
+        elif word == "run.rrd":
+            self._send(f"{name}.rrd", hub.recordings.content(name, "run.rrd"))
+        elif word == "result.json":
+            self._send(f"{name}.json", hub.recordings.content(name, "result.json"))
+        elif self._player.track is None:
+            message = "no rollout is shown: pick one in the Trajectories tab"
+            raise InputError(message)
+        else:
+            self._send("pemviz-rollout.html", scene_html(self._player.track.drawn).encode())
 
     def _send(self, filename: str, content: bytes) -> None:
         self._browser.client.send_file_download(filename, content, save_immediately=True)
-
-    def _downloaded(self, word: str, name: str) -> tuple[str, bytes]:
-        """File name and content of a download."""
-        folder = self._browser.hub.recordings
-        if word == "run.rrd":
-            return f"{name}.rrd", folder.content(name, "run.rrd")
-        if word == "result.json":
-            return f"{name}.json", folder.content(name, "result.json")
-        chosen = self._player.track
-        if chosen is None:
-            message = "no rollout is shown: pick one in the Trajectories tab"
-            raise InputError(message)
-        return "pemviz-rollout.html", scene_html(chosen.drawn).encode()
 
     def _open(self) -> None:
         opener = self._browser.hub.open_recording
         if opener is None:
             return
         path = self._browser.hub.recordings.file(self.name.value, "run.rrd")
-        set_html(self._link, viewer_link(opener(path), name=self.name.value))
+        self._link.content = viewer_link(opener(path), name=self.name.value)

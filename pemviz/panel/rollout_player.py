@@ -13,7 +13,8 @@ from pemviz.arrays import FloatArray
 from pemviz.charts.svg import Axis, Plot, svg_element, text
 from pemviz.colors import BLUE, DETECTED, GREY, MISSED, PEM, PROPOSAL, VERMILLION, car_color
 from pemviz.config import ExperimentConfig
-from pemviz.panel.browser import Browser, Window, set_html
+from pemviz.panel.browser import Browser, Window
+from pemviz.panel.curve_chart import signal_label, signal_name
 from pemviz.panel.page import PLOTS, ROLLOUT, SHEET, SPEEDS, number
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
@@ -41,6 +42,18 @@ MARGIN = 8
 MOST_INSIDE = 3
 """Cars whose names have room among the lines of their speeds; of more they stand beside these."""
 LEGEND_BESIDE, BESIDE_CHARACTERS = 96, 12
+Key = Literal["space", "arrowleft", "arrowright"]
+
+PLAYED_AT = {"0.1x": 0.1, "0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0}
+STEP_HINT = "State of the rollout; drag to scrub. Keys: arrow left, arrow right."
+PLAY_HINT = "Play and pause (key: space), start again, speed as a multiple of real time."
+PLOT_PAUSE_S = 0.12
+Place = tuple[float, float, float]
+VIEWS: dict[str, tuple[Place, Place]] = {
+    "from behind": (FIRST_VIEW_POSITION, FIRST_VIEW_TARGET),
+    "from above": ((17.0, -9.5, 75.0), (17.0, -9.0, 0.0)),
+}
+"""Where the camera stands, and what it looks at; the rollout's plots cover what lies below."""
 SHADES = {NOT_ASKED: GREY, RIGHT: DETECTED, WRONG: MISSED}
 
 
@@ -49,42 +62,28 @@ class Track:
     """One rollout.
 
     Attributes:
-        title: What it is, in words.
-        drawn: Where its cars are, and what perception told.
-        asked: The signal that the specification is about first.
+        charted: The signal that the specification is about first.
         values: ``[T]`` of that signal.
         limits: What the specification compares that signal with.
-        violated: The verdict on the whole rollout.
         detection: ``[2, T-1]`` P(detected) under the error model, and under the proposal sampled
             from; ``None`` where perception answers several things at a step.
     """
 
     title: str
     drawn: DrawnRollout
-    asked: Signal
+    charted: Signal
     values: FloatArray
     limits: tuple[float, ...]
-    violated: bool
     detection: FloatArray | None = None
-
-    @property
-    def states(self) -> int:
-        """Number of states T."""
-        return self.drawn.count
-
-    @property
-    def dt_s(self) -> float:
-        """Time step [s]."""
-        return self.drawn.dt_s
 
     @property
     def time_s(self) -> FloatArray:
         """Times ``[T]`` [s]."""
-        return np.arange(self.states, dtype=np.float64) * self.dt_s
+        return np.arange(self.drawn.count, dtype=np.float64) * self.drawn.dt_s
 
     @property
     def interesting_step(self) -> int:
-        """Where the eye should land: contact, else where the asked signal is least."""
+        """Where the eye should land: contact, else where the signal is least."""
         contact = self.drawn.contact_step
         return int(np.argmin(self.values)) if contact is None else contact
 
@@ -104,44 +103,26 @@ def track(run: RunData, entry: RankedRow) -> Track:
     drawn = drawn_rollout(simulator, signals=signals, detected=detected, memory=memory)
     assert drawn is not None  # noqa: S101  asked for by run_data.own_scenario
     sampled = (detection_probability(table[name], detected) for name in ("log_p", "log_q"))
+    verdict = "violates" if entry.violated else "does not violate"
     return Track(
-        title=row_title(entry),
+        title=f"Rank {entry.rank}: robustness {number(entry.robustness)}, {verdict}, "
+        f"{entry.misses} misses, stage {entry.stage}, rollout {entry.rollout}",
         drawn=drawn,
-        asked=run.charted,
+        charted=run.charted,
         values=signals[run.charted.name],
-        limits=limits_of(run.config, run.charted),
-        violated=entry.violated,
+        limits=_limits(run.config, run.charted),
         detection=np.stack(list(sampled)) if detected.ndim == 1 else None,
     )
 
 
-def row_title(entry: RankedRow) -> str:
-    """A rollout in words."""
-    verdict = "violates" if entry.violated else "does not violate"
-    return (
-        f"Rank {entry.rank}: robustness {number(entry.robustness)}, {verdict}, "
-        f"{entry.misses} misses, stage {entry.stage}, rollout {entry.rollout}"
-    )
-
-
-def limits_of(config: ExperimentConfig, signal: Signal) -> tuple[float, ...]:
+def _limits(config: ExperimentConfig, signal: Signal) -> tuple[float, ...]:
     """What the specification, or its rules, compare a signal with, ascending."""
-    formulas = [rule.formula for rule in config.rules] or [config.spec]
-    predicates = (
-        (part.left, part.right)
-        for formula in formulas
-        for part in stl.parse(formula).walk()
-        if isinstance(part, Predicate)
-    )
-    return tuple(
-        sorted(
-            {
-                right.value
-                for left, right in predicates
-                if left == SignalOf(signal.name) and isinstance(right, Constant)
-            }
-        )
-    )
+    limits: set[float] = set()
+    for formula in [rule.formula for rule in config.rules] or [config.spec]:
+        for part in stl.parse(formula).walk():
+            if isinstance(part, Predicate) and part.left == SignalOf(signal.name):
+                limits |= {part.right.value} if isinstance(part.right, Constant) else set()
+    return tuple(sorted(limits))
 
 
 def track_plots(chosen: Track) -> tuple[str, ...]:
@@ -155,18 +136,22 @@ def track_plots(chosen: Track) -> tuple[str, ...]:
 
 def with_cursor(plots: Sequence[str], chosen: Track, step: int, *, speed: float) -> str:
     """The plots side by side with a cursor at a step, and the values there."""
+    time_s, unit = float(chosen.time_s[step]), chosen.charted.unit
+    values = (
+        f"{chosen.values[step]:.2f} {unit} at {time_s:.2f} s".replace("  ", " "),
+        f"ego {chosen.drawn.states.speed_mps[step, 0]:.1f} m/s, played at {speed:g}x",
+        step_words(chosen, step),
+    )
     shown: list[str] = []
-    values = _values(chosen, step, speed=speed)
     for place, (drawn, plot) in enumerate(zip(plots, _axes(chosen), strict=True)):
-        x = plot.px(float(chosen.time_s[step]))
+        x = plot.px(time_s)
         line = f"<path d='M{x:.1f} {plot.top}V{plot.bottom}' stroke='{CURSOR}' stroke-width='1.4'/>"
-        end = PLOT_WIDTH - MARGIN
-        words = text(values[place], end, plot.top - 9, anchor="end", color=CURSOR)
+        words = text(values[place], PLOT_WIDTH - MARGIN, plot.top - 9, anchor="end", color=CURSOR)
         named = "" if place else f" data-cursor='{step}'"
         shown.append(f"{drawn}<g{named}>{line}{words}</g></svg>")
-    asked, speeds, perception = shown
+    charted, speeds, perception = shown
     middle = speeds.replace("<svg ", f"<svg class='{SPEEDS}' ", 1)
-    return f"<div class='{PLOTS}'>{asked}{middle}{perception}</div>"
+    return f"<div class='{PLOTS}'>{charted}{middle}{perception}</div>"
 
 
 def step_words(chosen: Track, step: int) -> str:
@@ -186,67 +171,56 @@ def step_words(chosen: Track, step: int) -> str:
     return ", ".join(wrong) or "no error"
 
 
-def _values(chosen: Track, step: int, *, speed: float) -> tuple[str, str, str]:
-    states, unit = chosen.drawn.states, chosen.asked.unit
-    shown = f"{chosen.values[step]:.2f} {unit} at {chosen.time_s[step]:.2f} s"
-    return (
-        shown.replace("  ", " "),
-        f"ego {states.speed_mps[step, 0]:.1f} m/s, played at {speed:g}x",
-        step_words(chosen, step),
-    )
-
-
 def _axes(chosen: Track) -> tuple[Plot, Plot, Plot]:
-    drawn = chosen.drawn
-    time = Axis(0.0, max(float(chosen.time_s[-1]), chosen.dt_s), "time [s]")
+    drawn, signal = chosen.drawn, chosen.charted
+    time = Axis(0.0, max(float(chosen.time_s[-1]), drawn.dt_s), "time [s]")
     low, high = (float(end([*chosen.values, *chosen.limits])) for end in (np.min, np.max))
     margin = 0.08 * (high - low) or 1.0
-    unit = f" [{chosen.asked.unit}]" if chosen.asked.unit else ""
-    name = chosen.asked.name.replace("_", " ")
+    value = Axis(low - margin, high + margin, signal_label(signal))
     fastest = max(float(np.max(drawn.states.speed_mps, initial=0.0)), 1.0)
+    speed = Axis(0.0, fastest * 1.08, "speed [m/s]")
     size = {"width": PLOT_WIDTH, "height": HEIGHT, "left": 42, "right": MARGIN, "top": 22}
     beside = LEGEND_BESIDE if len(drawn.cars) > MOST_INSIDE else MARGIN
-    asked = Plot(
-        title=name.capitalize(), x=time, y=Axis(low - margin, high + margin, name + unit), **size
+    answers = Axis(-0.22, 1.04, "P(detected)", ticks=(0.0, 0.5, 1.0))
+    room = {}
+    if chosen.detection is None:
+        answers = Axis(len(drawn.slots) + 0.5, 0.5, "", ticks=())
+        room = {"left": 100, "title_at": 4}
+    return (
+        Plot(title=signal_name(signal).capitalize(), x=time, y=value, **size),
+        Plot(title="Speeds", x=time, y=speed, **(size | {"right": beside})),
+        Plot(title="Perception", x=time, y=answers, **(size | room)),
     )
-    speed = Axis(0.0, fastest * 1.08, "speed [m/s]")
-    speeds = Plot(title="Speeds", x=time, y=speed, **(size | {"right": beside}))
-    if chosen.detection is not None:
-        likely = Axis(-0.22, 1.04, "P(detected)", ticks=(0.0, 0.5, 1.0))
-        return asked, speeds, Plot(title="Perception", x=time, y=likely, **size)
-    rows, named = Axis(len(drawn.slots) + 0.5, 0.5, "", ticks=()), {"left": 100, "title_at": 4}
-    return asked, speeds, Plot(title="Perception", x=time, y=rows, **(size | named))
 
 
 def _plots(chosen: Track) -> tuple[Plot, Plot, Plot]:
-    asked, speeds, perception = _axes(chosen)
+    charted, speeds, perception = _axes(chosen)
     drawn, time_s = chosen.drawn, chosen.time_s
     for limit in chosen.limits:
-        label = f"{limit:g} {chosen.asked.unit}".strip() + ": limit"
-        asked.hline(limit, color=VERMILLION, label=label, dash="", at_left=True)
-    asked.line(time_s, chosen.values, color=BLUE, width=2.2)
+        label = f"{limit:g} {chosen.charted.unit}".strip() + ": limit"
+        charted.hline(limit, color=VERMILLION, label=label, dash="", at_left=True)
+    charted.line(time_s, chosen.values, color=BLUE, width=2.2)
+    inside = len(drawn.cars) <= MOST_INSIDE
+    most = NAME_CHARACTERS if inside else BESIDE_CHARACTERS
     entries: list[tuple[str, str, str]] = []
     for car, shape in enumerate(drawn.cars):
         there = np.where(drawn.states.present[:, car], drawn.states.speed_mps[:, car], np.nan)
         dash = "" if car == 0 else "6 3"
         speeds.line(time_s, there, color=car_color(car), width=2.2, dash=dash)
-        entries.append((_short(shape.name), car_color(car), dash))
-    if len(entries) > MOST_INSIDE:
-        short = [
-            (_short(name, most=BESIDE_CHARACTERS), color, dash) for name, color, dash in entries
-        ]
-        speeds.legend(short, x=speeds.right + 4, y=speeds.top + 8)
-    else:
+        entries.append((_short(shape.name, most=most), car_color(car), dash))
+    if inside:
         speeds.legend(entries, x=speeds.left + 8, y=speeds.bottom - 6 - 14 * len(entries))
+    else:
+        speeds.legend(entries, x=speeds.right + 4, y=speeds.top + 8)
     draw = _draw_answers if chosen.detection is None else _draw_detection
     draw(perception, chosen)
     if drawn.contact_step is not None:
         at_s = drawn.contact_step * drawn.dt_s
         impact = drawn.impact_speed_mps
-        asked.veil(at_s, label="contact")
+        charted.veil(at_s, label="contact")
         speeds.veil(at_s, label="" if impact is None else f"{impact:.1f} m/s impact")
         perception.veil(at_s)
-    return asked, speeds, perception
+    return charted, speeds, perception
 
 
 def _draw_answers(plot: Plot, chosen: Track) -> None:
@@ -285,20 +259,6 @@ def _short(name: str, *, most: int = NAME_CHARACTERS) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
-Key = Literal["space", "arrowleft", "arrowright"]
-
-PLAYED_AT = {"0.1x": 0.1, "0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0}
-STEP_HINT = "State of the rollout; drag to scrub. Keys: arrow left, arrow right."
-PLAY_HINT = "Play and pause (key: space), start again, speed as a multiple of real time."
-PLOT_PAUSE_S = 0.12
-FROM_BEHIND, FROM_ABOVE = "from behind", "from above"
-VIEWS = {
-    FROM_BEHIND: (FIRST_VIEW_POSITION, FIRST_VIEW_TARGET),
-    FROM_ABOVE: ((17.0, -9.5, 75.0), (17.0, -9.0, 0.0)),
-}
-"""Where the camera stands, and what it looks at; the rollout's plots cover what lies below."""
-
-
 class Player:
     """Plays one rollout in this browser's scene."""
 
@@ -327,14 +287,13 @@ class Player:
         self._pieces = track_plots(chosen)
         self.playing = False
         with self._browser.client.atomic():
-            self.slider.max = chosen.states - 1
+            self.slider.max = chosen.drawn.count - 1
             self.scene.show(chosen.drawn)
             self._go_to(chosen.interesting_step)
 
-    def look_from(self, view: str) -> None:
-        """Put the camera where a view of that name is taken from."""
+    def look_from(self, position: Place, target: Place) -> None:
+        """Put the camera somewhere, and have it look at something."""
         camera = self._browser.client.camera
-        position, target = VIEWS[view]
         camera.position, camera.look_at = position, target
 
     @property
@@ -349,10 +308,10 @@ class Player:
             return
         began_s, first = self._began
         passed = (time.monotonic() - began_s) * self._speed
-        step = min(first + int(passed / chosen.dt_s), chosen.states - 1)
+        step = min(first + int(passed / chosen.drawn.dt_s), chosen.drawn.count - 1)
         if step != self._step:
             self._go_to(step)
-        if step == chosen.states - 1:
+        if step == chosen.drawn.count - 1:
             self._pause()
 
     def _add_controls(self) -> None:
@@ -364,19 +323,19 @@ class Player:
         self._plots = gui.add_html("")
         self.slider.on_update(browser.on(self._scrub))
         self.play.on_click(browser.on(self._play_clicked))
-        self._key_for("Play or pause", "space", self._toggle)
-        self._key_for("Step back", "arrowleft", lambda: self._nudge(-1))
-        self._key_for("Step ahead", "arrowright", lambda: self._nudge(1))
-
-    def _key_for(self, label: str, key: Key, work: Callable[[], None]) -> None:
-        command = self._browser.client.gui.add_command(label, hotkey=key)
-        command.on_trigger(self._browser.on(work))
+        keys: tuple[tuple[str, Key, Callable[[], None]], ...] = (
+            ("Play or pause", "space", lambda: self._pause() if self.playing else self._play()),
+            ("Step back", "arrowleft", lambda: self._nudge(-1)),
+            ("Step ahead", "arrowright", lambda: self._nudge(1)),
+        )
+        for label, key, work in keys:
+            gui.add_command(label, hotkey=key).on_trigger(browser.on(work))
 
     def _go_to(self, step: int) -> None:
         chosen = self.track
         if chosen is None:
             return
-        self._step = min(max(step, 0), chosen.states - 1)
+        self._step = min(max(step, 0), chosen.drawn.count - 1)
         with self._browser.client.atomic():
             self.scene.at(self._step)
             self.slider.value = self._step
@@ -384,7 +343,7 @@ class Player:
             if not self.playing or now_s - self._plotted_s >= PLOT_PAUSE_S:
                 self._plotted_s = now_s
                 page = with_cursor(self._pieces, chosen, self._step, speed=self._speed)
-                set_html(self._plots, page)
+                self._plots.content = page
 
     def _scrub(self) -> None:
         self._pause()
@@ -394,16 +353,12 @@ class Player:
         self._pause()
         self._go_to(self._step + by)
 
-    def _toggle(self) -> None:
-        if self.playing:
-            self._pause()
-        else:
-            self._play()
-
     def _play_clicked(self) -> None:
         word = self.play.value
         if word in PLAYED_AT:
-            self._set_speed(PLAYED_AT[word])
+            self._speed = PLAYED_AT[word]
+            self._began = (time.monotonic(), self._step)
+            self._go_to(self._step)
         elif word == "Pause":
             self._pause()
         else:
@@ -414,7 +369,7 @@ class Player:
     def _play(self) -> None:
         if self.track is None:
             return
-        if self._step >= self.track.states - 1:
+        if self._step >= self.track.drawn.count - 1:
             self._go_to(0)
         self.playing = True
         self._began = (time.monotonic(), self._step)
@@ -424,12 +379,7 @@ class Player:
             self.playing = False
             self._go_to(self._step)
 
-    def _set_speed(self, speed: float) -> None:
-        self._speed = speed
-        self._began = (time.monotonic(), self._step)
-        self._go_to(self._step)
-
     def follow(self, follow: bool) -> None:
         """Whether the view keeps up with the ego car."""
-        self.scene.follow(follow)
+        self.scene.follow = follow
         self._go_to(self._step)

@@ -18,6 +18,8 @@ from pemviz.types import Simulator
 KEPT_ROLLOUTS = 20_000
 FARTHEST = 1e9
 """Beyond any gap [m], speed [m/s] or log likelihood of a step [nats]."""
+_KINDS = {"detected": "b", "violated": "b", "repetition": "i", "stage": "i", ROLLOUT: "i"}
+_KIND_WORDS = {"b": "truth values", "i": "whole numbers", "f": "floating-point numbers"}
 PER_ROLLOUT = ("repetition", "stage", "robustness", "violated")
 
 
@@ -31,47 +33,50 @@ def thinned(
 
     If there are more: of the final stages' violations those of largest weight, up to half of
     what is kept, and beside them the least robust of all others.
-
-    Args:
-        parts: Tables of rollouts.
-        stages: The run's stages, as far as it has come.
-        limit: How many rollouts are kept.
     """
     if sum(part["violated"].shape[0] for part in parts) <= limit:
         return tuple(parts)
-    columns = {name: _joined(parts, name) for name in PER_ROLLOUT}
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in PER_ROLLOUT}
     violations = np.flatnonzero(final_violations(columns, stages=stages))
     log_weight = np.concatenate([log_weights(part) for part in parts])[violations]
     heavy = violations[np.argsort(-log_weight, kind="stable")[: limit // 2]]
     order = np.argsort(columns["robustness"], kind="stable")
     others = order[~np.isin(order, heavy)][: limit - heavy.size]
     chosen = np.sort(np.concatenate([heavy, others]))
-    return (_taken(parts, chosen),)
-
-
-def _joined(parts: Sequence[Mapping[str, AnyArray]], name: str) -> AnyArray:
-    return np.concatenate([part[name] for part in parts])
-
-
-def _taken(parts: Sequence[Mapping[str, AnyArray]], rows: IntArray) -> dict[str, AnyArray]:
-    """The rows of all parts, ascending, as one table."""
     ends = np.cumsum([part["violated"].shape[0] for part in parts])
-    pieces = np.split(rows, np.searchsorted(rows, ends[:-1]))
+    pieces = np.split(chosen, np.searchsorted(chosen, ends[:-1]))
     begins = [0, *ends[:-1].tolist()]
     own_rows = [piece - begin for piece, begin in zip(pieces, begins, strict=True)]
     taken = list(zip(parts, own_rows, strict=True))
-    return {name: np.concatenate([part[name][own] for part, own in taken]) for name in parts[0]}
+    return ({name: np.concatenate([part[name][own] for part, own in taken]) for name in parts[0]},)
+
+
+def by_stage(table: Mapping[str, AnyArray]) -> list[IntArray]:
+    """The rows of each stage of each repetition of a table that is not empty, ascending."""
+    key = table["repetition"].astype(np.int64) * (1 << 32) + table["stage"]
+    order = np.argsort(key, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+
+
+def in_stage(table: Mapping[str, AnyArray], stage: StageSummary) -> BoolArray:
+    """Which rollouts ``[N]`` of a table belong to a stage."""
+    return (table["repetition"] == stage.repetition) & (table["stage"] == stage.stage)
+
+
+def in_final_stages(table: Mapping[str, AnyArray], *, stages: Sequence[StageSummary]) -> BoolArray:
+    """Which rollouts ``[N]`` of a table belong to a final stage."""
+    chosen = np.zeros(table["stage"].shape, dtype=np.bool_)
+    for stage in stages:
+        if stage.kind == "final":
+            chosen |= in_stage(table, stage)
+    return chosen
 
 
 def final_violations(
     table: Mapping[str, AnyArray], *, stages: Sequence[StageSummary], rule: str | None = None
 ) -> BoolArray:
     """Which rollouts ``[N]`` of a table violate, or break a rule, and belong to a final stage."""
-    chosen = np.zeros(table["violated"].shape, dtype=np.bool_)
-    for stage in stages:
-        if stage.kind == "final":
-            chosen |= (table["repetition"] == stage.repetition) & (table["stage"] == stage.stage)
-    return chosen & verdicts(table, rule=rule)
+    return in_final_stages(table, stages=stages) & verdicts(table, rule=rule)
 
 
 def verdicts(table: Mapping[str, AnyArray], *, rule: str | None) -> BoolArray:
@@ -83,13 +88,9 @@ def numbered(part: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     """The table with each rollout's index in its stage under ``rollout``."""
     if ROLLOUT in part:
         return dict(part)
-    key = part["repetition"].astype(np.int64) * (1 << 32) + part["stage"].astype(np.int64)
-    order = np.argsort(key, kind="stable")
-    ordered = key[order]
-    starts = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]])
-    lengths = np.diff(np.r_[starts, key.size])
-    index = np.empty(key.size, dtype=np.int64)
-    index[order] = np.arange(key.size) - np.repeat(starts, lengths)
+    index = np.empty(part["repetition"].size, dtype=np.int64)
+    for rows in by_stage(part):
+        index[rows] = np.arange(rows.size)
     return {**part, ROLLOUT: index}
 
 
@@ -130,10 +131,12 @@ def check_table(
             raise InputError(message)
         _refuse(name, table[name][:0] if mapped and name in shapes else table[name], where=where)
     try:
-        if mapped:
-            _check_latents(table, count=count)
-        else:
-            latents_of(table)
+        names = latent_names(table) if mapped else ()
+        latents_of({name: table[name][:0] for name in names} if mapped else table)
+        for name in names:
+            if table[name].shape[0] != count:
+                message = f"{name} has shape {table[name].shape}, must have {count} rows"
+                raise ValueError(message)
     except ValueError as error:
         message = f"rollouts {where}: {error}"
         raise InputError(message) from error
@@ -160,49 +163,22 @@ def latent_names(table: Mapping[str, AnyArray]) -> tuple[str, ...]:
     return ("detected", *names) if names else ()
 
 
-def _check_latents(table: Mapping[str, AnyArray], *, count: int) -> None:
-    """Check the shapes and types of mapped latents.
-
-    Raises:
-        ValueError: They do not fit together.
-    """
-    names = latent_names(table)
-    latents_of({name: table[name][:0] for name in names} if names else {})
-    for name in names:
-        if table[name].shape[0] != count:
-            message = f"{name} has shape {table[name].shape}, must have {count} rows"
-            raise ValueError(message)
-
-
 def _refuse(name: str, values: AnyArray, *, where: str) -> None:
-    """Refuse an array whose type or numbers cannot be a run's.
-
-    Raises:
-        InputError: Saying what is wrong.
-    """
+    """Refuse an array whose type or numbers cannot be a run's."""
     if name.startswith(LATENTS):
         return  # latents_of checks them
-    fault = _fault(name, values)
+    kind = "b" if name.startswith(BROKEN) else _KINDS.get(name, "f")
+    fault = None
+    if values.dtype.kind != kind:
+        fault = f"holds {values.dtype}, must hold {_KIND_WORDS[kind]}"
+    elif kind == "i" and not np.all((values >= 0) & (values < 2**31)):
+        fault = "must lie between 0 and 2147483647"
+    elif name in ("log_p", "log_q") and not np.all((values <= 0.0) & (values >= -FARTHEST)):
+        fault = f"must hold logarithms of probabilities, {-FARTHEST:g} to 0"
+    elif name == "robustness" and np.any(np.isnan(values)):
+        fault = "must hold numbers, not NaN"
+    elif name not in PER_ROLLOUT and kind == "f" and not np.all(np.abs(values) <= FARTHEST):
+        fault = f"must hold numbers between {-FARTHEST:g} and {FARTHEST:g}"
     if fault is not None:
         message = f"rollouts {where}: {name} {fault}"
         raise InputError(message)
-
-
-def _fault(name: str, values: AnyArray) -> str | None:
-    """What is wrong with an array's type or numbers, in words; ``None`` if nothing is."""
-    kind = "b" if name.startswith(BROKEN) else _KINDS.get(name, "f")
-    if values.dtype.kind != kind:
-        return f"holds {values.dtype}, must hold {_KIND_WORDS[kind]}"
-    if kind == "i" and not np.all((values >= 0) & (values < 2**31)):
-        return "must lie between 0 and 2147483647"
-    if name in ("log_p", "log_q") and not np.all((values <= 0.0) & (values >= -FARTHEST)):
-        return f"must hold logarithms of probabilities, {-FARTHEST:g} to 0"
-    if name == "robustness" and np.any(np.isnan(values)):
-        return "must hold numbers, not NaN"
-    if name not in PER_ROLLOUT and kind == "f" and not np.all(np.abs(values) <= FARTHEST):
-        return f"must hold numbers between {-FARTHEST:g} and {FARTHEST:g}"
-    return None
-
-
-_KINDS = {"detected": "b", "violated": "b", "repetition": "i", "stage": "i", ROLLOUT: "i"}
-_KIND_WORDS = {"b": "truth values", "i": "whole numbers", "f": "floating-point numbers"}

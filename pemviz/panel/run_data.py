@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.latents import Latents
@@ -23,7 +23,7 @@ from pemviz.simulators.braking.scenario import GAP, scenario_signals
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.drawn_scene import drawn_scene
 from pemviz.simulators.slots import SlotSimulator
-from pemviz.types import Signal, Simulator, StageKind
+from pemviz.types import Signal, Simulator
 
 Value = TypeVar("Value")
 Report = Callable[[int], None]
@@ -34,10 +34,12 @@ PART_ROWS = 4096
 """Rollouts looked at in one go: some tens of megabytes."""
 AT_ONCE = 20_000
 """As many rollouts are looked at before a person notices."""
+CLEARANCE = "clearance"
+"""Signal of scenarios with several cars: how far the ego is from the nearest [m]."""
 
 
 @dataclass(frozen=True)
-class Progress:
+class ScanProgress:
     """How far a scan is: ``done`` of ``count`` rollouts."""
 
     done: int
@@ -66,7 +68,7 @@ class Scans:
             self._carry_out(key, begun, scan)
         return cast(Value, begun.result())
 
-    def begin(self, key: object, scan: Scan[Any], *, count: int) -> Progress | None:
+    def begin(self, key: object, scan: Scan[Any], *, count: int) -> ScanProgress | None:
         """Have the scan done on a thread of its own; ``None`` once it is, or has failed.
 
         A run of at most :data:`AT_ONCE` rollouts is left to :meth:`value`.
@@ -78,7 +80,7 @@ class Scans:
             threading.Thread(
                 target=self._carry_out, args=(key, begun, scan), name="pemviz-scan", daemon=True
             ).start()
-        return None if begun.done() else Progress(self._done.get(key, 0), count)
+        return None if begun.done() else ScanProgress(self._done.get(key, 0), count)
 
     def known(self, key: object) -> bool:
         """Whether a scan has come to its end."""
@@ -106,28 +108,12 @@ class Scans:
             result.set_exception(error)
 
 
-Value = TypeVar("Value")
-
-CLEARANCE = "clearance"
-"""Signal of scenarios with several cars: how far the ego is from the nearest [m]."""
-
-
 @dataclass(frozen=True)
 class ProposalCurve:
-    """P(detected) against the gap under one stage's proposal.
-
-    Attributes:
-        repetition: Zero-based.
-        stage: The stage whose rollouts it was learned from.
-        kind: That stage's kind.
-        gap_m: ``[G]`` ascending gaps [m].
-        detection: ``[G]`` probabilities; NaN where nothing is known.
-    """
+    """P(detected) ``[G]`` against the run's gaps under one stage's proposal; NaN where unknown."""
 
     repetition: int
     stage: int
-    kind: StageKind
-    gap_m: FloatArray
     detection: FloatArray
 
 
@@ -152,7 +138,7 @@ class RunData:
 
     Attributes:
         result: What the run tells, as far as it has come.
-        gap_m: ``[G]`` gaps of the error model's curve [m].
+        gap_m: ``[G]`` ascending gaps of the curves [m].
         pem_detection: ``[G]`` P(detected) under the error model.
         curves: Proposals in the order in which they were learned.
         parts: Tables of rollouts with the keys of ``rollouts.npz``, each table some stages.
@@ -186,7 +172,7 @@ class RunData:
 
     @property
     def config(self) -> ExperimentConfig:
-        """What was asked."""
+        """The result's."""
         return self.result.config
 
     @cached_property
@@ -230,9 +216,7 @@ class RunData:
     @property
     def final_curves(self) -> tuple[ProposalCurve, ...]:
         """The curves of the last repetition that has any."""
-        if not self.curves:
-            return ()
-        last = self.curves[-1].repetition
+        last = self.curves[-1].repetition if self.curves else 0
         return tuple(curve for curve in self.curves if curve.repetition == last)
 
     def steps(self, names: Iterable[str], rows: int | slice | IntArray) -> dict[str, AnyArray]:
@@ -302,10 +286,6 @@ class RunData:
                 raise InputError(message) from error
             report(rows.stop)
         return found
-
-    def pem_nll(self, rows: slice | IntArray) -> FloatArray:
-        """Negative log-likelihoods ``[R]`` of rollouts under the error model [nats]."""
-        return -row_sums(np.asarray(self.steps(["log_p"], rows)["log_p"], dtype=np.float64))
 
 
 def detection_probability(log_likelihood: FloatArray, detected: BoolArray) -> FloatArray:

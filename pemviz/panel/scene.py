@@ -1,4 +1,8 @@
-"""Shapes of the scene as vertices ``[V, 3]`` in metres and triangles ``[F, 3]``."""
+"""The 3D scene of one rollout of any scenario that tells where its cars are.
+
+Coordinates: x along the road, y to the left, z up, in metres; the ego's centre is at x = 0 when
+the rollout begins.
+"""
 
 import threading
 from dataclasses import dataclass
@@ -11,36 +15,20 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLUE, DETECTED, MISSED, car_color, rgb
 from pemviz.panel.server import guarded_server
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
-from pemviz.simulators.scene import SceneCar
-
-Profile = list[tuple[float, float]]
-
-CAR_LENGTH_M = 5.0
-WIDTH_M = 1.75
-HEIGHT_M = 1.55
-BODY: Profile = [(0.0, 0.3), (5.0, 0.3), (5.0, 0.72), (4.85, 0.84), (0.15, 0.98), (0.0, 0.88)]
-CABIN: Profile = [(0.45, 0.93), (3.75, 0.82), (2.95, 1.42), (2.55, 1.5), (1.2, 1.5), (0.9, 1.42)]
-ROOF: Profile = [(1.05, 1.48), (2.75, 1.46), (2.5, 1.54), (1.3, 1.55)]
-WHEELS_X_M = (0.95, 4.05)
-WHEEL_RADIUS_M = 0.34
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles."""
+    """Vertices ``[V, 3]`` in metres and triangles ``[F, 3]``."""
 
     vertices: FloatArray
     faces: IntArray
 
 
-def extruded(profile: Profile, *, width: float, y: float = 0.0) -> Mesh:
-    """A convex counter-clockwise profile in x and z, extruded along y around ``y``."""
+def extruded(profile: FloatArray, *, width: float, y: float = 0.0) -> Mesh:
+    """A convex counter-clockwise profile ``[N, 2]`` in x and z, extruded along y around ``y``."""
     count = len(profile)
-    outline = np.asarray(profile, dtype=np.float64)
-    sides = [
-        np.stack([outline[:, 0], np.full(count, y + side * width / 2), outline[:, 1]], axis=1)
-        for side in (-1, 1)
-    ]
+    sides = [np.insert(profile, 1, y + side * width / 2, axis=1) for side in (-1, 1)]
     faces: list[tuple[int, int, int]] = []
     for place in range(1, count - 1):
         faces.append((0, place, place + 1))
@@ -54,59 +42,39 @@ def extruded(profile: Profile, *, width: float, y: float = 0.0) -> Mesh:
 
 def joined(*meshes: Mesh) -> Mesh:
     """Several meshes as one."""
-    offsets = np.cumsum([0, *(mesh.vertices.shape[0] for mesh in meshes)])
-    return Mesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate(
-            [mesh.faces + offset for mesh, offset in zip(meshes, offsets[:-1], strict=True)]
-        ),
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets[:-1], strict=True)]
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+
+CAR_LENGTH_M, WIDTH_M, HEIGHT_M = 5.0, 1.75, 1.55
+BODY = np.array([(0, 0.3), (5, 0.3), (5, 0.72), (4.85, 0.84), (0.15, 0.98), (0, 0.88)])
+CABIN = np.array(
+    [(0.45, 0.93), (3.75, 0.82), (2.95, 1.42), (2.55, 1.5), (1.2, 1.5), (0.9, 1.42)]
+)  # fmt: skip
+ROOF = np.array([(1.05, 1.48), (2.75, 1.46), (2.5, 1.54), (1.3, 1.55)])
+ROUND = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+WHEEL = 0.34 * np.stack([np.cos(ROUND), np.sin(ROUND) + 1.0], axis=1)
+CAR_BODY = joined(extruded(BODY, width=WIDTH_M), extruded(ROOF, width=WIDTH_M - 0.32))
+"""Its rear at x = 0, the ground at z = 0."""
+CAR_GLASS = extruded(CABIN, width=WIDTH_M - 0.18)
+CAR_WHEELS = joined(
+    *(
+        extruded(WHEEL + np.array([x, 0.0]), width=0.22, y=y)
+        for x in (0.95, 4.05)
+        for y in (-WIDTH_M / 2 + 0.08, WIDTH_M / 2 - 0.08)
     )
-
-
-def disc(*, radius: float, x: float = 0.0, z: float = 0.0, sides: int = 16) -> Profile:
-    """A round profile."""
-    angles = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
-    points = zip(x + radius * np.cos(angles), z + radius * np.sin(angles), strict=True)
-    return [(float(px), float(pz)) for px, pz in points]
-
-
-def car_body() -> Mesh:
-    """Body and roof of a car; its rear at x = 0, the ground at z = 0."""
-    return joined(extruded(BODY, width=WIDTH_M), extruded(ROOF, width=WIDTH_M - 0.32))
-
-
-def car_glass() -> Mesh:
-    """The car's windows."""
-    return extruded(CABIN, width=WIDTH_M - 0.18)
-
-
-def car_wheels() -> Mesh:
-    """The car's four wheels."""
-    return joined(
-        *(
-            extruded(disc(radius=WHEEL_RADIUS_M, x=x, z=WHEEL_RADIUS_M), width=0.22, y=y)
-            for x in WHEELS_X_M
-            for y in (-WIDTH_M / 2 + 0.08, WIDTH_M / 2 - 0.08)
-        )
+)
+BAR = np.array([(-0.42, -0.07), (0.42, -0.07), (0.42, 0.07), (-0.42, 0.07)])
+HIT_MARK = extruded(np.array([(-0.28, 0), (0.28, 0), (0.28, 0.05), (-0.28, 0.05)]), width=0.5)
+"""A flat lozenge on the road."""
+MISS_MARK = joined(
+    *(
+        extruded(BAR @ np.array([[c, s], [-s, c]]) + np.array([0.0, 0.42]), width=0.14)
+        for c, s in ((np.sqrt(0.5), np.sqrt(0.5)), (np.sqrt(0.5), -np.sqrt(0.5)))
     )
-
-
-def hit_mark() -> Mesh:
-    """A flat lozenge on the road."""
-    profile: Profile = [(-0.28, 0.0), (0.28, 0.0), (0.28, 0.05), (-0.28, 0.05)]
-    return extruded(profile, width=0.5)
-
-
-def miss_mark() -> Mesh:
-    """An upright cross, which differs from the hit's mark in more than colour."""
-    bar: Profile = [(-0.42, -0.07), (0.42, -0.07), (0.42, 0.07), (-0.42, 0.07)]
-    arms: list[Mesh] = []
-    for angle in (np.pi / 4, -np.pi / 4):
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        turned = np.asarray(bar) @ turn.T + np.array([0.0, 0.42])
-        arms.append(extruded([(float(x), float(z)) for x, z in turned], width=0.14))
-    return joined(*arms)
-
+)
+"""An upright cross, which differs from the hit's mark in more than colour."""
 
 ROOT, WORDS = "/world", "/words-"
 FIRST_VIEW_POSITION = (-24.0, -14.0, 16.0)
@@ -138,13 +106,17 @@ BALLS = {NOT_ASKED: AFTER_CONTACT, RIGHT: rgb(DETECTED), WRONG: rgb(MISSED)}
 
 
 class Scene:
-    """Draws a rollout with one scene API, of a browser or of an exporter."""
+    """Draws a rollout with one scene API, of a browser or of an exporter.
+
+    Attributes:
+        follow: Whether the ego car stays put and the road moves, so that any view follows it.
+    """
 
     def __init__(self, api: viser.SceneApi) -> None:
         lights(api)
         self._api = api
         self._drawn: DrawnRollout | None = None
-        self._follow = True
+        self.follow = True
         self._cars: list[_Car] = []
         self._words = _Words(api)
         self._tracks: list[viser.LineSegmentsHandle] = []
@@ -167,24 +139,31 @@ class Scene:
             self._tracks = [self._track_lines(slot) for slot in range(len(drawn.slots))]
         self._marks(drawn)
 
-    def follow(self, follow: bool) -> None:
-        """Whether the ego car stays put and the road moves, so that any view follows it."""
-        self._follow = follow
-
     def at(self, step: int) -> None:
         """Move everything to a step of the rollout."""
         drawn = self._drawn
         if drawn is None:
             return
         ego_x_m = float(drawn.states.x_m[step, 0])
-        ahead_m = -ego_x_m if self._follow else 0.0
+        ahead_m = -ego_x_m if self.follow else 0.0
         self._world.position = (ahead_m, 0.0, 0.0)
         after = drawn.contact_step is not None and step >= drawn.contact_step
         for car in self._cars:
             car.at(step, after=after)
         self._words.at(drawn, step, ahead_m=ahead_m, after=after)
+        tracks = drawn.tracks
         for slot, lines in enumerate(self._tracks):
-            self._move_track(drawn, slot, lines, step, after=after)
+            lines.visible = tracks is not None and not after and bool(tracks.confirmed[step, slot])
+            if tracks is None or not lines.visible:
+                continue
+            # where the controller believes a slot's car to be: its outline and an ellipse
+            centre = np.array([tracks.x_m[step, slot], tracks.y_m[step, slot]])
+            car = drawn.car_of_slot(slot)
+            outline = centre + CORNERS * (car.length_m + 0.3, car.width_m + 0.3)
+            reach = SIGMAS * np.array([tracks.x_sd_m[step, slot], tracks.y_sd_m[step, slot]])
+            ellipse = centre + np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) * reach
+            flat = [_segments(outline, 0.06), _segments(ellipse, car.height_m + 0.15)]
+            lines.points = np.concatenate(flat).astype(np.float32)
 
     def _ground(self, drawn: DrawnRollout) -> None:
         x_m = drawn.states.x_m[drawn.states.present]
@@ -227,37 +206,14 @@ class Scene:
             visible=False,
         )
 
-    def _move_track(
-        self,
-        drawn: DrawnRollout,
-        slot: int,
-        lines: viser.LineSegmentsHandle,
-        step: int,
-        *,
-        after: bool,
-    ) -> None:
-        """Where the controller believes a slot's car to be: its outline and an ellipse."""
-        tracks = drawn.tracks
-        shown = tracks is not None and not after and bool(tracks.confirmed[step, slot])
-        lines.visible = shown
-        if tracks is None or not shown:
-            return
-        centre = np.array([tracks.x_m[step, slot], tracks.y_m[step, slot]])
-        car = drawn.car_of_slot(slot)
-        outline = centre + CORNERS * (car.length_m + 0.3, car.width_m + 0.3)
-        reach = SIGMAS * np.array([tracks.x_sd_m[step, slot], tracks.y_sd_m[step, slot]])
-        ellipse = centre + np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) * reach
-        flat = [_segments(outline, 0.06), _segments(ellipse, car.height_m + 0.15)]
-        lines.points = np.concatenate(flat).astype(np.float32)
-
     def _marks(self, drawn: DrawnRollout) -> None:
         """Beside the road, a row for each slot: where the ego was at every answer about it."""
         end = drawn.count - 1 if drawn.contact_step is None else drawn.contact_step
         x_m = drawn.states.x_m[:-1, 0]
         edge_m = drawn.road.lane_edges_m[0]
         for answer, mesh, color in (
-            (RIGHT, hit_mark(), DETECTED),
-            (WRONG, miss_mark(), MISSED),
+            (RIGHT, HIT_MARK, DETECTED),
+            (WRONG, MISS_MARK, MISSED),
         ):
             step, slot = np.nonzero(drawn.answers[:end] == answer)
             if not step.size:
@@ -289,14 +245,17 @@ class _Car:
         path = f"{ROOT}/car{car}"
         self._frame = api.add_frame(path, show_axes=False)
         parts = (
-            ("body", car_body(), self._color),
-            ("glass", car_glass(), GLASS),
-            ("wheels", car_wheels(), TYRE),
+            ("body", CAR_BODY, self._color),
+            ("glass", CAR_GLASS, GLASS),
+            ("wheels", CAR_WHEELS, TYRE),
         )
+        centre = np.array([CAR_LENGTH_M / 2, 0.0, 0.0])
+        size = np.array([shape.length_m, shape.width_m, shape.height_m])
+        size /= (CAR_LENGTH_M, WIDTH_M, HEIGHT_M)
         self._body, *_ = [
             api.add_mesh_simple(
                 f"{path}/{name}",
-                vertices=_sized(mesh.vertices, shape).astype(np.float32),
+                vertices=((mesh.vertices - centre) * size).astype(np.float32),
                 faces=mesh.faces.astype(np.uint32),
                 color=color,
                 flat_shading=True,
@@ -308,11 +267,11 @@ class _Car:
             api.add_box(
                 f"{path}/lamp{number}",
                 color=LAMP_OFF,
-                dimensions=size,
+                dimensions=lamp_m,
                 position=(x * shape.length_m, y * shape.width_m, z * shape.height_m),
                 cast_shadow=False,
             )
-            for number, ((x, y, z), size) in enumerate(zip(LAMPS, LAMP_SIZES_M, strict=True))
+            for number, ((x, y, z), lamp_m) in enumerate(zip(LAMPS, LAMP_SIZES_M, strict=True))
         ]
         self._brakes = brakes(drawn.states.speed_mps[:, car], dt_s=drawn.dt_s)
         if shape.zone is not None:
@@ -383,7 +342,11 @@ class _Words:
         x_m, y_m = drawn.states.x_m[step] + ahead_m, drawn.states.y_m[step]
         for car, (label, shape) in enumerate(zip(self._names, drawn.cars, strict=False)):
             label.visible = bool(drawn.states.present[step, car])
-            label.text = _car_words(drawn, car, step, after=after)
+            slot = drawn.slot_of_car[car]
+            label.text = shape.name
+            if slot is not None and not after and step < len(drawn.answers):
+                answer = int(drawn.answers[step, slot])
+                label.text = f"{shape.name}: {answer_words(drawn.slots[slot], answer)}"
             aside_m = shape.width_m / 2 + WORDS_ASIDE_M
             above_m = shape.height_m + WORDS_ABOVE_M
             label.position = (float(x_m[car]), float(y_m[car]) + aside_m, above_m)
@@ -418,23 +381,6 @@ def linear(color: tuple[int, int, int]) -> tuple[int, int, int]:
     """A colour as batched meshes want it: viser takes theirs for linear light."""
     red, green, blue = (round(255 * (channel / 255) ** 2.2) for channel in color)
     return red, green, blue
-
-
-def _car_words(drawn: DrawnRollout, car: int, step: int, *, after: bool) -> str:
-    name, slot = drawn.cars[car].name, drawn.slot_of_car[car]
-    if slot is None or after or step >= len(drawn.answers):
-        return name
-    return f"{name}: {answer_words(drawn.slots[slot], int(drawn.answers[step, slot]))}"
-
-
-def _sized(vertices: FloatArray, car: SceneCar) -> FloatArray:
-    """Vertices of the standard car, centred and as large as a car."""
-    scale = (
-        car.length_m / CAR_LENGTH_M,
-        car.width_m / WIDTH_M,
-        car.height_m / HEIGHT_M,
-    )
-    return (vertices - np.array([CAR_LENGTH_M / 2, 0.0, 0.0])) * np.array(scale)
 
 
 def _segments(outline: FloatArray, height_m: float) -> FloatArray:

@@ -5,24 +5,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import FloatArray, IntArray
 from pemviz.charts.svg import Axis, Plot, text
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
-from pemviz.panel.browser import Browser, Window, element_id, set_html
+from pemviz.panel.browser import Browser, Window, element_id
 from pemviz.panel.curve_chart import (
-    RUN_COLORS,
     RUN_DASHES,
     Chart,
     Curves,
     Line,
-    in_brackets,
     signal_label,
     signal_name,
 )
 from pemviz.panel.page import cell, number, page, percent, progress_words, quiet, wide
 from pemviz.panel.ranking import shares
-from pemviz.panel.run_data import Progress, Report, RunData, Scan, row_parts
+from pemviz.panel.rollout_tables import in_final_stages
+from pemviz.panel.run_data import Report, RunData, Scan, ScanProgress, row_parts
 from pemviz.panel.trajectories_tab import TrajectoriesTab
+from pemviz.reports.charts import RUN_COLORS
 from pemviz.reports.html import clicks_to
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
@@ -39,8 +39,8 @@ def weights_page(run: RunData | None, *, target: str, selected: int | None) -> s
 
     Args:
         run: The run shown.
-        target: Element id of the input that a click on a point writes the rollout's number into.
-        selected: The number of the rollout shown, its index in the run's tables.
+        target: Element id of the input that a click on a point writes the rollout's index into.
+        selected: The index of the rollout shown.
     """
     if run is None or not run.parts:
         return page(wide(quiet("No rollouts yet.")))
@@ -55,27 +55,8 @@ def weights_page(run: RunData | None, *, target: str, selected: int | None) -> s
     return page(cell(before + _ring(run, selected) + after), cell(gaps))
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
-    """Rollouts that are drawn.
-
-    Attributes:
-        index: ``[P]`` in the run's tables.
-        robustness: ``[P]``, finite.
-        log10_weight: ``[P]``.
-        violated: ``[P]``.
-        share: ``[P]`` of the answer.
-    """
-
-    index: IntArray
-    robustness: FloatArray
-    log10_weight: FloatArray
-    violated: BoolArray
-    share: FloatArray
-
-
-def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> Points:
-    """Violations, the least robust, and of the others some.
+def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> IntArray:
+    """Indices ``[P]`` of the rollouts drawn: violations, the least robust, of the others some.
 
     If there are more than ``most``: of the violations those that contribute most, the least robust
     where several contribute the same, up to half of ``most``; of the others some evenly by
@@ -85,64 +66,51 @@ def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> Points:
     violated = np.asarray(run.rollouts["violated"], dtype=np.bool_)
     share = shares(run)
     usable = np.flatnonzero(np.isfinite(robustness) & np.isfinite(run.log_weight))
-    chosen = usable
-    if usable.size > most:
-        violations = usable[violated[usable]]
-        keys = (robustness[violations], -share[violations])
-        heavy = violations[np.lexsort(keys)[: most // 2]]
-        others = np.ones(share.size, dtype=np.bool_)
-        others[heavy] = False
-        rest = usable[others[usable]]
-        rest = rest[np.argsort(robustness[rest], kind="stable")]
-        places = np.linspace(0, rest.size - 1, most - heavy.size).round().astype(np.int64)
-        chosen = np.sort(np.concatenate([heavy, rest[places]]))
-    return Points(
-        index=chosen.astype(np.int64),
-        robustness=robustness[chosen],
-        log10_weight=run.log_weight[chosen] / LN10,
-        violated=violated[chosen],
-        share=share[chosen],
-    )
+    if usable.size <= most:
+        return usable
+    violations = usable[violated[usable]]
+    keys = (robustness[violations], -share[violations])
+    heavy = violations[np.lexsort(keys)[: most // 2]]
+    rest = usable[~np.isin(usable, heavy)]
+    rest = rest[np.argsort(robustness[rest], kind="stable")]
+    places = np.linspace(0, rest.size - 1, most - heavy.size).round().astype(np.int64)
+    return np.sort(np.concatenate([heavy, rest[places]]))
 
 
 def _weights(run: RunData, *, target: str) -> tuple[str, str]:
     """The plot of weights over robustness, in two pieces between which the ring is put."""
     if not by_name(run.config.method).has_likelihood_ratios:
         return quiet("Splitting's rollouts carry no weights: there is nothing to draw here."), ""
-    points = run.memo.get("drawn points", lambda: drawn_points(run))
-    plot = _weight_axes(run, points)
+    plot, index = _weight_axes(run)
     plot.vline(0.0, color=VERMILLION, label="0")
-    shapes = "".join(_point(run, plot, points, place) for place in range(points.index.size))
+    shapes = "".join(_point(run, plot, one) for one in index.tolist())
     group = f"<g {clicks_to(target)} style='cursor:pointer'>{shapes}</g>"
-    legend = _legend(plot)
-    before, after = plot.text(extra=f"{group}{legend}@@").split("@@")
+    y = plot.height - 6.0
+    violates = "\N{MULTIPLICATION X} violates; larger: more of the answer"
+    group += text(violates, plot.left, y, color=MISSED)
+    group += text("\N{BLACK CIRCLE} does not", plot.left + 210, y, color=BLUE)
+    before, after = plot.text(extra=f"{group}@@").split("@@")
     words = (
         "Each rollout's weight, by how much rarer or commoner it is under the error model than as "
         "drawn; the larger, the more it contributes to the answer. Click a point: that rollout "
         "shows below and in the scene."
     )
-    if points.index.size < run.simulated:
+    if index.size < run.simulated:
         words += (
-            f" Drawn are {points.index.size:,} of {run.simulated:,}: violations, if over "
+            f" Drawn are {index.size:,} of {run.simulated:,}: violations, if over "
             f"{MOST_POINTS // 2} those that contribute most, and of the others some evenly by "
             "robustness, from the least robust on."
         )
     return before, after + quiet(words)
 
 
-def _legend(plot: Plot) -> str:
-    """What the marks mean, beneath the plot."""
-    y = plot.height - 6.0
-    return text(
-        "\N{MULTIPLICATION X} violates; larger: more of the answer", plot.left, y, color=MISSED
-    ) + text("\N{BLACK CIRCLE} does not", plot.left + 210, y, color=BLUE)
-
-
-def _weight_axes(run: RunData, points: Points) -> Plot:
+def _weight_axes(run: RunData) -> tuple[Plot, IntArray]:
+    """The empty plot, and which rollouts are drawn in it."""
+    index = run.memo.get("drawn points", lambda: drawn_points(run))
     unit = "" if run.config.metric == "agm" else " [m]"
-    low, high = _ends(points.robustness, least=0.1)
-    bottom, top = _ends(np.maximum(points.log10_weight, FARTHEST), least=1.0)
-    return Plot(
+    low, high = _ends(np.asarray(run.rollouts["robustness"][index], np.float64), least=0.1)
+    bottom, top = _ends(np.maximum(run.log_weight[index] / LN10, FARTHEST), least=1.0)
+    plot = Plot(
         title="Weight over robustness",
         x=Axis(low, high, f"robustness, {run.config.metric}{unit}"),
         y=Axis(bottom, top, "weight p / q", log10=True),
@@ -150,27 +118,31 @@ def _weight_axes(run: RunData, points: Points) -> Plot:
         left=54,
         bottom=50,
     )
+    return plot, index
 
 
 def _ends(values: FloatArray, *, least: float) -> tuple[float, float]:
-    """An axis around values, with some room."""
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
     room = max(0.04 * (high - low), least / 2)
     return low - room, high + room
 
 
-def _point(run: RunData, plot: Plot, points: Points, place: int) -> str:
+def _at(run: RunData, plot: Plot, index: int) -> tuple[float, float]:
+    weight = max(float(run.log_weight[index]) / LN10, FARTHEST)
+    return plot.px(float(run.rollouts["robustness"][index])), plot.py(weight)
+
+
+def _point(run: RunData, plot: Plot, index: int) -> str:
     """A rollout, as a cross if it violates; larger if it is one of those that carry the answer."""
-    index, share = int(points.index[place]), float(points.share[place])
-    x = plot.px(float(points.robustness[place]))
-    y = plot.py(max(float(points.log10_weight[place]), FARTHEST))
+    share, (x, y) = float(shares(run)[index]), _at(run, plot, index)
     part = f", {percent(share)} of the answer" if share >= 5e-4 else ""
     stage, rollout = (int(run.rollouts[key][index]) for key in ("stage", "rollout"))
     tip = (
-        f"stage {stage}, rollout {rollout}: robustness {number(float(points.robustness[place]))}, "
-        f"weight {number(10.0 ** float(points.log10_weight[place]))}{part}"
+        f"stage {stage}, rollout {rollout}: robustness "
+        f"{number(float(run.rollouts['robustness'][index]))}, weight "
+        f"{number(10.0 ** (float(run.log_weight[index]) / LN10))}{part}"
     )
-    if points.violated[place]:
+    if run.rollouts["violated"][index]:
         r = 2.4 + 3.0 * math.sqrt(min(share / 0.05, 1.0))
         shape = f"<path d='M{x - r:.1f} {y - r:.1f}l{2 * r:.1f} {2 * r:.1f}m0 {-2 * r:.1f}"
         shape += f"l{-2 * r:.1f} {2 * r:.1f}' stroke='{MISSED}' stroke-width='1.5' fill='none'/>"
@@ -181,16 +153,10 @@ def _point(run: RunData, plot: Plot, points: Points, place: int) -> str:
 
 
 def _ring(run: RunData, selected: int | None) -> str:
-    """A ring around the rollout shown."""
-    robust = run.rollouts["robustness"]
-    if selected is None or selected >= robust.size:
+    weighted = by_name(run.config.method).has_likelihood_ratios
+    if selected is None or selected >= run.kept or not weighted:
         return ""
-    if not by_name(run.config.method).has_likelihood_ratios:
-        return ""
-    points = run.memo.get("drawn points", lambda: drawn_points(run))
-    plot = _weight_axes(run, points)
-    weight = max(float(run.log_weight[selected]) / LN10, FARTHEST)
-    x, y = plot.px(float(robust[selected])), plot.py(weight)
+    x, y = _at(run, _weight_axes(run)[0], selected)
     if not (math.isfinite(x) and math.isfinite(y)):
         return ""
     ring = f"<circle cx='{x:.1f}' cy='{y:.1f}' r='8' fill='none' stroke='{BLACK}'"
@@ -214,10 +180,10 @@ def _heaviest_curves(run: RunData) -> Curves | None:
     if not heaviest.size:
         return None
     charted = run.charted
+    unit = f" [{charted.unit}]" if charted.unit else ""
     lines = [
         Line(
-            f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))})"
-            f"{in_brackets(charted.unit)}",
+            f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))}){unit}",
             run.signals(index)[charted.name][0],
             RUN_COLORS[place],
             dash=RUN_DASHES[place],
@@ -255,16 +221,9 @@ class LeastGaps:
 
 def least_gaps(run: RunData) -> LeastGaps | None:
     """From the rollouts that the estimate averages; ``None`` without any."""
-    stages = [stage for stage in run.result.stages if stage.kind == "final"]
-    drawn = sum(stage.rollouts for stage in stages)
-    table = run.rollouts
-    keys = np.zeros(run.kept, dtype=np.bool_)
-    for stage in stages:
-        keys |= (table["repetition"] == stage.repetition) & (table["stage"] == stage.stage)
-    chosen = np.flatnonzero(keys)
-    if not chosen.size or not drawn:
-        return None
-    if run.distance is None:
+    drawn = sum(stage.rollouts for stage in run.result.stages if stage.kind == "final")
+    chosen = np.flatnonzero(in_final_stages(run.rollouts, stages=run.result.stages))
+    if not chosen.size or not drawn or run.distance is None:
         return None
     gap_m = run.scans.value(*_nearest(run))[chosen]
     order = np.argsort(gap_m, kind="stable")
@@ -275,7 +234,7 @@ def least_gaps(run: RunData) -> LeastGaps | None:
     return LeastGaps(gap_m[order], np.arange(1, order.size + 1) / drawn, log10)
 
 
-def looking_at_gaps(run: RunData) -> Progress | None:
+def looking_at_gaps(run: RunData) -> ScanProgress | None:
     """Have every rollout's least gap found; ``None`` once they are there."""
     return None if run.distance is None else run.scans.begin(*_nearest(run), count=run.kept)
 
@@ -312,30 +271,19 @@ def _least_gaps(run: RunData) -> str:
         left=54,
         bottom=50,
     )
-    touch_m = CAMERA_TO_BUMPER_M if run.own is None else 0.0
-    plot.vline(touch_m, color=VERMILLION, label=f"{touch_m:g} m: {_touching(run)}")
-    entries: list[tuple[str, str, str]] = []
-    for values, entry in zip(
-        logs, (("as drawn", GREY, "5 3"), ("under the error model", BLUE, "")), strict=True
-    ):
-        if values.size:
-            _staircase(plot, gaps.gap_m, np.minimum(values, 0.0), color=entry[1], dash=entry[2])
-            entries.append(entry)
+    touch_m, touching = (
+        (CAMERA_TO_BUMPER_M, "bumpers touch") if run.own is None else (0.0, "contact")
+    )
+    plot.vline(touch_m, color=VERMILLION, label=f"{touch_m:g} m: {touching}")
+    weighted = bool(gaps.log10_probability.size)
+    entries = [("as drawn", GREY, "5 3"), *[("under the error model", BLUE, "")] * weighted]
+    size = gaps.gap_m.size
+    kept = np.unique(np.linspace(0, size - 1, min(size, MOST_POINTS)).round().astype(np.int64))
+    for values, (_, color, dash) in zip(logs, entries, strict=False):
+        y = np.minimum(values, 0.0)[kept]
+        plot.line(gaps.gap_m[kept], y, color=color, width=2.0, dash=dash)
     for place, entry in enumerate(reversed(entries)):
         plot.legend([entry], x=plot.left + 160 * place, y=plot.height - 6)
-    return plot.text() + quiet(_gap_words(run, weighted=bool(gaps.log10_probability.size)))
-
-
-def _touching(run: RunData) -> str:
-    return "bumpers touch" if run.own is None else "contact"
-
-
-def _staircase(plot: Plot, x: FloatArray, y: FloatArray, *, color: str, dash: str) -> None:
-    kept = np.unique(np.linspace(0, x.size - 1, min(x.size, MOST_POINTS)).round().astype(np.int64))
-    plot.line(x[kept], y[kept], color=color, width=2.0, dash=dash)
-
-
-def _gap_words(run: RunData, *, weighted: bool) -> str:
     words = (
         "The share of rollouts that come nearer than a gap. As drawn: under the proposal, which "
         "looks for violations."
@@ -347,7 +295,7 @@ def _gap_words(run: RunData, *, weighted: bool) -> str:
         )
     if run.kept < run.simulated:
         words += f" From the {run.kept:,} of {run.simulated:,} rollouts that are kept here."
-    return words
+    return plot.text() + quiet(words)
 
 
 NUMBER_HINT = (
@@ -376,18 +324,16 @@ class WeightsTab:
         """Show a run."""
         self._run = run
         last = max(0 if run is None else run.kept - 1, 0)
-        if self.number.max != last:
-            self.number.max = last
+        self.number.max = last
         self._curves.show(heaviest_curves(run))
         self._draw()
 
     def _draw(self) -> None:
-        shown = self._trajectories.shown
-        selected = None if shown is None or self._run is None else shown.index
-        run = self._run
+        run, shown = self._run, self._trajectories.shown
+        selected = None if shown is None else shown.index
         self.waiting = run is not None and not run.running and looking_at_gaps(run) is not None
         page = weights_page(self._run, target=element_id(self.number), selected=selected)
-        set_html(self._page, page)
+        self._page.content = page
 
     def go_on(self) -> None:
         """Tell how far the look at all rollouts is, while it goes on."""
@@ -395,7 +341,6 @@ class WeightsTab:
             self._draw()
 
     def _mark(self) -> None:
-        """Another rollout is shown."""
         shown = self._trajectories.shown
         if shown is not None and self.number.value != shown.index:
             self.number.value = shown.index

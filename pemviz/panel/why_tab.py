@@ -10,11 +10,11 @@ from pemviz.analysis.starts import MOST_POINTS
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import BLACK, VERMILLION
-from pemviz.panel.browser import Browser, Window, element_id, set_html
+from pemviz.panel.browser import Browser, Window, element_id
 from pemviz.panel.page import PLOT_PX, cell, page, quiet, wide
 from pemviz.panel.ranking import log_contributions
 from pemviz.panel.rollout_tables import final_violations
-from pemviz.panel.run_data import RunData
+from pemviz.panel.run_data import RunData, detection_probability
 from pemviz.panel.trajectories_tab import TrajectoriesTab
 from pemviz.reports.causes_words import SHOWN_CHAINS, shown_chains
 from pemviz.reports.document import Block, Figure, Section, Table
@@ -26,35 +26,41 @@ from pemviz.simulators.slots import Slot
 BAND_M = 1.0
 MOST_BANDS = 250
 MOST_EXPLAINED = 20_000
+CHAIN_HINT = (
+    "Show the rollout that contributes most to the chain of misses at this place of the table "
+    "below, in the scene; or click the chain there."
+)
+START_HINT = (
+    "Show the violating rollout of this number in the plane of starts below, in the scene; or "
+    "click its dot there."
+)
 
 
-def why(run: RunData | None, *, target: str = "", start_target: str = "") -> str:
+def why(run: RunData | None, *, targets: Mapping[str, str] | None = None) -> str:
     """The whole tab.
 
     Args:
         run: The run shown.
-        target: Element id of the input that a click on a chain writes its place into.
-        start_target: The same of a click on a rollout in the plane of starts.
+        targets: Element ids of the inputs that a click on a chain, or on a rollout in the plane of
+            starts, writes its place into; left out, nothing can be clicked.
     """
     if run is None:
         return page(wide(quiet("Nothing has run yet.")))
     if run.running:
         return page(wide(quiet("Explained when the run under way is done.")))
-    key = ("why", target, start_target)
-    return run.memo.get(key, lambda: _why(run, target=target, start_target=start_target))
+    known = {} if targets is None else targets
+    return run.memo.get(("why", *known.items()), lambda: _why(run, targets=known))
 
 
-def _why(run: RunData, *, target: str, start_target: str) -> str:
+def _why(run: RunData, *, targets: Mapping[str, str]) -> str:
     document = run_document(run.result)
-    targets = {"chain": target, "start": start_target}
     told = document.choose((*WHY, "plan", "warnings", *TRUST[:2], "memory"))
-    assumed = document.choose(("assumptions",))
-    beyond = document.choose(("extrapolation",))
+    beyond = sections_html(document.choose(("extrapolation",)))
     return page(
         *map(cell, _misses(run)),
         *(cell(part) for section in told for part in section_cells(section, targets=targets)),
-        *(cell(sections_html([section])) for section in assumed),
-        wide(f"<div style='columns:{PLOT_PX}px'>{sections_html(beyond)}</div>"),
+        cell(sections_html(document.choose(("assumptions",)))),
+        wide(f"<div style='columns:{PLOT_PX}px'>{beyond}</div>"),
     )
 
 
@@ -107,7 +113,7 @@ def failures_of(run: RunData) -> Failures | None:
     table = run.steps(["detected", "log_p", *gap_m], rows)
     detected = np.asarray(table["detected"], dtype=np.bool_)
     log_p = np.asarray(table["log_p"], dtype=np.float64)
-    missed, pem_miss = ~detected, np.where(detected, -np.expm1(log_p), np.exp(log_p))
+    missed, pem_miss = ~detected, detection_probability(log_p, ~detected)
     if run.own is not None:
         slots = slots_of(run.own)
         missed, pem_miss = ~faultless(detected, slots=slots), _any_error(pem_miss, slots=slots)
@@ -141,12 +147,12 @@ def standing_for_all(weight: FloatArray, *, most: int) -> tuple[IntArray, FloatA
 def _any_error(missed: FloatArray, *, slots: Sequence[Slot]) -> FloatArray:
     """Probability that perception errs about any slot, from those of 'missed' of each."""
     nominal = np.array([slot.nominal for slot in slots] or [True], dtype=np.bool_)
-    error = np.where(nominal if len(slots) > 1 else nominal[0], missed, 1.0 - missed)
-    return 1.0 - np.prod(1.0 - error, axis=-1) if len(slots) > 1 else error
+    if len(slots) <= 1:
+        return missed if nominal[0] else 1.0 - missed
+    return 1.0 - np.prod(1.0 - np.where(nominal, missed, 1.0 - missed), axis=-1)
 
 
 def _misses(run: RunData) -> list[str]:
-    """Where and when violations miss, in two cells."""
     title = heading("Misses that cause violations")
     failures = failures_of(run)
     if failures is None:
@@ -167,42 +173,52 @@ def _misses(run: RunData) -> list[str]:
             "of these that contribute most, and of the others an even choice, each of which "
             "stands for its neighbours in weight."
         )
-    sentence = miss_sentence(failures, misses=deciding_misses(run), dt_s=_dt_s(run))
-    where = title + quiet(sentence)
+    dt_s = run.simulator.dt_s
+    share, expected = (
+        np.sum(failures.weight[:, None] * values, axis=0)
+        for values in (failures.missed, failures.pem_miss)
+    )
+    edges_s = np.arange(share.size + 1) * dt_s
+    by_time = _share_plot("time", "time [s]", edges_s, share, expected, tips=()) + quiet(note)
+    words = title + quiet(_miss_sentence(run, failures))
     if failures.gap_m is None:
-        return [where + time_plot(failures, dt_s=_dt_s(run)) + quiet(note)]
-    where += distance_plot(failures, failures.gap_m)
-    return [where, time_plot(failures, dt_s=_dt_s(run)) + quiet(note)]
+        return [words + by_time]
+    edges, share, expected = by_distance(failures, failures.gap_m)
+    tips = [
+        f"{edges[i]:g} to {edges[i + 1]:g} m: {100 * share[i]:.0f} % missed, error model "
+        f"{100 * expected[i]:.2g} %"
+        for i in range(share.size)
+    ]
+    return [words + _share_plot("distance", "gap [m]", edges, share, expected, tips=tips), by_time]
 
 
-def _dt_s(run: RunData) -> float:
-    return run.simulator.dt_s
+def _share_plot(
+    by: str, label: str, edges: FloatArray, missed: FloatArray, expected: FloatArray,
+    *, tips: Sequence[str],
+) -> str:  # fmt: skip
+    """Shares ``[B]`` of steps missed, and the error model's, between edges ``[B+1]``."""
+    plot = Plot(
+        title=f"Missed in violations, by {by}",
+        x=Axis(0.0, float(edges[-1]), label),
+        y=Axis(0.0, 100.0, "steps missed [%]", ticks=(0.0, 50.0, 100.0)),
+        height=200,
+    )
+    plot.bars(edges, 100.0 * missed, color=VERMILLION, tips=tips)
+    plot.line((edges[:-1] + edges[1:]) / 2, 100.0 * expected, color=BLACK, width=1.8)
+    return plot.text()
 
 
-def deciding_misses(run: RunData) -> float | None:
-    """Misses of a violation where perception decides: the total of the table by distance."""
-    explanation = run.result.explanation
-    if explanation is None or not explanation.misses_by_distance:
-        return None
-    return sum(band.misses for band in explanation.misses_by_distance)
-
-
-def miss_sentence(failures: Failures, *, misses: float | None, dt_s: float) -> str:
-    """The chain of misses in words.
-
-    Args:
-        failures: The violating rollouts.
-        misses: How many a violation has where perception decides; those of all steps are
-            counted if that is not known.
-        dt_s: Time step [s].
-    """
-    everywhere = float(np.sum(failures.weight * np.count_nonzero(failures.missed, axis=1)))
-    count = everywhere if misses is None else misses
-    where = "" if misses is None else " where perception decides"
+def _miss_sentence(run: RunData, failures: Failures) -> str:
+    """The chain of misses in words: where perception decides, if that is known."""
+    count = float(np.sum(failures.weight * np.count_nonzero(failures.missed, axis=1)))
+    where, explanation = "", run.result.explanation
+    if explanation is not None and explanation.misses_by_distance:  # the total of the table
+        count = sum(band.misses for band in explanation.misses_by_distance)
+        where = " where perception decides"
     longest = float(np.sum(failures.weight * longest_runs(failures.missed)))
     words = (
         f"A violation takes {count:.1f} misses{where} on average, the longest unbroken chain being "
-        f"{longest:.1f} steps ({longest * dt_s:.2f} s)."
+        f"{longest:.1f} steps ({longest * run.simulator.dt_s:.2f} s)."
     )
     if failures.gap_m is None:
         return words
@@ -243,51 +259,6 @@ def by_distance(failures: Failures, gap_m: FloatArray) -> tuple[FloatArray, Floa
     return edges, share(failures.missed.astype(np.float64)), share(failures.pem_miss)
 
 
-def distance_plot(failures: Failures, gap_m: FloatArray) -> str:
-    """Share of steps missed by distance."""
-    edges, missed, expected = by_distance(failures, gap_m)
-    plot = Plot(
-        title="Missed in violations, by distance",
-        x=Axis(0.0, float(edges[-1]), "gap [m]"),
-        y=Axis(0.0, 100.0, "steps missed [%]", ticks=(0.0, 50.0, 100.0)),
-        height=200,
-    )
-    tips = [
-        f"{edges[i]:g} to {edges[i + 1]:g} m: {100 * missed[i]:.0f} % missed, error model "
-        f"{100 * expected[i]:.2g} %"
-        for i in range(missed.size)
-    ]
-    plot.bars(edges, 100.0 * missed, color=VERMILLION, tips=tips)
-    plot.line((edges[:-1] + edges[1:]) / 2, 100.0 * expected, color=BLACK, width=1.8)
-    return plot.text()
-
-
-def time_plot(failures: Failures, *, dt_s: float) -> str:
-    """Share missed by time."""
-    missed = 100.0 * np.sum(failures.weight[:, None] * failures.missed, axis=0)
-    expected = 100.0 * np.sum(failures.weight[:, None] * failures.pem_miss, axis=0)
-    edges = np.arange(missed.size + 1) * dt_s
-    plot = Plot(
-        title="Missed in violations, by time",
-        x=Axis(0.0, float(edges[-1]), "time [s]"),
-        y=Axis(0.0, 100.0, "steps missed [%]", ticks=(0.0, 50.0, 100.0)),
-        height=200,
-    )
-    plot.bars(edges, missed, color=VERMILLION)
-    plot.line(edges[:-1] + dt_s / 2, expected, color=BLACK, width=1.8)
-    return plot.text()
-
-
-CHAIN_HINT = (
-    "Show the rollout that contributes most to the chain of misses at this place of the table "
-    "below, in the scene; or click the chain there."
-)
-START_HINT = (
-    "Show the violating rollout of this number in the plane of starts below, in the scene; or "
-    "click its dot there."
-)
-
-
 class WhyTab:
     """Which misses cause violations, and how far to trust the number; a chain opens in 3D."""
 
@@ -309,11 +280,9 @@ class WhyTab:
     def refresh(self, run: RunData | None) -> None:
         """Show a run."""
         self._run = run
-        named = run is not None and bool(run.result.starts)
-        if self.start.visible != named:
-            self.start.visible = named
-        targets = {"target": element_id(self.chain), "start_target": element_id(self.start)}
-        set_html(self._page, why(run, **targets))
+        self.start.visible = run is not None and bool(run.result.starts)
+        targets = {"chain": element_id(self.chain), "start": element_id(self.start)}
+        self._page.content = why(run, targets=targets)
 
     def _show_start(self) -> None:
         place = int(self.start.value)
@@ -322,11 +291,8 @@ class WhyTab:
         if place < 1 or not points:
             return
         point = points[min(place, len(points)) - 1]
-        self.start.value = 0  # so that the same one can be asked for again
-        self._trajectories.pick(
-            repetition=point.repetition, stage=point.stage, rollout=point.rollout
-        )
-        self._window.panel.minimize()  # the scene is what was asked for
+        self.start.value = 0  # so that the same one can be chosen again
+        self._show(point.repetition, point.stage, point.rollout)
 
     def _show_chain(self) -> None:
         place = int(self.chain.value)
@@ -337,9 +303,10 @@ class WhyTab:
         if not chains:
             return
         chain = chains[min(place, len(chains)) - 1]
-        self.chain.value = 0  # so that the same chain can be asked for again
+        self.chain.value = 0  # so that the same chain can be chosen again
         if chain.likeliest is not None:
-            self._trajectories.pick(
-                repetition=explanation.repetition, stage=explanation.stage, rollout=chain.likeliest
-            )
-            self._window.panel.minimize()  # the scene is what was asked for
+            self._show(explanation.repetition, explanation.stage, chain.likeliest)
+
+    def _show(self, repetition: int, stage: int, rollout: int) -> None:
+        self._trajectories.pick(repetition=repetition, stage=stage, rollout=rollout)
+        self._window.panel.minimize()  # the scene is what is to be seen

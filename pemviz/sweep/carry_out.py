@@ -35,15 +35,7 @@ RunStatus = Literal["done", "failed", "not run"]
 
 @dataclass(frozen=True)
 class RunState:
-    """How a run stands.
-
-    Attributes:
-        planned: The run.
-        status: Whether it is done.
-        estimate: What it found, if it is done; a sweep may have more runs than there is room
-            for results.
-        message: Why it failed, if it did.
-    """
+    """How a run stands: what it found if it is done, why it failed if it did."""
 
     planned: PlannedRun
     status: RunStatus
@@ -53,12 +45,7 @@ class RunState:
 
 @dataclass(frozen=True)
 class RunReport:
-    """What just became of a run, for progress displays.
-
-    Attributes:
-        state: How the run stands; after a first failure it is ``not run``.
-        again: Whether it failed and will be tried once more.
-    """
+    """What just became of a run; whether it failed and will be tried ``again``."""
 
     state: RunState
     again: bool = False

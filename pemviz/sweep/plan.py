@@ -29,12 +29,7 @@ VALUE_LENGTH = 24
 
 @dataclass(frozen=True)
 class Variation:
-    """A field and the values that it takes in turn.
-
-    Attributes:
-        field: Its dotted name, such as ``scenario.initial_gap_m``.
-        values: At least one, all different.
-    """
+    """A field by its dotted name, such as ``scenario.initial_gap_m``, and its values."""
 
     field: str
     values: tuple[Value, ...]
@@ -46,7 +41,6 @@ class PlannedRun:
 
     Attributes:
         name: Its folder's: readable settings and a hash of the complete configuration.
-        config: What is asked of it.
         setting: The varied fields with their values, the seed aside.
         pem_digest: SHA-256 of the error model that it shall use.
         position_digest: The same of the position errors; ``None`` without.
@@ -66,12 +60,7 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Plan:
-    """A sweep's runs.
-
-    Attributes:
-        variations: The varied fields, in the order in which they were given.
-        runs: Settings in order, the last field fastest; seeds innermost.
-    """
+    """A sweep's runs: settings in order, the last field fastest; seeds innermost."""
 
     variations: tuple[Variation, ...]
     runs: tuple[PlannedRun, ...]

@@ -37,12 +37,7 @@ ONE_RUN_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """Names and contents, for workers that do not see this disk; none of a shipped model.
-
-    Attributes:
-        pem: Of the error model, its own first.
-        position_errors: Of the position errors.
-    """
+    """Names and contents, for workers that do not see this disk; none of a shipped model."""
 
     pem: Files = ()
     position_errors: Files = ()
@@ -53,9 +48,6 @@ class RunTask:
     """Everything that a worker on another machine needs to carry a run out.
 
     Attributes:
-        name: The run's.
-        config_toml: Its configuration.
-        model: Files of the error model and the position errors, where they are no shipped ones.
         keep: Which files come back: configuration and result, or all.
         version: Of pemviz; another one might give other results.
     """
@@ -69,13 +61,7 @@ class RunTask:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What became of a run.
-
-    Attributes:
-        name: The run's.
-        message: Why it failed; ``None`` if it is done.
-        files: Of its folder, as far as it came.
-    """
+    """What became of a run: files of its folder as far as it came, and why it failed, if it did."""
 
     name: str
     message: str | None = None
@@ -122,12 +108,7 @@ def task_of(planned: PlannedRun, *, model: ModelFiles, keep: Keep) -> RunTask:
 
 
 def carry_out(task: RunTask, *, scratch: Path | None = None) -> RunOutcome:
-    """Carry a run out in a temporary folder; whatever goes wrong is told in the outcome.
-
-    Args:
-        task: The run.
-        scratch: Where the temporary folder is made; without it, where the system has them.
-    """
+    """Carry a run out in a temporary folder; whatever goes wrong is told in the outcome."""
     try:
         # limits on threads are those of a process
         with (

@@ -16,11 +16,11 @@ from pemviz.cli.record_run import gate_exit_code
 from pemviz.config import ExperimentConfig
 from pemviz.config.rule_words import GateLimits
 from pemviz.config.toml_files import load_config
-from pemviz.panel.compare_tab import metric_names, metrics_page, runs_page
+from pemviz.panel.compare_tab import metrics_page, runs_page
 from pemviz.panel.headline import headline
 from pemviz.panel.learning_tab import learning
 from pemviz.panel.loading import load_run
-from pemviz.panel.ranking import rank, ranking_csv, row
+from pemviz.panel.ranking import METRIC_NAMES, rank, ranking_csv, row
 from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.panel.recordings_tab import recordings_table
 from pemviz.panel.rollout_player import track, track_plots
@@ -72,7 +72,7 @@ def pages(run: RunData) -> None:
     page = headline(run) + learning(run) + why(run) + compared
     assert "Traceback" not in page
     if run.kept:
-        for metric in metric_names():
+        for metric in METRIC_NAMES:
             ranking = rank(run, metric)
             assert ranking.order.size == run.kept
         track_plots(track(run, row(run, ranking, 0)))

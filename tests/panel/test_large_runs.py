@@ -214,7 +214,7 @@ def test_a_scan_tells_how_far_it_is_and_is_done_once():
     count = run_data.AT_ONCE + 1
     assert some.begin("key", scan, count=count) is not None
     assert told.wait(30.0)
-    assert some.begin("key", scan, count=count) == run_data.Progress(7_000, count)
+    assert some.begin("key", scan, count=count) == run_data.ScanProgress(7_000, count)
     assert not some.known("key")
     may_end.set()
     assert some.value("key", scan) == "scores"
@@ -317,12 +317,12 @@ def test_points_drawn_hold_violations_up_to_half_and_the_least_robust(naive_run)
     run = replace(naive_run, parts=(table,))
     least = int(np.argmin(table["robustness"]))
     few = drawn_points(run, most=14)
-    assert few.index.size == 14
-    assert {*np.flatnonzero(table["violated"]).tolist(), least} <= set(few.index.tolist())
+    assert few.size == 14
+    assert {*np.flatnonzero(table["violated"]).tolist(), least} <= set(few.tolist())
     fewest = drawn_points(run, most=8)
     heaviest = np.argsort(-rank(run, "classical").share, kind="stable")[:4]
-    assert {*heaviest.tolist(), least} <= set(fewest.index.tolist())
-    assert fewest.index.size == 8
+    assert {*heaviest.tolist(), least} <= set(fewest.tolist())
+    assert fewest.size == 8
 
 
 def test_few_violations_stand_for_all_in_weight():

@@ -5,7 +5,7 @@ import pytest
 from pemviz.config import ExperimentConfig
 from pemviz.config.tracker_text import read_tracker, tracker_options
 from pemviz.errors import ConfigError, InputError
-from pemviz.panel.experiment_controls import check_measured, same_tracker
+from pemviz.panel.experiment_controls import check_back_end, same_tracker
 
 
 @pytest.mark.parametrize(
@@ -41,6 +41,6 @@ def test_a_tracker_that_means_the_same_keeps_its_words():
 )
 def test_what_does_not_go_with_position_errors_is_told_before_the_run(changes, words):
     with pytest.raises(InputError, match=words) as caught:
-        check_measured(ExperimentConfig(**changes))
+        check_back_end(ExperimentConfig(**changes))
     assert "\n" not in str(caught.value)
-    check_measured(ExperimentConfig(position_errors="pointrcnn"))
+    check_back_end(ExperimentConfig(position_errors="pointrcnn"))

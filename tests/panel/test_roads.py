@@ -15,7 +15,7 @@ from pemviz.latents import Latents
 from pemviz.panel import loading
 from pemviz.panel.compare_tab import metric_curves, metrics_page
 from pemviz.panel.controller import Watcher
-from pemviz.panel.experiment_controls import asked_simulator, check_encounter
+from pemviz.panel.experiment_controls import check_back_end, plain_simulator
 from pemviz.panel.experiment_tab import scenario_text
 from pemviz.panel.learning_tab import learning
 from pemviz.panel.ranking import rank, row
@@ -160,7 +160,7 @@ def test_the_rollout_shown_has_the_robustness_of_each_rule_and_its_start_in_word
     fastest = float(np.max(ran.rollouts.signals["ego_speed"][entry.rollout]))
     assert rule_robustness(shown, entry.index) == {"touch": -0.5, "slow": 25.0 - fastest}
     page = details(shown, entry, contact="contact at 1.00 s")
-    assert page.index("broken</b>") < page.index("slow") < page.index("kept")
+    assert page.index("broken</span>") < page.index("slow") < page.index("kept")
     assert "Contact at 1.00 s." in page
     start = np.array([[0.5]] * 60)
     noise = np.zeros((60, 40, 1))
@@ -179,9 +179,9 @@ def test_the_experiment_tab_says_of_a_logical_scenario_what_it_draws_and_what_it
     page = scenario_text(replace(config, start=(StartChoice("gap", "uniform(9, 10)"),)))
     assert "a car cuts in ahead of the ego" in page
     assert "uniform(9, 10)" in page
-    assert {s.name for s in asked_simulator(config).signals} >= {"clearance", "gap_lead"}
-    check_encounter(config)
+    assert {s.name for s in plain_simulator(config).signals} >= {"clearance", "gap_lead"}
+    check_back_end(config)
     with pytest.raises(InputError, match=r"zero-variance.*has latents"):
-        check_encounter(replace(config, method="zero-variance"))
+        check_back_end(replace(config, method="zero-variance"))
     with pytest.raises(InputError, match="start"):
-        check_encounter(replace(config, start=(StartChoice("gap", "normal(1"),)))
+        check_back_end(replace(config, start=(StartChoice("gap", "normal(1"),)))
