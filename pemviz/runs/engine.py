@@ -9,32 +9,12 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from pemviz import faults
 from pemviz._version import __version__
 from pemviz.arrays import read_only
 from pemviz.config import ExperimentConfig, Rule
 from pemviz.errors import PemvizError, RunError, one_line
-from pemviz.faults import (
-    SimulationError,
-    StopRequested,
-    from_outside,
-    mark_from_outside,
-    presentable,
-    signals_told_apart,
-    told,
-    traceback_of,
-)
-from pemviz.runs import supplements
-from pemviz.runs.events import (
-    Event,
-    Observer,
-    RepetitionDone,
-    RolloutsDone,
-    RunDone,
-    RunFailed,
-    RunStarted,
-    StageDone,
-    notify_all,
-)
+from pemviz.runs import events, supplements
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.interpretation import Interpreted, interpret, interpret_repetition
 from pemviz.runs.ranking import with_stage
@@ -69,7 +49,7 @@ def run_experiment(
     config: ExperimentConfig,
     *,
     run_id: str = "run",
-    observers: Sequence[Observer] = (),
+    observers: Sequence[events.Observer] = (),
     should_stop: Callable[[], bool] = lambda: False,
 ) -> RunResult:
     """Validate ``config``, run it and return its result.
@@ -93,7 +73,7 @@ def run(
     experiment: Experiment,
     *,
     run_id: str = "run",
-    observers: Sequence[Observer] = (),
+    observers: Sequence[events.Observer] = (),
     should_stop: Callable[[], bool] = lambda: False,
 ) -> RunResult:
     """Run an experiment that is already built; see :func:`run_experiment`.
@@ -104,21 +84,21 @@ def run(
         KeyboardInterrupt: A signal's; the run has stopped.
     """
     runner = _Runner(experiment, run_id, observers, should_stop)
-    with signals_told_apart():
+    with faults.signals_told_apart():
         try:
             # matrices are small: threads that wait for each other cost more than they bring, most
             # of all beside another run, and the last digit would depend on their number
             with threadpool_limits(limits=1, user_api="blas"):
                 runner.carry_out()
-        except StopRequested:
+        except faults.StopRequested:
             pass
         except BaseException as raised:
-            error = presentable(raised)
-            outside = from_outside(error)
+            error = faults.presentable(raised)
+            outside = faults.from_outside(error)
             if outside is not None:
                 runner.finish("stopped")
                 raise outside  # noqa: B904  what led to the error
-            cause = error.__cause__ if isinstance(error, SimulationError) else None
+            cause = error.__cause__ if isinstance(error, faults.SimulationError) else None
             raise runner.failed(error) from cause or error  # what the user's code raised
         return runner.finish("done" if runner.complete else "stopped")
 
@@ -130,7 +110,7 @@ class _Runner:
         self,
         experiment: Experiment,
         run_id: str,
-        observers: Sequence[Observer],
+        observers: Sequence[events.Observer],
         should_stop: Callable[[], bool],
     ) -> None:
         problem = replace(experiment.problem, progress=self._pause, pause=self._pause)
@@ -147,7 +127,7 @@ class _Runner:
     def carry_out(self) -> None:
         experiment = self._experiment
         self._notify(
-            RunStarted(
+            events.RunStarted(
                 config=experiment.config,
                 signals=experiment.declared.signals,
                 simulator=experiment.declared,
@@ -159,27 +139,22 @@ class _Runner:
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
-        for add in (
-            supplements.with_distance,
-            supplements.with_curves,
-            supplements.with_data_plan,
-            supplements.beside_reference,
-        ):
+        for add in supplements.IN_ORDER:
             self._keep(add(self._interpreted.result, experiment=experiment))
         self.complete = True
 
     def finish(self, status: Any) -> RunResult:
-        result = self._timed(replace(self._interpreted.result, status=status))
-        self._notify(RunDone(result=result))
+        result = self._keep(replace(self._interpreted.result, status=status))
+        self._notify(events.RunDone(result=result))
         return result
 
     def failed(self, error: BaseException) -> RunError:
         """Notify the observers; the error is for the caller."""
         ours = error is self._observers_error or isinstance(error, PemvizError)
-        text = getattr(error, "traceback_text", "") if ours else traceback_of(error)
+        text = getattr(error, "traceback_text", "") if ours else faults.traceback_of(error)
         message = self._placed(error)
-        result = self._timed(replace(self._interpreted.result, status="failed", message=message))
-        event = RunFailed(message=message, result=result)
+        result = self._keep(replace(self._interpreted.result, status="failed", message=message))
+        event = events.RunFailed(message=message, result=result)
         for observer in self._observers:
             # the observer that failed the run may fail again; the others must still hear
             with contextlib.suppress(OSError, ValueError, PemvizError):
@@ -189,23 +164,29 @@ class _Runner:
     def _placed(self, error: BaseException) -> str:
         """What went wrong, and in which stage."""
         if self._at is None:
-            if isinstance(error, SimulationError):  # of others than a stage's
+            if isinstance(error, faults.SimulationError):  # of others than a stage's
                 error.rollouts = error.among = None
-            return str(error) if isinstance(error, PemvizError) else one_line(told(error))
+            return str(error) if isinstance(error, PemvizError) else one_line(faults.told(error))
         (repetition, stage), repetitions = self._at, self._experiment.config.repetitions
         of = f", repetition {repetition + 1} of {repetitions}" if repetitions > 1 else ""
-        if isinstance(error, SimulationError):
+        if isinstance(error, faults.SimulationError):
             error.during = f"stage {stage + error.ahead}{of}"
             return str(error)
-        what = str(error) if isinstance(error, PemvizError) else told(error)
+        what = str(error) if isinstance(error, PemvizError) else faults.told(error)
         return one_line(f"{what} (stage {stage}{of})")
 
     def _repeat(self, repetition: int) -> None:
         method, problem = self._experiment.method, self._experiment.problem
-        state = method.init(problem, repetition=repetition)
-        stage = 0
+        state, stage = method.init(problem, repetition=repetition), 0
+
+        def progress(done: int, total: int) -> None:
+            self._notify(
+                events.RolloutsDone(repetition=repetition, stage=stage, done=done, total=total)
+            )
+            self._pause()
+
+        watched = replace(problem, progress=progress)
         while not method.is_done(state):
-            watched = replace(problem, progress=self._progress(repetition, stage))
             self._at = repetition, stage
             state, result = method.step(watched, state)
             self._at = None
@@ -232,7 +213,7 @@ class _Runner:
             rules=tuple(answers),
         )
         self._notify(
-            RepetitionDone(
+            events.RepetitionDone(
                 repetition=repetition,
                 estimate=estimate,
                 result=self._keep(result),
@@ -240,46 +221,36 @@ class _Runner:
             )
         )
 
-    def _progress(self, repetition: int, stage: int) -> Callable[[int, int], None]:
-        def progress(done: int, total: int) -> None:
-            self._notify(RolloutsDone(repetition=repetition, stage=stage, done=done, total=total))
-            self._pause()
-
-        return progress
-
     def _pause(self, *_: int) -> None:
         if self._should_stop():
-            raise StopRequested
+            raise faults.StopRequested
 
-    def _notify(self, event: Event, *only: Observer) -> None:
+    def _notify(self, event: events.Event, *only: events.Observer) -> None:
         """Of what observers raise, a KeyboardInterrupt counts as a person's."""
         try:
-            notify_all(only or self._observers, event)
+            events.notify_all(only or self._observers, event)
         except BaseException as error:
             self._observers_error = error
             if isinstance(error, KeyboardInterrupt):
-                mark_from_outside(error)
+                faults.mark_from_outside(error)
             if isinstance(error, Exception | KeyboardInterrupt):
                 raise
-            message = f"an observer raises {told(error)}"
-            raise RunError(message, traceback_text=traceback_of(error)) from error
+            message = f"an observer raises {faults.told(error)}"
+            raise RunError(message, traceback_text=faults.traceback_of(error)) from error
 
     def _notify_of_stage(self, stage: StageResult) -> None:
         result = self._keep(with_stage(self._interpreted.result, stage))
         folding = self._experiment.folding
         scored = stage.scored if folding is None else folding.scored(stage.scored)
         frozen = replace(stage, scored=_frozen(scored))
-        self._notify(StageDone(stage=frozen, result=result))
+        self._notify(events.StageDone(stage=frozen, result=result))
 
     def _keep(self, result: RunResult) -> RunResult:
         """Keep what is known by now, with the time that it took."""
-        timed = self._timed(result)
+        total_s = time.perf_counter() - self._began
+        timed = replace(result, timings_s={**result.timings_s, "total": total_s})
         self._interpreted = replace(self._interpreted, result=timed)
         return timed
-
-    def _timed(self, result: RunResult) -> RunResult:
-        total_s = time.perf_counter() - self._began
-        return replace(result, timings_s={**result.timings_s, "total": total_s})
 
 
 def _frozen(scored: ScoredRollouts) -> ScoredRollouts:

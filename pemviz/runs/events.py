@@ -1,4 +1,4 @@
-"""What the engine tells its observers; recorder, panel, progress bar and store listen."""
+"""What the engine reports to observers: recorder, panel, progress bar, store, a program's own."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,9 +17,9 @@ class RunStarted:
     """A run begins.
 
     Attributes:
-        config: What was asked.
+        config: The configuration.
         signals: The scenario's signals.
-        simulator: The back end, for views that need its time step or salient variables.
+        simulator: The scenario in its own steps.
         pem: The perception error model.
         stages: How many stages a repetition has.
         planned_rollouts: How many rollouts the run will simulate; with splitting, how many
@@ -38,15 +38,10 @@ class RunStarted:
 
 @dataclass(frozen=True)
 class RolloutsDone:
-    """A batch of rollouts is done.
+    """A batch of a stage's rollouts is done.
 
-    Attributes:
-        repetition: Zero-based.
-        stage: The stage they belong to.
-        done: Rollouts of the stage that are done. Splitting cuts and continues its particles as
-            often as it takes: there it is the total times the share of the way from the first
-            level to a violation.
-        total: Rollouts of the stage.
+    Splitting cuts and continues its particles as often as it takes: there ``done`` is the total
+    times the share of the way from the first level to a violation.
     """
 
     repetition: int
@@ -57,12 +52,7 @@ class RolloutsDone:
 
 @dataclass(frozen=True)
 class StageDone:
-    """A stage is done; its arrays are read-only.
-
-    Attributes:
-        stage: The stage with its rollouts, in the scenario's own steps.
-        result: The run's result so far.
-    """
+    """A stage is done, in the scenario's own steps; its arrays are read-only."""
 
     stage: StageResult
     result: RunResult
@@ -88,23 +78,14 @@ class RepetitionDone:
 
 @dataclass(frozen=True)
 class RunDone:
-    """A run has come to its end, or was stopped.
-
-    Attributes:
-        result: Complete, with status ``done`` or ``stopped``.
-    """
+    """A run has come to its end, or was stopped: its result has status ``done`` or ``stopped``."""
 
     result: RunResult
 
 
 @dataclass(frozen=True)
 class RunFailed:
-    """A run failed; what was finished before is in the result.
-
-    Attributes:
-        message: One line that a person can act on.
-        result: With status ``failed``.
-    """
+    """A run failed, by one line that a person can act on; the result has what was finished."""
 
     message: str
     result: RunResult
@@ -122,6 +103,6 @@ class Observer(Protocol):
 
 
 def notify_all(observers: Sequence[Observer], event: Event) -> None:
-    """Tell every observer, in order."""
+    """Notify every observer, in order."""
     for observer in observers:
         observer.notify(event)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -11,7 +11,6 @@ from scipy.special import logsumexp
 from pemviz.arrays import FloatArray, row_sums
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.pem import Pem
 from pemviz.pem.judging.reweight import (
     RatioInterval,
     compare_pems,
@@ -24,7 +23,7 @@ from pemviz.sampling.estimates.importance_weights import log_sum, weight_figures
 from pemviz.sampling.estimates.trust import caveats
 from pemviz.sampling.problem import sample
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling, with_absorbing_violation
-from pemviz.types import Proposal, RolloutBatch, ScoredRollouts, outcome_log_likelihood
+from pemviz.types import Proposal, ScoredRollouts, outcome_log_likelihood
 
 
 @dataclass(frozen=True)
@@ -81,72 +80,60 @@ def compare_models(
     experiments = [
         build_experiment(replace(base, pem=name), allow_python=allow_python) for name in names
     ]
-    proposals = [_proposal(experiment) for experiment in experiments]
+    proposals: list[Proposal] = []
+    parts: list[ScoredRollouts] = []
     seeds = np.random.SeedSequence(config.seed).spawn(len(names))
-    scored = ScoredRollouts.concatenate(
-        [
-            sample(
-                with_absorbing_violation(one.problem), proposal=proposal, count=rollouts, seeds=seed
-            )
-            for one, proposal, seed in zip(experiments, proposals, seeds, strict=True)
-        ]
-    )
-    drawn = scored.rollouts
-    salient = experiments[0].problem.simulator.salient(drawn.decision_states().signals)
-    log_q = _log_mixture(drawn, experiments, proposals)
+    for experiment, seed in zip(experiments, seeds, strict=True):
+        method = experiment.method
+        assert isinstance(method, ZeroVarianceSampling)  # noqa: S101  chosen above
+        proposal = method.init(experiment.problem, repetition=0).proposal
+        problem = with_absorbing_violation(experiment.problem)
+        proposals.append(proposal)
+        parts.append(sample(problem, proposal=proposal, count=rollouts, seeds=seed))
+    scored = ScoredRollouts.concatenate(parts)
+    salient, log_q = _mixture(scored, experiments, proposals)
+    weighed: dict[str, Any] = {
+        "detected": scored.rollouts.detected,
+        "salient": salient,
+        "log_q": log_q,
+        "violated": scored.violated,
+    }
     pems = [experiment.pem for experiment in experiments]
-    answers = reweight(
-        detected=drawn.detected,
-        salient=salient,
-        log_q=log_q,
-        violated=scored.violated,
-        members=pems,
-    )
-    against = [_unreliable_because(scored, salient=salient, log_q=log_q, pem=pem) for pem in pems]
-    ratio = partial(
-        compare_pems,
-        detected=drawn.detected,
-        salient=salient,
-        log_q=log_q,
-        violated=scored.violated,
-        old=pems[0],
-    )
-    return [
-        ModelFigures(
-            name=pem.name,
-            data=pem.data,
-            probability=math.exp(log_mu),
-            log10_probability=log_mu / math.log(10.0) if math.isfinite(log_mu) else None,
-            std_error=math.exp(log_mu) * relative if math.isfinite(log_mu) else 0.0,
-            effective_failures=effective,
-            unreliable_because=against[index],
-            interval_caveats=_of_ratio(against[index], against[0]) if index else (),
-            to_first=ratio(new=pem) if index and scored.violated.any() else None,
+    answers = reweight(**weighed, members=pems)
+    against: list[tuple[str, ...]] = []
+    figures: list[ModelFigures] = []
+    for index, (pem, log_mu, relative, effective) in enumerate(
+        zip(
+            pems,
+            answers.log_mu.tolist(),
+            answers.relative_std_error.tolist(),
+            answers.effective_failures.tolist(),
+            strict=True,
         )
-        for index, (pem, log_mu, relative, effective) in enumerate(
-            zip(
-                pems,
-                answers.log_mu.tolist(),
-                answers.relative_std_error.tolist(),
-                answers.effective_failures.tolist(),
-                strict=True,
+    ):
+        log_weight = failing_log_weights(**weighed, pem=pem)
+        against.append(_unreliable_because(log_weight, scored.rollouts.count))
+        is_finite, of_first = math.isfinite(log_mu), index == 0
+        compared = not of_first and scored.violated.any()
+        caveats_of_first = (f"the first model: {words}" for words in against[0])
+        figures.append(
+            ModelFigures(
+                name=pem.name,
+                data=pem.data,
+                probability=math.exp(log_mu),
+                log10_probability=log_mu / math.log(10.0) if is_finite else None,
+                std_error=math.exp(log_mu) * relative if is_finite else 0.0,
+                effective_failures=effective,
+                unreliable_because=against[-1],
+                interval_caveats=() if of_first else (*against[-1], *caveats_of_first),
+                to_first=compare_pems(**weighed, old=pems[0], new=pem) if compared else None,
             )
         )
-    ]
+    return figures
 
 
-def _unreliable_because(
-    scored: ScoredRollouts, *, salient: FloatArray, log_q: FloatArray, pem: Pem
-) -> tuple[str, ...]:
+def _unreliable_because(log_weight: FloatArray, count: int) -> tuple[str, ...]:
     """Why one model's figure must not be quoted, by the diagnostics of its weights."""
-    log_weight = failing_log_weights(
-        detected=scored.rollouts.detected,
-        salient=salient,
-        log_q=log_q,
-        violated=scored.violated,
-        pem=pem,
-    )
-    count = scored.rollouts.count
     log10_probability = (
         (log_sum(log_weight) - math.log(count)) / math.log(10.0) if log_weight.size else None
     )
@@ -159,26 +146,15 @@ def _unreliable_because(
     return caveats(found, method="zero-variance")
 
 
-def _of_ratio(own: Sequence[str], first: Sequence[str]) -> tuple[str, ...]:
-    """A ratio's interval rests on both models' weights."""
-    return (*own, *(f"the first model: {words}" for words in first))
-
-
-def _proposal(experiment: Experiment) -> Proposal:
-    method = experiment.method
-    assert isinstance(method, ZeroVarianceSampling)  # noqa: S101  asked for above
-    return method.init(experiment.problem, repetition=0).proposal
-
-
-def _log_mixture(
-    drawn: RolloutBatch, experiments: Sequence[Experiment], proposals: Sequence[Proposal]
-) -> FloatArray:
-    """Log of the mean of the proposals' densities, each drawn from alike, at rollouts ``[N]``."""
-    states = drawn.decision_states()
+def _mixture(
+    scored: ScoredRollouts, experiments: Sequence[Experiment], proposals: Sequence[Proposal]
+) -> tuple[FloatArray, FloatArray]:
+    """Salient variables of N rollouts, and the log of the mean of the proposals' densities."""
+    states = scored.rollouts.decision_states()
     salient = experiments[0].problem.simulator.salient(states.signals)
-    logits = [
-        proposal.logit(states, experiment.problem.pem.logit(salient))
-        for experiment, proposal in zip(experiments, proposals, strict=True)
-    ]
-    densities = [row_sums(outcome_log_likelihood(logit, drawn.detected)) for logit in logits]
-    return np.asarray(logsumexp(np.stack(densities), axis=0)) - math.log(len(proposals))
+    densities: list[FloatArray] = []
+    for proposal, experiment in zip(proposals, experiments, strict=True):
+        logit = proposal.logit(states, experiment.problem.pem.logit(salient))
+        densities.append(row_sums(outcome_log_likelihood(logit, scored.rollouts.detected)))
+    log_sum_of_all = np.asarray(logsumexp(np.stack(densities), axis=0))
+    return salient, log_sum_of_all - math.log(len(proposals))

@@ -1,14 +1,14 @@
 """From the probability of a violation to violations an hour of driving, or a kilometre of it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from pemviz.config.ranges import AtLeastZero
 from pemviz.runs.result import DrivenDistance, RunResult
 from pemviz.types import Estimate
 
 LARGEST = 1e300
-"""Of what is told, so that it and its inverse are float64."""
+"""Of what is reported, so that it and its inverse are float64."""
 LARGEST_LOG = 690.0
 """Of what an end of an interval is multiplied with."""
 Z95 = 1.96
@@ -16,19 +16,9 @@ Z95 = 1.96
 
 @dataclass(frozen=True)
 class ViolationRate:
-    """How many violations an hour of driving brings, with the ends of the interval.
+    """How many violations an hour of driving brings, as ``result.json`` has it; see :class:`Rate`.
 
-    An encounter counts once, however often it violates. Hours are ``None`` where they are
-    infinite or unknown.
-
-    Attributes:
-        rule: The rule's name; ``None``: the specification, or any rule.
-        per_hour: Violations an hour [1/h]: the probability times the encounters an hour.
-        low: At the lower end of the probability's interval.
-        high: At its upper end.
-        hours_between: Hours of driving between two violations, on average [h].
-        hours_low: At the upper end of the probability's interval.
-        hours_high: At its lower end.
+    An encounter counts once, however often it violates.
     """
 
     rule: str | None
@@ -42,19 +32,9 @@ class ViolationRate:
 
 @dataclass(frozen=True)
 class DistanceRate:
-    """How many violations a kilometre of driving brings, with the ends of the interval.
+    """How many violations a kilometre brings, as ``result.json`` has it; see :class:`Rate`.
 
-    A rollout counts once, however often it violates. Kilometres are ``None`` where they are
-    infinite or unknown.
-
-    Attributes:
-        rule: The rule's name; ``None``: the specification, or any rule.
-        per_km: Violations a kilometre [1/km]: the probability over the distance of a rollout.
-        low: The lower end, of the interval of both together.
-        high: The upper end.
-        km_between: Kilometres between two violations, on average [km].
-        km_low: At the upper end of the rate.
-        km_high: At its lower end.
+    A rollout counts once, however often it violates.
     """
 
     rule: str | None
@@ -68,7 +48,18 @@ class DistanceRate:
 
 @dataclass(frozen=True)
 class Rate:
-    """A rate of either kind: per unit of driving, units between two violations, their intervals."""
+    """A rate of either kind; units between violations are ``None`` where infinite or unknown.
+
+    Attributes:
+        rule: The rule's name; ``None``: the specification, or any rule.
+        value: Violations per unit: the probability times the encounters an hour [1/h], or over the
+            distance of a rollout [1/km].
+        low: The lower end, of the interval of all that is not known.
+        high: The upper end.
+        between: Units of driving between two violations, on average [h or km].
+        between_low: At the upper end of the rate.
+        between_high: At its lower end.
+    """
 
     rule: str | None
     value: float
@@ -80,7 +71,7 @@ class Rate:
 
 
 def rates(result: RunResult) -> tuple[Rate, ...]:
-    """The rate of violations, then of each rule's, per hour or km; none where nothing tells it."""
+    """The rate of violations, then of each rule's, per hour or km; none without either."""
     if result.estimate is None:
         return ()
     encounters, driven = result.config.encounters_per_hour, result.driven
@@ -96,23 +87,17 @@ def rates(result: RunResult) -> tuple[Rate, ...]:
 
 
 def violation_rates(result: RunResult) -> tuple[ViolationRate, ...]:
-    """Rates an hour; none unless encounters an hour are told."""
+    """Rates an hour; none unless encounters an hour are given."""
     if result.driven is not None:
         return ()
-    return tuple(
-        ViolationRate(r.rule, r.value, r.low, r.high, r.between, r.between_low, r.between_high)
-        for r in rates(result)
-    )
+    return tuple(ViolationRate(*astuple(rate)) for rate in rates(result))
 
 
 def distance_rates(result: RunResult) -> tuple[DistanceRate, ...]:
     """Rates a kilometre; none unless a rollout is a stretch of driving."""
     if result.driven is None:
         return ()
-    return tuple(
-        DistanceRate(r.rule, r.value, r.low, r.high, r.between, r.between_low, r.between_high)
-        for r in rates(result)
-    )
+    return tuple(DistanceRate(*astuple(rate)) for rate in rates(result))
 
 
 def _over_distance(rule: str | None, estimate: Estimate, driven: DrivenDistance) -> Rate:
@@ -121,16 +106,11 @@ def _over_distance(rule: str | None, estimate: Estimate, driven: DrivenDistance)
     low, high = estimate.ci_low, estimate.ci_high
     if estimate.probability > 0.0 and low is not None and low > 0.0:
         width = math.log(estimate.probability) - math.log(low)
-        low *= math.exp(-_further(width, relative))
+        low *= math.exp(-(math.hypot(width, relative) - width))
     if estimate.probability > 0.0 and high is not None and high > 0.0:
         width = math.log(high) - math.log(estimate.probability)
-        high *= math.exp(min(_further(width, relative), LARGEST_LOG))
+        high *= math.exp(min(math.hypot(width, relative) - width, LARGEST_LOG))
     return _rate(rule, estimate.probability, low, high, 1.0 / driven.mean_km)
-
-
-def _further(width: float, relative: float) -> float:
-    """By how much a half width grows, on the log scale."""
-    return math.hypot(width, relative) - width
 
 
 def _rate(

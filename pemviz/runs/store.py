@@ -18,18 +18,9 @@ from pemviz.config import KeepName
 from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
 from pemviz.files.atomic import held, write_bytes, write_text
-from pemviz.runs import rollout_files
+from pemviz.runs import events, rollout_files
 from pemviz.runs.engine import run, versions
-from pemviz.runs.events import (
-    Event,
-    Observer,
-    RepetitionDone,
-    RunDone,
-    RunFailed,
-    RunStarted,
-    StageDone,
-    notify_all,
-)
+from pemviz.runs.events import Event, Observer
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.ranking import kept_rows
 from pemviz.runs.reading import CONFIG, result_left, run_differs
@@ -42,7 +33,7 @@ from pemviz.types import Signal, StageResult
 LOG = logging.getLogger(__name__)
 LOCK, RECORDING, PROPOSALS = ".lock", "run.rrd", "proposals.safetensors"
 ALWAYS_WRITTEN = 100
-"""Stages after which ``result.json``, which tells of each, is written whatever it takes."""
+"""Stages after which ``result.json``, which lists each, is written whatever it takes."""
 PAUSES = 20
 """Later on it is written once this many times as long has passed as writing it took."""
 
@@ -72,8 +63,7 @@ def create_run_folder(parent: Path, *, label: str) -> Path:
 class Archive:
     """Reads the stages' files that an interrupted run left in its folder, each when it is wanted.
 
-    A damaged file counts as none: its stage is carried out again, which gives the same
-    rollouts, and the log says so.
+    A damaged file counts as none: its stage is carried out again, to the same rollouts.
 
     Attributes:
         restored: Repetition and stage of all that were found whole so far.
@@ -120,13 +110,13 @@ class RunStore:
     def __init__(
         self, folder: Path, *, archive: Archive | None = None, others: Sequence[str] = ()
     ) -> None:
-        """Prepare; nothing is written before the run starts.
+        """Nothing is written before the run starts.
 
         Args:
             folder: The run folder; it exists already.
             archive: What an earlier process left in it, which is not written again.
-            others: Names of files that other observers write, which are told that the run is done
-                before this one is; their digests are kept too.
+            others: Names of files of observers that are notified of the end before this one is;
+                their digests are kept too.
         """
         self.folder = folder
         self._archive = archive
@@ -142,27 +132,26 @@ class RunStore:
     def notify(self, event: Event) -> None:
         """Write what ``event`` adds."""
         match event:
-            case RunStarted():
+            case events.RunStarted():
                 self._signals, self._keep = event.signals, event.config.keep
                 write_text(self.folder / CONFIG, config_text(event.config))
                 if result_left(self.folder) is None:
                     write_result(self.folder, event.result, files=(CONFIG,))
-            case StageDone():
+            case events.StageDone():
                 self._keep_stage(event.stage, event.result)
-            case RepetitionDone():
+            case events.RepetitionDone():
                 self._keep_columns(event.columns)
                 if not self._is_behind():
                     write_result(self.folder, event.result, files=(CONFIG,))
-            case RunDone() | RunFailed():
+            case events.RunDone() | events.RunFailed():
                 self._end(event.result)
             case _:
                 pass
 
     def _is_behind(self) -> bool:
         """Whether the folder holds finished stages that this process has not come to yet."""
-        if self._archive is None:
-            return False
-        return len(rollout_files.stage_files(self.folder)) > len(self._parts)
+        stages = () if self._archive is None else rollout_files.stage_files(self.folder)
+        return len(stages) > len(self._parts)
 
     def _end(self, result: RunResult) -> None:
         if result.status != "done":
@@ -229,8 +218,10 @@ class _DoneLast:
     recorders: Sequence[Observer]
 
     def notify(self, event: Event) -> None:
-        done = isinstance(event, RunDone) and event.result.status == "done"
-        notify_all([*self.recorders, self.store] if done else [self.store, *self.recorders], event)
+        done = isinstance(event, events.RunDone) and event.result.status == "done"
+        events.notify_all(
+            [*self.recorders, self.store] if done else [self.store, *self.recorders], event
+        )
 
 
 def carry_out(

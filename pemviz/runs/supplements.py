@@ -43,13 +43,8 @@ class DrivesFreely(Protocol):
         ...
 
 
-def with_distance(result: RunResult, *, experiment: Experiment) -> RunResult:
-    """A result with the distance that a rollout is, where the scenario says it.
-
-    Args:
-        result: With the estimate of all repetitions.
-        experiment: What was run; its problem's ``pause`` may raise to stop.
-    """
+def _with_distance(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A result with the distance that a rollout is, where the scenario says it."""
     scenario = within(experiment.problem.simulator, DrivesFreely)
     if scenario is None:
         return result
@@ -71,11 +66,10 @@ def with_distance(result: RunResult, *, experiment: Experiment) -> RunResult:
     return replace(result, driven=driven)
 
 
-def with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
+def _with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
     """A result with the answer over memory times and over frailties, if the configuration says so.
 
-    It stays as it is with hidden properties of the user's own, which the curves know nothing of;
-    arguments as for :func:`with_distance`.
+    It stays as it is with hidden properties of the user's own, which the curves know nothing of.
     """
     memory, config = result.memory, experiment.config
     if not config.memory_curve or memory is None or memory.hidden:
@@ -129,9 +123,13 @@ def _with_answer(
 
 
 def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
-    """A result with the reference; a warning if they disagree; arguments as above.
+    """A result with the reference; a warning if they disagree.
 
     Sampled where the configuration says so; else the recursion where the scenario has few states.
+
+    Args:
+        result: With the estimate of all repetitions.
+        experiment: What was run; its problem's ``pause`` may raise to stop.
     """
     twin = experiment.twin
     if result.estimate is None or twin is None:
@@ -142,8 +140,8 @@ def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
     return replace(compared, warnings=(*result.warnings, *words))
 
 
-def with_data_plan(result: RunResult, *, experiment: Experiment) -> RunResult:
-    """A result with what to measure next, if that is to be planned; arguments as above."""
+def _with_data_plan(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A result with what to measure next, if that is to be planned."""
     config = experiment.config
     if not (config.plan or config.target is not None) or result.estimate is None:
         return result
@@ -237,3 +235,7 @@ def _sequences(experiment: Experiment) -> SequencePlan | None:
     except PemError:  # a damaged file is reported where that model is used
         return None
     return None if example is None else sequence_plan(example, example=EXAMPLE, is_own=False)
+
+
+IN_ORDER = (_with_distance, _with_curves, _with_data_plan, beside_reference)
+"""What is added to a result with the estimate of all repetitions; each may stop the run."""
