@@ -1,4 +1,4 @@
-"""What is asked of a run, with units and ranges, and how it is written as TOML."""
+"""The configuration of a run, with units and ranges, and how it is written as TOML."""
 
 from pemviz.config.encounters import LOGICAL_SCENARIOS, EncounterConfig, StartChoice
 from pemviz.config.settings import (

@@ -1,6 +1,6 @@
-"""A logical scenario: what is fixed about its encounters, and what is drawn for each.
+"""A logical scenario: what is fixed about its encounters, and what is sampled for each.
 
-``pemviz.simulators.encounters`` tells exactly what the numbers do.
+``pemviz.simulators.encounters`` says exactly what the numbers do.
 """
 
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ class StartChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class EncounterConfig:
-    """A logical scenario with random starts; ``pemviz.simulators.encounters`` tells exactly."""
+    """A logical scenario with random starts; ``pemviz.simulators.encounters`` says exactly."""
 
     logical_scenario: LogicalScenarioName = NO_LOGICAL_SCENARIO
     """Logical scenario: braking (a lead car brakes), cut-in (a car cuts in), cut-out (a lead
@@ -102,7 +102,7 @@ class EncounterConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class StartValue:
-    """A value that an encounter draws at its start.
+    """A value that an encounter samples at its start.
 
     Attributes:
         name: In options, files and tables.
@@ -166,7 +166,7 @@ GHOST_GAP = _start("ghost_gap", "m", (0.0, 250.0), "uniform(20, 200)")
 
 
 def start_values(config: EncounterConfig) -> tuple[StartValue, ...]:
-    """What an encounter draws at its start, in the order of its latents; nothing without one."""
+    """What an encounter samples at its start, in the order of its latents; nothing without one."""
     own = START_VALUES.get(config.logical_scenario, ())
     if not own:
         return ()

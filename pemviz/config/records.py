@@ -30,10 +30,11 @@ class _UnfitError(Exception):
         self.words = words
         self.name = name
 
-    def inside(self, name: str) -> "_UnfitError":
-        """The same, seen from what has the value under ``name``."""
+    def inside(self, name: str | int) -> "_UnfitError":
+        """The same, seen from what has the value under ``name``, or in a place of a list."""
         joint = "." if self.name and not self.name.startswith("[") else ""
-        return _UnfitError(self.words, f"{name}{joint}{self.name}")
+        place = name if isinstance(name, str) else f"[{name}]"
+        return _UnfitError(self.words, f"{place}{joint}{self.name}")
 
 
 def read_record(
@@ -103,17 +104,19 @@ def _plain_reader(annotation: object) -> _Reader:
     return read
 
 
+def _inside(name: str | int, read: _Reader, value: object) -> Any:
+    try:
+        return read(value)
+    except _UnfitError as error:
+        raise error.inside(name) from None
+
+
 def _tuple_reader(entry: _Reader) -> _Reader:
     def read(value: object) -> object:
         if not isinstance(value, list | tuple):
             raise _unfit(value, "must be a list")
-        found: list[object] = []
-        for index, item in enumerate(cast(list[object], value)):
-            try:
-                found.append(entry(item))
-            except _UnfitError as error:
-                raise error.inside(f"[{index}]") from None
-        return tuple(found)
+        items = enumerate(cast(list[object], value))
+        return tuple([_inside(index, entry, item) for index, item in items])
 
     return read
 
@@ -122,15 +125,11 @@ def _mapping_reader(entry: _Reader) -> _Reader:
     check_name = checker(str)
 
     def read(value: object) -> object:
-        found: dict[str, object] = {}
-        for key, item in _table(value).items():
+        table = _table(value)
+        for key in table:
             if check_name(key) is not None:
                 raise _unfit(key, "must be a name")
-            try:
-                found[key] = entry(item)
-            except _UnfitError as error:
-                raise error.inside(key) from None
-        return found
+        return {key: _inside(key, entry, item) for key, item in table.items()}
 
     return read
 
@@ -151,10 +150,7 @@ def _record_reader(kind: type[Any], ignore_unknown: bool) -> _Reader:
         values: dict[str, object] = {}
         for name, item in table.items():
             if name in readers:
-                try:
-                    values[name] = readers[name](item)
-                except _UnfitError as error:
-                    raise error.inside(name) from None
+                values[name] = _inside(name, readers[name], item)
             elif not ignore_unknown:
                 near = difflib.get_close_matches(name, readers, n=1)
                 known = f"allowed are {', '.join(sorted(readers))}"

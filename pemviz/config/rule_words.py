@@ -50,7 +50,7 @@ class GateLimits:
     """Probabilities that must not be exceeded.
 
     Attributes:
-        overall: By the violation of the specification; ``None``: not asked.
+        overall: By the violation of the specification; ``None``: no limit.
         rules: By that of single rules, by name.
     """
 

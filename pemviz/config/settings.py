@@ -1,4 +1,4 @@
-"""What is asked of a run: every number that shapes a result, with unit and range."""
+"""The configuration of a run: every number that shapes a result, with unit and range."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -56,7 +56,7 @@ class Rule:
 class ScenarioConfig:
     """An ego car follows a braking lead car on a straight road.
 
-    ``pemviz.simulators.braking`` tells exactly how.
+    ``pemviz.simulators.braking`` says exactly how.
     """
 
     initial_speed_kmh: Annotated[float, Range(low=0.0, low_open=True, high=144.0)] = 70.0
@@ -106,7 +106,7 @@ class ScenarioConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SumoConfig:
-    """With simulator sumo; ``pemviz.simulators.sumo`` tells exactly."""
+    """With simulator sumo; ``pemviz.simulators.sumo`` says exactly."""
 
     model: Literal["idm", "krauss", "acc"] = "idm"
     """Car-following model of SUMO's that the encounter's other cars drive by: idm (intelligent
@@ -154,16 +154,16 @@ class ExperimentConfig:
     the longer ago, by exp(-time / memory_s); how often the error model misses in all is as
     without; 0 to 60. 0: misses are independent of each other given the state."""
     frailty: Annotated[float, Range(low=0.0, high=5.0)] = 0.0
-    """How much obstacles differ in being missed beyond what the state tells: each has a visibility
+    """How much obstacles differ in being missed beyond what the state says: each has a visibility
     of its own for as long as it is there, with this spread; how often the error model misses in
-    all is as without; 0 to 5. 0: all are alike."""
+    all is as without; 0 to 5. 0: all are equal."""
     position_errors: str | None = None
     """Errors of the lead car's measured distance, in encounters of the place of every car, which
     the ego then brakes by: a shipped name (pointpillars, pointrcnn) or a file of 'pemviz pem fit
     --position-errors'. Left out, it is measured without error. Shipped back ends only; without
     method zero-variance and reference."""
     memory_curve: bool = False
-    """Also tell the failure probability over memory times from 0 to 1 s and over frailties from 0
+    """Also report the failure probability over memory times from 0 to 1 s and over frailties from 0
     to 1.2, from 2400 rollouts each of their own (on the fast twin where there is one)."""
     simulator: str = "vectorized"
     """Back end that steps the scenario: vectorized, highway-env, sumo (needs pemviz[sumo]), carla
@@ -206,16 +206,16 @@ class ExperimentConfig:
     reference: bool = False
     """Also compute the answer by the zero-variance reference, to compare with."""
     target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None
-    """Failure probability to bring the system below: tells by which factor misses would have to
+    """Failure probability to bring the system below: reports by which factor misses would have to
     become rarer, for each distance band, and with memory_s to what the memory time would have to
     fall; above 0, at most 1."""
     encounters_per_hour: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] | None = None
     """How many encounters such as the scenario's an hour of driving holds on average [1/h]: also
-    tell violations an hour and the hours of driving between them; above 0, at most 1e6."""
+    report violations an hour and the hours of driving between them; above 0, at most 1e6."""
     plan: bool = False
-    """Also tell what to measure next: the cheapest labels that would show the target (without one,
-    a failure probability halfway to what the labels at hand allow), labels that would halve the
-    range over refits, tracked sequences that would fix the memory time; a few seconds."""
+    """Also report what to measure next: the cheapest labels that would show the target (without
+    one, a failure probability halfway to what the labels at hand allow), labels that would halve
+    the range over refits, tracked sequences that would fix the memory time; a few seconds."""
     keep: KeepName = "all"
     """Which rollouts the run folder keeps: all, or violations: of the final rollouts those that
     violate and the twenty least robust of each stage; learning stages are kept whole, of large

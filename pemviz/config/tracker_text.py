@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
-from pemviz.config.ranges import Range, check_fields, check_value, optional_value, shown
+from pemviz.config.ranges import Range, check_value, optional_value, shown
 from pemviz.errors import ConfigError
 
 NO_TRACKER = "none"
@@ -72,7 +72,6 @@ def read_tracker(text: str) -> TrackerSettings | None:
         given[name] = value
     values = {"hits": hits, "window": window, **given}
     settings = TrackerSettings(**{name: _value(name, word) for name, word in values.items()})
-    check_fields(settings, prefix="tracker: ")
     _check_together(settings, where)
     return settings
 

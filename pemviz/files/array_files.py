@@ -222,9 +222,9 @@ def _header(
         raise ValueError(f"{name}: its header does not describe an array of numbers")
     shape = tuple(int(word) for word in header["shape"].split(",") if word.strip())
     dtype, begin = np.dtype(header["type"]), 8 + struct.calcsize(layout) + length
-    asked = math.prod(shape) * dtype.itemsize
-    if asked != size - begin:
-        raise ValueError(f"{name}: its header asks for {asked} bytes, there are {size - begin}")
+    claimed = math.prod(shape) * dtype.itemsize
+    if claimed != size - begin:
+        raise ValueError(f"{name}: its header asks for {claimed} bytes, there are {size - begin}")
     return dtype, "F" if header["order"] == "True" else "C", shape, begin
 
 

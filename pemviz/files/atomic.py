@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, that one process holds, that a digest tells apart."""
+"""Files that are either whole or not there, that one process holds, that a digest identifies."""
 
 import hashlib
 import json

@@ -20,7 +20,7 @@ from pemviz.types import Simulator, StateBatch
 NOT_ASKED, RIGHT, WRONG = 0, 1, 2
 """Of perception about a slot at a step: nothing to report, no error, an error."""
 IMPACT_SPEED = "impact_speed"
-"""Signal that tells how fast the cars touched [m/s], where a scenario has it."""
+"""Signal that says how fast the cars touched [m/s], where a scenario has it."""
 WHOLE = Slot("perception")
 """Of a scenario without slots."""
 
@@ -39,7 +39,7 @@ class DrawnRollout:
         tracks: Where the controller believes the slots' cars to be, ``[T, K]``, if that is known.
         dt_s: Time step [s].
         contact_step: The state in which the ego first touches a car; ``None``: it never does.
-        impact_speed_mps: How fast they touched [m/s]; ``None``: never, or the scenario tells not.
+        impact_speed_mps: How fast they touched [m/s]; ``None``: never, or not known.
     """
 
     cars: tuple[SceneCar, ...]
@@ -97,7 +97,7 @@ def drawn_rollout(
     detected: BoolArray,
     memory: Mapping[str, AnyArray],
 ) -> DrawnRollout | None:
-    """A rollout as views draw it; ``None`` where its scenario does not tell where its cars are.
+    """A rollout as views draw it; ``None`` where its scenario does not say where its cars are.
 
     Args:
         simulator: The scenario, in its own steps.
@@ -108,10 +108,11 @@ def drawn_rollout(
     scene = drawn_scene(simulator)
     if scene is None:
         return None
-    tracks, tells = None, within(simulator, DrawsTracks)
-    if tells is not None and memory:
+    tracks, scene_with_tracks = None, within(simulator, DrawsTracks)
+    if scene_with_tracks is not None and memory:
         steps = np.arange(next(iter(signals.values())).size)
-        tracks = tells.scene_tracks(StateBatch(step=steps, signals=signals, memory=memory))
+        course = StateBatch(step=steps, signals=signals, memory=memory)
+        tracks = scene_with_tracks.scene_tracks(course)
     states = scene.scene(signals)
     slots = slots_of(simulator)
     places: dict[str | None, int] = {slot.name: place for place, slot in enumerate(slots)}

@@ -125,14 +125,14 @@ def build_experiment(
     Args:
         config: The configuration.
         simulator: A system of your own instead of the one that ``config`` names. It is tried
-            out on whole rollouts, so that what is wrong with it is told here.
+            out on whole rollouts, so that what is wrong with it shows here.
         pem: A detector model of your own, anything with ``logit(salient)``, instead of the
             one that ``config`` names; for a simulator with slots also one for each by name.
         twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
             thousands of states costs it little) for method zero-variance and the reference.
         features: What proposals look at instead of what the simulator offers: for one of your own
             that is all signals and the step, in a slot's turn what is about that slot.
-        hidden: Properties of perception of your own that outcomes tell of, each with a label; one
+        hidden: Properties of perception of your own that outcomes reveal, each with a label; one
             whose state follows the error model stands alone, without ``frailty``.
         batch_rollouts: How many rollouts are simulated at a time; the result does not depend on
             it, but speed and memory do.

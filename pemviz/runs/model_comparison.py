@@ -59,9 +59,9 @@ def compare_models(
 ) -> Sequence[ModelFigures]:
     """Estimate the failure probability under each model from the same rollouts.
 
-    ``rollouts`` are drawn from each model's zero-variance proposal; all together count as draws
+    ``rollouts`` are sampled from each model's zero-variance proposal; all together count as samples
     from the mixture of the proposals (balance heuristic: Veach & Guibas 1995), so that no model
-    has to live on rollouts that were drawn for another.
+    has to live on rollouts that were sampled for another.
 
     Args:
         config: Scenario, specification, seed; its own model and method do not matter.

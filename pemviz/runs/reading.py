@@ -82,7 +82,7 @@ def result_left(folder: Path) -> RunResult | None:
 
 
 def _disagreements(kept: KeptResult, folder: Path, most_bytes: float) -> Iterator[str]:
-    """What does not agree; fields first, as digests do not tell which it is."""
+    """What does not agree; fields first, as digests do not say which it is."""
     yield from complaints(kept.result)
     if _is_looked_at(folder / CONFIG, most_bytes):
         difference = run_differs(kept.result, config=load_config(folder / CONFIG))

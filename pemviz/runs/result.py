@@ -1,4 +1,4 @@
-"""The result of a run: everything that it tells, but for the rollouts themselves.
+"""The result of a run: everything that it reports, but for the rollouts themselves.
 
 :mod:`pemviz.runs.result_file` writes it to ``result.json`` and reads it back; the types and
 ranges of the fields here, and of the types that they name, say what may stand there.
@@ -60,7 +60,7 @@ class RunMemory:
     Attributes:
         tau_s: Memory time that the answer is for [s]; 0: misses independent given the state.
         fitted: The error model's own memory time; ``None`` where the model was fitted to single
-            frames, which tell nothing of it.
+            frames, which say nothing of it.
         curve: The failure probability over memory times, ascending; empty without.
         frailty: Spread of obstacles' own visibility that the answer is for; 0: all are equal.
         frailty_curve: The failure probability over frailties, likewise.
@@ -190,7 +190,7 @@ class DrivenDistance:
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult(ShownInNotebooks):
-    """Everything a run tells, but for the rollouts themselves.
+    """Everything a run reports, but for the rollouts themselves.
 
     Attributes:
         run_id: The run's name, that of its folder.
@@ -222,7 +222,7 @@ class RunResult(ShownInNotebooks):
         plan: What to measure next, if that was to be planned.
         explanation: Where and when the detector misses before violations, and what would help.
         robustness_tail: Robustness expected and in the worst hundredth, under the error model;
-            ``None`` where the rollouts do not tell.
+            ``None`` where the rollouts do not say.
         warnings: About the model and its data; those about sampling are the estimates' own.
         timings_s: Wall time by part of the work [s].
         message: Why the run failed, if it did.

@@ -50,7 +50,7 @@ MOST_OPEN = 64
 Opened = Callable[[], contextlib.AbstractContextManager[Any]]
 """A stage's file, open for the time of a ``with``."""
 LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
-"""Likelihoods of a stage's file are computed from these when they are asked for."""
+"""Likelihoods of a stage's file are computed from these when they are read."""
 
 
 def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:

@@ -209,7 +209,7 @@ def _labels(
 
 
 def _refits(experiment: Experiment, outcomes: BandOutcomes) -> tuple[RefitBand, ...]:
-    """From the violations at hand, or from such as are drawn for the model where they are far."""
+    """From the violations at hand, or from such as are sampled for the model where they are far."""
     members: Sequence[Pem] = () if experiment.ensemble is None else experiment.ensemble.members
     if len(members) < 2:
         return ()

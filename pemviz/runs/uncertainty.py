@@ -84,7 +84,7 @@ def uncertainty_budget(result: RunResult) -> tuple[UncertaintySource, ...]:
 
 def _sources(result: RunResult) -> Iterator[UncertaintySource]:
     estimate, caveats = result.estimate, run_interval_caveats(result)
-    assert estimate is not None  # noqa: S101  asked before
+    assert estimate is not None  # noqa: S101  checked before
     better = remedy(estimate.method, latents=result.latents is not None)
     yield UncertaintySource(
         kind="sampling",

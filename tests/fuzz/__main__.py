@@ -42,13 +42,8 @@ def main(words: Sequence[str] | None = None) -> int:
             for finding in found[:SHOWN]:
                 print(f"FINDING: python -m tests.fuzz --cases 1 --target {finding.target} "
                       f"--seed {finding.seed}\n{finding.what}", file=sys.stderr)  # fmt: skip
-    whole = Counts("all")
-    for counts in every:
-        whole.cases += counts.cases
-        whole.rejected += counts.rejected
-        whole.accepted += counts.accepted
-        whole.wall_s += counts.wall_s
-    _tell(whole, findings=findings)
+    figures = [(one.cases, one.rejected, one.accepted, one.wall_s) for one in every]
+    _tell(Counts("all", *map(sum, zip(*figures, strict=True))), findings=findings)
     return 1 if findings else 0
 
 

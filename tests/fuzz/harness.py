@@ -31,13 +31,7 @@ class TooSlowError(BaseException):
 
 @dataclass(frozen=True)
 class Case:
-    """What a target gets.
-
-    Attributes:
-        rng: Draws the damage.
-        folder: Empty, for the damaged files.
-        valid: Files to damage.
-    """
+    """What a target gets: what draws the damage, an empty folder for it, files to damage."""
 
     rng: random.Random
     folder: Path
@@ -46,18 +40,13 @@ class Case:
 
 @dataclass(frozen=True)
 class Target:
-    """Something that reads what users bring.
-
-    Attributes:
-        name: For the command line.
-        carry_out: Damages an input and reads it; an AssertionError means that what was
-            accepted is not sound.
-        weight: Its share of a run's cases.
-    """
+    """Something that reads what users bring, by its name on the command line."""
 
     name: str
     carry_out: Callable[[Case], None]
+    """Damages an input and reads it; an AssertionError: what was accepted is not sound."""
     weight: float
+    """Its share of a run's cases."""
 
 
 @dataclass(frozen=True)
@@ -93,20 +82,14 @@ def carry_out(
     target: Target, seeds: Sequence[int], *, valid: ValidFiles, counts: Counts
 ) -> Iterator[Finding]:
     """Carry out a target's cases; yields what should not have come out."""
-    warm_up(target, valid=valid)
+    for seed in range(-3, 0):  # import and build what the first case would be charged for
+        judge(target, seed, valid=valid, counts=Counts(target.name), limited=False)
     for seed in seeds:
         started_s = time.perf_counter()
         finding = judge(target, seed, valid=valid, counts=counts)
         counts.wall_s += time.perf_counter() - started_s
         if finding is not None:
             yield finding
-
-
-def warm_up(target: Target, *, valid: ValidFiles) -> None:
-    """Import and build what the first case would be charged for."""
-    quiet = Counts(target.name)
-    for seed in range(-3, 0):
-        judge(target, seed, valid=valid, counts=quiet, limited=False)
 
 
 def judge(
@@ -129,7 +112,8 @@ def judge(
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        return Finding(target.name, seed, _story(error))
+        story = "".join(traceback.format_exception(error))
+        return Finding(target.name, seed, story[-2500:])
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return None
@@ -140,11 +124,6 @@ def documented(message: str) -> bool:
     return 0 < len(message) <= LONGEST_LINE and message.isprintable()
 
 
-def _story(error: BaseException) -> str:
-    lines = traceback.format_exception(error)
-    return "".join(lines)[-2500:]
-
-
 @contextmanager
 def _time_limit(limited: bool) -> Generator[None, None, None]:
     if not limited:
@@ -152,8 +131,7 @@ def _time_limit(limited: bool) -> Generator[None, None, None]:
         return
 
     def over(number: int, frame: FrameType | None) -> None:
-        message = f"more than {CASE_S:g} s of processor time"
-        raise TooSlowError(message)
+        raise TooSlowError(f"more than {CASE_S:g} s of processor time")
 
     before = signal.signal(signal.SIGPROF, over)
     signal.setitimer(signal.ITIMER_PROF, CASE_S)

@@ -4,7 +4,6 @@ import copy
 import json
 import math
 import random
-from collections.abc import Callable
 from typing import Any
 
 NUMBERS = (
@@ -26,6 +25,10 @@ TOKENS = (
     "Misc", "Person_sitting", "true", "null",
 )  # fmt: skip
 DEPTHS = (3, 30, 200, 900, 990)
+FAULTS = (
+    "replace", "replace", "replace", "same type", "same type", "drop", "rename", "add", "nest",
+    "exchange",
+)  # fmt: skip
 
 Tree = Any
 
@@ -131,7 +134,27 @@ def damage_tree(rng: random.Random, tree: Tree) -> Tree:
         if not places:
             return scalar(rng)
         holder, key = rng.choice(places)
-        _FAULTS[rng.randrange(len(_FAULTS))](rng, holder, key)
+        match FAULTS[rng.randrange(len(FAULTS))]:
+            case "replace":
+                holder[key] = scalar(rng)
+            case "same type":
+                holder[key] = _same_type(rng, holder[key])
+            case "drop":
+                del holder[key]
+            case "rename" if isinstance(holder, dict):
+                holder[rng.choice((*WORDS, f"{key}x", str(key)[:-1]))] = holder.pop(key)
+            case "add" if isinstance(holder, dict):
+                holder[rng.choice(WORDS)] = scalar(rng)
+            case "add":
+                holder.insert(key, scalar(rng))
+            case "nest":
+                as_list = rng.random() < 0.5
+                for _ in range(rng.choice(DEPTHS)):
+                    holder[key] = [holder[key]] if as_list else {"a": holder[key]}
+            case "exchange":
+                keys = list(holder) if isinstance(holder, dict) else range(len(holder))
+                other = rng.choice(keys)
+                holder[key], holder[other] = holder[other], holder[key]
     return tree
 
 
@@ -143,54 +166,16 @@ def _places(tree: Tree, depth: int = 0) -> Any:
             yield from _places(tree[key], depth + 1)
 
 
-def _replace(rng: random.Random, holder: Any, key: Any) -> None:
-    holder[key] = scalar(rng)
-
-
-def _same_type(rng: random.Random, holder: Any, key: Any) -> None:
-    value = holder[key]
+def _same_type(rng: random.Random, value: Any) -> Any:
     if isinstance(value, bool):
-        holder[key] = not value
-    elif isinstance(value, int):
-        holder[key] = rng.choice((value + 1, value - 1, -value, value * 1000, int(1e18)))
-    elif isinstance(value, float):
-        holder[key] = rng.choice((value * 1.5, -value, value * 1e10, value * 1e300, number(rng)))
-    elif isinstance(value, str):
+        return not value
+    if isinstance(value, int):
+        return rng.choice((value + 1, value - 1, -value, value * 1000, int(1e18)))
+    if isinstance(value, float):
+        return rng.choice((value * 1.5, -value, value * 1e10, value * 1e300, number(rng)))
+    if isinstance(value, str):
         place = rng.randrange(len(value) + 1)
-        holder[key] = value[:place] + rng.choice(WORDS) + value[place + rng.randrange(3) :]
-    elif isinstance(value, list):
-        holder[key] = rng.choice((value[:-1], value * 2, value[::-1], [*value, scalar(rng)]))
-
-
-def _drop(rng: random.Random, holder: Any, key: Any) -> None:
-    del holder[key]
-
-
-def _rename(rng: random.Random, holder: Any, key: Any) -> None:
-    if isinstance(holder, dict):
-        holder[rng.choice((*WORDS, f"{key}x", str(key)[:-1]))] = holder.pop(key)
-
-
-def _add(rng: random.Random, holder: Any, key: Any) -> None:
-    if isinstance(holder, dict):
-        holder[rng.choice(WORDS)] = scalar(rng)
-    else:
-        holder.insert(key, scalar(rng))
-
-
-def _nest(rng: random.Random, holder: Any, key: Any) -> None:
-    value = holder[key]
-    as_list = rng.random() < 0.5
-    for _ in range(rng.choice(DEPTHS)):
-        value = [value] if as_list else {"a": value}
-    holder[key] = value
-
-
-def _exchange(rng: random.Random, holder: Any, key: Any) -> None:
-    other = rng.choice(list(holder) if isinstance(holder, dict) else range(len(holder)))
-    holder[key], holder[other] = holder[other], holder[key]
-
-
-_FAULTS: tuple[Callable[[random.Random, Any, Any], None], ...] = (
-    _replace, _replace, _replace, _same_type, _same_type, _drop, _rename, _add, _nest, _exchange,
-)  # fmt: skip
+        return value[:place] + rng.choice(WORDS) + value[place + rng.randrange(3) :]
+    if isinstance(value, list):
+        return rng.choice((value[:-1], value * 2, value[::-1], [*value, scalar(rng)]))
+    return value

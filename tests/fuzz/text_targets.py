@@ -4,7 +4,7 @@ import io
 import json
 import random
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import tomli_w
@@ -22,14 +22,7 @@ from pemviz.sampling.rollouts.simulate import replay
 from pemviz.stl import parse
 from tests.fuzz.harness import Case, Target
 from tests.fuzz.mutate import WORDS, as_json, damage_bytes, damage_text, damage_tree, text_bytes
-from tests.fuzz.valid import (
-    CONFIGS,
-    FRAMES,
-    coco_document,
-    label_file,
-    result_file,
-    yolo_file,
-)
+from tests.fuzz.valid import CONFIGS, FRAMES, coco_document, label_file, result_file, yolo_file
 from tests.stl.test_fuzz import mutated, random_text
 
 SIGNALS = ("gap", "x", "y", "d", "v", "a", "b", "c", "z")
@@ -139,21 +132,6 @@ def _coco_bytes(rng: random.Random) -> bytes:
     return as_json(damage_tree(rng, whole)).encode(errors="replace")
 
 
-def collect_kitti(case: Case) -> None:
-    """KITTI result files."""
-    _collected(case, detection_format="kitti")
-
-
-def collect_yolo(case: Case) -> None:
-    """YOLO text with a table of image sizes."""
-    _collected(case, detection_format="yolo")
-
-
-def collect_coco(case: Case) -> None:
-    """COCO json."""
-    _collected(case, detection_format="coco")
-
-
 def read_table(case: Case) -> None:
     """A table of obstacles as CSV, or as the authors' two files; counts come from what loads."""
     rng = case.rng
@@ -183,8 +161,8 @@ def _sound(table: SalientTable) -> None:
 TARGETS = (
     Target("config", read_config, 24),
     Target("formula", read_formula, 20),
-    Target("collect-kitti", collect_kitti, 6),
-    Target("collect-yolo", collect_yolo, 5),
-    Target("collect-coco", collect_coco, 5),
+    Target("collect-kitti", partial(_collected, detection_format="kitti"), 6),
+    Target("collect-yolo", partial(_collected, detection_format="yolo"), 5),
+    Target("collect-coco", partial(_collected, detection_format="coco"), 5),
     Target("table", read_table, 6),
 )

@@ -37,18 +37,34 @@ class Listener:
         self.events.append(event)
 
 
+def heard(config=SMALL, **given):
+    """A run's result and its events."""
+    listener = Listener()
+    return run_experiment(config, observers=[listener], **given), listener.events
+
+
+def stopping(times, *, when=lambda: True):
+    """Stops once it is asked so often while a condition holds; and what counts how often."""
+    asked = []
+
+    def should_stop():
+        asked.extend([True] * bool(when()))
+        return len(asked) == times
+
+    return should_stop, asked
+
+
 def comparable(result):
     document = result_document(result)
     return {key: document[key] for key in ("estimate", "stages", "repetitions", "least_robust")}
 
 
 def test_events_come_in_order():
-    listener = Listener()
-    result = run_experiment(replace(SMALL, repetitions=2), observers=[listener])
-    kinds = [type(event) for event in listener.events if not isinstance(event, RolloutsDone)]
+    result, events = heard(replace(SMALL, repetitions=2))
+    kinds = [type(event) for event in events if not isinstance(event, RolloutsDone)]
     repetition = [*[StageDone] * 4, RepetitionDone]
     assert kinds == [RunStarted, *repetition, *repetition, RunDone]
-    assert listener.events[-1].result == result
+    assert events[-1].result == result
     assert result.status == "done"
     assert len(result.stages) == 8
     assert len(result.repetitions) == 2
@@ -117,43 +133,27 @@ def test_it_stops_between_batches_and_keeps_what_is_done():
 
 
 def test_it_stops_in_the_middle_of_a_fit():
-    asked = []
-
-    def should_stop():
-        asked.append(True)
-        return len(asked) > 3
-
+    should_stop, _ = stopping(4)
     result = run_experiment(replace(SMALL, epochs=100_000), should_stop=should_stop)
     assert result.status == "stopped"
     assert result.stages == ()
 
 
 def test_it_stops_while_the_value_function_is_computed():
-    asked = []
-
-    def should_stop():
-        asked.append(True)
-        return len(asked) == 40
-
-    listener = Listener()
-    config = replace(SMALL, method="zero-variance")
-    result = run_experiment(config, observers=[listener], should_stop=should_stop)
+    should_stop, asked = stopping(40)
+    result, events = heard(replace(SMALL, method="zero-variance"), should_stop=should_stop)
     assert len(asked) == 40
     assert result.status == "stopped"
-    assert [type(event) for event in listener.events] == [RunStarted, RunDone]
+    assert [type(event) for event in events] == [RunStarted, RunDone]
 
 
 @pytest.mark.parametrize("last_heard", [StageDone, RepetitionDone])
 def test_it_stops_within_the_data_bound_and_within_the_reference(last_heard):
     """The data's bound follows the final stage, the reference the last repetition."""
     listener = Listener()
-    asked_after = []
-
-    def should_stop():
-        if any(isinstance(event, last_heard) for event in listener.events):
-            asked_after.append(True)
-        return len(asked_after) == 3
-
+    should_stop, asked_after = stopping(
+        3, when=lambda: any(isinstance(event, last_heard) for event in listener.events)
+    )
     config = replace(SMALL, method="monte-carlo", reference=True)
     result = run_experiment(config, observers=[listener], should_stop=should_stop)
     assert len(asked_after) == 3
@@ -175,8 +175,7 @@ def test_a_simulator_that_fails_fails_the_run():
     listener = Listener()
 
     def broken(salient):
-        message = "the model is gone"
-        raise ValueError(message)
+        raise ValueError("the model is gone")
 
     problem = replace(experiment.problem, pem=FunctionPem(broken))
     with pytest.raises(RunError, match="the model is gone"):
@@ -198,9 +197,8 @@ def test_an_observer_that_cannot_write_fails_the_run_and_the_others_hear_it():
 
 
 def test_what_carries_the_estimate_is_ranked_before_the_least_robust_of_all():
-    listener = Listener()
-    result = run_experiment(SMALL, observers=[listener])
-    stages = [event.stage for event in listener.events if isinstance(event, StageDone)]
+    result, events = heard()
+    stages = [event.stage for event in events if isinstance(event, StageDone)]
     final = stages[-1].scored
     carrying = [r for r in result.least_robust if r.share is not None]
     assert carrying == list(result.least_robust[: len(carrying)])
@@ -213,9 +211,7 @@ def test_what_carries_the_estimate_is_ranked_before_the_least_robust_of_all():
 
 
 def test_before_anything_carries_an_estimate_the_least_robust_of_all_stages_are_listed():
-    listener = Listener()
-    run_experiment(SMALL, observers=[listener])
-    done = [event for event in listener.events if isinstance(event, StageDone)]
+    done = [event for event in heard()[1] if isinstance(event, StageDone)]
     learned = [event for event in done if event.stage.kind != "final"]
     everything = np.sort(np.concatenate([one.stage.scored.robustness for one in learned]))
     listed = learned[-1].result.least_robust

@@ -14,9 +14,9 @@ from pemviz.config import ExperimentConfig
 from pemviz.reports.estimate_words import reference_text
 from pemviz.reports.gate import decide_run
 from pemviz.runs.engine import run, run_experiment
-from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.interpretation import Interpreted, interpret
+from pemviz.runs.observers import KeptStages
 from pemviz.runs.ranking import with_stage
 from pemviz.runs.supplements import beside_reference
 from pemviz.runs.uncertainty import run_diagnostics, uncertainty_budget
@@ -26,19 +26,6 @@ from pemviz.sampling.zero_variance.reference import Reference
 CONFIG = ExperimentConfig(method="naive", final_rollouts=60)
 
 
-class Stages:
-    """Keeps the stages of a run, and the result before the first."""
-
-    def __init__(self):
-        self.done, self.empty = [], None
-
-    def notify(self, event):
-        if self.empty is None:
-            self.empty = event.result
-        if isinstance(event, StageDone):
-            self.done.append(event.stage)
-
-
 @pytest.fixture(scope="module")
 def experiment():
     return build_experiment(CONFIG)
@@ -46,7 +33,7 @@ def experiment():
 
 @pytest.fixture(scope="module")
 def heard(experiment):
-    stages = Stages()
+    stages = KeptStages()
     run(experiment, observers=[stages])
     return stages
 
@@ -54,7 +41,7 @@ def heard(experiment):
 @pytest.fixture(scope="module")
 def part(heard):
     """Makes a part of a final batch, with so many violations, of 40 rollouts."""
-    (whole,) = heard.done
+    (whole,) = heard.stages
     violating = np.flatnonzero(whole.scored.violated)
 
     def make(*, failures, stage, repetition=0):
@@ -98,7 +85,7 @@ def test_the_part_with_most_failures_explains_the_first_of_equals(
     experiment, heard, part, failures, best
 ):
     stages = [part(failures=count, stage=stage) for stage, count in enumerate(failures)]
-    found = interpreted_after(stages, experiment=experiment, empty=heard.empty).result
+    found = interpreted_after(stages, experiment=experiment, empty=heard.started.result).result
     assert found.explanation == explanation_of(stages[best], experiment)
     assert found.explanation is not None
 
@@ -110,14 +97,14 @@ def test_the_last_repetition_with_a_failure_explains_by_its_own_best_part(experi
         part(failures=5, stage=1, repetition=1),
         part(failures=0, stage=0, repetition=2),
     ]
-    found = interpreted_after(stages, experiment=experiment, empty=heard.empty).result
+    found = interpreted_after(stages, experiment=experiment, empty=heard.started.result).result
     assert found.explanation == explanation_of(stages[2], experiment)
     assert found.explanation.repetition == 1
 
 
 def test_other_models_answer_for_all_parts_together(experiment, heard, part):
     stages = [part(failures=4, stage=0), part(failures=9, stage=1)]
-    interpreted = interpreted_after(stages, experiment=experiment, empty=heard.empty)
+    interpreted = interpreted_after(stages, experiment=experiment, empty=heard.started.result)
     simulator, ensemble = experiment.problem.simulator, experiment.ensemble
     each = [
         member_estimates(stage.scored, simulator=simulator, ensemble=ensemble) for stage in stages
@@ -129,7 +116,7 @@ def test_other_models_answer_for_all_parts_together(experiment, heard, part):
 
 def test_a_step_changes_nothing_that_it_was_given(experiment, heard, part):
     stage = part(failures=5, stage=0)
-    before = Interpreted(with_stage(heard.empty, stage))
+    before = Interpreted(with_stage(heard.started.result, stage))
     first, second = (list(interpret(before, experiment=experiment, stage=stage)) for _ in range(2))
     assert before.result.explanation is None
     assert before.members == ()
@@ -142,7 +129,7 @@ def test_a_step_changes_nothing_that_it_was_given(experiment, heard, part):
 
 def test_what_learns_or_carries_no_weights_says_nothing(experiment, heard, part):
     stage, splitting = part(failures=5, stage=0), replace(CONFIG, method="splitting")
-    interpreted = Interpreted(with_stage(heard.empty, stage))
+    interpreted = Interpreted(with_stage(heard.started.result, stage))
     learned = replace(stage, kind="learn")
     unweighted = build_experiment(splitting)
     assert list(interpret(interpreted, experiment=experiment, stage=learned)) == []
@@ -151,10 +138,10 @@ def test_what_learns_or_carries_no_weights_says_nothing(experiment, heard, part)
 
 def test_a_stop_keeps_the_steps_before(experiment):
     """The third pause after the stage is within the data's bound."""
-    stages, asked = Stages(), []
+    stages, asked = KeptStages(), []
 
     def should_stop():
-        asked.extend([True] * bool(stages.done))
+        asked.extend([True] * bool(stages.stages))
         return len(asked) == 3
 
     found = run(experiment, observers=[stages], should_stop=should_stop)
@@ -192,7 +179,7 @@ def test_an_unreliable_reference_is_no_argument_against_the_estimate():
 
 
 def test_no_reference_is_computed_unasked_where_states_are_many(experiment, heard):
-    assert beside_reference(heard.empty, experiment=experiment) is heard.empty
+    assert beside_reference(heard.started.result, experiment=experiment) is heard.started.result
     assert run(experiment).reference is None
 
 

@@ -8,9 +8,8 @@ import pytest
 from pemviz.config import ExperimentConfig
 from pemviz.panel.loading import load_run
 from pemviz.recording.recorder import Recorder
-from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.observers import LeastRobust
+from pemviz.runs.observers import KeptStages, LeastRobust
 from pemviz.runs.rollout_files import drawn_arrays, drawn_of, load_rollouts, part_path
 from pemviz.runs.store import carry_out
 from pemviz.types import Drawn
@@ -26,54 +25,59 @@ ALL = ExperimentConfig(
 HELD, EVEN, LISTED = 25, 10, 20
 
 
-class Stages:
-    def __init__(self):
-        self.seen = []
-
-    def notify(self, event):
-        if isinstance(event, StageDone):
-            self.seen.append(event.stage)
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """By what is kept, folder and stages; that of few, stopped after each stage and resumed."""
-    root, found = tmp_path_factory.mktemp("parts"), {}
+def in_parts(root, experiment, *, largest_part, sizes, stops):
+    """By what is kept, folder, stages, least robust rollout, method; of few also interrupted."""
+    found = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pemviz.sampling.rollouts.large_stages.LARGEST_PART", 60)
+        patch.setattr("pemviz.sampling.rollouts.large_stages.LARGEST_PART", largest_part)
         patch.setattr("pemviz.analysis.model_uncertainty.DATA_BOUND_ROLLOUTS", 200)
-        for name, value in (("HELD", HELD), ("EVEN", EVEN), ("LISTED", LISTED)):
+        for name, value in sizes.items():
             patch.setattr(f"pemviz.sampling.rollouts.large_stages.{name}", value)
         for name, keep in (("all", "all"), ("few", "violations"), ("resumed", "violations")):
-            folder, stages, least = folder_of(root, name), Stages(), LeastRobust()
-            experiment = build_experiment(replace(ALL, keep=keep), batch_rollouts=100)
-            for stop_after in (2, 4) if name == "resumed" else ():
+            folder, stages, least = folder_of(root, name), KeptStages(), LeastRobust()
+            one = experiment(keep)
+            for stop_after in stops if name == "resumed" else ():
                 stop = StopAfter(stop_after)
-                carry_out(experiment, folder, observers=[stop], should_stop=stop)
-                if stop_after == 2:
+                carry_out(one, folder, observers=[stop], should_stop=stop)
+                if stop_after == stops[0]:
                     middle = part_path(folder, repetition=0, stage=1).read_bytes()
             recorder = Recorder(folder / "run.rrd", frames=False)
             recorders = [] if name == "resumed" else [recorder]
-            carry_out(experiment, folder, recorders=recorders, observers=[stages, least])
-            found[name] = folder, stages.seen, least.rollout
+            carry_out(one, folder, recorders=recorders, observers=[stages, least])
+            found[name] = folder, stages.stages, least.rollout, one.method
     assert b"all.robustness" in middle
     return found
 
 
-def test_a_run_tells_the_same_whatever_is_held(runs):
-    every, few = contents(runs["all"][0]), contents(runs["few"][0])
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    return in_parts(
+        tmp_path_factory.mktemp("parts"),
+        lambda keep: build_experiment(replace(ALL, keep=keep), batch_rollouts=100),
+        largest_part=60,
+        sizes={"HELD": HELD, "EVEN": EVEN, "LISTED": LISTED},
+        stops=(2, 4),
+    )
+
+
+def assert_same_whatever_is_kept(runs):
+    every, few, resumed = (contents(runs[name][0]) for name in ("all", "few", "resumed"))
+    assert resumed == few
     assert few["result"]["config"].pop("keep") == "violations"
     assert few["result"] == every["result"]
     assert few["proposals.safetensors"] == every["proposals.safetensors"]
     assert str(runs["few"][2]) == str(runs["all"][2])
+    for folder, *_ in runs.values():
+        assert_recounted(folder)
+    return every
+
+
+def test_a_run_tells_the_same_whatever_is_held_and_when_it_is_resumed(runs):
+    every = assert_same_whatever_is_kept(runs)
     elites = [stage["elites"] for stage in every["result"]["stages"]]
     assert elites[0] == 150
     assert 8 <= elites[1] < 20
     assert sum(stage["failures"] for stage in every["result"]["stages"]) > 0
-
-
-def test_a_resumed_run_has_the_same_bytes(runs):
-    assert contents(runs["resumed"][0]) == contents(runs["few"][0])
 
 
 def test_stages_hold_no_more_than_what_is_looked_at(runs):
@@ -139,8 +143,3 @@ def test_a_recording_tells_of_all_rollouts(runs):
         np.testing.assert_array_equal(whole.rollout[rows], found.rollout)
         np.testing.assert_array_equal(whole.robustness[rows], found.robustness)
         np.testing.assert_allclose(whole.series["gap_m"][rows], found.series["gap_m"])
-
-
-def test_what_a_folder_keeps_gives_the_estimate_again(runs):
-    for folder, _, _ in runs.values():
-        assert_recounted(folder)

@@ -9,12 +9,8 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.rollout_files import part_path
-from pemviz.runs.store import carry_out
 from pemviz.types import numbers_of
-from tests.faults.test_resume import StopAfter, contents, folder_of
-from tests.runs.recounts import assert_recounted
-from tests.runs.test_learning_in_parts import Stages
+from tests.runs.test_learning_in_parts import assert_same_whatever_is_kept, in_parts
 
 pytestmark = pytest.mark.slow
 
@@ -39,44 +35,25 @@ def of_starts(keep):
 
 @pytest.fixture(scope="module", params=[of_rules, of_starts])
 def runs(request, tmp_path_factory):
-    """By what is kept, folder and stages; that of few, stopped after each stage and resumed."""
-    root, found = tmp_path_factory.mktemp("parts"), {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pemviz.sampling.rollouts.large_stages.LARGEST_PART", 2 * ENOUGH)
-        patch.setattr("pemviz.analysis.model_uncertainty.DATA_BOUND_ROLLOUTS", 200)
-        for name, value in (("EVEN", EVEN), ("LISTED", LISTED)):
-            patch.setattr(f"pemviz.sampling.rollouts.large_stages.{name}", value)
-        for name, keep in (("all", "all"), ("few", "violations"), ("resumed", "violations")):
-            folder, stages = folder_of(root, name), Stages()
-            experiment = request.param(keep)
-            for stop_after in (2, 5) if name == "resumed" else ():
-                stop = StopAfter(stop_after)
-                carry_out(experiment, folder, observers=[stop], should_stop=stop)
-                if stop_after == 2:
-                    middle = part_path(folder, repetition=0, stage=1).read_bytes()
-            carry_out(experiment, folder, observers=[stages])
-            found[name] = folder, stages.seen, experiment.method.enough
-    assert b"all.robustness" in middle
-    return found
+    return in_parts(
+        tmp_path_factory.mktemp("parts"),
+        request.param,
+        largest_part=2 * ENOUGH,
+        sizes={"EVEN": EVEN, "LISTED": LISTED},
+        stops=(2, 5),
+    )
 
 
-def test_a_run_tells_the_same_whatever_is_kept(runs):
-    every, few = contents(runs["all"][0]), contents(runs["few"][0])
-    assert few["result"]["config"].pop("keep") == "violations"
-    assert few["result"] == every["result"]
-    assert few["proposals.safetensors"] == every["proposals.safetensors"]
+def test_a_run_tells_the_same_whatever_is_kept_and_when_it_is_resumed(runs):
+    every = assert_same_whatever_is_kept(runs)
     assert every["result"]["model_classes"] or every["result"]["starts"]
-
-
-def test_a_resumed_run_has_the_same_bytes(runs):
-    assert contents(runs["resumed"][0]) == contents(runs["few"][0])
 
 
 def test_a_stage_is_over_when_enough_violate(runs):
     """With the part that brings them; otherwise all that were asked for are drawn."""
     learned = [stage for stage in runs["few"][1] if stage.kind != "final"]
     assert len(learned) == 4
-    enough = runs["few"][2]
+    enough = runs["few"][3].enough
     part = enough // 4
     for stage in learned:
         violated, row = stage.drawn.violated, stage.drawn.row
@@ -96,8 +73,3 @@ def test_held_rollouts_are_those_of_the_whole_stage(runs):
         row = numbers_of(few.scored.rollouts.count, few.drawn)
         for name, values in whole.scored.rollouts.signals.items():
             np.testing.assert_array_equal(few.scored.rollouts.signals[name], values[row])
-
-
-def test_what_a_folder_keeps_gives_the_estimate_again(runs):
-    for folder, _, _ in runs.values():
-        assert_recounted(folder)

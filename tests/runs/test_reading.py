@@ -1,7 +1,7 @@
-"""Runs as they were kept are believed, whatever they are of; figures that were scaled are not."""
+"""Runs as they were kept are believed, figures that were scaled are not; is it the run wanted?"""
 
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
@@ -10,15 +10,17 @@ import pytest
 import pemviz
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.encounters import EncounterConfig
+from pemviz.config.toml_files import config_text
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
 from pemviz.runs.coherence import recount
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.reading import read_result, read_whole_run
-from pemviz.runs.result_file import read_kept
+from pemviz.runs.reading import read_result, read_whole_run, run_differs, setting_differences
+from pemviz.runs.result_file import read_kept, write_result
 from pemviz.runs.store import carry_out
 from pemviz.sampling.registry import SHIPPED
 from tests.faults.test_resume import StopAfter, folder_of
+from tests.reports.runs import result as made_up
 from tests.runs.recounts import assert_recounted
 from tests.told import without_digests
 
@@ -130,3 +132,62 @@ def test_large_files_are_left_to_another_look(folder, tmp_path):
     assert read_result(kept, most_bytes=size - 1).status == "done"
     with pytest.raises(InputError, match=r"rollouts\.npz"):
         read_result(kept, most_bytes=size)
+
+
+OTHER = {
+    str: "x", float: 0.625, int: 77, bool: True, "method": "naive", "metric": "agm", "target": 1e-9,
+    "alpha": 0.5, "position_errors": "x", "encounters_per_hour": 2.5,
+    "keep": "violations", "carla": "x",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [ExperimentConfig, ScenarioConfig])
+def test_every_setting_tells_runs_apart(kind):
+    config = ExperimentConfig(method="adaptive")
+    part = config if kind is ExperimentConfig else config.scenario
+    for field in fields(kind):
+        if field.name in ("scenario", "encounter", "rules", "start", "sumo"):
+            continue
+        value = getattr(part, field.name)
+        other = OTHER.get(field.name, OTHER.get(type(value)))
+        changed = replace(part, **{field.name: other})
+        if kind is ScenarioConfig:
+            changed = replace(config, scenario=changed)
+        prefix = "scenario." if kind is ScenarioConfig else ""
+        assert setting_differences(config, changed) == {prefix + field.name: (value, other)}
+        words = run_differs(replace(made_up(), config=config), config=changed)
+        assert f"({prefix}{field.name} = {value!r}, not {other!r})" in words
+
+
+def test_rules_tell_runs_apart_by_name():
+    first, second = (
+        ExperimentConfig().with_rules(rules) for rules in ({"a": "gap > 0"}, {"b": "gap > 0"})
+    )
+    assert setting_differences(ExperimentConfig(), first) == {
+        "spec": (ExperimentConfig().spec, "(gap > 0)"), "rules.a": (None, "gap > 0"),
+    }  # fmt: skip
+    assert setting_differences(first, second) == {
+        "rules.a": ("gap > 0", None), "rules.b": (None, "gap > 0"),
+    }  # fmt: skip
+
+
+def test_the_same_settings_with_another_error_model_are_another_run():
+    found = made_up()
+    assert run_differs(found, config=found.config) is None
+    assert run_differs(found, config=found.config, pem_digest="ab" * 32) is None
+    words = run_differs(found, config=found.config, pem_digest="cd" * 32)
+    assert words == (
+        "another error model of the name 'ml-nn' (digest abababababab, now cdcdcdcdcdcd)"
+    )
+
+
+def test_a_folder_whose_files_differ_is_no_whole_run(tmp_path):
+    found = made_up()
+    write_result(tmp_path, found)
+    with pytest.raises(InputError, match=r"config\.toml: cannot be read"):
+        read_whole_run(tmp_path)
+    (tmp_path / "config.toml").write_text(config_text(found.config))
+    assert read_whole_run(tmp_path) == found
+    (tmp_path / "config.toml").write_text(config_text(replace(found.config, alpha=0.5)))
+    with pytest.raises(InputError, match=r"begun with settings other .* \(alpha = None, not 0.5\)"):
+        read_whole_run(tmp_path)

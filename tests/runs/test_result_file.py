@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from pemviz.config import METHODS, ExperimentConfig, ScenarioConfig
 from pemviz.errors import LONGEST_MESSAGE, InputError
 from pemviz.files.shipped import sample_run
+from pemviz.reports.gate import interval_caveats
 from pemviz.runs import result_file
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.reading import read_result
@@ -327,3 +328,74 @@ def test_a_file_without_an_end_is_not_read_to_its_end(tmp_path, monkeypatch):
     (tmp_path / "result.json").symlink_to("/dev/zero")
     with pytest.raises(InputError, match="at most 10000 bytes"):
         read_result(tmp_path)
+
+
+SIZES = {"stages": 1, "rollouts": 20, "final_rollouts": 20, "epochs": 5}
+
+
+def through_json(result):
+    return json.loads(json.dumps(result_document(result), allow_nan=False))
+
+
+def older(document):
+    """As written before diagnostics were kept."""
+    for estimate in (document["estimate"], *document["repetitions"]):
+        del estimate["diagnostics"]
+    return document
+
+
+def estimates_of(result):
+    return (result.estimate, *result.repetitions)
+
+
+# zero-variance takes long to begin, and its estimates have nothing wrong
+@pytest.fixture(scope="module", params=sorted({*METHODS.shipped} - {"zero-variance"}))
+def warned_result(request):
+    return run_experiment(ExperimentConfig(method=request.param, repetitions=2, **SIZES))
+
+
+def test_what_is_read_back_is_as_reliable_as_it_was(warned_result):
+    assert any(estimate.diagnostics for estimate in warned_result.repetitions)
+    read = result_from_document(through_json(warned_result))
+    for found, estimate in zip(estimates_of(read), estimates_of(warned_result), strict=True):
+        assert found == estimate
+        assert interval_caveats(found) == interval_caveats(estimate)
+
+
+def test_older_results_give_the_same_answers(warned_result):
+    read = result_from_document(older(through_json(warned_result)))
+    for found, estimate in zip(estimates_of(read), estimates_of(warned_result), strict=True):
+        assert found.warnings == estimate.warnings
+        assert [one.kind for one in found.diagnostics] == [o.kind for o in estimate.diagnostics]
+        assert interval_caveats(found) == interval_caveats(estimate)
+
+
+def test_the_sample_run_warns_of_nothing():
+    document = json.loads((sample_run() / "result.json").read_text(encoding="utf-8"))
+    for kept in (document, older(document)):
+        found = result_from_document(kept).estimate
+        assert found.warnings == ()
+        assert interval_caveats(found) == ()
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        ({"warnings": ["all is well"]}, "must be the texts"),
+        ({"warnings": []}, "must be the texts"),
+        ({"warnings": [3]}, r"estimate\.warnings\[0\] = 3: must be a text"),
+        ({"diagnostics": [{"kind": "fine", "value": 1.0, "limit": 2.0, "text": "x"}]}, "'fine'"),
+        ({"diagnostics": [{"kind": "heavy-tail"}]}, r"diagnostics\[0\]\.value: is missing"),
+        ({"diagnostics": ["heavy-tail"]}, r"diagnostics\[0\] = 'heavy-tail': must be a table"),
+        (
+            {"diagnostics": [{"kind": "heavy-tail", "value": "x", "limit": 0.7, "text": "x"}]},
+            r"diagnostics\[0\]\.value = 'x': must be a number",
+        ),
+    ],
+)
+def test_diagnostics_that_nobody_wrote_are_refused(damage, words):
+    config = ExperimentConfig(method="monte-carlo", final_rollouts=20)
+    document = through_json(run_experiment(config))
+    document["estimate"] |= damage
+    with pytest.raises(InputError, match=words):
+        result_from_document(document)

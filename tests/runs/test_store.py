@@ -13,13 +13,15 @@ from safetensors.numpy import load_file
 from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_text
+from pemviz.files.json_text import parse_json
 from pemviz.proposals.gap_network import gap_network_from_arrays
 from pemviz.runs import rollout_files
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.events import StageDone
+from pemviz.runs.observers import KeptStages
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.store import RunStore, create_run_folder
-from tests.runs.test_engine import SMALL, Listener
+from tests.faults.test_resume import StopAfter
+from tests.runs.test_engine import SMALL
 from tests.told import told
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,10 +30,9 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    listener = Listener()
-    config = replace(SMALL, repetitions=2)
-    run_experiment(config, run_id="test", observers=[RunStore(folder), listener])
-    return folder, [e.stage for e in listener.events if isinstance(e, StageDone)], config
+    stages, config = KeptStages(), replace(SMALL, repetitions=2)
+    run_experiment(config, run_id="test", observers=[RunStore(folder), stages])
+    return folder, stages.stages, config
 
 
 def test_the_folder_holds_what_the_contract_says(finished):
@@ -58,9 +59,11 @@ def test_rollouts_are_those_of_the_run(finished):
         np.testing.assert_array_equal(arrays["detected"][mine], rollouts.detected)
         np.testing.assert_array_equal(arrays["log_q"][mine], rollouts.log_q)
         np.testing.assert_array_equal(arrays["robustness"][mine], stage.scored.robustness)
+    with np.load(folder / "rollouts.npz", allow_pickle=False) as plain:
+        assert (plain["gap_m"].dtype, plain["detected"].dtype) == (np.float64, np.bool_)
 
 
-def test_stages_are_joined_alike_however_many_files_are_open(tmp_path, monkeypatch):
+def test_stages_are_joined_equally_however_many_files_are_open(tmp_path, monkeypatch):
     joined = []
     for most_open in (64, 1):
         monkeypatch.setattr(rollout_files, "MOST_OPEN", most_open)
@@ -69,12 +72,6 @@ def test_stages_are_joined_alike_however_many_files_are_open(tmp_path, monkeypat
         run_experiment(SMALL, run_id="test", observers=[RunStore(folder)])
         joined.append((folder / "rollouts.npz").read_bytes())
     assert joined[0] == joined[1]
-
-
-def test_plain_numpy_opens_the_rollouts(finished):
-    with np.load(finished[0] / "rollouts.npz", allow_pickle=False) as arrays:
-        assert arrays["gap_m"].dtype == np.float64
-        assert arrays["detected"].dtype == np.bool_
 
 
 def test_proposals_are_those_learned(finished):
@@ -99,11 +96,7 @@ def test_config_of_a_run_reproduces_it(finished, tmp_path):
 
 
 def test_result_is_strict_json_with_the_contracts_keys(finished):
-    def refuse(constant):
-        raise AssertionError(constant)
-
-    text = (finished[0] / "result.json").read_text(encoding="utf-8")
-    document = json.loads(text, parse_constant=refuse)
+    document = parse_json((finished[0] / "result.json").read_text(encoding="utf-8"))
     assert set(document) >= {
         "schema", "run_id", "status", "seed", "versions", "config", "pem", "estimate",
         "reference", "pem_interval", "sensitivity", "repetitions", "stages", "least_robust",
@@ -123,7 +116,6 @@ KILLED_RUN = """
 import sys
 from pathlib import Path
 from dataclasses import replace
-from pemviz.runs import rollout_files
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.store import RunStore
 from tests.runs.test_engine import SMALL
@@ -151,12 +143,8 @@ def test_a_killed_run_leaves_every_finished_stage_readable(tmp_path):
 
 
 def test_a_stopped_run_is_joined_as_far_as_it_went(tmp_path):
-    listener = Listener()
-
-    def should_stop():
-        return sum(isinstance(event, StageDone) for event in listener.events) >= 2
-
-    run_experiment(SMALL, observers=[listener, RunStore(tmp_path)], should_stop=should_stop)
+    stop = StopAfter(2)
+    run_experiment(SMALL, observers=[stop, RunStore(tmp_path)], should_stop=stop)
     assert load_rollouts(tmp_path)["stage"].tolist() == [0] * 30 + [1] * 30
 
 
