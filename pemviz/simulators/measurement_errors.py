@@ -6,7 +6,7 @@ that is forgotten, renewed at every step; states remember both.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
@@ -35,20 +35,6 @@ class ErrorMemory(Protocol):
         ...
 
 
-@runtime_checkable
-class RangeErrors(Protocol):
-    """Errors of a measured distance; see ``pemviz.pem.PositionErrorModel``."""
-
-    @property
-    def range_memory(self) -> ErrorMemory:
-        """How they hang together over time."""
-        ...
-
-    def range_error(self, salient: FloatArray, noise: FloatArray) -> FloatArray:
-        """Measured minus true distance ``[N]`` [m], for ``[N, 11]`` and standard normals."""
-        ...
-
-
 class ErrorKind(Protocol):
     """One kind of error; see ``pemviz.pem.models.position_errors.ErrorAxis``."""
 
@@ -58,13 +44,16 @@ class ErrorKind(Protocol):
         ...
 
 
-@runtime_checkable
-class PlaneErrors(Protocol):
+class PositionErrors(Protocol):
     """Errors of measured places; see ``pemviz.pem.PositionErrorModel``."""
 
     @property
     def axes(self) -> Sequence[ErrorKind]:
         """The kinds of error: first along the line of sight, then across it."""
+        ...
+
+    def range_error(self, salient: FloatArray, noise: FloatArray) -> FloatArray:
+        """Measured minus true distance ``[N]`` [m], for ``[N, 11]`` and standard normals."""
         ...
 
     def error(self, salient: FloatArray, noise: FloatArray) -> FloatArray:

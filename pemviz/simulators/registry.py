@@ -24,7 +24,7 @@ from pemviz.config import (
 from pemviz.config.ranges import NamedPart
 from pemviz.config.settings import DEFAULT_ADDRESS, SumoConfig
 from pemviz.errors import ConfigError
-from pemviz.simulators.measurement_errors import PlaneErrors, RangeErrors
+from pemviz.simulators.measurement_errors import PositionErrors
 from pemviz.types import Simulator
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def build_named_simulator(  # noqa: PLR0911 (one case per simulator)
     name: str,
     scenario: ScenarioConfig,
     *,
-    errors: RangeErrors | None = None,
+    errors: PositionErrors | None = None,
     carla: str | None = None,
     sumo: SumoConfig | None = None,
 ) -> Simulator:
@@ -98,7 +98,7 @@ def build_named_simulator(  # noqa: PLR0911 (one case per simulator)
 
 
 def build_encounter_simulator(
-    config: ExperimentConfig, *, errors: PlaneErrors | None = None
+    config: ExperimentConfig, *, errors: PositionErrors | None = None
 ) -> "LogicalScenario":
     """The back end of the logical scenario that ``config`` names, with errors of places.
 

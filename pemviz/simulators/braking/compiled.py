@@ -108,7 +108,7 @@ def advance(
         tracks: N rollouts.
         answers: The error model's, by which outcomes are sampled.
         uniforms: ``[N, T-1]``, from 0 to 1.
-        rows: Which rollouts, ``[M]``.
+        rows: Which rollouts to take on, ``[M]``.
         numbers: The scenario's.
     """
     bits, mask = answers.bits, np.uint64(answers.bits.size - 1)

@@ -10,7 +10,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.latents import NO_LATENTS, LatentCounts
-from pemviz.simulators.measurement_errors import MeasurementNoise, RangeErrors
+from pemviz.simulators.measurement_errors import MeasurementNoise, PositionErrors
 from pemviz.simulators.tracking.tracker import Tracker, tracker_of_text
 from pemviz.types import Signal, StateBatch
 
@@ -32,12 +32,9 @@ REACH = 3.0
 
 
 class Perceived(NamedTuple):
-    """What the controller is told of the lead car, arrays ``[N]``.
+    """What the controller is told of the lead car, and the next states remember, ``[N]``.
 
-    Attributes:
-        present: Whether it is there: detected, or tracked.
-        gap_m: The gap to it [m], where it is there.
-        memory: What the next states remember of it.
+    It is present if it is detected, or tracked; the gap counts where it is.
     """
 
     present: BoolArray
@@ -56,7 +53,7 @@ class BrakingScenario:
     """
 
     config: ScenarioConfig
-    errors: RangeErrors | None = None
+    errors: PositionErrors | None = None
 
     @cached_property
     def noise(self) -> MeasurementNoise | None:
@@ -114,13 +111,7 @@ class BrakingScenario:
     def perceived(
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None
     ) -> Perceived:
-        """What the controller is told at ``states [N]``.
-
-        Args:
-            states: ``[N]``.
-            detected: Perception's outcomes ``[N]``.
-            noise: With errors, standard normals ``[N, 1]``; ``None``: 0.
-        """
+        """What the controller is told for outcomes ``[N]`` and, with errors, noise ``[N, 1]``."""
         tracker, gap_m = self.tracker, states.signals[GAP]
         noises = {} if self.noise is None else self.noise.renewed(states, noise)
         if tracker is not None:
@@ -164,7 +155,7 @@ class BrakingFeatures:
     """
 
     config: ScenarioConfig
-    errors: RangeErrors | None = None
+    errors: PositionErrors | None = None
 
     @cached_property
     def tracker(self) -> Tracker | None:
@@ -209,19 +200,13 @@ class BrakingFeatures:
 
 
 def brakes(detected: Any, gap_m: Any, config: ScenarioConfig) -> Any:
-    """The emergency braking rule: whether the ego brakes at ``emergency_deceleration_mps2``.
-
-    Args:
-        detected: Perception's outcomes ``[...]``, an array or one bool.
-        gap_m: Gaps ``[...]`` [m].
-        config: The scenario.
-    """
+    """The emergency braking rule, for outcomes and gaps that are arrays or single values."""
     return detected & (gap_m < config.emergency_gap_m)
 
 
-def gap_noise(config: ScenarioConfig, errors: RangeErrors) -> MeasurementNoise:
+def gap_noise(config: ScenarioConfig, errors: PositionErrors) -> MeasurementNoise:
     """The noise of the measured gap, in states' memory as ``lasting_noise, forgetful_noise``."""
-    return MeasurementNoise({"noise": errors.range_memory}, config.dt_s)
+    return MeasurementNoise({"noise": errors.axes[0].memory}, config.dt_s)
 
 
 def scenario_tracker(config: ScenarioConfig) -> Tracker | None:

@@ -44,12 +44,7 @@ def car_names(config: EncounterConfig) -> tuple[str, ...]:
 def begun_cars(
     config: EncounterConfig, values: Values
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Gaps [m], offsets to the left [m] and speeds [m/s] at s_0, ``[K, N]``.
-
-    Args:
-        config: The encounter.
-        values: Start values by name, ``[N]``.
-    """
+    """Gaps [m], offsets to the left [m] and speeds [m/s] at s_0, ``[K, N]``, for start values."""
     ego_mps, gap_m = values["ego_speed"], values["gap"]
     lane_m, width_m = config.lane_width_m, config.car_width_m
     slower_mps = np.maximum(ego_mps - values["closing_speed"], 0.0)
@@ -75,13 +70,7 @@ def begun_cars(
 
 
 def lateral_places(config: EncounterConfig, values: Values, *, time_s: float) -> FloatArray:
-    """Where the profile of each car has it at a time, ``[K, N]`` [m] to the left of the ego.
-
-    Args:
-        config: The encounter.
-        values: Start values of :data:`KEPT`, ``[N]``.
-        time_s: Since s_0 [s].
-    """
+    """Where the profile of each car has it at a time, ``[K, N]`` [m] to the left of the ego."""
     shape = np.shape(values["ego_speed"])
     places = [np.zeros(shape) for _ in CARS[config.logical_scenario]]
     beside_m = config.lane_width_m * (1.0 if config.side == "left" else -1.0)
@@ -96,13 +85,7 @@ def lateral_places(config: EncounterConfig, values: Values, *, time_s: float) ->
 
 
 def decelerations(config: EncounterConfig, values: Values, *, time_s: float) -> FloatArray:
-    """How hard each car brakes in the step that begins at a time, ``[K, N]`` [m/s^2].
-
-    Args:
-        config: The encounter.
-        values: Start values of :data:`KEPT`, ``[N]``.
-        time_s: Since s_0 [s].
-    """
+    """How hard each car brakes in the step that begins at a time, ``[K, N]`` [m/s^2]."""
     result = np.zeros((len(car_names(config)), *np.shape(values["ego_speed"])))
     if config.logical_scenario == "braking":
         result[0] = np.where(time_s >= values["brake_time"], values["deceleration"], 0.0)

@@ -19,13 +19,10 @@ MEASURED_CLOSING = "measured_closing"
 
 @dataclass(frozen=True)
 class Told:
-    """What perception reports of other cars, or the controller is told of them.
+    """What perception reports of other cars, or the controller is told of them, ``[K, N]``.
 
-    Attributes:
-        there: Whether it is told of the car at all, ``[K, N]``; the rest counts only where it is.
-        gap_m: Bumper to bumper, ``[K, N]`` [m].
-        aside_m: To the left, ``[K, N]`` [m].
-        closing_mps: By how much the ego is the faster one, ``[K, N]`` [m/s].
+    Whether it is told of a car at all, where the rest counts; gaps from bumper to bumper [m],
+    offsets to the left [m], and by how much the ego is the faster one [m/s].
     """
 
     there: BoolArray
@@ -49,13 +46,13 @@ def told_after(
     memory: Mapping[str, AnyArray],
     measured: Told,
 ) -> tuple[Told, dict[str, AnyArray]]:
-    """What the controller is told, and what the next states remember.
+    """What the controller is told of what perception reports, and what the next states remember.
 
     Args:
         tracker: Between perception and controller, if there is one.
         cars: Names of the K other cars.
         memory: Of the states in which perception acted.
-        measured: Which cars it reports, and what it measures of those.
+        measured: What it reports.
     """
     if tracker is None:
         return measured, {}
@@ -76,14 +73,7 @@ def told_after(
 def acceleration(
     config: EncounterConfig, told: Told, *, ego_mps: FloatArray, set_mps: FloatArray
 ) -> FloatArray:
-    """What the ego does for a step, ``[N]`` [m/s^2].
-
-    Args:
-        config: Its parameters.
-        told: What it is told.
-        ego_mps: Its speed ``[N]`` [m/s].
-        set_mps: The speed that it wants, ``[N]`` [m/s].
-    """
+    """What the ego does for a step ``[N]`` [m/s^2], at a speed, towards its set speed ``[N]``."""
     heeded = told.there & in_path(config, told.gap_m, told.aside_m)
     follow = follow_acceleration(config, told.gap_m, told.closing_mps, ego_mps)
     wanted = np.minimum(

@@ -172,9 +172,9 @@ def needless_deceleration(
     Args:
         config: The encounter.
         cars: Of the state at which the step begins.
-        ego_mps: The ego's speed there, ``[N]`` [m/s].
-        ego_mps2: Its acceleration in the step, ``[N]`` [m/s^2].
-        others_mps2: The other cars' deceleration, ``[K, N]`` [m/s^2].
+        ego_mps: The ego's speed there, ``[N]``.
+        ego_mps2: Its acceleration in the step, ``[N]``.
+        others_mps2: The other cars' deceleration, ``[K, N]``.
     """
     ahead = ahead_in_lane(config, cars)
     too_near = (ahead & (distance_margin(config, cars, ego_mps) < 0.0)).any(axis=0)
@@ -191,13 +191,9 @@ def has_come_in(config: EncounterConfig, aside_m: FloatArray) -> BoolArray:
 def avoidable_by(
     cars: CarStates, ego_mps: FloatArray, *, begin_s: FloatArray, time_s: float
 ) -> FloatArray:
-    """The regulation's margin of a car that has come into the lane, ``[N]`` [s].
+    """The regulation's margin of the first car, if it has come into the lane, ``[N]`` [s].
 
-    Args:
-        cars: The state's, that one first.
-        ego_mps: The ego's speed, ``[N]`` [m/s].
-        begin_s: When its lateral movement began, ``[N]`` [s].
-        time_s: The state's.
+    Its lateral movement began at ``begin_s [N]``.
     """
     closing_mps = ego_mps - cars.along_mps[0]
     closes = closing_mps > 0.0

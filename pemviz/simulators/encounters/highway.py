@@ -109,12 +109,7 @@ class HighwayEncounters(LogicalScenario):
 def encounter_frames(
     simulator: LogicalScenario, *, detected: BoolArray, start: FloatArray | None = None
 ) -> Iterator[NDArray[np.uint8]]:
-    """Film a rollout with given outcomes and start; needs no display.
-
-    Args:
-        simulator: The logical scenario, on whichever back end.
-        detected: Perception's outcomes ``[T-1, K]``.
-        start: Standard normals of the start values ``[S]``; ``None``: medians.
+    """Film a rollout with outcomes ``[T-1, K]`` and start ``[S]`` or medians; needs no display.
 
     Raises:
         ConfigError: It measures with errors, whose noise no film is told of.

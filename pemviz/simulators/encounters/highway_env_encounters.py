@@ -5,8 +5,7 @@ Importing it registers the environments with gymnasium::
     import pemviz.simulators.encounters.highway_env_encounters
     gymnasium.make("pemviz-cut-in-v0", render_mode="rgb_array")
 
-How an encounter begins, what the ego does and what is measured is in ``single_encounter.py``,
-written from the logical scenarios' specification alone: one encounter, no batch.
+How an encounter begins and what is measured is in ``single_encounter.py``: one encounter, no batch.
 """
 
 import math
@@ -31,15 +30,13 @@ from pemviz.simulators.braking.highway_env_scenario import (
     ScriptedCar,
     ScriptedEnv,
 )
+from pemviz.simulators.encounters import ego
 from pemviz.simulators.encounters.single_encounter import (
     Place,
     Signals,
-    Told,
-    acceleration,
     courses,
-    first_touch,
 )
-from pemviz.simulators.encounters.vectorized import VectorizedEncounters
+from pemviz.simulators.encounters.vectorized import VectorizedEncounters, first_touch
 
 ENCOUNTERS = {
     "pemviz-braking-encounter-v0": EncounterConfig(logical_scenario="braking"),
@@ -221,37 +218,37 @@ class EncounterEnv(ScriptedEnv):
                 they are.
             speed_mps: How they change, where a filter knows it, ``[K, 2]``.
         """
-        ego_mps, offsets_m = self.ego.place.speed_mps, self.signals.reported_offsets
+        config, ego_mps = self.encounter, self.ego.place.speed_mps
+        places_m = np.array(self.signals.reported_offsets) if position_m is None else position_m
         along_mps = [place.along_mps for place in self.places]
-        along_mps += [0.0] * (len(offsets_m) - len(along_mps))
+        along_mps += [0.0] * (len(places_m) - len(along_mps))
         self.closing_mps = [
             ego_mps - along if hit else held
             for hit, along, held in zip(hits, along_mps, self.closing_mps, strict=True)
         ]
-        told: list[Told] = []
-        for slot, is_told in enumerate(hits if tracked is None else tracked):
-            if is_told:
-                offsets = offsets_m[slot] if position_m is None else position_m[slot]
-                closing = self.closing_mps[slot] if speed_mps is None else -speed_mps[slot][0]
-                told.append(Told(float(offsets[0]), float(offsets[1]), float(closing)))
-        self._step(told)
+        closing_mps = np.array(self.closing_mps) if speed_mps is None else -speed_mps[:, 0]
+        there = hits if tracked is None else tracked
+        rows = (there, places_m[:, 0], places_m[:, 1], closing_mps)
+        wanted_mps2 = ego.acceleration(
+            config,
+            ego.Told(*(row[:, None] for row in rows)),
+            ego_mps=np.array([ego_mps]),
+            set_mps=np.array([self.set_speed_mps]),
+        )
+        self._step(0.0 if self.signals.collided else float(wanted_mps2[0]))
 
-    def _step(self, told: Sequence[Told]) -> None:
-        config, collided = self.encounter, self.signals.collided
-        own = acceleration(config, told, self.ego.place.speed_mps, self.set_speed_mps)
-        others = [course.acceleration(self.steps * config.dt_s) for course in self.courses]
-        self.ego.accelerate(0.0 if collided else own)
-        for car, one in zip(self.others, others, strict=True):
+    def _step(self, ego_mps2: float) -> None:
+        dt_s, before = self.encounter.dt_s, [car.place for car in self.cars]
+        others = [course.acceleration(self.steps * dt_s) for course in self.courses]
+        for car, one in zip(self.cars, (ego_mps2, *others), strict=True):
             car.accelerate(one)
-        before = [car.place for car in self.cars]
-        still = () if self.signals.touched is None else (0, self.signals.touched + 1)
-        braking_mps2 = [-one for one in others]
-        self.signals.leave(0.0 if collided else own, braking_mps2)
-        self.road.step(config.dt_s)
-        for number in still:  # in contact
-            self.cars[number].place = before[number]
-        if not collided:
+        self.signals.leave(ego_mps2, [-one for one in others])
+        self.road.step(dt_s)
+        if self.signals.touched is None:
             self._touch(before)
+        else:  # they stand
+            for number in (0, self.signals.touched + 1):
+                self.cars[number].place = before[number]
         self.steps += 1
         self._head()
         self.signals.arrive(self.ego.place, self.places, self.steps)
@@ -259,12 +256,22 @@ class EncounterEnv(ScriptedEnv):
     def _touch(self, before: Sequence[Place]) -> None:
         """Stop the ego and the car that it touches first over the step, if any."""
         after = [car.place for car in self.cars]
-        found = first_touch(self.encounter, before, after)
-        if found is None:
+        first_m, last_m = (
+            np.array([(car.x_m - places[0].x_m, car.y_m - places[0].y_m) for car in places[1:]]).T
+            for places in (before, after)
+        )
+        reach_m = (self.encounter.car_length_m, self.encounter.car_width_m)
+        shares = first_touch((first_m[0], first_m[1]), (last_m[0], last_m[1]), reach_m=reach_m)
+        car, share = int(shares.argmin()), float(shares.min())
+        if share > 1.0:
             return
-        self.signals.touch(found.car, found.impact_mps)
-        for number in (0, found.car + 1):
-            self.cars[number].place = found.at(before[number], after[number])
+        moved_m = (last_m - first_m)[:, car].tolist()
+        self.signals.touch(car, math.hypot(*moved_m) / self.encounter.dt_s)
+        for number in (0, car + 1):
+            begin, end = before[number], after[number]
+            x_m = begin.x_m + share * (end.x_m - begin.x_m)
+            y_m = begin.y_m + share * (end.y_m - begin.y_m)
+            self.cars[number].place = Place(x_m, y_m, 0.0, begin.heading_rad)
 
     def _head(self) -> None:
         """Turn the cars to where their profiles have them at the next state."""

@@ -32,7 +32,7 @@ from pemviz.simulators.encounters.encounter_signals import (
     encounter_signals,
 )
 from pemviz.simulators.encounters.sight import EncounterSight, GhostReports
-from pemviz.simulators.measurement_errors import MeasurementNoise, PlaneErrors
+from pemviz.simulators.measurement_errors import MeasurementNoise, PositionErrors
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import SeenStates, Slot, UnrolledSimulator
 from pemviz.simulators.tracking.tracker import Tracker, scene_tracks, tracker_of_text
@@ -72,7 +72,7 @@ class LogicalScenario(ABC):
     config: EncounterConfig
     chosen: tuple[StartChoice, ...] = ()
     tracker_text: str = NO_TRACKER
-    errors: PlaneErrors | None = None
+    errors: PositionErrors | None = None
 
     @property
     def states(self) -> int:

@@ -35,14 +35,14 @@ GHOST_GAP = "ghost_gap"
 
 @dataclass(frozen=True)
 class Sight:
-    """Cars in the camera's frame: x to the right, z ahead.
+    """Cars in the camera's frame, ``[K, ...]``.
 
     Attributes:
-        x_m: Centre, ``[K, ...]`` [m].
-        z_m: Likewise.
-        truncated: Share of its width in the image that lies beyond the image, ``[K, ...]``.
-        occluded: Share of the rest that nearer cars cover, ``[K, ...]``.
-        present: Whether there is anything of it to be seen, ``[K, ...]``.
+        x_m: Centre, to the right [m].
+        z_m: Centre, ahead [m].
+        truncated: Share of its width in the image that lies beyond the image.
+        occluded: Share of the rest that nearer cars cover.
+        present: Whether there is anything of it to be seen.
     """
 
     x_m: FloatArray
@@ -102,13 +102,7 @@ class EncounterSight:
 
 
 def seen(config: EncounterConfig, gap_m: FloatArray, aside_m: FloatArray) -> Sight:
-    """Other cars as the camera sees them.
-
-    Args:
-        config: The encounter.
-        gap_m: Bumper to bumper, ``[K, ...]`` [m].
-        aside_m: To the left, ``[K, ...]`` [m].
-    """
+    """Other cars, at gaps and offsets to the left ``[K, ...]`` [m], as the camera sees them."""
     near_m = gap_m + config.camera_to_bumper_m
     z_m = near_m + config.car_length_m / 2
     left, right = _image(config, near_m, aside_m)
@@ -179,11 +173,7 @@ def displaced(
 ) -> tuple[FloatArray, FloatArray]:
     """Measured gaps and offsets ``[...]`` [m] of cars whose centres are off by errors.
 
-    Args:
-        config: The encounter.
-        gap_m: True ones, ``[...]`` [m].
-        aside_m: Likewise.
-        errors_m: Along the line of sight from the camera and across it to the right, ``[..., 2]``.
+    These are along the line of sight from the camera and across it to the right, ``[..., 2]``.
     """
     x_m = -aside_m
     z_m = gap_m + config.camera_to_bumper_m + config.car_length_m / 2
@@ -221,12 +211,7 @@ class GhostReports:
 
 
 def ghost_signals(ghost_gap_m: FloatArray, ego_x_m: FloatArray) -> dict[str, FloatArray]:
-    """The ghost's own signals: a car that stands at its place, ``[...]``.
-
-    Args:
-        ghost_gap_m: How far ahead of the ego's bumper the place is at s_0 [m].
-        ego_x_m: How far the ego has come since [m].
-    """
+    """The ghost's own signals ``[...]``: a car stands so far ahead of where the ego began."""
     none = np.zeros_like(ego_x_m)
     found = {GAP: ghost_gap_m - ego_x_m, ASIDE: none, SPEED: none, HEADING: none}
     return {f"{what}_{GHOST}": values for what, values in found.items()}

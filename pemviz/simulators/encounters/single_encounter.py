@@ -1,8 +1,8 @@
 """One encounter in plain numbers, for the highway-env back end.
 
-How it begins, what its other cars do, how the ego drives and what rules ask for: written from the
-specification in ``pemviz/simulators/encounters/__init__.py`` alone, so that the vectorized back end
-can be held to it.
+How it begins, what its other cars do and what rules ask for: written from the specification in
+``pemviz/simulators/encounters/__init__.py`` alone, so that the vectorized back end can be held to
+it.
 """
 
 import math
@@ -125,103 +125,18 @@ def _cut_out(config: EncounterConfig, values: Mapping[str, float], side_m: float
     ]
 
 
-class Told(NamedTuple):
-    """A car that the ego is told of: gap, offset to the left, by how much the ego is faster."""
-
-    gap_m: float
-    aside_m: float
-    closing_mps: float
-
-
-def acceleration(
-    config: EncounterConfig, told: Sequence[Told], ego_mps: float, set_mps: float
-) -> float:
-    """The ego's acceleration [m/s^2]: cruise, time gap, hard braking by time to collision."""
-    in_path = [
-        car
-        for car in told
-        if abs(car.aside_m) - config.car_width_m / 2 < config.path_half_width_m
-        and car.gap_m + config.car_length_m > 0.0
-    ]
-    wishes = [config.speed_gain_per_s * (set_mps - ego_mps)]
-    for car in in_path:
-        wanted_m = config.standstill_gap_m + config.time_gap_s * ego_mps
-        wishes.append(
-            config.gap_gain_per_s2 * (car.gap_m - wanted_m)
-            - config.closing_gain_per_s * car.closing_mps
-        )
-    wanted = min(
-        max(min(wishes), -config.maximum_deceleration_mps2), config.maximum_acceleration_mps2
-    )
-    strength_mps2 = 2.0 * config.hard_deceleration_mps2
-    for car in in_path:
-        needed_m = car.closing_mps * (car.closing_mps / strength_mps2 + config.hard_reserve_s)
-        if car.closing_mps > 0.0 and car.gap_m < needed_m:
-            wanted = -config.hard_deceleration_mps2
-    return max(wanted, -ego_mps / config.dt_s)
-
-
 def measured_place(
     config: EncounterConfig, gap_m: float, aside_m: float, along_m: float, across_m: float
 ) -> tuple[float, float]:
     """Gap and offset to the left [m] of a car whose centre is measured off.
 
-    Args:
-        config: The encounter.
-        gap_m: Its gap [m].
-        aside_m: Its offset to the left [m].
-        along_m: Error along the line of sight from the camera, away from it [m].
-        across_m: Error across it, to the right [m].
+    Errors are along the line of sight from the camera, and across it to the right.
     """
     ahead_m = gap_m + config.camera_to_bumper_m + config.car_length_m / 2
     bearing_rad = math.atan2(-aside_m, ahead_m)
     farther_m = along_m * math.cos(bearing_rad) - across_m * math.sin(bearing_rad)
     to_the_right_m = along_m * math.sin(bearing_rad) + across_m * math.cos(bearing_rad)
     return gap_m + farther_m, aside_m - to_the_right_m
-
-
-class Touch(NamedTuple):
-    """The first contact of a step: with which of the other cars, at which share, how fast."""
-
-    car: int
-    share: float
-    impact_mps: float
-
-    def at(self, before: Place, after: Place) -> Place:
-        """Where a car of the contact stays."""
-        return Place(
-            before.x_m + self.share * (after.x_m - before.x_m),
-            before.y_m + self.share * (after.y_m - before.y_m),
-            0.0,
-            before.heading_rad,
-        )
-
-
-def first_touch(
-    config: EncounterConfig, before: Sequence[Place], after: Sequence[Place]
-) -> Touch | None:
-    """The ego's first contact over a step, places straight between old and new ones; or none."""
-    found: Touch | None = None
-    for car in range(1, len(before)):
-        x_m, y_m = before[car].x_m - before[0].x_m, before[car].y_m - before[0].y_m
-        along_m = after[car].x_m - after[0].x_m - x_m
-        across_m = after[car].y_m - after[0].y_m - y_m
-        inside = (
-            _within(x_m, along_m, config.car_length_m),
-            _within(y_m, across_m, config.car_width_m),
-        )
-        begin, end = max(one[0] for one in inside), min(one[1] for one in inside)
-        if begin <= end and (found is None or begin < found.share):
-            found = Touch(car - 1, begin, math.hypot(along_m, across_m) / config.dt_s)
-    return found
-
-
-def _within(value_m: float, change_m: float, limit_m: float) -> tuple[float, float]:
-    """From which share of a step to which a distance is at most a limit, if from 0 to 1."""
-    if change_m == 0.0:
-        return (0.0, 1.0) if abs(value_m) <= limit_m else (1.0, 0.0)
-    ends = sorted((side * limit_m - value_m) / change_m for side in (-1.0, 1.0))
-    return max(ends[0], 0.0), min(ends[1], 1.0)
 
 
 class Signals:

@@ -51,15 +51,7 @@ class Left:
 
 @dataclass(frozen=True)
 class Moved:
-    """Where cars are after a whole step in which none touches another.
-
-    Attributes:
-        ego_x_m: ``[N]`` centre along the road [m].
-        ego_mps: ``[N]`` speed [m/s].
-        x_m: ``[K, N]`` the other cars' centres along the road [m].
-        y_m: ``[K, N]`` to the left [m].
-        speed_mps: ``[K, N]`` [m/s].
-    """
+    """Where cars are after a whole step in which none touches another, ``[N]`` and ``[K, N]``."""
 
     ego_x_m: FloatArray
     ego_mps: FloatArray
@@ -258,14 +250,9 @@ def first_touch(
     *,
     reach_m: tuple[float, float],
 ) -> FloatArray:
-    """The least share f of a step, from 0 to 1, at which centres are within reach; else infinity.
+    """The least share of a step, from 0 to 1, at which centres are within reach; else infinity.
 
-    Two rectangles moved along straight lines touch there.
-
-    Args:
-        before_m: Distances between centres along the road and across, ``[...]`` each [m].
-        after_m: The same at the end of the step.
-        reach_m: How far apart centres of cars that touch are, along the road and across [m].
+    Distances between centres, along the road and across ``[...]`` each [m], change linearly.
     """
     enters, leaves = np.zeros_like(before_m[0]), np.ones_like(before_m[0])
     for first, last, reach in zip(before_m, after_m, reach_m, strict=True):

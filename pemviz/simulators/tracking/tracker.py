@@ -288,12 +288,9 @@ def _chosen(condition: BoolArray, one: Motion, other: Motion) -> Motion:
 
 
 def tracker_of_text(text: str, *, dt_s: float, axes: int) -> Tracker | None:
-    """The tracker that a text spells out; ``None`` for ``none``.
+    """The tracker that a text, as ``2/3,coast=0.5,filter=kalman``, spells out.
 
-    Args:
-        text: As ``pemviz.config.tracker_text`` reads it.
-        dt_s: Time between two outcomes [s].
-        axes: Along how many axes positions are measured.
+    ``None`` for ``none``.
 
     Raises:
         ConfigError: One line: what is wrong, and what is allowed.
@@ -335,14 +332,8 @@ def scene_tracks(
     """Where the controller believes cars to be, ``[..., K]``, of which it tracks gap and offset.
 
     States hold the tracks after the outcomes of the step that led to them: where a filter knows
-    speeds, they are where it predicts cars to be. Without a tracker there are none.
-
-    Args:
-        tracker: Between perception and controller.
-        states: ``[...]``.
-        slots: How many cars K it may track.
-        ego_m: The ego's centre along the road ``[...]`` [m].
-        length_m: Of the cars.
+    speeds, they are where it predicts cars to be. Without a tracker there are none. The ego's
+    centre is at ``ego_m [...]``; all cars have one length.
     """
     if tracker is None:
         none = np.zeros((*np.shape(ego_m), slots))
