@@ -44,44 +44,16 @@ def test_no_spread_gives_the_answer_without_errors_to_the_last_bit(back_end):
         np.testing.assert_array_equal(measured[name], values)
 
 
-@pytest.mark.parametrize("tracker", ["none", "2/3"])
-def test_without_a_tracker_the_gap_to_a_missed_car_is_not_measured(tracker, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        type(SHIPPED),
-        "range_error",
-        lambda self, salient, noise: asked.append(len(noise)) or np.full(len(noise), 0.5),
-    )
-    simulator = VectorizedSimulator(replace(PAPER, tracker=tracker), SHIPPED)
-    draws, states = drawn(40, seed=7), simulator.initial(count=40)
-    detected, noise = draws["detected"][:, 0], draws["noise"][:, 0]
-    told = simulator.perceived(states, detected, noise)
-    assert asked == [detected.sum() if tracker == "none" else 40]
-    if tracker == "none":
-        np.testing.assert_array_equal(told.gap_m, states.signals[GAP] + 0.5 * detected)
-    np.testing.assert_array_equal(told.memory["forgetful_noise"], noise[:, 0])
-
-
-@pytest.mark.parametrize("tracker", ["none", "2/3"])
-def test_both_back_ends_agree_given_the_same_draws(tracker):
-    draws, config = drawn(6, seed=2), replace(PAPER, tracker=tracker)
-    one, other = (
-        replay(simulator=end(config, SHIPPED), **draws)
-        for end in (VectorizedSimulator, HighwaySimulator)
-    )
-    for name in (GAP, EGO_SPEED, LEAD_SPEED):
-        np.testing.assert_allclose(one[name], other[name], rtol=0, atol=1e-9)
-    exact = replay(simulator=VectorizedSimulator(config), detected=draws["detected"])
-    assert np.abs(one[GAP] - exact[GAP]).max() > 0.1  # errors matter
-
-
+@back_ends
 @pytest.mark.parametrize("tracker", ["none", "2/3", "2/4,coast=0.1,filter=kalman"])
-def test_the_rule_acts_on_the_measured_gap_and_a_tracker_filters_it(tracker):
+def test_the_rule_acts_on_the_measured_gap_and_a_tracker_filters_it(back_end, tracker):
     """A plain loop finds the noise and the error of each step; the reference loop drives."""
     config = replace(PAPER, tracker=tracker)
     draws, memory = drawn(5, seed=3), SHIPPED.range_memory
-    simulator = VectorizedSimulator(config, SHIPPED)
+    simulator = back_end(config, SHIPPED)
     passed = replay(simulator=simulator, **draws)
+    exact = replay(simulator=back_end(config), detected=draws["detected"])
+    assert np.abs(passed[GAP] - exact[GAP]).max() > 0.1  # errors matter
     rho, share = np.exp(-PAPER.dt_s / memory.tau_s), memory.lasting_share
     for row in range(5):
         moving, noises = 0.0, []
@@ -95,7 +67,8 @@ def test_the_rule_acts_on_the_measured_gap_and_a_tracker_filters_it(tracker):
 
         seen = draws["detected"][row].tolist()
         expected = reference_rollout(config, seen, simulator.tracker, measure)
-        np.testing.assert_allclose(passed[GAP][row], expected["gap"], rtol=0, atol=1e-9)
+        for name in (GAP, EGO_SPEED, LEAD_SPEED):
+            np.testing.assert_allclose(passed[name][row], expected[name], rtol=0, atol=1e-9)
 
 
 def least_gap(error_m):
@@ -194,21 +167,14 @@ def test_gaps_beyond_agms_bounds_count_as_the_bound_where_errors_may_lead_there(
             assert problem.robustness(beyond).tolist() == pytest.approx([0.46])
 
 
-def test_runs_without_errors_know_of_none():
-    experiment = pemviz.build_experiment(replace(load_preset("paper"), plan=False))
-    assert experiment.back_end.position_errors is None
-    assert experiment.features.values(experiment.back_end.simulator.initial(count=2)).shape == (
-        2,
-        3,
-    )
-
-
 def test_detections_matter_where_the_measured_gap_may_be_small():
     experiment = pemviz.build_experiment(small("monte-carlo"))
     states = experiment.back_end.simulator.initial(count=3)
     at = replace(states, signals={**states.signals, GAP: np.array([9.9, 10.4, 60.0])})
     assert experiment.features.reacts(at).tolist() == [True, True, False]
     assert experiment.features.values(at).shape == (3, 4)
+    exact = pemviz.build_experiment(replace(load_preset("paper"), plan=False))
+    assert exact.features.values(exact.back_end.simulator.initial(count=2)).shape == (2, 3)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 import pemviz
 from pemviz import AlphaBeta, Kalman, Tracker
 from pemviz.errors import ConfigError
-from tests.simulators.one_track import OneTrack
+from tests.simulators.reference import OneTrack
 
 DT_S = 0.1
 

@@ -228,10 +228,10 @@ class EncounterEnv(ScriptedEnv):
         ]
         closing_mps = np.array(self.closing_mps) if speed_mps is None else -speed_mps[:, 0]
         there = hits if tracked is None else tracked
-        rows = (there, places_m[:, 0], places_m[:, 1], closing_mps)
+        gap_m, aside_m = places_m[:, :1], places_m[:, 1:]
         wanted_mps2 = ego.acceleration(
             config,
-            ego.Told(*(row[:, None] for row in rows)),
+            ego.Told(there[:, None], gap_m, aside_m, closing_mps[:, None]),
             ego_mps=np.array([ego_mps]),
             set_mps=np.array([self.set_speed_mps]),
         )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from pemviz.config import EncounterConfig
-from tests.simulators.one_track import OneTrack
+from tests.simulators.reference import OneTrack
 
 
 class Car:

@@ -10,7 +10,6 @@ from pemviz.config import LOGICAL_SCENARIOS, EncounterConfig, StartChoice
 from pemviz.pem import load_pem
 from pemviz.pem.models.position_errors import NoiseMemory, constant_errors
 from pemviz.sampling.slots import with_slots
-from pemviz.simulators.check import check_simulator
 from pemviz.simulators.encounters.scenario import EncounterFeatures
 from pemviz.simulators.encounters.sight import displaced
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
@@ -154,12 +153,6 @@ def test_what_does_not_matter_changes_nothing(logical_scenario, tracker):
         for name, values in one.signals.items():
             np.testing.assert_array_equal(values, other.signals[name])
     assert 0.1 < turned < 1.0
-
-
-@pytest.mark.parametrize("logical_scenario", LOGICAL_SCENARIOS)
-def test_encounters_keep_to_what_simulators_must(logical_scenario):
-    config = EncounterConfig(logical_scenario=logical_scenario, states=40, ghost_probability=0.1)
-    check_simulator(VectorizedEncounters(config, (), "2/3,coast=0.3,filter=kalman"))
 
 
 def test_a_revealed_car_is_hidden_until_the_lead_car_leaves():
