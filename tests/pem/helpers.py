@@ -1,9 +1,15 @@
-"""Salient variables for tests."""
+"""Salient variables, files of obstacles and detections, and the command that collects them."""
+
+import csv
+import re
 
 import numpy as np
 from hypothesis import strategies as st
 
+from pemviz.cli.main import main
+from pemviz.files.shipped import asset_path
 from pemviz.pem import SALIENT_COLUMNS
+from pemviz.pem.model_files import ASSET_FOLDER
 
 
 def braking_rows(gaps_m) -> np.ndarray:
@@ -35,3 +41,26 @@ def random_rows(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 seeds = st.integers(0, 2**32 - 1)
+
+
+def shipped_file(name):
+    return asset_path(ASSET_FOLDER, f"{name}.safetensors")
+
+
+def rows_of(path):
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def collect_command(log_format, paths, *options):
+    """Exit code of ``pemviz pem collect`` with the paths by their options."""
+    given = [word for name, path in paths.items() for word in (f"--{name}", str(path))]
+    return main(["pem", "collect", "--format", log_format, *given, *options])
+
+
+def assert_refused(capsys, log_format, paths, words):
+    """The command says in one line what is wrong, and writes nothing."""
+    assert collect_command(log_format, paths) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert re.search(words, line), line
+    assert not paths["out"].exists()

@@ -1,6 +1,7 @@
 """Tracks drawn from the model of memory itself, outcome by outcome, in plain Python."""
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 
@@ -13,7 +14,7 @@ def draw_tracks(
 ):
     """A table of tracks and the true logits of P(detected), in the table's order."""
     random = np.random.default_rng(seed)
-    normal = _Normal()
+    normal = NormalDist()
     rows = []
     for sequence in range(sequences):
         for track in range(tracks_each):
@@ -22,38 +23,29 @@ def draw_tracks(
             missed = None
             for frame in range(frames):
                 p = min(max(p * math.exp(random.normal(0.0, 0.1)), 1e-3), 0.6)
-                mine = normal.cdf(normal.quantile(p) * math.sqrt(1 + frailty**2) + frailty * u)
+                mine = normal.cdf(normal.inv_cdf(p) * math.sqrt(1 + frailty**2) + frailty * u)
                 rho = math.exp(-1.0 / rate_hz / tau_s) if tau_s > 0 and missed is not None else 0.0
                 missed = random.random() < mine + (float(bool(missed)) - mine) * rho
                 rows.append((sequence, track, frame, p, not missed))
     kept = [row for row in rows if random.random() < keep]
-    columns = [np.array(column) for column in zip(*kept, strict=True)]
-    sequence, track, frame, p, detected = columns
+    sequence, track, frame, p, detected = (np.array(column) for column in zip(*kept, strict=True))
     salient = np.zeros((len(kept), len(SALIENT_COLUMNS)))
     salient[:, 9] = np.log(p)
-    table = track_table(
-        salient=salient,
-        detected=detected.astype(bool),
-        sequence=sequence,
-        track=track,
-        frame=frame.astype(np.int64),
-        rate_hz=np.full(len(kept), rate_hz),
-        source="synthetic",
-    )
+    who = {"sequence": sequence, "track": track, "frame": frame}
+    table = tracks_of(detected, **who, rate_hz=rate_hz, salient=salient)
     p = np.exp(table.obstacles.salient[:, 9])
     return table, np.log1p(-p) - np.log(p)
 
 
-class _Normal:
-    """The standard normal distribution, by the standard library."""
-
-    def __init__(self):
-        from statistics import NormalDist  # noqa: PLC0415
-
-        self._of = NormalDist()
-
-    def cdf(self, x):
-        return self._of.cdf(x)
-
-    def quantile(self, p):
-        return self._of.inv_cdf(p)
+def tracks_of(detected, *, sequence, track, frame, rate_hz=10.0, salient=None):
+    """A table of tracks, in the same state throughout if none is given."""
+    count = len(detected)
+    return track_table(
+        salient=np.zeros((count, len(SALIENT_COLUMNS))) if salient is None else salient,
+        detected=detected.astype(bool),
+        sequence=sequence,
+        track=track,
+        frame=frame.astype(np.int64),
+        rate_hz=np.broadcast_to(rate_hz, count),
+        source="synthetic",
+    )

@@ -1,6 +1,5 @@
 """Collecting a table: the sample's known outcomes, the three detection formats, bad lines."""
 
-import csv
 import json
 from itertools import permutations
 
@@ -13,7 +12,7 @@ from pemviz.pem import PemError, load_table
 from pemviz.pem.data.collect import CollectOptions, assign_boxes, collect, iou
 from pemviz.pem.data.kitti_labels import TYPES
 from pemviz.pem.data.position_errors import load_error_csv
-from tests.pem.helpers import seeds
+from tests.pem.helpers import rows_of, seeds
 
 EXPECTED_COLUMNS = {
     "frame": "frame",
@@ -33,11 +32,6 @@ EXPECTED_COLUMNS = {
 
 LABEL = "Car 0.00 0 1.55 100 100 200 200 1.57 1.73 4.15 1.00 1.75 13.22 1.62"
 RESULT = "Car -1 -1 -10 100 100 200 190 -1 -1 -1 -1000 -1000 -1000 -10 0.9"
-
-
-def rows_of(path):
-    with path.open(newline="") as stream:
-        return list(csv.DictReader(stream))
 
 
 def test_the_kitti_sample_gives_the_known_outcomes(kitti_sample, tmp_path):
@@ -215,10 +209,7 @@ def test_a_frame_without_detections_file_is_refused_unless_allowed(folders):
         collected(folders)
     out = folders / "out.csv"
     counts = collect(
-        labels=folders / "labels",
-        detections=folders / "detections",
-        out=out,
-        missing_is_empty=True,
+        labels=folders / "labels", detections=folders / "detections", out=out, missing_is_empty=True
     )
     assert counts.missed == 1
 

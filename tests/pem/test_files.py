@@ -9,7 +9,6 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save_file
 
-from pemviz.files.shipped import asset_path
 from pemviz.pem import (
     Pem,
     PemEnsemble,
@@ -20,13 +19,9 @@ from pemviz.pem import (
     save_pem,
     shipped_pems,
 )
-from pemviz.pem.model_files import ASSET_FOLDER, METADATA_KEY, read_tensors
+from pemviz.pem.model_files import METADATA_KEY, read_tensors
 from pemviz.pem.models.tabulated import TabulatedPem
-from tests.pem.helpers import braking_rows, random_rows
-
-
-def shipped_file(name):
-    return asset_path(ASSET_FOLDER, f"{name}.safetensors")
+from tests.pem.helpers import braking_rows, random_rows, shipped_file
 
 
 def rewritten(tmp_path, name, *, tensors=None, metadata=None, drop=()):
@@ -49,12 +44,16 @@ def header(**changes):
 def test_every_shipped_model_loads_with_a_card_and_a_licence(name):
     pem = load_pem(name)
     assert isinstance(pem, Pem)
+    assert pem.name == name
+    assert "KITTI" in pem.data
     assert "CC BY-NC-SA 3.0" in pem.licence
+    assert len(pem.digest) == 64
     page = shipped_file(name).with_suffix(".md").read_text()
     assert pem.digest in page
     assert "CC BY-NC-SA 3.0" in page
-    logit = pem.logit(braking_rows(np.linspace(-30, 25, 50)))
+    logit = pem.logit(braking_rows(np.linspace(-30, 25, 1101)))
     assert np.isfinite(logit).all()
+    assert np.ptp(logit) > (0.01 if name == "lr" else 0.1)
 
 
 def test_the_shipped_ensemble_has_twenty_members_and_belongs_to_its_model():
@@ -109,25 +108,25 @@ def test_a_broken_model_file_is_refused_in_one_line(tmp_path, change, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"trees.left": np.zeros(3, dtype=np.int32)}, "differ in length"),
-        ({"trees.root": np.array([10**6], dtype=np.int32)}, "root lies outside"),
-        ({"calibration": np.array([-1.0, 0.0])}, "slope must be above 0"),
-    ],
-)
-def test_broken_trees_are_refused(tmp_path, change, words):
-    with pytest.raises(PemError, match=words):
-        load_pem(str(rewritten(tmp_path, "gb-raw", tensors=change)))
-
-
-def test_trees_with_a_loop_are_refused(tmp_path):
-    tensors, _ = read_tensors(shipped_file("gb-raw"))
+def with_a_loop(tensors):
     left = tensors["trees.left"].copy()
     left[np.flatnonzero(tensors["trees.feature"] != 255)[5]] = 0
-    with pytest.raises(PemError, match="child lies outside its tree"):
-        load_pem(str(rewritten(tmp_path, "gb-raw", tensors={"trees.left": left})))
+    return left
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("trees.left", lambda _: np.zeros(3, dtype=np.int32), "differ in length"),
+        ("trees.left", with_a_loop, "child lies outside its tree"),
+        ("trees.root", lambda _: np.array([10**6], dtype=np.int32), "root lies outside"),
+        ("calibration", lambda _: np.array([-1.0, 0.0]), "slope must be above 0"),
+    ],
+)
+def test_broken_trees_are_refused(tmp_path, name, change, words):
+    tensors, _ = read_tensors(shipped_file("gb-raw"))
+    with pytest.raises(PemError, match=words):
+        load_pem(str(rewritten(tmp_path, "gb-raw", tensors={name: change(tensors)})))
 
 
 @pytest.mark.parametrize(
@@ -166,18 +165,13 @@ def test_pickles_are_refused_unopened(tmp_path, suffix):
         load_pem(str(path))
 
 
-def test_a_torch_file_named_safetensors_is_refused(tmp_path):
-    path = tmp_path / "model.safetensors"
-    torch.save({"weight": torch.zeros(2)}, path)
-    with pytest.raises(PemError, match="not a readable safetensors file"):
-        load_pem(str(path))
-
-
-def test_a_file_cut_short_is_refused(tmp_path):
-    path = tmp_path / "cut.safetensors"
-    path.write_bytes(shipped_file("ml-nn").read_bytes()[:-100])
-    with pytest.raises(PemError, match="not a readable safetensors file"):
-        load_pem(str(path))
+def test_torch_files_and_files_cut_short_are_refused(tmp_path):
+    torch.save({"weight": torch.zeros(2)}, tmp_path / "torch.safetensors")
+    cut = shipped_file("ml-nn").read_bytes()[:-100]
+    (tmp_path / "cut.safetensors").write_bytes(cut)
+    for path in (tmp_path / "torch.safetensors", tmp_path / "cut.safetensors"):
+        with pytest.raises(PemError, match="not a readable safetensors file"):
+            load_pem(str(path))
 
 
 @pytest.mark.parametrize("name", ["ml-mm", "missing.safetensors", "none.csv", "../x.safetensors"])

@@ -6,15 +6,7 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
 from threadpoolctl import threadpool_limits
 
-from pemviz.pem import (
-    EnsemblePem,
-    PemEnsemble,
-    PemError,
-    fit_ensemble,
-    fit_pem,
-    load_pem,
-    save_pem,
-)
+from pemviz.pem import EnsemblePem, PemEnsemble, PemError, fit_ensemble, fit_pem, load_pem, save_pem
 from pemviz.pem.data.table import SalientTable
 from pemviz.pem.fitting import linear_and_trees as boosting
 from pemviz.pem.fitting import networks
@@ -64,7 +56,8 @@ def test_another_seed_gives_another_ensemble_member(kind, table, quick):
 def quick(monkeypatch):
     """Fewer epochs and rounds: these tests are about bookkeeping."""
     monkeypatch.setattr(boosting, "ROUNDS", 15)
-    monkeypatch.setattr(networks.NetworkRecipe.__init__, "__defaults__", (3, 256, 1e-3))
+    monkeypatch.setattr(networks, "EPOCHS", 3)
+    monkeypatch.setattr(networks, "BATCH_ROWS", 256)
 
 
 def test_guess_mu_answers_with_the_share_detected(table):

@@ -1,7 +1,6 @@
 """A log by a mapping of its columns: units, constants, two files, and what is wrong with them."""
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from pemviz.files.shipped import asset_path
 from pemviz.pem.data.mapped_log import collect_log, read_mapping
 from pemviz.pem.data.table import load_table, load_tracks
 from pemviz.pem.models.protocol import COLUMN
+from tests.pem.helpers import assert_refused
 
 MAPPING = """
 [labels]
@@ -95,12 +95,7 @@ def test_what_is_wrong_is_told_in_one_line(log, capsys, name, old, new, words) -
     text = log[name].read_text()
     assert old in text
     log[name].write_text(text.replace(old, new))
-    options = [word for key, path in log.items() for word in (f"--{key}", str(path))]
-    assert main(["pem", "collect", "--format", "log", *options]) == 2
-    told = capsys.readouterr().err.strip()
-    assert "\n" not in told
-    assert re.search(words, told), told
-    assert not log["out"].exists()
+    assert_refused(capsys, "log", log, words)
 
 
 def test_malformed_rows_are_passed_over_if_asked(log) -> None:

@@ -12,7 +12,6 @@ from scipy.special import expit, logit
 from scipy.stats import norm
 
 from pemviz.pem import PemError
-from pemviz.pem.data.table import track_table
 from pemviz.pem.fitting.memory import fit_memory, log_likelihoods
 from pemviz.pem.judging.independence import check_independence
 from pemviz.pem.judging.memory_report import (
@@ -22,7 +21,7 @@ from pemviz.pem.judging.memory_report import (
     sample_outcomes,
 )
 from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
-from tests.pem.synthetic_tracks import draw_tracks
+from tests.pem.synthetic_tracks import draw_tracks, tracks_of
 
 probabilities = st.floats(1e-12, 1.0 - 1e-12)
 correlations = st.floats(0.0, 0.999)
@@ -52,11 +51,8 @@ def test_in_a_constant_state_the_marginal_stays_and_correlation_is_exponential(p
     for chain in chains:
         w = p_miss if chain[0] else 1.0 - p_miss
         for before, now in itertools.pairwise(chain):
-            miss = expit(
-                -remembering_logit(
-                    np.array([logit(1 - p_miss)]), missed_before=np.array([before]), rho=rho
-                )[0]
-            )
+            own = np.array([logit(1 - p_miss)])
+            miss = expit(-remembering_logit(own, missed_before=np.array([before]), rho=rho)[0])
             w *= miss if now else 1.0 - miss
         weight.append(w)
     missed, weight = np.array(chains, dtype=float), np.array(weight)
@@ -101,11 +97,7 @@ def small_tracks():
         (1, 2, 0, 10.0, False),
     ]  # fmt: skip
     sequence, track, frame, rate, detected = (np.array(c) for c in zip(*rows, strict=True))
-    salient = np.zeros((len(rows), 11))
-    table = track_table(
-        salient=salient, detected=detected, sequence=sequence, track=track, frame=frame,
-        rate_hz=rate, source="small",
-    )  # fmt: skip
+    table = tracks_of(detected, sequence=sequence, track=track, frame=frame, rate_hz=rate)
     return table, np.array([2.0, 1.0, 0.5, 1.5, 0.2, -0.3, 0.7])
 
 
@@ -131,9 +123,8 @@ def naive_log_likelihood(rows, tau_s, frailty):
 @pytest.mark.parametrize("frailty", [0.0, 0.8])
 def test_likelihood_equals_the_naive_one(tau_s, frailty):
     table, own = small_tracks()
-    found = log_likelihoods(table, own, taus_s=np.array([tau_s]), frailties=np.array([frailty]))[
-        :, 0, 0
-    ]
+    grid = {"taus_s": np.array([tau_s]), "frailties": np.array([frailty])}
+    found = log_likelihoods(table, own, **grid)[:, 0, 0]
     p = expit(-own)
     first = [(p[0], False, None), (p[1], True, 0.1), (p[2], True, 0.3)]
     second = [(p[3], True, None), (p[4], False, 0.05), (p[5], True, 0.05)]
@@ -178,11 +169,8 @@ def test_the_memory_time_does_not_depend_on_the_frame_rate():
     """The same process at 20 Hz, and every second frame of it taken as 10 Hz."""
     table, own = draw_tracks(seed=7, tau_s=0.2, frailty=0.0, sequences=40, frames=40, rate_hz=20.0)
     half = np.flatnonzero(table.frame % 2 == 0)
-    coarse = track_table(
-        salient=table.obstacles.salient[half], detected=table.detected[half],
-        sequence=table.sequence[half], track=table.track[half], frame=table.frame[half] // 2,
-        rate_hz=np.full(half.size, 10.0), source="coarse",
-    )  # fmt: skip
+    who = {"sequence": table.sequence[half], "track": table.track[half]}
+    coarse = tracks_of(table.detected[half], **who, frame=table.frame[half] // 2)
     fine = fit_memory(table, own, with_frailty=False)
     rough = fit_memory(coarse, own[half], with_frailty=False)
     assert rough.tau_interval_s[0] < fine.memory.tau_s < rough.tau_interval_s[1]
@@ -237,11 +225,12 @@ def test_a_report_holds_what_a_card_shows():
     table, own = draw_tracks(seed=3, tau_s=0.2, frailty=0.0, sequences=10)
     fit = fit_memory(table, own, with_frailty=False)
     report = report_memory(table, own, fit=fit)
-    assert report.groups[0].observations == len(table)
-    assert sum(report.run_lengths) > 0
-    lags = [each.lag_s for each in report.correlations if each.pairs]
+    tables = report.tables
+    assert tables["groups"][0]["observations"] == len(table)
+    assert sum(tables["run_lengths"]) > 0
+    lags = [each["lag_s"] for each in tables["correlations"] if each["pairs"]]
     assert lags == [0.1, 0.2, 0.5, 1.0]  # tracks are two seconds long
-    assert report.rate_hz == 10.0
+    assert tables["rate_hz"] == 10.0
 
 
 @pytest.mark.parametrize("memory", [{"tau_s": -0.1}, {"tau_s": math.nan}, {"frailty": 11.0}])

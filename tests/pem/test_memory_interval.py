@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.stats import t as student_t
 
-from pemviz.pem.data.table import track_table
 from pemviz.pem.fitting.memory import (
     FRAILTY,
     FRAILTY_GRID,
@@ -19,15 +18,10 @@ from pemviz.pem.fitting.memory import (
     interval,
     log_likelihoods,
 )
-from pemviz.pem.judging.independence import (
-    POWER,
-    check_independence,
-    expected_gain,
-    needed_sample,
-)
+from pemviz.pem.judging.independence import POWER, check_independence, expected_gain, needed_sample
 from pemviz.pem.judging.memory_report import sample_outcomes
 from pemviz.pem.models.memory import Memory
-from tests.pem.synthetic_tracks import draw_tracks
+from tests.pem.synthetic_tracks import draw_tracks, tracks_of
 
 LOG_TAU = np.log(TAU_GRID_S[1:])
 CENTRE = np.array([math.log(0.2), 1.6])
@@ -120,15 +114,8 @@ def constant_tracks(own_miss, *, tracks=300, frames=6):
     """Tracks in a constant state, detected throughout."""
     count = tracks * frames
     track = np.repeat(np.arange(tracks), frames)
-    table = track_table(
-        salient=np.zeros((count, 11)),
-        detected=np.ones(count, dtype=bool),
-        sequence=track % 10,
-        track=track,
-        frame=np.tile(np.arange(frames), tracks),
-        rate_hz=np.full(count, 10.0),
-        source="constant",
-    )
+    who = {"sequence": track % 10, "track": track, "frame": np.tile(np.arange(frames), tracks)}
+    table = tracks_of(np.ones(count), **who)
     return table, np.full(count, math.log((1.0 - own_miss) / own_miss))
 
 
@@ -148,11 +135,8 @@ def test_the_expected_gain_is_the_mean_of_gains():
     random, gains = np.random.default_rng(8), []
     for _ in range(40):
         detected = sample_outcomes(table, own, memory=Memory(tau_s=0.1), random=random)
-        drawn = track_table(
-            salient=table.obstacles.salient, detected=detected, sequence=table.sequence,
-            track=table.track, frame=table.frame, rate_hz=table.rate_hz, source="drawn",
-        )  # fmt: skip
-        both = log_likelihoods(drawn, own, taus_s=np.array([0.0, 0.1]), frailties=np.zeros(1))
+        sampled = tracks_of(detected, sequence=table.sequence, track=table.track, frame=table.frame)
+        both = log_likelihoods(sampled, own, taus_s=np.array([0.0, 0.1]), frailties=np.zeros(1))
         gains.append(np.diff(both.sum(axis=0)[:, 0])[0])
     error = np.std(gains) / math.sqrt(len(gains))
     assert abs(np.mean(gains) - expected_gain(table, own, frailty=0.0, tau_s=0.1)) < 5 * error

@@ -1,16 +1,15 @@
 """MOTChallenge's files: known outcomes, the sequences' own rates, and what is wrong with them."""
 
-import csv
 import re
 
 import numpy as np
 import pytest
 
-from pemviz.cli.main import main
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import CollectOptions
 from pemviz.pem.data.mot_challenge import collect_mot
 from pemviz.pem.data.table import load_table, load_tracks
+from tests.pem.helpers import assert_refused, collect_command, rows_of
 
 GROUND_TRUTH = """1, 2, 100, 100, 10, 20, 1, 1, 0.9
 2,2,102,100,10,20,1,1,0.5
@@ -39,11 +38,6 @@ def files(tmp_path):
         (folder / name).write_text(text)
     return {"labels": tmp_path / "train", "detections": tmp_path / "train",
             "out": tmp_path / "own.csv"}  # fmt: skip
-
-
-def rows_of(path):
-    with path.open() as stream:
-        return list(csv.DictReader(stream))
 
 
 def test_boxes_are_matched_by_overlap_and_what_is_ignored_takes_its_detection(files) -> None:
@@ -112,19 +106,13 @@ def test_what_is_wrong_is_told_in_one_line(files, capsys, file, old, new, words)
     else:
         assert old in path.read_text()
         path.write_text(path.read_text().replace(old, new, 1))
-    options = [word for name, place in files.items() for word in (f"--{name}", str(place))]
-    assert main(["pem", "collect", "--format", "motchallenge", *options]) == 2
-    told = capsys.readouterr().err.strip()
-    assert "\n" not in told
-    assert re.search(words, told), told
-    assert not files["out"].exists()
+    assert_refused(capsys, "motchallenge", files, words)
 
 
 def test_the_command_tells_what_it_found(files, capsys) -> None:
     path = files["labels"] / "MOT17-02/gt/gt.txt"
     path.write_text(GROUND_TRUTH + "x\n")
-    options = [word for name, place in files.items() for word in (f"--{name}", str(place))]
-    assert main(["pem", "collect", "--format", "motchallenge", "--skip-bad", *options]) == 0
+    assert collect_command("motchallenge", files, "--skip-bad") == 0
     told = capsys.readouterr()
     assert "own.csv: 1 sequences, 3 tracks, 5 observations, 2 missed, 1 gaps in" in told.out
     assert "1 marked to be ignored" in told.out

@@ -1,6 +1,5 @@
 """nuScenes' tables and detections: places, matching and errors with known answers."""
 
-import csv
 import json
 import math
 import re
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pemviz.cli.main import main
 from pemviz.errors import PemError
 from pemviz.files.json_text import CHUNK, json_rows
 from pemviz.pem.data.nuscenes import collect_nuscenes
@@ -17,12 +15,8 @@ from pemviz.pem.data.position_errors import load_error_csv, sight_errors
 from pemviz.pem.data.table import load_table, load_tracks
 from pemviz.pem.models.protocol import COLUMN
 
+from .helpers import assert_refused, collect_command, rows_of
 from .nuscenes_tables import EGO_M, LIDAR_M, annotation, detection, quaternion, write_nuscenes, yaw
-
-
-def rows_of(path):
-    with path.open() as stream:
-        return list(csv.DictReader(stream))
 
 
 def beside(right, ahead, up=0.75):
@@ -32,9 +26,7 @@ def beside(right, ahead, up=0.75):
 
 def test_an_obstacle_is_told_as_kitti_would_from_the_lidar(tmp_path) -> None:
     paths = write_nuscenes(
-        tmp_path,
-        [annotation(beside(3.0, 10.0))],
-        {"s0": [detection(beside(3.5, 9.75))]},
+        tmp_path, [annotation(beside(3.0, 10.0))], {"s0": [detection(beside(3.5, 9.75))]}
     )
     counts = collect_nuscenes(**paths)
     assert (counts.samples, counts.tracks, counts.observations, counts.missed) == (1, 1, 1, 0)
@@ -191,12 +183,7 @@ def test_what_is_wrong_is_told_in_one_line(tmp_path, capsys, file, old, new, wor
     else:
         text = (tmp_path / file).read_text()
         (tmp_path / file).write_text(re.sub(r"(\d),\n", r"\1, ", text).replace(old, new))
-    options = [word for name, path in paths.items() for word in (f"--{name}", str(path))]
-    assert main(["pem", "collect", "--format", "nuscenes", *options]) == 2
-    told = capsys.readouterr().err.strip()
-    assert "\n" not in told
-    assert re.search(words, told), told
-    assert not paths["out"].exists()
+    assert_refused(capsys, "nuscenes", paths, words)
 
 
 @pytest.mark.parametrize(
@@ -211,8 +198,7 @@ def test_what_is_wrong_is_told_in_one_line(tmp_path, capsys, file, old, new, wor
 )
 def test_options_that_do_not_fit_are_refused(tmp_path, capsys, options, words) -> None:
     paths = write_nuscenes(tmp_path, [], {"s0": []})
-    given = [word for name, path in paths.items() for word in (f"--{name}", str(path))]
-    assert main(["pem", "collect", "--format", "nuscenes", *given, *options]) == 2
+    assert collect_command("nuscenes", paths, *options) == 2
     assert words in capsys.readouterr().err
 
 
@@ -222,8 +208,7 @@ def test_the_command_tells_what_it_found_and_passes_over_what_is_malformed(
     reported = [detection(beside(0, 10.0)), detection(beside(0, 10.0), size=[1.0])]
     labels = [annotation(beside(0, 10.0)), annotation(beside(0, 20), who="b", rotation=[0])]
     paths = write_nuscenes(tmp_path, labels, {"s0": reported})
-    options = [word for name, path in paths.items() for word in (f"--{name}", str(path))]
-    assert main(["pem", "collect", "--format", "nuscenes", "--skip-bad", *options]) == 0
+    assert collect_command("nuscenes", paths, "--skip-bad") == 0
     told = capsys.readouterr()
     assert "own.csv: 1 samples, 1 tracks, 1 observations, 0 missed; left out: 0 of" in told.out
     assert "warning: 2 malformed lines skipped, the first: " in told.err

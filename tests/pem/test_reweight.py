@@ -49,20 +49,20 @@ def exact(p):
 
 
 MODELS = [(0.9, 0.8, 0.7), (0.5, 0.5, 0.5), (0.999, 0.99, 0.9999)]
+MEMBERS = [FixedPem(p) for p in MODELS]
 
 
 def test_every_model_gets_its_exact_probability_from_one_set_of_rollouts():
-    estimates = reweight(**all_chains(), members=[FixedPem(p) for p in MODELS])
+    estimates = reweight(**all_chains(), members=MEMBERS)
     np.testing.assert_allclose(np.exp(estimates.log_mu), [exact(p) for p in MODELS], rtol=1e-12)
 
 
 def test_log_q_of_whole_rollouts_gives_the_same():
     rollouts = all_chains()
     whole = {**rollouts, "log_q": rollouts["log_q"].sum(axis=1)}
-    members = [FixedPem(p) for p in MODELS]
     np.testing.assert_allclose(
-        reweight(**whole, members=members).log_mu,
-        reweight(**rollouts, members=members).log_mu,
+        reweight(**whole, members=MEMBERS).log_mu,
+        reweight(**rollouts, members=MEMBERS).log_mu,
         rtol=1e-14,
     )
 
@@ -70,21 +70,20 @@ def test_log_q_of_whole_rollouts_gives_the_same():
 def test_the_violating_rollouts_alone_suffice_with_the_number_drawn():
     rollouts = all_chains()
     failing = {key: array[rollouts["violated"]] for key, array in rollouts.items()}
-    members = [FixedPem(p) for p in MODELS]
     whole, part = (
-        reweight(**rollouts, members=members),
-        reweight(**failing, members=members, rollouts=8),
+        reweight(**rollouts, members=MEMBERS),
+        reweight(**failing, members=MEMBERS, rollouts=8),
     )
     np.testing.assert_array_equal(part.log_mu, whole.log_mu)
     np.testing.assert_array_equal(part.relative_std_error, whole.relative_std_error)
-    pair = {"old": members[0], "new": members[1]}
+    pair = {"old": MEMBERS[0], "new": MEMBERS[1]}
     assert compare_pems(**failing, **pair, rollouts=8) == compare_pems(**rollouts, **pair)
     with pytest.raises(PemError, match="rollouts is 3, but 8 are given"):
-        reweight(**rollouts, members=members, rollouts=3)
+        reweight(**rollouts, members=MEMBERS, rollouts=3)
 
 
 def test_the_interval_lies_between_the_members_and_knows_when_few_rollouts_carry_it():
-    estimates = reweight(**all_chains(), members=[FixedPem(p) for p in MODELS])
+    estimates = reweight(**all_chains(), members=MEMBERS)
     interval = pem_interval(estimates, few_effective=10.0)
     log10_mu = np.log10([exact(p) for p in MODELS])
     assert interval.log10_median == pytest.approx(np.median(log10_mu))
@@ -96,7 +95,7 @@ def test_the_interval_lies_between_the_members_and_knows_when_few_rollouts_carry
 
 def test_relative_standard_error_is_that_of_the_mean():
     rollouts = all_chains()
-    estimates = reweight(**rollouts, members=[FixedPem(MODELS[0])])
+    estimates = reweight(**rollouts, members=[MEMBERS[0]])
     p = np.asarray(MODELS[0])
     chance = np.where(rollouts["detected"], p, 1 - p).prod(axis=1)
     weight = np.where(rollouts["violated"], chance * 8, 0.0)
@@ -105,7 +104,7 @@ def test_relative_standard_error_is_that_of_the_mean():
 
 
 def test_the_ratio_of_a_model_to_itself_is_one_without_doubt():
-    ratio = compare_pems(**all_chains(), old=FixedPem(MODELS[0]), new=FixedPem(MODELS[0]))
+    ratio = compare_pems(**all_chains(), old=MEMBERS[0], new=MEMBERS[0])
     assert (ratio.log10_ratio, ratio.log10_low, ratio.log10_high) == (0.0, 0.0, 0.0)
 
 
@@ -131,21 +130,19 @@ def test_the_interval_of_a_ratio_covers_as_often_as_it_says():
 
 def test_without_a_violation_nothing_is_made_up():
     rollouts = {**all_chains(), "violated": np.zeros(8, dtype=bool)}
-    interval = pem_interval(
-        reweight(**rollouts, members=[FixedPem(p) for p in MODELS]), few_effective=10.0
-    )
+    interval = pem_interval(reweight(**rollouts, members=MEMBERS), few_effective=10.0)
     assert interval.log10_high == -np.inf
     assert any("no rollout violates" in text for text in interval.warnings)
     with pytest.raises(PemError, match="the ratio of two models is unknown"):
-        compare_pems(**rollouts, old=FixedPem(MODELS[0]), new=FixedPem(MODELS[1]))
+        compare_pems(**rollouts, old=MEMBERS[0], new=MEMBERS[1])
 
 
 def test_shapes_that_do_not_fit_are_refused():
     rollouts = {**all_chains(), "log_q": np.zeros((8, 2))}
     with pytest.raises(PemError, match=r"log_q \[8, 2\]"):
-        reweight(**rollouts, members=[FixedPem(MODELS[0])])
+        reweight(**rollouts, members=[MEMBERS[0]])
     with pytest.raises(PemError, match="at least 2 members, got 1"):
-        pem_interval(reweight(**all_chains(), members=[FixedPem(MODELS[0])]), few_effective=10.0)
+        pem_interval(reweight(**all_chains(), members=[MEMBERS[0]]), few_effective=10.0)
 
 
 def test_the_shipped_ensemble_reweights():

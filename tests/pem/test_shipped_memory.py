@@ -1,24 +1,19 @@
 """The shipped models with a memory, and how a model carries one."""
 
 import json
-from dataclasses import asdict
 
 import pytest
 from safetensors.numpy import save_file
 
-from pemviz.files.shipped import asset_path
 from pemviz.pem import Memory, PemError, load_pem, memory_of, save_pem
 from pemviz.pem.judging.memory_report import plain_view
-from pemviz.pem.model_files import ASSET_FOLDER, METADATA_KEY, read_tensors
+from pemviz.pem.model_files import METADATA_KEY, read_tensors
 from pemviz.pem.models.cards import fitted_memory
 from studies.shipped_models.tracked import FLATTERY, SHIPPED_TRACKED, collect_detector
 from tests.conftest import shared
+from tests.pem.helpers import shipped_file
 
 EVERY = pytest.mark.parametrize("name", SHIPPED_TRACKED)
-
-
-def shipped_file(name):
-    return asset_path(ASSET_FOLDER, f"{name}.safetensors")
 
 
 @EVERY
@@ -49,7 +44,7 @@ def test_its_counts_are_those_of_the_data(name):
     card = load_pem(name).card
     assert card.data_digest == tracks.obstacles.digest
     assert card.memory["fit"]["observations"] == len(tracks)
-    assert [asdict(each) for each in plain_view(tracks)] == card.memory["plain_view"]
+    assert plain_view(tracks) == card.memory["plain_view"]
 
 
 def test_models_of_single_frames_have_no_memory():

@@ -101,9 +101,7 @@ class CollectCounts(CollectedCounts):
     """What happened on the way, where frames stand alone."""
 
     frames: int = 0
-    """Frames read."""
     obstacles: int = 0
-    """Obstacles written."""
 
 
 @dataclass
@@ -111,9 +109,7 @@ class TrackCounts(CollectedCounts):
     """What happened on the way, where obstacles are followed."""
 
     sequences: int = 0
-    """Sequences read."""
     tracks: int = 0
-    """Obstacles that were followed."""
     observations: int = 0
     """Rows written: an obstacle in a frame."""
     gaps: int = 0
@@ -152,18 +148,11 @@ def collect(
 
     Where detections of ``kitti`` have a place, two more columns hold how far it is off, reported
     minus true, to the right and forward, as ``pemviz pem fit --position-errors`` reads them; empty
-    if missed.
+    if missed. The CSV ``out`` is complete or not there.
 
-    Args:
-        labels: folder of KITTI label files, one a frame.
-        detections: folder or file of detections.
-        out: CSV to write; complete or not there.
-        detection_format: how the detections are written.
-        options: what counts as a detection, and what is left out.
-        class_names: names of numbered classes.
-        image_sizes: CSV with frame, width_px, height_px, for YOLO.
-        missing_is_empty: whether a frame without detections file means that none were made.
-        on_progress: called with frames done and frames in all.
+    Labels are a folder of KITTI label files, one a frame; detections and their class names, image
+    sizes and missing files are those of :func:`open_detections`. ``on_progress`` is called with
+    frames done and frames in all.
 
     Raises:
         PemError: naming file, line and column of what is malformed, or what is missing.
@@ -223,17 +212,11 @@ def collect_tracks(
     Rows come by sequence, track and frame. Where detections have a place (``ab3dmot``), two more
     columns hold how far it is off, to the right and forward; empty if missed. Obstacles of class
     Misc or of unknown occlusion are left out if the options say so; what is left of their track
-    then has a gap.
+    then has a gap. The CSV ``out`` is complete or not there.
 
-    Args:
-        labels: folder of KITTI tracking labels, a file a sequence.
-        detections: folder of detections, a file of the same name a sequence.
-        out: CSV to write; complete or not there.
-        sequence_format: how the detections are written.
-        rate_hz: frames a second of all sequences.
-        types: classes that count as obstacles; all if empty.
-        options: what counts as a detection, and what is left out.
-        on_progress: called with sequences done and sequences in all.
+    Labels are a folder of KITTI tracking labels, a file a sequence; detections one of files of the
+    same names. Only classes in ``types`` count as obstacles, all if it is empty. ``on_progress`` is
+    called with sequences done and sequences in all.
 
     Raises:
         PemError: naming file, line and column of what is malformed, or what is missing.
@@ -328,9 +311,6 @@ def assign_boxes(
     Each box has at most one partner; the assignment maximises the sum of overlaps (Kuhn's
     Hungarian method, by scipy). With the classes of both only boxes of the same class may be
     partners.
-
-    Returns:
-        Both of the shape [obstacles].
     """
     result = np.zeros(len(obstacles))
     partner = np.full(len(obstacles), -1, dtype=np.int64)

@@ -71,14 +71,10 @@ def open_detections(
 ) -> FrameDetections:
     """A reader of detections, one frame at a time.
 
-    Args:
-        path: a folder of text files for ``kitti`` and ``yolo``, a json file for ``coco``.
-        detection_format: how they are written.
-        class_names: names of the classes 0, 1, ... where the format has numbers.
-        image_sizes: CSV with frame, width_px, height_px; ``yolo`` needs it.
-        missing_is_empty: whether a frame without a file (or, in ``coco``, without an entry)
-            means that nothing was detected.
-        on_bad_line: called with what is wrong; the line is passed over if that returns.
+    The path is that of a folder of text files for ``kitti`` and ``yolo``, of a json file for
+    ``coco``. ``class_names`` are those of the classes 0, 1, ... where the format has numbers,
+    ``image_sizes`` is a CSV with frame, width_px, height_px, which ``yolo`` needs. A frame without
+    a file (or, in ``coco``, without an entry) has no detections if ``missing_is_empty``.
 
     Raises:
         PemError: the path, the sizes or the json cannot be used.

@@ -132,20 +132,15 @@ class LogCounts(CollectedCounts):
     """What was in a log."""
 
     obstacles: int = 0
-    """Rows written."""
 
 
 def collect_log(
     *, labels: Path, detections: Path, mapping: Path, out: Path, skip_bad: bool = False
 ) -> LogCounts:
-    """Write a row for each of a log's.
+    """Write a row for each of a log's, to a CSV that is complete or not there.
 
-    Args:
-        labels: The log; or its file of obstacles.
-        detections: The same file; or what the detector made of each, row by row.
-        mapping: Where the columns are, see the module.
-        out: CSV to write; complete or not there.
-        skip_bad: Whether malformed rows are counted and passed over.
+    ``labels`` and ``detections`` are the log twice, or its file of obstacles and what the detector
+    made of each, row by row. Malformed rows are counted and passed over if ``skip_bad``.
 
     Raises:
         PemError: naming file, line and column of what is malformed, or what is missing.

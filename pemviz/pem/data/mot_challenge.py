@@ -54,8 +54,6 @@ class MotObstacle:
 
     Attributes:
         frame: Counted from 1.
-        track: Its identity in the sequence.
-        box_px: In the image.
         type: One of ``CLASSES``.
         visibility: Share of it that is seen, 0 to 1; ``None`` where none is labelled.
         counts: Whether it is not marked to be ignored.
@@ -82,16 +80,12 @@ def collect_mot(
     """Match every labelled box of every frame, and write a row for it.
 
     All labelled boxes take part in the matching, as KITTI's do; those that are marked to be ignored
-    (``dropped``), or of another class than asked for, get no row.
+    (``dropped``), or of another class than one of ``types`` if there are some, get no row. The CSV
+    ``out`` is complete or not there.
 
-    Args:
-        labels: Folder of sequences with ground truth.
-        detections: Folder of sequences with detections; may be the same.
-        out: CSV to write; complete or not there.
-        rate_hz: Frames a second of sequences whose ``seqinfo.ini`` does not tell.
-        types: Classes that get a row, such as pedestrian; all if empty.
-        options: What counts as a detection.
-        on_progress: Called with sequences done and sequences in all.
+    Labels and detections are folders of sequences, perhaps the same; ``rate_hz`` is that of
+    sequences whose ``seqinfo.ini`` does not tell. ``on_progress`` is called with sequences done and
+    sequences in all.
 
     Raises:
         PemError: Naming file, line and column of what is malformed, or what is missing.

@@ -88,8 +88,6 @@ class Box:
     """A box in the global frame.
 
     Attributes:
-        name: Class of the detection task.
-        centre_m: x, y, z.
         size_m: Width, length, height.
         rotation: Quaternion w, x, y, z, of length 1.
     """
@@ -109,10 +107,8 @@ class Annotation:
     """A labelled obstacle of one sample.
 
     Attributes:
-        box: Where it is.
         instance: Who it is, within its scene.
         occlusion: 0 to 2 as KITTI's levels; 3 where no visibility is labelled.
-        points: Of lidar and radar in its box.
         attributes: Names, such as cycle.with_rider.
     """
 
@@ -143,11 +139,8 @@ class Sample:
     """A moment of a scene.
 
     Attributes:
-        scene: Its name.
         frame: Which of the scene's samples it is, counted from 0.
         rate_hz: Samples a second, the scene's median.
-        pose: Where the ego is.
-        annotations: What is labelled.
     """
 
     scene: str
@@ -340,7 +333,6 @@ class NuscenesCounts(CollectedCounts):
     samples: int = 0
     """Samples with an entry in the detections' file."""
     tracks: int = 0
-    """Obstacles that were followed."""
     observations: int = 0
     """Rows written: an obstacle in a sample."""
     other_types: int = 0
@@ -368,12 +360,12 @@ def collect_nuscenes(
     ``centre_distance_m`` is that to the detection, and ``x_error_m``, ``z_error_m`` how far it is
     off to the right and forward, reported minus true; empty if missed. A track is an instance,
     rates follow from the samples' times. Samples of the tables that the detections' file does not
-    name are of another split, and passed over.
+    name are of another split, and passed over. The CSV ``out`` is complete or not there.
 
     Args:
         labels: Folder of tables, such as v1.0-mini.
         detections: JSON as it is submitted: ``results``, a list of boxes for each sample's token.
-        out: CSV to write; complete or not there.
+        out: CSV to write.
         types: Of the error model's classes, such as Car; all that nuScenes has if empty.
         matched_below_m: Centres of a pair are nearer to each other than this.
         score_from: Detections of a lower score are ignored.

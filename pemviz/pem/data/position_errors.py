@@ -23,7 +23,7 @@ equal size that lie near each other, in the table and in space, are one car.
 """
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -33,14 +33,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.text_files import read_numbers
-from pemviz.pem.data.table import (
-    INPUTS_FILE,
-    LABELS_FILE,
-    OUTCOME_COLUMN,
-    Lines,
-    column_numbers,
-    read_cells,
-)
+from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE, OUTCOME_COLUMN, CsvTable, read_csv
 
 RANGE, CROSS_RANGE, SPEED = "range", "cross_range", "speed"
 AXIS_COLUMNS = {
@@ -152,98 +145,79 @@ def load_error_csv(path: Path, *, rate_hz: float | None = None) -> PositionError
     """
     if not is_file(path):
         raise PemError(f"{path}: no such table of position errors")
-    header, lines = read_cells(path)
-    lacking = [name for name in ("x_m", "z_m") if name not in header]
+    csv = read_csv(path)
+    lacking = [name for name in ("x_m", "z_m") if name not in csv.header]
     own = [name for axis, name in AXIS_COLUMNS.items() if axis != SPEED]
-    if not (set(own) <= set(header) or set(PLANE_COLUMNS) <= set(header)):
+    along_sight = set(own) <= set(csv.header)
+    if not along_sight and not set(PLANE_COLUMNS) <= set(csv.header):
         lacking.append(f"{' and '.join(own)} (or {' and '.join(PLANE_COLUMNS)})")
     if lacking:
         raise PemError(f"{path}:1: the header lacks {', '.join(lacking)}")
-    columns = _Columns(path, header, _detected_lines(path, header, lines))
-    if not columns.lines:
-        raise PemError(f"{path}: the table has no rows of detected obstacles")
-    x_m, z_m = columns.numbers("x_m"), columns.numbers("z_m")
+    csv = _detected(csv)
+
+    def numbers(name: str) -> FloatArray:
+        return csv.numbers(name, largest=LARGEST)
+
+    x_m, z_m = numbers("x_m"), numbers("z_m")
     if (np.hypot(x_m, z_m) == 0.0).any():
         raise PemError(f"{path}: an obstacle is at the sensor's own place (x_m = z_m = 0)")
-    if set(own) <= set(header):
-        errors = np.stack([columns.numbers(name) for name in own], axis=1)
+    if along_sight:
+        errors = np.stack([numbers(name) for name in own], axis=1)
     else:
-        right, forward = (columns.numbers(name) for name in PLANE_COLUMNS)
+        right, forward = (numbers(name) for name in PLANE_COLUMNS)
         errors = sight_errors(x_m, z_m, x_error_m=right, z_error_m=forward)
     axes = (RANGE, CROSS_RANGE)
-    if AXIS_COLUMNS[SPEED] in header:
-        errors = np.column_stack([errors, columns.numbers(AXIS_COLUMNS[SPEED])])
+    if AXIS_COLUMNS[SPEED] in csv.header:
+        errors = np.column_stack([errors, numbers(AXIS_COLUMNS[SPEED])])
         axes = (*axes, SPEED)
-    sequence, track, time_s = columns.tracks(rate_hz)
+    alpha = None
+    if "alpha_rad" in csv.header:
+        alpha = numbers("alpha_rad")
+    elif "rotation_y_rad" in csv.header:
+        alpha = numbers("rotation_y_rad") - np.arctan2(x_m, z_m)
+    sequence, track, time_s = _who_and_when(csv, rate_hz)
     return PositionErrorTable(
-        x_m=x_m,
-        z_m=z_m,
-        alpha_rad=columns.alpha(x_m, z_m),
-        axes=axes,
-        errors=errors,
-        source=path.stem,
-        sequence=sequence,
-        track=track,
-        time_s=time_s,
+        x_m, z_m, alpha, axes, errors, path.stem, sequence=sequence, track=track, time_s=time_s
     )
 
 
-def _detected_lines(path: Path, header: list[str], lines: Lines) -> Lines:
-    if OUTCOME_COLUMN not in header:
-        return lines
-    index = header.index(OUTCOME_COLUMN)
-    for number, cells in lines:
-        if cells[index] not in ("0", "1"):
-            raise PemError(
-                f"{path}:{number}: column {index + 1} ({OUTCOME_COLUMN}) is {cells[index]!r}, "
-                "allowed: 0, 1"
-            )
-    return [line for line in lines if line[1][index] == "1"]
+def _detected(csv: CsvTable) -> CsvTable:
+    """The lines of detected obstacles."""
+    if OUTCOME_COLUMN in csv.header:
+        column = csv.header.index(OUTCOME_COLUMN)
+        for number, cells in csv.lines:
+            if cells[column] not in ("0", "1"):
+                where = f"{csv.path}:{number}: column {column + 1} ({OUTCOME_COLUMN})"
+                raise PemError(f"{where} is {cells[column]!r}, allowed: 0, 1")
+        csv = replace(csv, lines=[line for line in csv.lines if line[1][column] == "1"])
+    if not csv.lines:
+        raise PemError(f"{csv.path}: the table has no rows of detected obstacles")
+    return csv
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """The cells of the rows that count, by column."""
-
-    path: Path
-    header: list[str]
-    lines: Lines
-
-    def numbers(self, name: str) -> FloatArray:
-        return column_numbers(self.path, self.header, self.lines, name, largest=LARGEST)
-
-    def alpha(self, x_m: FloatArray, z_m: FloatArray) -> FloatArray | None:
-        if "alpha_rad" in self.header:
-            return self.numbers("alpha_rad")
-        if "rotation_y_rad" in self.header:
-            return self.numbers("rotation_y_rad") - np.arctan2(x_m, z_m)
-        return None
-
-    def tracks(
-        self, rate_hz: float | None
-    ) -> tuple[IntArray | None, IntArray | None, FloatArray | None]:
-        """Sequence, track and time ``[n]``, each ``None`` where the table does not tell."""
-        text = {name: np.array([cells[self.header.index(name)] for _, cells in self.lines])
-                for name in ("sequence", "track") if name in self.header}  # fmt: skip
-        sequence = text.get("sequence")
-        if sequence is not None:
-            sequence = np.unique(sequence, return_inverse=True)[1].astype(np.int64)
-        if "track" not in text:
-            return sequence, None, None
-        own = np.unique(text["track"], return_inverse=True)[1].astype(np.int64)
-        pair = own if sequence is None else sequence * (own.max() + 1) + own
-        track = np.unique(pair, return_inverse=True)[1].astype(np.int64)
-        if "frame" not in self.header or ("rate_hz" not in self.header and rate_hz is None):
-            return sequence, track, None
-        rate = self.numbers("rate_hz") if rate_hz is None else np.full(len(self.lines), rate_hz)
-        if not (rate > 0.0).all():
-            raise PemError(f"{self.path}: column 'rate_hz' must be above 0")
-        time_s = self.numbers("frame") / rate
-        order = np.lexsort((time_s, track))
-        same: BoolArray = np.diff(track[order]) == 0
-        if (same & (np.diff(time_s[order]) == 0.0)).any():
-            raise PemError(f"{self.path}: a track is there twice in one frame")
-        return sequence, track, time_s
+def _who_and_when(
+    csv: CsvTable, rate_hz: float | None
+) -> tuple[IntArray | None, IntArray | None, FloatArray | None]:
+    """Sequence, track and time ``[n]``, each ``None`` where the table does not tell."""
+    sequence = csv.labels("sequence") if "sequence" in csv.header else None
+    if "track" not in csv.header:
+        return sequence, None, None
+    own = csv.labels("track")
+    pair = own if sequence is None else sequence * (own.max() + 1) + own
+    track = np.unique(pair, return_inverse=True)[1].astype(np.int64)
+    if "frame" not in csv.header or ("rate_hz" not in csv.header and rate_hz is None):
+        return sequence, track, None
+    rate = np.full(len(csv.lines), rate_hz)
+    if rate_hz is None:
+        rate = csv.numbers("rate_hz", largest=LARGEST)
+    if not (rate > 0.0).all():
+        raise PemError(f"{csv.path}: column 'rate_hz' must be above 0")
+    time_s = csv.numbers("frame", largest=LARGEST) / rate
+    order = np.lexsort((time_s, track))
+    same: BoolArray = np.diff(track[order]) == 0
+    if (same & (np.diff(time_s[order]) == 0.0)).any():
+        raise PemError(f"{csv.path}: a track is there twice in one frame")
+    return sequence, track, time_s
 
 
 def load_error_table(path: Path | str, *, rate_hz: float | None = None) -> PositionErrorTable:

@@ -25,9 +25,6 @@ RATE_COLUMN = "rate_hz"
 TRACK_COLUMNS = ("sequence", "frame", "track", RATE_COLUMN)
 REQUIRED = ("sequence", "frame", "track", OUTCOME_COLUMN)
 
-Lines = list[tuple[int, list[str]]]
-"""Number and cells of each line of a table."""
-
 
 @dataclass(frozen=True, eq=False)
 class SalientTable:
@@ -82,14 +79,12 @@ def load_table(path: Path | str) -> SalientTable:
         with open_text(path) as stream:
             header = tuple(name.strip() for name in stream.readline().split(","))
         wanted = (*SALIENT_COLUMNS, OUTCOME_COLUMN)
-        check_header(path, header, wanted)
+        CsvTable(path, header, ()).check_header(*wanted)
         picked = tuple(header.index(name) for name in wanted)
         values = read_numbers(path, separator=",", columns=header, picked=picked, skip_lines=1)
         salient, detected = values[:, :-1], values[:, -1]
         if {"sequence", "track"} <= set(header):
-            column = header.index("sequence")
-            names = [cells[column] for _, cells in read_cells(path)[1]]
-            sequence = np.unique(names, return_inverse=True)[1].astype(np.int64)
+            sequence = read_csv(path).labels("sequence")
     else:
         raise PemError(
             f"{path}: no table; need a .csv of 'pemviz pem collect' or a folder with "
@@ -114,25 +109,63 @@ def save_table(table: SalientTable, path: Path) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def check_header(path: Path, header: Sequence[str], wanted: Sequence[str]) -> None:
-    """Whether a CSV has all columns that are wanted.
+@dataclass(frozen=True)
+class CsvTable:
+    """A CSV's header, and number and cells of each line that is neither blank nor a comment."""
 
-    Raises:
-        PemError: It lacks some.
-    """
-    if missing := [name for name in wanted if name not in header]:
-        raise PemError(f"{path}:1: the header lacks {', '.join(missing)}")
+    path: Path
+    header: Sequence[str]
+    lines: Sequence[tuple[int, Sequence[str]]]
+
+    def check_header(self, *wanted: str) -> None:
+        """Whether all columns are there that are wanted.
+
+        Raises:
+            PemError: Some are not.
+        """
+        if missing := [name for name in wanted if name not in self.header]:
+            raise PemError(f"{self.path}:1: the header lacks {', '.join(missing)}")
+
+    def labels(self, name: str) -> IntArray:
+        """What a column names ``[n]``, counted from 0 in the order of the names."""
+        return np.unique(self.texts(name), return_inverse=True)[1].astype(np.int64)
+
+    def texts(self, name: str) -> NDArray[np.str_]:
+        """A column as it is written ``[n]``."""
+        column = self.header.index(name)
+        return np.array([cells[column] for _, cells in self.lines])
+
+    def numbers(self, name: str, *, largest: float | None = None) -> FloatArray:
+        """A column's numbers ``[n]``, none beyond the largest if there is one.
+
+        Raises:
+            PemError: naming line and column of what is no number, or too large.
+        """
+        column, values = self.header.index(name), np.empty(len(self.lines))
+        allowed = "not a number"
+        if largest is not None:
+            allowed = f"allowed: a number from {-largest:g} to {largest:g}"
+        for row, (line, cells) in enumerate(self.lines):
+            try:
+                values[row] = float(cells[column])
+                wrong = largest is not None and not abs(values[row]) <= largest
+            except ValueError:
+                wrong = True
+            if wrong:
+                where = f"{self.path}:{line}: column {column + 1} ({name})"
+                raise PemError(f"{where} is {cells[column]!r}, {allowed}")
+        return values
 
 
-def read_cells(path: Path) -> tuple[list[str], Lines]:
-    """A CSV's header, and its lines that are neither blank nor comments.
+def read_csv(path: Path) -> CsvTable:
+    """Read a CSV as text.
 
     Raises:
         PemError: it cannot be read, or a line has not as many cells as the header.
     """
     with open_text(path) as stream:
         header = [name.strip() for name in stream.readline().split(",")]
-        lines: Lines = []
+        lines: list[tuple[int, list[str]]] = []
         for number, line in enumerate(stream, start=2):
             if not line.strip() or line.lstrip().startswith("#"):
                 continue
@@ -142,7 +175,7 @@ def read_cells(path: Path) -> tuple[list[str], Lines]:
                     f"{path}:{number}: {len(cells)} columns where {len(header)} are needed"
                 )
             lines.append((number, cells))
-    return header, lines
+    return CsvTable(path, header, lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,17 +229,14 @@ class TrackTable:
     @property
     def gaps(self) -> int:
         """How often a track goes on after frames in which it was not observed."""
-        return int(np.count_nonzero(self.follows & (self._frames_since > 1)))
+        frames = np.diff(self.frame, prepend=self.frame[:1])
+        return int(np.count_nonzero(self.follows & (frames > 1)))
 
     @property
     def rate_changes(self) -> int:
         """How often the rate changes within a track."""
         changed = np.diff(self.rate_hz, prepend=self.rate_hz[:1]) != 0.0
         return int(np.count_nonzero(changed & self.follows))
-
-    @property
-    def _frames_since(self) -> IntArray:
-        return np.diff(self.frame, prepend=self.frame[:1])
 
 
 def track_table(
@@ -245,8 +275,7 @@ def track_table(
     twice = table.follows & (np.diff(table.frame, prepend=-1) == 0)
     if twice.any():
         row = int(np.argmax(twice))
-        who = tracks[of_track[order][row]]
-        where = sequences[of_sequence[order][row]]
+        who, where = tracks[of_track[order[row]]], sequences[of_sequence[order[row]]]
         raise PemError(
             f"{source}: track {who} of sequence {where} is there twice in frame {table.frame[row]}"
         )
@@ -270,30 +299,24 @@ def load_tracks(
     path = Path(path)
     if not is_file(path):
         raise PemError(f"{path}: no such table of tracks")
-    header, lines = read_cells(path)
-    has_state = needs_state or any(name in header for name in SALIENT_COLUMNS)
-    wanted = (*REQUIRED, *SALIENT_COLUMNS) if has_state else REQUIRED
-    check_header(path, header, wanted)
-    if RATE_COLUMN not in header and rate_hz is None:
+    csv = read_csv(path)
+    has_state = needs_state or any(name in csv.header for name in SALIENT_COLUMNS)
+    state = SALIENT_COLUMNS if has_state else ()
+    csv.check_header(*REQUIRED, *state)
+    if RATE_COLUMN not in csv.header and rate_hz is None:
         raise PemError(f"{path}:1: the header lacks {RATE_COLUMN}; give the rate of the frames")
-    text = {
-        name: np.array([cells[header.index(name)] for _, cells in lines])
-        for name in ("sequence", "track")
-    }
-    number = {
-        name: column_numbers(path, header, lines, name) for name in wanted if name not in text
-    }
-    rates = np.full(len(lines), rate_hz)
-    if RATE_COLUMN in header:
-        rates = column_numbers(path, header, lines, RATE_COLUMN)
-    nothing = np.zeros(len(lines))
+    number = {name: csv.numbers(name) for name in ("frame", OUTCOME_COLUMN, *state)}
+    rates = np.full(len(csv.lines), rate_hz)
+    if RATE_COLUMN in csv.header:
+        rates = csv.numbers(RATE_COLUMN)
+    nothing = np.zeros(len(csv.lines))
     salient = np.stack([number.get(name, nothing) for name in SALIENT_COLUMNS], axis=1)
     _check(path, number, rates, salient)
     return track_table(
         salient=salient,
         detected=number[OUTCOME_COLUMN] == 1.0,
-        sequence=text["sequence"],
-        track=text["track"],
+        sequence=csv.texts("sequence"),
+        track=csv.texts("track"),
         frame=number["frame"].astype(np.int64),
         rate_hz=rates,
         source=path.stem,
@@ -317,35 +340,3 @@ def _check(
         check_rows(salient)
     except PemError as error:
         raise PemError(f"{path}: {error}") from None
-
-
-def column_numbers(
-    path: Path, header: Sequence[str], lines: Lines, name: str, *, largest: float | None = None
-) -> FloatArray:
-    """A column's numbers ``[n]``.
-
-    Args:
-        path: The table, for the message.
-        header: Names of its columns.
-        lines: Its lines.
-        name: The column.
-        largest: What no number may be beyond; else any will do.
-
-    Raises:
-        PemError: naming line and column of what is no number, or too large.
-    """
-    index = header.index(name)
-    allowed = "not a number"
-    if largest is not None:
-        allowed = f"allowed: a number from {-largest:g} to {largest:g}"
-    values = np.empty(len(lines))
-    for row, (line, cells) in enumerate(lines):
-        try:
-            values[row] = float(cells[index])
-            wrong = largest is not None and not abs(values[row]) <= largest
-        except ValueError:
-            wrong = True
-        if wrong:
-            where = f"{path}:{line}: column {index + 1} ({name})"
-            raise PemError(f"{where} is {cells[index]!r}, {allowed}")
-    return values

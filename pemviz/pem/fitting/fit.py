@@ -50,14 +50,10 @@ def fit_pem(
 ) -> SingleModel | EnsemblePem:
     """Train a model; the same table and seed give the same model to the last bit.
 
-    Args:
-        table: obstacles and outcomes; normalisation is fitted on it too. On video boosted trees
-            are calibrated on sequences that they have not seen.
-        model: ``b-nn`` gives an ensemble of posterior samples.
-        seed: of everything random.
-        name: of the model; its kind if None.
-        provenance: for the card; taken from the table's source if None.
-        on_progress: called with steps done and steps in all.
+    Normalisation is fitted on the table too. On video boosted trees are calibrated on sequences
+    that they have not seen; ``b-nn`` gives an ensemble of posterior samples. Name and provenance
+    are the kind and the table's source if None; ``on_progress`` is called with steps done and steps
+    in all.
 
     Raises:
         PemError: unknown kind, a missing optional package, or a table without both outcomes.
@@ -78,14 +74,8 @@ def fit_ensemble(
 ) -> EnsemblePem:
     """Train members that differ in the bootstrap sample of the data and in initialisation.
 
-    Args:
-        table: obstacles and outcomes.
-        model: the kind of the members; a ``b-nn`` is an ensemble already.
-        members: how many, at least 2.
-        seed: of everything random.
-        name: of the ensemble; its kind and ``-ensemble`` if None.
-        provenance: for the card; taken from the table's source if None.
-        on_progress: called with members done and members in all.
+    The model is the kind of the members, at least 2; a ``b-nn`` is an ensemble already. The name is
+    the kind and ``-ensemble`` if None, the rest as for :func:`fit_pem`.
 
     Raises:
         PemError: fewer than two members, or what fit_pem raises.
@@ -134,12 +124,7 @@ def _card(
 
 
 def _fit(
-    table: SalientTable,
-    *,
-    model: ModelKind,
-    card: PemCard,
-    seed: int,
-    on_progress: Progress | None,
+    table: SalientTable, *, model: ModelKind, card: PemCard, seed: int, on_progress: Progress | None
 ) -> SingleModel | EnsemblePem:
     # torch, scikit-learn and pyro take seconds to import: each only for the models it fits.
     if model in ("ml-nn", "b-nn"):
@@ -148,14 +133,8 @@ def _fit(
         if model == "b-nn":
             card = replace(card, recipe=networks.BAYES_RECIPE)
             return networks.fit_bayes(table, card=card, seed=seed, on_progress=on_progress)
-        recipe = networks.NetworkRecipe()
-        return networks.fit_network(
-            table,
-            card=replace(card, recipe=recipe.in_words()),
-            seed=seed,
-            recipe=recipe,
-            on_progress=on_progress,
-        )
+        card = replace(card, recipe=networks.RECIPE)
+        return networks.fit_network(table, card=card, seed=seed, on_progress=on_progress)
     if model in MODEL_KINDS:
         from pemviz.pem.fitting import linear_and_trees as fits  # noqa: PLC0415
 

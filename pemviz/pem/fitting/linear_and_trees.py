@@ -18,21 +18,8 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable
 from pemviz.pem.models.cards import PemCard
-from pemviz.pem.models.network import (
-    PAPER_INPUTS,
-    Layer,
-    NetworkPem,
-    paper_inputs,
-    pose_statistics,
-)
-from pemviz.pem.models.trees import (
-    FEATURES,
-    LEAF,
-    LEAF_UNIT,
-    FeatureSet,
-    TreesPem,
-    tree_features,
-)
+from pemviz.pem.models.network import PAPER_INPUTS, Layer, NetworkPem, paper_inputs, pose_statistics
+from pemviz.pem.models.trees import FEATURES, LEAF, LEAF_UNIT, FeatureSet, TreesPem, tree_features
 
 GUESS_MU_RECIPE = "the same probability for every obstacle: the share detected in training"
 LR_RECIPE = "scikit-learn LogisticRegression (L2, C = 1) on the paper's 14 inputs"

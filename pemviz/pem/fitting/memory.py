@@ -46,7 +46,6 @@ class MemoryFit:
     """Fitted memory with its uncertainty.
 
     Attributes:
-        memory: The maximum likelihood estimate.
         tau_interval_s: Of tau [s].
         frailty_interval: Of f; ``None`` where f was not fitted.
         confidence: Of each interval.
@@ -139,10 +138,7 @@ def log_likelihoods(
     chosen: BoolArray | None = None,
     on_progress: Progress | None = None,
 ) -> FloatArray:
-    """Log likelihood of each sequence ``[S, taus, frailties]`` [nats].
-
-    Args as :func:`fit_memory`'s, on grids of memory times [s] and of f.
-    """
+    """Log likelihood of each sequence ``[S, taus, frailties]`` [nats]; see :func:`fit_memory`."""
     sequences, of_sequence = np.unique(tracks.sequence, return_inverse=True)
     result = np.zeros((sequences.size, taus_s.size, frailties.size))
     starts = np.flatnonzero(~tracks.follows)

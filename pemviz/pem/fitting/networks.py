@@ -12,7 +12,6 @@ it needs no pyro.
 
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -37,6 +36,17 @@ from pemviz.pem.models.network import (
 Progress = Callable[[int, int], None]
 HIDDEN_UNITS = 20
 
+EPOCHS = 200
+BATCH_ROWS = 1024
+"""Obstacles per gradient step; the remainder of an epoch is left out."""
+LEARNING_RATE = 1e-3
+RECIPE = (
+    f"Linear(14,{HIDDEN_UNITS}) BatchNorm ReLU Linear({HIDDEN_UNITS},{HIDDEN_UNITS}) "
+    f"BatchNorm ReLU Linear({HIDDEN_UNITS},1), binary cross-entropy, Adam "
+    f"{LEARNING_RATE:g}, batches of {BATCH_ROWS} reshuffled each epoch, "
+    f"{EPOCHS} epochs, no weight decay, batch normalisations folded afterwards"
+)
+
 BAYES_STEPS = 1500
 BAYES_BATCH_ROWS = 1024
 BAYES_LEARNING_RATE = 1e-2
@@ -51,43 +61,13 @@ BAYES_RECIPE = (
     "posterior draws kept"
 )
 
-_BAYES_SIZES = (
-    (HIDDEN_UNITS, len(PAPER_INPUTS)),
-    (HIDDEN_UNITS, HIDDEN_UNITS),
-    (1, HIDDEN_UNITS),
-)
-
-
-@dataclass(frozen=True)
-class NetworkRecipe:
-    """How the ML-NN is trained."""
-
-    epochs: int = 200
-    """Passes over the training data."""
-    batch_rows: int = 1024
-    """Obstacles per gradient step; the remainder of an epoch is left out."""
-    learning_rate: float = 1e-3
-    """Adam's step size."""
-
-    def in_words(self) -> str:
-        """For the model card."""
-        return (
-            f"Linear(14,{HIDDEN_UNITS}) BatchNorm ReLU Linear({HIDDEN_UNITS},{HIDDEN_UNITS}) "
-            f"BatchNorm ReLU Linear({HIDDEN_UNITS},1), binary cross-entropy, Adam "
-            f"{self.learning_rate:g}, batches of {self.batch_rows} reshuffled each epoch, "
-            f"{self.epochs} epochs, no weight decay, batch normalisations folded afterwards"
-        )
+_BAYES_SIZES = ((HIDDEN_UNITS, len(PAPER_INPUTS)), (HIDDEN_UNITS, HIDDEN_UNITS), (1, HIDDEN_UNITS))
 
 
 def fit_network(
-    table: SalientTable,
-    *,
-    card: PemCard,
-    seed: int,
-    recipe: NetworkRecipe = NetworkRecipe(),
-    on_progress: Progress | None = None,
+    table: SalientTable, *, card: PemCard, seed: int, on_progress: Progress | None = None
 ) -> NetworkPem:
-    """Train the ML-NN; the same table, seed and recipe give the same numbers.
+    """Train the ML-NN; the same table and seed give the same numbers.
 
     Normalisation is fitted on the table alone; ``on_progress`` is called with epochs done and in
     all.
@@ -104,7 +84,7 @@ def fit_network(
             nn.ReLU(),
             nn.Linear(HIDDEN_UNITS, 1),
         )
-        _train(network, inputs, outcomes[:, None], recipe=recipe, on_progress=on_progress)
+        _train(network, inputs, outcomes[:, None], on_progress=on_progress)
     states = {
         index: {name: _double(value) for name, value in network[index].state_dict().items()}
         for index in (0, 1, 3, 4, 6)
@@ -147,13 +127,12 @@ def _train(
     inputs: torch.Tensor,
     outcomes: torch.Tensor,
     *,
-    recipe: NetworkRecipe,
     on_progress: Progress | None,
 ) -> None:
-    optimiser = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate, fused=True)
+    optimiser = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE, fused=True)
     rows = len(inputs)
-    batch = min(recipe.batch_rows, rows)
-    for epoch in range(recipe.epochs):
+    batch = min(BATCH_ROWS, rows)
+    for epoch in range(EPOCHS):
         order = torch.randperm(rows)
         shuffled_inputs, shuffled_outcomes = inputs[order], outcomes[order]
         for start in range(0, rows - batch + 1, batch):
@@ -165,7 +144,7 @@ def _train(
             loss.backward()
             optimiser.step()
         if on_progress is not None:
-            on_progress(epoch + 1, recipe.epochs)
+            on_progress(epoch + 1, EPOCHS)
 
 
 def _double(tensor: torch.Tensor) -> FloatArray:
@@ -173,11 +152,7 @@ def _double(tensor: torch.Tensor) -> FloatArray:
 
 
 def fit_bayes(
-    table: SalientTable,
-    *,
-    card: PemCard,
-    seed: int,
-    on_progress: Progress | None = None,
+    table: SalientTable, *, card: PemCard, seed: int, on_progress: Progress | None = None
 ) -> EnsemblePem:
     """Fit the B-NN's posterior and sample members from it.
 

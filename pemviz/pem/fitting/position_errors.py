@@ -168,10 +168,7 @@ def _mean_nats(
         nats = 0.5 * standard**2 + log_scale + 0.5 * np.log(2.0 * np.pi)
         tail = []
     gradient = np.concatenate(
-        [
-            -explained.of_mean.T @ (pull * inverse),
-            explained.of_scale.T @ (1.0 - pull * standard),
-        ]
+        [-explained.of_mean.T @ (pull * inverse), explained.of_scale.T @ (1.0 - pull * standard)]
     ) / len(error)
     prior = np.array(values[: edge + len(SCALE_FEATURES)])
     prior[[0, edge]] = 0.0
@@ -211,14 +208,9 @@ def cross_fit_axis(
     name: str,
     on_fit: Callable[[], None],
 ) -> HeldOut:
-    """Scores of every error ``[n]`` [m, or m/s] by models of the other groups.
+    """Scores of every error ``[n]`` [m, or m/s] by models of the other groups ``[n]`` of rows.
 
-    Args:
-        explained: What explains it, n rows.
-        error: ``[n]`` [m, or m/s].
-        groups: Which rows hang together ``[n]``, counted from 0.
-        name: Kind of error.
-        on_fit: Called after each of the 2 FOLDS fits.
+    ``on_fit`` is called after each of the 2 FOLDS fits.
 
     Raises:
         PemError: There are too few groups, or errors of too little spread.
@@ -264,7 +256,6 @@ class LagPairs:
     """Pairs of one obstacle's errors, so many seconds apart.
 
     Attributes:
-        lag_s: Time between the two [s].
         first: Rows of the earlier ``[m]``.
         second: Rows of the later ``[m]``.
     """
@@ -279,7 +270,6 @@ class FittedNoiseMemory:
     """A memory of noise with its intervals.
 
     Attributes:
-        memory: As fitted.
         share_interval: Of the lasting share.
         tau_interval_s: Of the memory time [s].
         correlations: Measured, by lag; in the order of the pairs.

@@ -185,14 +185,8 @@ def cross_validate(
 ) -> ModelEvaluation:
     """Fit the model on each fold's complement and score it on the fold.
 
-    Args:
-        table: obstacles and outcomes.
-        model: the kind of model.
-        folds: number of folds.
-        seed: of the fits; fold k uses seed + k.
-        workers: how many folds are fitted at once, each in a process of its own if above 1;
-            the result is the same.
-        on_progress: called with folds done and folds in all.
+    Fold k uses seed + k. So many workers fit folds at once, each in a process of its own if above
+    1; the result is the same. ``on_progress`` is called with folds done and folds in all.
 
     Raises:
         PemError: fewer obstacles of one outcome than folds.

@@ -30,7 +30,6 @@ class NeededSample:
     """What would tell a memory time from 0.
 
     Attributes:
-        tau_s: The memory time [s].
         sequences: So many sequences like these, at 5 % false alarm at most and 80 % power.
         pairs: Pairs of neighbouring observations of one obstacle in them.
     """
@@ -84,13 +83,7 @@ def needed_sample(
 
     The signed root of the ratio is about normal, with variance 1 and a mean whose square is twice
     the expected gain of log likelihood; what not knowing f takes away, and what sequences differ
-    by, is taken from the fit.
-
-    Args:
-        tracks: n observations, as an example.
-        logit: Logits of P(detected | state), ``[n]``.
-        fit: Their memory; its frailty is kept.
-        tau_s: The memory time [s].
+    by, is taken from the fit. So is the frailty; ``logit [n]`` are those of P(detected | state).
     """
     gain = expected_gain(tracks, logit, frailty=fit.memory.frailty, tau_s=tau_s)
     each = 2.0 * gain * fit.efficiency / fit.inflation / fit.sequences

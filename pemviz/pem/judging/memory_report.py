@@ -48,89 +48,21 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class LagCorrelation:
-    """Correlation of residuals (missed - P(missed)) of one obstacle, ``lag_s`` apart.
-
-    Attributes:
-        lag_s: Time between the two [s].
-        pairs: Pairs of observations.
-        measured: In the data; ``None`` without pairs.
-        fitted: Mean over outcomes sampled from the fitted model on the same tracks.
-    """
-
-    lag_s: float
-    pairs: int
-    measured: float | None
-    fitted: float | None
-
-
-@dataclass(frozen=True)
-class GroupMemory:
-    """The memory time of a part of the observations.
-
-    Attributes:
-        name: Which part.
-        observations: How many.
-        misses: How many of them were missed.
-        missed_after_miss: Share of misses among observations right after a miss.
-        missed_after_hit: The same after a hit.
-        tau_s: Memory time fitted to them alone [s], frailty left out; ``None``: too few misses.
-        tau_interval_s: Of it.
-    """
-
-    name: str
-    observations: int
-    misses: int
-    missed_after_miss: float | None
-    missed_after_hit: float | None
-    tau_s: float | None
-    tau_interval_s: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class PlainView:
-    """How much the data say of obstacles in plain view: neither occluded nor truncated.
-
-    Attributes:
-        name: Where they are.
-        observations: How many.
-        misses: How many of them were missed.
-        misses_after_miss: How many of those follow a miss.
-    """
-
-    name: str
-    observations: int
-    misses: int
-    misses_after_miss: int
-
-
-@dataclass(frozen=True)
 class MemoryReport:
-    """What a memory's card shows.
+    """A fitted memory, and what its card shows beside it, as JSON values.
 
     Attributes:
         fit: The fitted memory.
-        correlations: By lag.
-        run_lengths: How many runs of misses have 1, 2, ... and LONGEST_RUN or more frames.
-        expected_run_lengths: Mean over outcomes sampled from the fitted model.
-        independent_run_lengths: Mean over independent outcomes.
-        groups: All observations, by distance, by occlusion.
-        plain_view: Misses of obstacles neither occluded nor truncated.
-        gaps: How often a track goes on after frames without it.
-        rate_changes: How often the frame rate changes within a track.
-        rate_hz: The most common frame rate.
+        tables: ``correlations`` of residuals (missed - P(missed)) of one obstacle by the time
+            between two observations; ``run_lengths``, how many runs of misses have 1, 2, ... and
+            LONGEST_RUN or more frames, and the means of outcomes that are sampled from the fitted
+            model or are independent; ``groups``, the memory time of all observations and of parts
+            of them; ``plain_view``, counts of obstacles neither occluded nor truncated; gaps in
+            tracks, changes of rate, and the most common rate.
     """
 
     fit: MemoryFit
-    correlations: tuple[LagCorrelation, ...]
-    run_lengths: tuple[int, ...]
-    expected_run_lengths: tuple[float, ...]
-    independent_run_lengths: tuple[float, ...]
-    groups: tuple[GroupMemory, ...]
-    plain_view: tuple[PlainView, ...]
-    gaps: int
-    rate_changes: int
-    rate_hz: float
+    tables: dict[str, Any]
 
 
 def report_memory(
@@ -138,11 +70,7 @@ def report_memory(
 ) -> MemoryReport:
     """Compare the data with outcomes that are sampled from the fitted model.
 
-    Args:
-        tracks: n observations.
-        logit: The out-of-fold logits that the memory was fitted with, ``[n]``.
-        fit: The fitted memory.
-        seed: Of the sampling.
+    ``logit [n]`` are the out-of-fold logits that the memory was fitted with.
     """
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
 
@@ -151,30 +79,31 @@ def report_memory(
             sample_outcomes(tracks, logit, memory=memory, random=random) for _ in range(SIMULATED)
         ]
 
-    def mean_runs(outcomes: list[BoolArray]) -> tuple[float, ...]:
-        return tuple(np.mean([run_lengths(tracks, each) for each in outcomes], axis=0).tolist())
+    def mean_runs(outcomes: list[BoolArray]) -> list[float]:
+        return np.mean([run_lengths(tracks, each) for each in outcomes], axis=0).tolist()
 
     remembered, independent = sampled(fit.memory), sampled(Memory())
-    correlations: list[LagCorrelation] = []
+    correlations: list[dict[str, Any]] = []
     for lag_s in LAGS_S:
         measured, pairs = residual_correlation(tracks, logit, tracks.detected, lag_s=lag_s)
         values = (residual_correlation(tracks, logit, each, lag_s=lag_s)[0] for each in remembered)
         known = [value for value in values if value is not None]
         fitted = float(np.mean(known)) if known else None
-        correlations.append(LagCorrelation(lag_s, pairs, measured, fitted))
+        row = {"lag_s": lag_s, "pairs": pairs, "measured": measured, "fitted": fitted}
+        correlations.append(row)
     rates, counts = np.unique(tracks.rate_hz, return_counts=True)
-    return MemoryReport(
-        fit=fit,
-        correlations=tuple(correlations),
-        run_lengths=tuple(int(n) for n in run_lengths(tracks, tracks.detected)),
-        expected_run_lengths=mean_runs(remembered),
-        independent_run_lengths=mean_runs(independent),
-        groups=tuple(_group(tracks, logit, *part) for part in _parts(tracks)),
-        plain_view=plain_view(tracks),
-        gaps=tracks.gaps,
-        rate_changes=tracks.rate_changes,
-        rate_hz=float(rates[np.argmax(counts)]),
-    )
+    tables = {
+        "correlations": correlations,
+        "run_lengths": run_lengths(tracks, tracks.detected).tolist(),
+        "expected_run_lengths": mean_runs(remembered),
+        "independent_run_lengths": mean_runs(independent),
+        "groups": [_group(tracks, logit, *part) for part in _parts(tracks)],
+        "plain_view": plain_view(tracks),
+        "gaps": tracks.gaps,
+        "rate_changes": tracks.rate_changes,
+        "rate_hz": float(rates[np.argmax(counts)]),
+    }
+    return MemoryReport(fit, tables)
 
 
 def sample_outcomes(
@@ -231,25 +160,25 @@ def run_lengths(tracks: TrackTable, detected: BoolArray) -> IntArray:
     return np.bincount(np.minimum(sizes, LONGEST_RUN), minlength=LONGEST_RUN + 1)[1:]
 
 
-def plain_view(tracks: TrackTable) -> tuple[PlainView, ...]:
+def plain_view(tracks: TrackTable) -> list[dict[str, Any]]:
     """Counts of obstacles in plain view: by distance, and straight ahead."""
     if not tracks.has_state:
-        return ()
+        return []
     salient = tracks.obstacles.salient
     plain = (salient[:, COLUMN["occlusion"]] == 0.0) & (salient[:, COLUMN["truncation"]] == 0.0)
     ahead = np.abs(salient[:, COLUMN["x_m"]]) < AHEAD_M
     ahead &= salient[:, COLUMN["z_m"]] < AHEAD_WITHIN_M
     parts = [*_bands(tracks), (f"straight ahead, nearer than {AHEAD_WITHIN_M:g} m", ahead)]
-    missed = ~tracks.detected
-    return tuple(
-        PlainView(
-            name=name,
-            observations=int(np.count_nonzero(plain & chosen)),
-            misses=int(np.count_nonzero(plain & chosen & missed)),
-            misses_after_miss=int(np.count_nonzero(plain & chosen & missed & tracks.missed_before)),
-        )
+    misses = plain & ~tracks.detected
+    return [
+        {
+            "name": name,
+            "observations": int(np.count_nonzero(plain & chosen)),
+            "misses": int(np.count_nonzero(misses & chosen)),
+            "misses_after_miss": int(np.count_nonzero(misses & chosen & tracks.missed_before)),
+        }
         for name, chosen in parts
-    )
+    ]
 
 
 def _bands(tracks: TrackTable) -> list[tuple[str, BoolArray]]:
@@ -272,8 +201,11 @@ def _parts(tracks: TrackTable) -> list[tuple[str, BoolArray]]:
     return [everything, *_bands(tracks), *levels]
 
 
-def _group(tracks: TrackTable, logit: FloatArray, name: str, chosen: BoolArray) -> GroupMemory:
-    """A part counts where the observation itself lies, whatever the one before was."""
+def _group(tracks: TrackTable, logit: FloatArray, name: str, chosen: BoolArray) -> dict[str, Any]:
+    """The memory time of a part of the observations, fitted to them alone without frailty.
+
+    A part counts where the observation itself lies, whatever the one before was.
+    """
     missed = ~tracks.detected
     misses = int(missed[chosen].sum())
     tau_s, interval = None, None
@@ -287,15 +219,15 @@ def _group(tracks: TrackTable, logit: FloatArray, name: str, chosen: BoolArray) 
     def share(among: BoolArray) -> float | None:
         return float(missed[among].mean()) if among.any() else None
 
-    return GroupMemory(
-        name=name,
-        observations=int(chosen.sum()),
-        misses=misses,
-        missed_after_miss=share(chosen & tracks.missed_before),
-        missed_after_hit=share(chosen & tracks.follows & ~tracks.missed_before),
-        tau_s=tau_s,
-        tau_interval_s=interval,
-    )
+    return {
+        "name": name,
+        "observations": int(chosen.sum()),
+        "misses": misses,
+        "missed_after_miss": share(chosen & tracks.missed_before),
+        "missed_after_hit": share(chosen & tracks.follows & ~tracks.missed_before),
+        "tau_s": tau_s,
+        "tau_interval_s": interval,
+    }
 
 
 def memory_table(report: MemoryReport, *, flattery: str = FLATTERY_IF) -> dict[str, Any]:
@@ -303,7 +235,7 @@ def memory_table(report: MemoryReport, *, flattery: str = FLATTERY_IF) -> dict[s
 
     ``flattery`` says in words what the training of the detector does to these figures.
     """
-    return {**asdict(report), "flattery": flattery}
+    return {"fit": asdict(report.fit), **report.tables, "flattery": flattery}
 
 
 def memory_line(report: MemoryReport) -> str:
@@ -321,12 +253,7 @@ def memory_line(report: MemoryReport) -> str:
 
 @dataclass(frozen=True)
 class CrossFitted:
-    """What models that saw none of an observation's own sequence say of it.
-
-    Attributes:
-        logit: Of P(detected | state), ``[n]``.
-        folds: How many parts the sequences were put into.
-    """
+    """Logits ``[n]`` of models that saw none of an observation's sequence; in how many parts."""
 
     logit: FloatArray
     folds: int
@@ -406,12 +333,7 @@ def fit_tracked_pem(
 
 
 def write_memory_picture(memory: Mapping[str, Any], path: Path, *, title: str) -> None:
-    """Three charts beside each other, as PNG.
-
-    Args:
-        memory: A card's table, see :func:`memory_table`.
-        path: File to write.
-        title: Whose memory it is.
+    """Three charts of a card's table beside each other, as PNG.
 
     Raises:
         PemError: The table is not as :func:`memory_table` makes it.

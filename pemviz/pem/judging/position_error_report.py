@@ -81,11 +81,34 @@ def fit_position_errors(
         if on_progress is not None:
             on_progress(next(steps), in_all)
 
-    parts = _Parts(table, explained, groups, fitting.lag_pairs(table), settings)
-    fits = [_fit_axis(parts, place, on_fit) for place in range(len(table.axes))]
-    correlation = _correlation(np.stack([fit.noise for fit in fits]))
+    pairs = fitting.lag_pairs(table)
+    axes: list[ErrorAxis] = []
+    noises: list[FloatArray] = []
+    rows: list[dict[str, Any]] = []
+    for place, name in enumerate(table.axes):
+        error = table.errors[:, place]
+        held = fitting.cross_fit_axis(explained, error, groups=groups, name=name, on_fit=on_fit)
+        family = held.best if settings.tails == "auto" else settings.tails
+        axis = fitting.fit_axis(explained, error, name=name, heavy=family == "student-t")
+        gaussian = fitting.fit_axis(explained, error, name=name, heavy=False)
+        noise = held.noise[family]
+        memory = fitting.fit_noise_memory(noise, pairs, groups=groups, seed=settings.seed)
+        axis = replace(axis, memory=INDEPENDENT if memory is None else memory.memory)
+        on_fit()
+        axes.append(axis)
+        noises.append(noise)
+        rows.append({
+            **_axis_scores(axis, held, noise, groups, seed=settings.seed),
+            **_axis_memory(axis, memory, pairs),
+            "distances": _by_distance(table, explained, axis, error),
+            "largest": float(np.max(np.abs(error))),
+            "extreme": _extreme(explained, axis, gaussian),
+        })  # fmt: skip
+    correlation = np.corrcoef(np.stack(noises)).clip(-LARGEST_CORRELATION, LARGEST_CORRELATION)
+    correlation = 0.5 * (correlation + correlation.T)
+    np.fill_diagonal(correlation, 1.0)
     model = PositionErrorModel(
-        tuple(fit.axis for fit in fits), correlation, explained.distance_m, explained.bearing_rad
+        tuple(axes), correlation, explained.distance_m, explained.bearing_rad
     )
     report = {
         "rows": len(table),
@@ -96,8 +119,8 @@ def fit_position_errors(
         "bearing_rad": list(explained.bearing_rad),
         "correlation": correlation.tolist(),
         "axes": [
-            {**fit.row, "ahead": [_ahead(model, place, distance_m) for distance_m in AHEAD_M]}
-            for place, fit in enumerate(fits)
+            {**row, "ahead": [_ahead(model, place, distance_m) for distance_m in AHEAD_M]}
+            for place, row in enumerate(rows)
         ],
     }
     heading = "known" if table.alpha_rad is not None else "unknown, left out"
@@ -114,55 +137,6 @@ def fit_position_errors(
         report=report,
     )
     return replace(model, card=card)
-
-
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """What every kind of error is fitted from."""
-
-    table: PositionErrorTable
-    explained: ErrorFeatures
-    groups: IntArray
-    pairs: tuple[LagPairs, ...]
-    settings: FitSettings
-
-
-@dataclass(frozen=True, eq=False)
-class _FittedAxis:
-    """One kind of error, its held-out normal scores ``[n]``, and what the card says of it."""
-
-    axis: ErrorAxis
-    noise: FloatArray
-    row: dict[str, Any]
-
-
-def _fit_axis(parts: _Parts, place: int, on_fit: Callable[[], None]) -> _FittedAxis:
-    name, error = parts.table.axes[place], parts.table.errors[:, place]
-    explained, groups, settings = parts.explained, parts.groups, parts.settings
-    held = fitting.cross_fit_axis(explained, error, groups=groups, name=name, on_fit=on_fit)
-    family = held.best if settings.tails == "auto" else settings.tails
-    axis = fitting.fit_axis(explained, error, name=name, heavy=family == "student-t")
-    gaussian = fitting.fit_axis(explained, error, name=name, heavy=False)
-    noise = held.noise[family]
-    memory = fitting.fit_noise_memory(noise, parts.pairs, groups=groups, seed=settings.seed)
-    axis = replace(axis, memory=INDEPENDENT if memory is None else memory.memory)
-    on_fit()
-    row = {
-        **_axis_scores(axis, held, noise, groups, seed=settings.seed),
-        **_axis_memory(axis, memory, parts.pairs),
-        "distances": _by_distance(parts.table, explained, axis, error),
-        "largest": float(np.max(np.abs(error))),
-        "extreme": _extreme(explained, axis, gaussian),
-    }
-    return _FittedAxis(axis, noise, row)
-
-
-def _correlation(noises: FloatArray) -> FloatArray:
-    """Of kinds of error ``[M, M]``, from noises ``[M, n]``; positive definite."""
-    correlation = np.corrcoef(noises).clip(-LARGEST_CORRELATION, LARGEST_CORRELATION)
-    correlation = 0.5 * (correlation + correlation.T)
-    np.fill_diagonal(correlation, 1.0)
-    return correlation
 
 
 def straight_ahead(distance_m: float) -> FloatArray:

@@ -61,25 +61,11 @@ class RatioInterval:
 
 
 def failing_log_weights(
-    *,
-    detected: BoolArray,
-    salient: FloatArray,
-    log_q: FloatArray,
-    violated: BoolArray,
-    pem: Pem,
+    *, detected: BoolArray, salient: FloatArray, log_q: FloatArray, violated: BoolArray, pem: Pem
 ) -> FloatArray:
     """Log importance weights of the violating rollouts under one model, shape [violations].
 
-    Args:
-        detected: outcomes of perception, shape [N, T-1].
-        salient: what the model sees at each step, shape [N, T-1, 11].
-        log_q: log probability of each outcome under the proposal, shape [N, T-1]; or of each
-            whole rollout, shape [N], as the balance heuristic gives.
-        violated: which rollouts violate the specification, shape [N].
-        pem: the model.
-
-    Raises:
-        PemError: the shapes do not fit together.
+    Rollouts are given as for :func:`reweight`.
     """
     _check_shapes(detected=detected, salient=salient, log_q=log_q, violated=violated)
     log_p = chain_log_likelihood(
@@ -102,17 +88,18 @@ def reweight(
 
     Args:
         detected: outcomes of perception, shape [N, T-1].
-        salient: what the models see, shape [N, T-1, 11].
-        log_q: log probabilities under the proposal, shape [N, T-1] or [N].
+        salient: what the models see at each step, shape [N, T-1, 11].
+        log_q: log probability of each outcome under the proposal, shape [N, T-1]; or of each
+            whole rollout, shape [N], as the balance heuristic gives.
         violated: which rollouts violate the specification, shape [N].
         members: the models.
-        rollouts: how many rollouts were drawn, if the arrays hold only some of them, at least
+        rollouts: how many there are in all, if the arrays hold only some of them, at least
             all that violate; N if None.
 
     Raises:
         PemError: the shapes do not fit together, or rollouts is below N.
     """
-    rollouts = _drawn(rollouts, given=len(violated))
+    rollouts = _in_all(rollouts, given=len(violated))
     log_mu, relative, effective = (np.empty(len(members)) for _ in range(3))
     for index, member in enumerate(members):
         log_weight = failing_log_weights(
@@ -173,22 +160,14 @@ def compare_pems(
     The interval comes from the delta method on the logarithm of the ratio of two means; because
     both means share their rollouts, what they have in common cancels.
 
-    Args:
-        detected: outcomes of perception, shape [N, T-1].
-        salient: what the models see, shape [N, T-1, 11].
-        log_q: log probabilities under the proposal, shape [N, T-1] or [N].
-        violated: which rollouts violate the specification, shape [N].
-        old: the model in the denominator.
-        new: the model in the numerator.
-        rollouts: how many were drawn, if the arrays hold only some, at least all that violate.
-        confidence: level of the interval.
+    Rollouts are given as for :func:`reweight`.
 
     Raises:
         PemError: no rollout violates, or shapes that do not fit.
     """
     if not violated.any():
         raise PemError("no rollout violates the specification: the ratio of two models is unknown")
-    rollouts = _drawn(rollouts, given=len(violated))
+    rollouts = _in_all(rollouts, given=len(violated))
     log_weights = [
         failing_log_weights(
             detected=detected, salient=salient, log_q=log_q, violated=violated, pem=pem
@@ -212,7 +191,7 @@ def compare_pems(
     )
 
 
-def _drawn(rollouts: int | None, *, given: int) -> int:
+def _in_all(rollouts: int | None, *, given: int) -> int:
     if rollouts is None:
         return given
     if rollouts < given:

@@ -106,7 +106,6 @@ class FittedMemory:
     """What a model's card says of its memory.
 
     Attributes:
-        memory: As fitted.
         tau_interval_s: Of the memory time [s].
         frailty_interval: Of the frailty; ``None`` where it was not fitted.
         confidence: Of each interval.

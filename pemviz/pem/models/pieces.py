@@ -53,14 +53,7 @@ def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
     """
     if type(pem) is EnsemblePem:
         rows, shape = as_rows(salient)
-        members = pem.members
-
-        def mean_along(rows: FloatArray) -> FloatArray:
-            column = _varying_pose(rows)
-            logits = np.stack([_along(member, rows, column) for member in members], axis=1)
-            return map_rows(mean_probability_logit, logits)
-
-        return map_distinct(mean_along, rows).reshape(shape)
+        return map_distinct(lambda distinct: _mean_along(pem, distinct), rows).reshape(shape)
     if type(pem) is not NetworkPem:
         return pem.logit(np.asarray(salient))
     rows, shape = as_rows(salient)
@@ -94,6 +87,13 @@ def _along(pem: DetectorModel, rows: FloatArray, column: int | None) -> FloatArr
     at_kinks = np.repeat(rows[:1], bends.size, axis=0)
     at_kinks[:, column] = bends
     return np.interp(along, bends, pem.logit(at_kinks))
+
+
+def _mean_along(pem: EnsemblePem, rows: FloatArray) -> FloatArray:
+    """Logit ``[n]`` of the members' mean P(detected)."""
+    column = _varying_pose(rows)
+    logits = np.stack([_along(member, rows, column) for member in pem.members], axis=1)
+    return map_rows(mean_probability_logit, logits)
 
 
 def kinks(pem: NetworkPem, row: FloatArray, *, column: int, low: float, high: float) -> FloatArray:
