@@ -74,12 +74,19 @@ class ConstantPem:
         return np.full(np.shape(salient)[:-1], value)
 
 
-def carried_out(method, problem, *, repetition=0):
-    """The estimate of a repetition, and its stages."""
-    state, stages = method.init(problem, repetition=repetition), []
+def stepped_through(method, problem, state=None, *, repetition=0):
+    """The last state of a repetition, from its start or a given state on, and its stages."""
+    state = method.init(problem, repetition=repetition) if state is None else state
+    stages = []
     while not method.is_done(state):
         state, stage = method.step(problem, state)
         stages.append(stage)
+    return state, stages
+
+
+def carried_out(method, problem, *, repetition=0):
+    """The estimate of a repetition, and its stages."""
+    state, stages = stepped_through(method, problem, repetition=repetition)
     return method.estimate(state), stages
 
 

@@ -12,7 +12,7 @@ from pemviz.sampling.adaptive.method import AdaptiveSampling
 from pemviz.sampling.method import elite_threshold
 from pemviz.sampling.problem import Problem
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from tests.toy import MissCounter, constant_pem, exact_failure_probability
+from tests.toy import MissCounter, carried_out, constant_pem, exact_failure_probability
 
 
 def method(**changes) -> AdaptiveSampling:
@@ -21,14 +21,6 @@ def method(**changes) -> AdaptiveSampling:
         "epochs": 20, "learning_rate": 1e-3, "seed": 0,
     }  # fmt: skip
     return AdaptiveSampling(**(settings | changes))
-
-
-def carry_out(adaptive, problem, *, repetition=0):
-    state, results = adaptive.init(problem, repetition=repetition), []
-    while not adaptive.is_done(state):
-        state, result = adaptive.step(problem, state)
-        results.append(result)
-    return adaptive.estimate(state), results
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +34,7 @@ def braking() -> Problem:
 
 
 def test_stages_are_those_of_algorithm_1(braking):
-    estimate, results = carry_out(method(), braking)
+    estimate, results = carried_out(method(), braking)
     assert [r.kind for r in results] == ["pretrain", "learn", "learn", "learn", "final"]
     assert [r.stage for r in results] == [0, 1, 2, 3, 4]
     assert isinstance(results[0].sampled_from, PemProposal)
@@ -60,19 +52,19 @@ def test_stages_are_those_of_algorithm_1(braking):
 
 
 def test_pretraining_samples_from_the_model_and_weighs_all_rollouts_alike(braking):
-    _, results = carry_out(method(), braking)
+    _, results = carried_out(method(), braking)
     np.testing.assert_array_equal(results[0].scored.rollouts.log_weight, 0.0)
 
 
 def test_same_seed_same_numbers_and_other_seeds_other_numbers(braking):
-    once, first = carry_out(method(), braking)
-    again, second = carry_out(method(), braking)
+    once, first = carried_out(method(), braking)
+    again, second = carried_out(method(), braking)
     assert once == again
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.scored.robustness, b.scored.robustness)
         assert a.loss == b.loss
-    _, other = carry_out(method(seed=1), braking)
-    _, repeated = carry_out(method(), braking, repetition=1)
+    _, other = carried_out(method(seed=1), braking)
+    _, repeated = carried_out(method(), braking, repetition=1)
     for different in (other, repeated):
         assert not np.array_equal(
             first[1].scored.rollouts.detected, different[1].scored.rollouts.detected
@@ -80,9 +72,9 @@ def test_same_seed_same_numbers_and_other_seeds_other_numbers(braking):
 
 
 def test_a_repetition_does_not_depend_on_those_before_it(braking):
-    alone, _ = carry_out(method(), braking, repetition=2)
+    alone, _ = carried_out(method(), braking, repetition=2)
     for repetition in range(3):
-        found, _ = carry_out(method(), braking, repetition=repetition)
+        found, _ = carried_out(method(), braking, repetition=repetition)
     assert found == alone
 
 
@@ -100,18 +92,18 @@ def test_it_finds_a_known_rare_probability():
     )
     truth = exact_failure_probability(steps=12, miss_probability=0.02)
     adaptive = method(learning_stages=6, rollouts=100, final_rollouts=200, epochs=300)
-    found = [carry_out(adaptive, problem, repetition=r)[0] for r in range(8)]
+    found = [carried_out(adaptive, problem, repetition=r)[0] for r in range(8)]
     assert np.median([e.probability for e in found]) == pytest.approx(truth, rel=1.0)
     assert min(e.failures for e in found) > 20
 
 
-def test_a_network_that_is_asked_before_the_end_says_so(braking):
+def test_a_network_that_is_evaluated_before_the_end_says_so(braking):
     adaptive = method()
-    with pytest.raises(ValueError, match="not been drawn"):
+    with pytest.raises(ValueError, match="not been sampled"):
         adaptive.estimate(adaptive.init(braking, repetition=0))
 
 
 def test_learned_proposals_are_gap_networks(braking):
-    _, results = carry_out(method(learning_stages=1), braking)
+    _, results = carried_out(method(learning_stages=1), braking)
     assert all(isinstance(r.learned, GapNetwork) for r in results[:-1])
     assert replace(results[0], loss=None).loss is None

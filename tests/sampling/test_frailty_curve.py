@@ -22,8 +22,11 @@ from pemviz.sampling.bursts.curve import (
     memory_curve,
 )
 from pemviz.sampling.bursts.reweighting import Outcomes, over_visibility
-from pemviz.sampling.problem import Problem
-from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
+from tests.lattice_walk import (
+    ToyPem,
+    ToySimulator,
+    toy_problem_of,
+)
 
 PEM = ToyPem(at_zero=2.5)
 BLIND = 3
@@ -55,9 +58,7 @@ WALK = ApproachingWalk()
 CHAINS = np.array(
     [[bool(number >> bit & 1) for bit in range(WALK.states - 1)] for number in range(2**10)]
 )
-PROBLEM = Problem(
-    simulator=WALK, pem=PEM, robustness=toy_robustness, violated=toy_violated, unsafe=toy_unsafe
-)
+PROBLEM = toy_problem_of(WALK, PEM)
 
 
 def gaps_of_chains():

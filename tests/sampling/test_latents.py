@@ -36,6 +36,7 @@ from tests.latent_toys import (
 )
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.sampling.test_batches import at_once
+from tests.toy import stepped_through
 
 ERRS = Flat(0.1)
 WALK = "always[0,14] (gap >= 0.5)"
@@ -364,15 +365,14 @@ def test_what_is_drawn_is_what_is_weighed(simulator, limit, once):
         rollouts=80, stages=3, final_rollouts=40,
     )  # fmt: skip
     method, problem = experiment.method, experiment.problem
-    state = method.init(problem, repetition=0)
-    while not method.is_done(state):
-        state, stage = method.step(problem, state)
-    count = stage.scored.rollouts.count
+    state, results = stepped_through(method, problem)
+    scored = results[-1].scored
+    count = scored.rollouts.count
     pool, rows = state.pool, np.arange(count)
     own = pool.log_ratio[-count:][rows, pool.component[-count:]]
     fitted = pool.component[-count:] > 0
     assert fitted.any()
     assert state.fits[0].means.once == once
-    assert (stage.scored.rollouts.latents.noise_sd[fitted] < 0.5).any() == once
-    log_weight = stage.scored.rollouts.log_weight
+    assert (scored.rollouts.latents.noise_sd[fitted] < 0.5).any() == once
+    log_weight = scored.rollouts.log_weight
     np.testing.assert_allclose(-own[fitted], log_weight[fitted], rtol=1e-9, atol=1e-9)

@@ -10,38 +10,22 @@ from pemviz.sampling.estimates.importance_weights import effective_sample_size
 from pemviz.sampling.mixture.balance_heuristic import balance_weights
 from pemviz.sampling.mixture.fit import smoothing_exponent
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.problem import Problem
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,
-    toy_robustness,
-    toy_unsafe,
-    toy_violated,
+    toy_problem_of,
 )
-
-
-def problem_of(simulator, pem):
-    return Problem(
-        simulator=simulator,
-        pem=pem,
-        robustness=toy_robustness,
-        violated=toy_violated,
-        unsafe=toy_unsafe,
-    )
+from tests.toy import carried_out
 
 
 def run(problem, *, repetition=0, rollouts=60, final=60, stages=6, seed=11):
     method = MixtureSampling(
         learning_stages=stages, rollouts=rollouts, final_rollouts=final, seed=seed
     )
-    state = method.init(problem, repetition=repetition)
-    results = []
-    while not method.is_done(state):
-        state, result = method.step(problem, state)
-        results.append(result)
+    estimate, results = carried_out(method, problem, repetition=repetition)
     assert len(results) == method.stages
-    return method.estimate(state), results
+    return estimate, results
 
 
 def test_close_to_the_truth_and_covering_it():
@@ -51,7 +35,7 @@ def test_close_to_the_truth_and_covering_it():
     """
     simulator, pem = ToySimulator(initial_gap=6, states=18), ToyPem(at_zero=3.5)
     truth = toy_probability_by_recursion(simulator, pem)
-    problem = problem_of(simulator, pem)
+    problem = toy_problem_of(simulator, pem)
     found = [
         run(problem, repetition=repetition, rollouts=100, final=100, stages=5)[0]
         for repetition in range(40)
@@ -65,14 +49,14 @@ def test_frozen_batch_is_unbiased():
     """Mean of 30 frozen batches, t-test at level 1e-4; the seed is fixed."""
     simulator, pem = ToySimulator(initial_gap=6, states=18), ToyPem(at_zero=3.5)
     truth = toy_probability_by_recursion(simulator, pem)
-    problem = problem_of(simulator, pem)
+    problem = toy_problem_of(simulator, pem)
     found = [run(problem, repetition=repetition, stages=4)[0] for repetition in range(30)]
     ratio = [estimate.unbiased_probability / truth for estimate in found]
     assert stats.ttest_1samp(ratio, 1.0).pvalue > 1e-4
 
 
 def test_all_rollouts_count():
-    found, stages = run(problem_of(ToySimulator(), ToyPem()), rollouts=30, final=20, stages=3)
+    found, stages = run(toy_problem_of(ToySimulator(), ToyPem()), rollouts=30, final=20, stages=3)
     assert found.rollouts_simulated == found.rollouts_in_estimate == 4 * 30 + 20
     assert [stage.kind for stage in stages] == ["pretrain", "learn", "learn", "learn", "final"]
     assert stages[-1].learned is None
@@ -80,13 +64,13 @@ def test_all_rollouts_count():
 
 
 def test_same_seed_same_digits():
-    problem = problem_of(ToySimulator(), ToyPem())
+    problem = toy_problem_of(ToySimulator(), ToyPem())
     first, second = (run(problem, rollouts=30, final=20, stages=3)[0] for _ in range(2))
     assert first == second
 
 
 def test_violations_that_nothing_reaches_are_reported_as_such():
-    found, _ = run(problem_of(ToySimulator(initial_gap=8, states=5), ToyPem()), rollouts=20)
+    found, _ = run(toy_problem_of(ToySimulator(initial_gap=8, states=5), ToyPem()), rollouts=20)
     assert found.failures == 0
     assert found.probability == 0.0
     assert found.log10_probability is None
@@ -100,7 +84,7 @@ def test_long_rollouts_stay_finite():
         ToySimulator(initial_gap=990, largest_gap=990, states=1000),
         ToyPem(at_zero=8.0, slope=0.0),
     )
-    found, _ = run(problem_of(simulator, pem), rollouts=20, final=20, stages=2)
+    found, _ = run(toy_problem_of(simulator, pem), rollouts=20, final=20, stages=2)
     assert np.isfinite(found.probability)
     assert found.log10_probability is None or np.isfinite(found.log10_probability)
 

@@ -20,41 +20,29 @@ from pemviz.sampling.mixture.failure_modes import WeightedRollouts, failure_mode
 from pemviz.sampling.mixture.fit import guided_elites
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.stages import components
-from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.batches import BatchTask
 from pemviz.sampling.rollouts.simulate import replay, simulate
 from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import RolloutBatch, outcome_log_likelihood
-from tests.lattice_walk import ToyPem, ToySimulator, toy_robustness, toy_unsafe, toy_violated
+from tests.lattice_walk import (
+    ToyPem,
+    ToySimulator,
+    toy_problem_of,
+    toy_violated,
+)
 from tests.sampling.two_ways import probabilities
+from tests.toy import carried_out
 
 LATE = TwoWayWalk(watched=tuple(range(12, 19)), states=20, initial_gap=7)
 EARLY = TwoWayWalk(watched=tuple(range(7)), still=7, states=26)
 
 
-def problem_of(simulator, pem, **options):
-    return Problem(
-        simulator=simulator,
-        pem=pem,
-        robustness=toy_robustness,
-        violated=toy_violated,
-        unsafe=toy_unsafe,
-        **options,
-    )
-
-
 def run(problem, *, seed=1, stages=10, rollouts=100):
     method = MixtureSampling(
-        learning_stages=stages,
-        rollouts=rollouts,
-        final_rollouts=rollouts,
-        seed=seed,
+        learning_stages=stages, rollouts=rollouts, final_rollouts=rollouts, seed=seed
     )
-    state, results = method.init(problem, repetition=0), []
-    while not method.is_done(state):
-        state, result = method.step(problem, state)
-        results.append(result)
-    return method.estimate(state), results
+    return carried_out(method, problem)
 
 
 def all_chains(steps):
@@ -82,7 +70,7 @@ def test_a_way_of_failing_that_robustness_does_not_show(toy, at_zero, largest_er
     pem = ToyPem(at_zero=at_zero)
     shown, truth = probabilities(toy, pem)
     assert truth > 1.3 * shown
-    found = [run(problem_of(toy, pem), seed=seed)[0] for seed in range(12)]
+    found = [run(toy_problem_of(toy, pem), seed=seed)[0] for seed in range(12)]
     ratio = np.array([estimate.probability for estimate in found]) / truth
     assert np.sqrt(np.mean((ratio - 1.0) ** 2)) < largest_error
     assert sum(e.ci_low < truth < e.ci_high for e in found) >= 8
@@ -123,7 +111,7 @@ def test_exploration_proposals_are_sampled_in_their_shares_and_as_they_say():
         assert abs((drawn.strength[:4000] == strength).sum() - expected) <= 1 + 0.01 * expected
     assert not drawn.stop[4000:].any()
     found = sample(
-        problem_of(simulator, pem), proposal=drawn, count=4100, seeds=np.random.SeedSequence(5)
+        toy_problem_of(simulator, pem), proposal=drawn, count=4100, seeds=np.random.SeedSequence(5)
     )
     steps = np.arange(16)
     within = (steps >= drawn.first[:, None]) & (steps < drawn.stop[:, None])
@@ -136,7 +124,7 @@ def test_exploration_proposals_are_sampled_in_their_shares_and_as_they_say():
 
 
 def test_rollouts_do_not_depend_on_batches():
-    problem = problem_of(LATE, ToyPem(at_zero=3.0))
+    problem = toy_problem_of(LATE, ToyPem(at_zero=3.0))
     small, large = (
         run(replace(problem, batch_rollouts=size), stages=3, rollouts=40) for size in (7, 4096)
     )
@@ -292,5 +280,5 @@ def test_hidden_rollouts_of_too_little_weight_are_left_out_of_their_ways(monkeyp
     monkeypatch.setattr("pemviz.sampling.mixture.fit.NEGLIGIBLE_SHARE", 0.4)
     pem = ToyPem(at_zero=3.0)
     _, truth = probabilities(EARLY, pem)
-    estimate, _ = run(problem_of(EARLY, pem))
+    estimate, _ = run(toy_problem_of(EARLY, pem))
     assert 0.5 < estimate.probability / truth < 2.0

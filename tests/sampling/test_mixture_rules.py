@@ -15,6 +15,7 @@ from pemviz.sampling.mixture.stages import several_rules
 from pemviz.simulators.check import check_simulator
 from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator
+from tests.toy import stepped_through
 
 STATES = 13
 WALK, PEM = ToySimulator(initial_gap=4, largest_gap=6, states=STATES), ToyPem(at_zero=1.6)
@@ -39,10 +40,8 @@ def drawn():
     ).with_rules(RULES)
     experiment = build_experiment(config, simulator=WALK, pem=PEM, twin=WALK)
     method = experiment.method
-    state, result = method.init(experiment.problem, repetition=0), None
-    while not method.is_done(state):
-        state, result = method.step(experiment.problem, state)
-    return method, state, result.scored.rollouts
+    state, results = stepped_through(method, experiment.problem)
+    return method, state, results[-1].scored.rollouts
 
 
 def steps_until(gap, rule):

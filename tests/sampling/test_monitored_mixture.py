@@ -22,6 +22,7 @@ from pemviz.simulators.absorbing import (
 from pemviz.stl import FormulaMonitor
 from pemviz.types import StateBatch, outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator
+from tests.toy import carried_out
 
 SIMULATOR, PEM = ToySimulator(initial_gap=5, states=15), ToyPem(at_zero=3.5)
 RESPOND = "always[0,10] (gap < 3 -> eventually[0,4] (gap >= 3))"
@@ -55,10 +56,7 @@ def estimates(problem, *, runs, rollouts=100, stages=5):
     )
     found = []
     for repetition in range(runs):
-        state = method.init(problem, repetition=repetition)
-        while not method.is_done(state):
-            state, _ = method.step(problem, state)
-        found.append(method.estimate(state))
+        found.append(carried_out(method, problem, repetition=repetition)[0])
     return found
 
 

@@ -170,7 +170,7 @@ class MixtureSampling:
         """
         pool = state.pool
         if pool is None or not self.is_done(state):
-            message = "the final rollouts have not been drawn yet"
+            message = "the final rollouts have not been sampled yet"
             raise ValueError(message)
         final, judged = state.final, pool.judged
         found = mixture_estimate(
