@@ -70,9 +70,9 @@ def _few_rollouts():
     """In runs the curve is told from a tenth of its rollouts: how well, is tested above."""
     with pytest.MonkeyPatch.context() as patch:
         few = partial(memory_curve, rollouts=240)
-        patch.setattr("pemviz.runs.interpretation.memory_curve", few)
+        patch.setattr("pemviz.sampling.bursts.curve.memory_curve", few)
         few = partial(frailty_curve, rollouts=240)
-        patch.setattr("pemviz.runs.interpretation.frailty_curve", few)
+        patch.setattr("pemviz.sampling.bursts.curve.frailty_curve", few)
         yield
 
 

@@ -22,7 +22,7 @@ from pemviz.simulators.absorbing import (
 from pemviz.stl import FormulaMonitor
 from pemviz.types import StateBatch, outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator
-from tests.toy import carried_out
+from tests.toy import estimate_of
 
 SIMULATOR, PEM = ToySimulator(initial_gap=5, states=15), ToyPem(at_zero=3.5)
 RESPOND = "always[0,10] (gap < 3 -> eventually[0,4] (gap >= 3))"
@@ -54,10 +54,7 @@ def estimates(problem, *, runs, rollouts=100, stages=5):
     method = MixtureSampling(
         learning_stages=stages, rollouts=rollouts, final_rollouts=rollouts, seed=21
     )
-    found = []
-    for repetition in range(runs):
-        found.append(carried_out(method, problem, repetition=repetition)[0])
-    return found
+    return [estimate_of(method, problem, repetition=repetition) for repetition in range(runs)]
 
 
 def test_without_bias_where_single_states_do_not_decide():
