@@ -123,27 +123,6 @@ def network_seed(*, seed: int, repetition: int) -> int:
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-def importance_stage_figures(
-    scored: ScoredRollouts, drawn: Drawn | None = None
-) -> tuple[int, float, float | None, float | None]:
-    """Failures, probability, its log10 and the failing weights' effective sample size.
-
-    ``drawn`` are all of a stage's rollouts, where ``scored`` holds some alone.
-    """
-    violated = scored.violated if drawn is None else drawn.violated
-    failures = int(violated.sum())
-    if failures == 0:
-        return 0, 0.0, None, None
-    log_weight = scored.rollouts.log_weight if drawn is None else drawn.log_weight
-    log_probability = log_mean_failing_weight(log_weight, violated)
-    return (
-        failures,
-        float(np.exp(log_probability)),
-        log_probability / float(np.log(10.0)),
-        effective_sample_size(log_weight[violated]),
-    )
-
-
 def final_stage(
     *,
     repetition: int,
@@ -152,8 +131,18 @@ def final_stage(
     sampled_from: Proposal,
     drawn: Drawn | None = None,
 ) -> StageResult:
-    """The record of a stage from which nothing is learned."""
-    failures, probability, log10_probability, ess = importance_stage_figures(scored, drawn)
+    """The record of a stage from which nothing is learned.
+
+    ``drawn`` are all of its rollouts, where ``scored`` holds some alone.
+    """
+    violated = scored.violated if drawn is None else drawn.violated
+    failures, probability, log10_probability, ess = int(violated.sum()), 0.0, None, None
+    if failures:
+        log_weight = scored.rollouts.log_weight if drawn is None else drawn.log_weight
+        log_probability = log_mean_failing_weight(log_weight, violated)
+        probability = float(np.exp(log_probability))
+        log10_probability = log_probability / float(np.log(10.0))
+        ess = effective_sample_size(log_weight[violated])
     return StageResult(
         repetition=repetition,
         stage=stage,

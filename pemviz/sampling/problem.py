@@ -55,11 +55,7 @@ def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # no
 
 
 def _no_progress(done: int, total: int) -> None:
-    """Take no note of what is done."""
-
-
-def _no_pause() -> None:
-    """Go on."""
+    pass
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,7 @@ class Problem:
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
         batch_time_limit_s: A batch that takes longer fails [s]; ``None``: no limit.
         run_batches: Who simulates the batches.
-        progress: Told after every batch how many of a stage's rollouts are done, and of how
+        progress: Gets after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
         pause: Called now and then during long work between rollouts; may raise likewise.
         finished: Repetition and stage to what an interrupted run left of it; ``None``: it is
@@ -114,7 +110,7 @@ class Problem:
     batch_time_limit_s: float | None = None
     run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = _no_progress
-    pause: Callable[[], None] = _no_pause
+    pause: Callable[[], None] = lambda: None
     finished: Callable[[int, int], FinishedStage | None] = nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None
     monitor: Monitor | None = None

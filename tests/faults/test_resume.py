@@ -75,6 +75,18 @@ class StopAfter:
         return self.left <= 0
 
 
+def stopped_and_whole(experiment, root, *stops):
+    """The result of a whole run, its folder, and that of one stopped after so many stages each."""
+    whole, parts = folder_of(root, "whole"), folder_of(root, "parts")
+    result = carry_out(experiment, whole)
+    for stages in stops:
+        stop = StopAfter(stages)
+        assert carry_out(experiment, parts, observers=[stop], should_stop=stop).status == "stopped"
+    assert carry_out(experiment, parts).status == "done"
+    assert contents(parts) == contents(whole)
+    return result, whole, parts
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
     config = replace(SMALL, method=method)

@@ -67,21 +67,13 @@ def test_a_value_that_is_no_number_is_told_with_rollout_and_step(value):
     assert "rollout 2, step 6" in words
 
 
-def test_an_error_model_without_a_number_is_told():
-    problem = replace(
-        problem_of(lambda gap: gap), pem=FunctionPem(lambda x: np.full(x.shape[0], np.nan))
-    )
-    with pytest.raises(SimulationError, match="error model: logit is nan in rollout 0, step 0"):
-        draw(problem)
-
-
-@pytest.mark.parametrize("value", [np.inf, -np.inf, 1e101])
-def test_infinite_logits_are_refused(value):
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e101])
+def test_logits_that_are_no_finite_number_are_refused(value):
     """They cannot be read back from a kept stage, and differences of them are no number."""
-    certain = FunctionPem(lambda x: np.full(x.shape[0], value))
-    problem = replace(problem_of(lambda gap: gap), pem=certain)
-    with pytest.raises(SimulationError, match=r"error model: logit is .* must be a finite number"):
-        draw(problem)
+    pem = FunctionPem(lambda x: np.full(x.shape[0], value))
+    words = r"error model: logit is .* in rollout 0, step 0: must be a finite number"
+    with pytest.raises(SimulationError, match=words):
+        draw(replace(problem_of(lambda gap: gap), pem=pem))
 
 
 def split(problem):
@@ -219,38 +211,28 @@ def test_an_environment_that_fails_names_the_very_rollout(outcome, words, beside
         draw(problem, count=800)
 
 
+@pytest.mark.parametrize(("rows", "shape"), [(slice(1), "1,"), (0, ""), (slice(3), "3,")])
+def test_a_wrong_shape_is_refused_where_numpy_would_repeat_it(rows, shape):
+    words = rf"gap has shape \({shape}\) in rollouts 0 to 9, step 6: must be \(10,\)"
+    with pytest.raises(SimulationError, match=words):
+        draw(problem_of(lambda gap: gap[rows]))
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda gap: gap[:1], r"gap has shape \(1,\) in rollouts 0 to 9, step 6: must be \(10,\)"),
-        (lambda gap: gap[0], r"gap has shape \(\) in rollouts 0 to 9, step 6: must be \(10,\)"),
-        (lambda gap: gap[:3], r"gap has shape \(3,\) in rollouts 0 to 9, step 6: must be \(10,\)"),
+        (lambda after: replace(after, signals={}), r"gives \[\] in rollouts 0 to 9, step 5"),
+        (lambda after: None, "gives a NoneType in rollouts 0 to 9, step 4"),
     ],
 )
-def test_a_wrong_shape_is_refused_where_numpy_would_repeat_it(spoil, words):
-    with pytest.raises(SimulationError, match=words):
-        draw(problem_of(spoil))
-
-
-def test_a_signal_that_goes_missing_is_told():
+def test_signals_or_states_that_go_missing_are_reported_with_their_step(spoil, words):
     class Forgets(MissCounter):
         def step(self, states, detected):
             after = super().step(states, detected)
-            return replace(after, signals={} if int(after.step) == 4 else after.signals)
+            return spoil(after) if int(states.step) == 4 else after
 
-    problem = replace(problem_of(None), simulator=Forgets(states=STATES))
-    with pytest.raises(SimulationError, match=r"step gives \[\] in rollouts 0 to 9, step 4"):
-        draw(problem)
-
-
-def test_states_that_are_none_are_told_with_their_step():
-    class Nothing(MissCounter):
-        def step(self, states, detected):
-            return None if int(states.step) == 4 else super().step(states, detected)
-
-    problem = replace(problem_of(None), simulator=Nothing(states=STATES))
-    with pytest.raises(SimulationError, match="gives a NoneType in rollouts 0 to 9, step 4"):
-        draw(problem)
+    with pytest.raises(SimulationError, match=words):
+        draw(replace(problem_of(None), simulator=Forgets(states=STATES)))
 
 
 @pytest.mark.parametrize(

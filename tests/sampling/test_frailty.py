@@ -20,7 +20,6 @@ from pemviz.reports.terminal import summary_text
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.model_comparison import compare_models
-from pemviz.runs.store import carry_out
 from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
@@ -36,7 +35,7 @@ from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.sampling.zero_variance.proposal import with_defence
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
 from pemviz.types import RolloutBatch, outcome_log_likelihood
-from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.faults.test_resume import stopped_and_whole
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
@@ -270,12 +269,7 @@ def test_states_that_are_alike_are_asked_once_with_the_same_bits(monkeypatch):
 def test_a_stopped_run_with_frailty_goes_on_to_the_same_bytes(tmp_path):
     config = replace(SHORT, spec="always[0,8] (gap >= 0.5)")
     experiment = build_experiment(config, simulator=SIMULATOR, twin=SIMULATOR, pem=PEM)
-    whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
-    carry_out(experiment, whole)
-    stop = StopAfter(1)
-    assert carry_out(experiment, parts, observers=[stop], should_stop=stop).status == "stopped"
-    carry_out(experiment, parts)
-    assert contents(parts) == contents(whole)
+    stopped_and_whole(experiment, tmp_path, 1)
 
 
 def test_a_run_says_what_it_assumes_and_asks_refits_and_model_classes():
@@ -293,18 +287,10 @@ def test_a_run_says_what_it_assumes_and_asks_refits_and_model_classes():
     assert source.narrowed_by == "--memory-curve bounds it"
 
 
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ({"frailty": 5.1}, "frailty = 5.1"),
-        ({"frailty": -0.1}, "frailty = -0.1"),
-        ({"frailty": math.nan}, "frailty = nan"),
-    ],
-)
-def test_what_does_not_hold_is_refused_in_one_line(setting, words):
-    with pytest.raises(ConfigError) as caught:
-        build_experiment(replace(SHORT, **setting))
-    assert words in str(caught.value)
+@pytest.mark.parametrize("frailty", [5.1, -0.1, math.nan])
+def test_what_does_not_hold_is_refused_in_one_line(frailty):
+    with pytest.raises(ConfigError, match=f"frailty = {frailty}") as caught:
+        build_experiment(replace(SHORT, frailty=frailty))
     assert "\n" not in str(caught.value)
 
 

@@ -22,12 +22,11 @@ from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import plain_lines
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.store import carry_out
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.state.composed import ComposedPem, as_member
 from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.types import outcome_log_likelihood
-from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.faults.test_resume import stopped_and_whole
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.slot_toys import TwoCars
 from tests.toy import ConstantPem
@@ -133,12 +132,7 @@ def test_the_answer_says_what_it_is_for_and_what_it_cannot_tell():
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(tmp_path):
     experiment = experiment_of(final_rollouts=100, rollouts=50)
-    whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
-    carry_out(experiment, whole)
-    stop = StopAfter(2)
-    assert carry_out(experiment, parts, observers=[stop], should_stop=stop).status == "stopped"
-    carry_out(experiment, parts)
-    assert contents(parts) == contents(whole)
+    _, whole, _ = stopped_and_whole(experiment, tmp_path, 2)
     assert pemviz.read_result(whole).memory.hidden == ("10 % dirty lenses",)
 
 

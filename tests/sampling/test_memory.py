@@ -30,7 +30,7 @@ from pemviz.sampling.state.composed import (
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.zero_variance.reference import exact_log_probability, reference
 from pemviz.types import LAST_OUTCOME, Signal
-from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.faults.test_resume import stopped_and_whole
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
@@ -214,13 +214,7 @@ SHORT = ExperimentConfig(
 @pytest.mark.parametrize("method", ["mixture", "adaptive"])
 def test_a_stopped_run_with_memory_goes_on_to_the_same_bytes(method, tmp_path):
     experiment = build_experiment(replace(SHORT, method=method))
-    whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
-    carry_out(experiment, whole)
-    for stop_after in (1, 2):
-        stop = StopAfter(stop_after)
-        assert carry_out(experiment, parts, observers=[stop], should_stop=stop).status == "stopped"
-    carry_out(experiment, parts)
-    assert contents(parts) == contents(whole)
+    *_, parts = stopped_and_whole(experiment, tmp_path, 1, 2)
     other = build_experiment(replace(SHORT, method=method, memory_s=0.1))
     with pytest.raises(InputError, match=r"memory_s = 0\.2, not 0\.1"):
         carry_out(other, parts)

@@ -11,7 +11,6 @@ from scipy import stats
 import pemviz
 from pemviz.latents import LatentCounts
 from pemviz.runs.rollout_files import load_rollouts, log_weights
-from pemviz.runs.store import carry_out
 from pemviz.sampling.problem import sample
 from pemviz.sampling.zero_variance.left_out import left_out_share
 from pemviz.sampling.zero_variance.reachable_states import SAFE_NODE, explore
@@ -19,7 +18,7 @@ from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.sampling.zero_variance.values import solve
 from pemviz.simulators.quantised import StartCells, quantised_start, start_cells
 from pemviz.types import Signal, StateBatch
-from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.faults.test_resume import stopped_and_whole
 from tests.latent_toys import Drift, Flat, RandomWalkStart, TwoDrifts, miss_of_either
 from tests.lattice_walk import ToyPem
 from tests.sampling.test_tracked import by_chains, tracker_of
@@ -192,16 +191,11 @@ def test_what_is_left_out_counts_starts_called_safe():
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(tmp_path):
     experiment = experiment_of(START, final_rollouts=40, repetitions=2)
-    whole, cut = folder_of(tmp_path, "whole"), folder_of(tmp_path, "cut")
-    result = carry_out(experiment, whole)
+    result, whole, _ = stopped_and_whole(experiment, tmp_path, 1)
     assert pemviz.read_result(whole) == result
     rollouts = load_rollouts(whole)
     weights = np.exp(log_weights(rollouts)) * rollouts["violated"]
     assert weights.mean() == pytest.approx(result.estimate.probability, rel=1e-12)
-    observer = StopAfter(1)
-    carry_out(experiment, cut, observers=[observer], should_stop=observer)
-    carry_out(experiment, cut)
-    assert contents(cut) == contents(whole)
 
 
 def test_mixture_agrees_on_the_quantised_scenario():

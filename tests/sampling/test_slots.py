@@ -17,7 +17,7 @@ from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.simulators.slots import Slot
 from pemviz.types import StateBatch
-from tests.faults.test_resume import StopAfter, contents, folder_of
+from tests.faults.test_resume import stopped_and_whole
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.slot_toys import (
     CAMERA,
@@ -189,15 +189,8 @@ def test_folding_loses_nothing(case, memory_s):
 def test_a_run_goes_on_where_it_was_interrupted(tmp_path):
     """Every file is the same, to the last bit, as that of a run that was not interrupted."""
     settings = {"method": "mixture", "rollouts": 40, "final_rollouts": 40, "stages": 2, "seed": 1}
-    whole, cut = folder_of(tmp_path, "whole"), folder_of(tmp_path, "cut")
     experiment = experiment_of("false brake", memory_s=0.2, **settings)
-    carry_out(experiment, whole)
-    observer = StopAfter(2)
-    stopped = carry_out(experiment, cut, observers=[observer], should_stop=observer)
-    assert stopped.status == "stopped"
-    result = carry_out(experiment, cut)
-    assert result.status == "done"
-    assert contents(cut) == contents(whole)
+    _, whole, _ = stopped_and_whole(experiment, tmp_path, 2)
     rollouts = load_rollouts(whole)
     assert rollouts["detected"].shape == rollouts["log_p"].shape == (160, 15, 2)
     assert rollouts["speed_m"].shape == (160, 16)
@@ -332,11 +325,7 @@ def test_what_is_wrong_with_slots_is_told_in_one_line(wrong):
         ({}, {"pem": {1: CAMERA, "x": CAMERA}}, "must be the slots"),
         ({}, {"pem": {"car a": CAMERA, "car b": 3}}, "needs a method logit"),
         ({"memory_curve": True}, {}, "memory_curve = true: not with slots"),
-        (
-            {"frailty": 0.5},
-            {},
-            "frailty = 0.5: simulator .* has slots, works with frailty 0",
-        ),
+        ({"frailty": 0.5}, {}, "frailty = 0.5: simulator .* has slots, works with frailty 0"),
         ({}, {"batch_rollouts": 0}, "batch_rollouts = 0: must be at least 1"),
         ({}, {"features": "gap"}, "features = str: has no method values and no reacts"),
     ],

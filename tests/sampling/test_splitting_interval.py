@@ -45,12 +45,14 @@ def run(log_probability, *, common_ancestry=0.2, levels=5, least_variance=0.01, 
         common_ancestry=common_ancestry,
         simulated=20,
         levels=levels,
+        count=PARTICLES,
+        log_p=np.full(violated, 2.0 * math.log(0.5)),
         scored=ScoredRollouts(rollouts, np.zeros(PARTICLES), np.arange(PARTICLES) < violated),
     )
 
 
 def estimate_of(logs, **options):
-    return estimate_of_runs([run(one, **options).figures for one in logs], method="splitting")
+    return estimate_of_runs([run(one, **options) for one in logs], method="splitting")
 
 
 def kinds(estimate):
@@ -200,7 +202,7 @@ def test_a_likely_violation_needs_no_levels():
     truth = toy_probability_by_recursion(problem.simulator, problem.pem)
     assert truth > 0.6
     runs = split(problem, count=300, generators=np.random.default_rng(3).spawn(3))
-    found = estimate_of_runs([one.figures for one in runs], method="splitting")
+    found = estimate_of_runs(runs, method="splitting")
     for one in runs:
         share = one.scored.violated.mean()
         assert one.levels == 0

@@ -6,7 +6,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pemviz.binomial import exact_interval
-from pemviz.sampling.estimates.diagnostics import count_diagnostics, repetition_diagnostics
+from pemviz.sampling.estimates.diagnostics import (
+    IntervalBasis,
+    count_diagnostics,
+    repetition_diagnostics,
+)
 from pemviz.sampling.estimates.estimate import CONFIDENCE, log_normal_interval
 from pemviz.sampling.registry import by_name
 from pemviz.types import Diagnostic, Estimate
@@ -53,7 +57,7 @@ def _diagnostics(
     estimates: Sequence[Estimate], *, upper: float | None, log10_probability: float | None
 ) -> tuple[Diagnostic, ...]:
     """Counts are pooled and judged as one; weights and runs are judged repetition by repetition."""
-    if upper is None or not _are_counts(estimates):
+    if upper is None or not _all_rest_on("counts", estimates):
         return repetition_diagnostics(estimates, log10_probability=log10_probability)
     return count_diagnostics(
         failures=sum(estimate.failures for estimate in estimates),
@@ -63,8 +67,8 @@ def _diagnostics(
     )
 
 
-def _are_counts(estimates: Sequence[Estimate]) -> bool:
-    return all(by_name(estimate.method).interval_basis == "counts" for estimate in estimates)
+def _all_rest_on(basis: IntervalBasis, estimates: Sequence[Estimate]) -> bool:
+    return all(by_name(estimate.method).interval_basis == basis for estimate in estimates)
 
 
 def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None]:
@@ -78,13 +82,13 @@ def _unbiased(estimates: Sequence[Estimate]) -> tuple[float | None, float | None
 def _repetition_interval(
     estimates: Sequence[Estimate], *, mean: float, error: float
 ) -> tuple[float | None, float | None]:
-    if _are_counts(estimates):
+    if _all_rest_on("counts", estimates):
         count = sum(estimate.rollouts_in_estimate for estimate in estimates)
         failures = sum(estimate.failures for estimate in estimates)
         return exact_interval(failures, count, confidence=CONFIDENCE)
     if mean <= 0.0:
         return None, None
-    if all(by_name(estimate.method).interval_basis == "runs" for estimate in estimates):
+    if _all_rest_on("runs", estimates):
         return _interval_of_mean(estimates, mean=mean)
     return log_normal_interval(
         math.log(mean), relative_error=error / mean, degrees_of_freedom=len(estimates) - 1
@@ -123,14 +127,13 @@ def _mean_log10(estimates: Sequence[Estimate]) -> float | None:
 
 def _pooled_nll_log_mean(estimates: Sequence[Estimate]) -> float | None:
     """-log of the mean likelihood over the failures of all repetitions."""
-    nlls = [
-        (e.nll_log_mean, e.failures) for e in estimates if e.nll_log_mean is not None and e.failures
-    ]
-    if not nlls:
+    nlls = [(e.nll_log_mean, e.failures) for e in estimates]
+    known = [(nll, failures) for nll, failures in nlls if nll is not None and failures]
+    if not known:
         return None
-    smallest = min(nll for nll, _ in nlls)
-    total = sum(failures * math.exp(smallest - nll) for nll, failures in nlls)
-    return smallest - math.log(total / sum(failures for _, failures in nlls))
+    smallest = min(nll for nll, _ in known)
+    total = sum(failures * math.exp(smallest - nll) for nll, failures in known)
+    return smallest - math.log(total / sum(failures for _, failures in known))
 
 
 def _weighted_mean(values: Sequence[tuple[float | None, int]]) -> float | None:

@@ -10,6 +10,7 @@ have intervals of their own, which the method of variance estimates recovery put
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri, ndtri, stdtrit
@@ -83,7 +84,7 @@ def spread_diagnostics(
     """Of independent runs of splitting that all reached a violation: why there is no interval.
 
     ``spread_nats`` is the standard deviation of the logarithms of their estimates, ``None`` for
-    one run; ``common_ancestry`` as in :class:`SplittingRun`, the mean over runs.
+    one run; ``common_ancestry`` as in :class:`RunFigures`, the mean over runs.
     """
     found: list[Diagnostic] = []
     limit = largest_spread(runs)
@@ -189,19 +190,17 @@ def _of_count(runs: Sequence[RunFigures]) -> tuple[Error, tuple[Diagnostic, ...]
     return (std_error, low, high), found
 
 
-SHARED = ("least_variance", "common_ancestry", "simulated", "levels")
-"""Fields of a run that all of its particles share."""
-UNKNOWN = {"least_variance": 1.0, "common_ancestry": 0.0, "simulated": 0, "levels": 1}
-"""In place of them where nothing violates, or they were not kept."""
+UNKNOWN = {"simulated": 0, "levels": 1, "least_variance": 1.0, "common_ancestry": 0.0}
+"""In place of what all particles of a run share, where none violates, or it was not kept."""
+SHARED = tuple(UNKNOWN)
 
 
 def columns_of(runs: Sequence[SplittingRun]) -> dict[str, AnyArray]:
     """Of each particle ``[N]``: what its run's share, common ancestry by each rule too."""
-    counts = [run.scored.rollouts.count for run in runs]
     values = {name: [getattr(run, name) for run in runs] for name in SHARED}
     for rule in runs[0].rule_ancestry:
         values[f"common_ancestry.{rule}"] = [run.rule_ancestry[rule] for run in runs]
-    return {name: np.repeat(each, counts) for name, each in values.items()}
+    return {name: np.repeat(each, [run.count for run in runs]) for name, each in values.items()}
 
 
 def recounted(kept: KeptRepetition) -> Recounted:
@@ -214,19 +213,13 @@ def recounted(kept: KeptRepetition) -> Recounted:
 
 def _run(kept: KeptRepetition, number: int) -> RunFigures:
     stage, own = kept.stages[number], kept.stage == number
-    shared: dict[str, float] = dict(UNKNOWN)
+    shared: dict[str, Any] = dict(UNKNOWN)
     for name in SHARED:
         values = kept.column(name)
         if values is not None and own.any():
             shared[name] = values[own][0].item()
     run = RunFigures(
-        log_probability=stage.log_probability,
-        least_variance=shared["least_variance"],
-        common_ancestry=shared["common_ancestry"],
-        simulated=int(shared["simulated"]),
-        levels=int(shared["levels"]),
-        count=stage.rollouts,
-        log_p=kept.log_p[own],
+        log_probability=stage.log_probability, count=stage.rollouts, log_p=kept.log_p[own], **shared
     )
     if kept.rule is None or not stage.failures:
         return run

@@ -23,7 +23,8 @@ from pemviz.arrays import AnyArray
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.method import final_stage, stage_seeds
 from pemviz.sampling.problem import FinishedStage, Problem
-from pemviz.sampling.splitting.estimate import columns_of, estimate_of_runs
+from pemviz.sampling.rollouts.large_stages import log_p_of
+from pemviz.sampling.splitting.estimate import SHARED, columns_of, estimate_of_runs
 from pemviz.sampling.splitting.run import SplittingRun, split
 from pemviz.types import Estimate, StageResult
 
@@ -79,11 +80,7 @@ class SplittingSampling:
             ),
             ess=None,
             kept={
-                "log_probability": np.array(run.log_probability),
-                "simulated": np.array(run.simulated),
-                "levels": np.array(run.levels),
-                "least_variance": np.array(run.least_variance),
-                "common_ancestry": np.array(run.common_ancestry),
+                **{name: np.array(getattr(run, name)) for name in ("log_probability", *SHARED)},
                 **{f"{RULE}{n}": np.array(share) for n, share in run.rule_ancestry.items()},
             },
         )
@@ -116,7 +113,7 @@ class SplittingSampling:
         if not state.runs:
             message = "no run of multilevel splitting is done yet"
             raise ValueError(message)
-        return estimate_of_runs([run.figures for run in state.runs], method=self.name)
+        return estimate_of_runs(state.runs, method=self.name)
 
     def kept_columns(self, state: SplittingState) -> Mapping[str, AnyArray]:
         """What each run's particles share."""
@@ -125,16 +122,15 @@ class SplittingSampling:
 
 def _restored(finished: FinishedStage) -> SplittingRun:
     """A run as an interrupted process left it."""
+    scored, kept = finished.scored, finished.kept
     return SplittingRun(
-        log_probability=float(finished.kept["log_probability"]),
-        simulated=int(finished.kept["simulated"]),
-        levels=int(finished.kept["levels"]),
-        least_variance=float(finished.kept["least_variance"]),
-        common_ancestry=float(finished.kept["common_ancestry"]),
+        **{name: kept[name].item() for name in ("log_probability", *SHARED)},
+        count=scored.rollouts.count,
+        log_p=log_p_of(scored.rollouts, scored.violated),
+        scored=scored,
         rule_ancestry={
             name.removeprefix(RULE): float(value)
-            for name, value in finished.kept.items()
+            for name, value in kept.items()
             if name.startswith(RULE)
         },
-        scored=finished.scored,
     )

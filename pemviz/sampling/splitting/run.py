@@ -4,13 +4,15 @@ import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.faults import SimulationError
 from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.problem import Problem, in_time, score
+from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.sampling.splitting.particles import (
     Continuation,
     Particles,
@@ -26,10 +28,18 @@ MOST_LEVELS = 10_000
 
 @dataclass(frozen=True)
 class RunFigures:
-    """What an estimate needs of a run of ``count`` particles, F of which violate.
+    """What an estimate needs of an independent run of ``count`` particles, F of which violate.
 
-    The first five are those of :class:`SplittingRun`; ``log_p [F]`` is the log likelihood of the
-    violating particles under the error model [nats].
+    Attributes:
+        log_probability: Its estimate; -inf if the particles died out.
+        least_variance: Variance of ``log_probability`` if the importance function were the
+            probability of a violation itself: no other has a smaller one.
+        common_ancestry: Of two violating particles, how often both descend from one particle
+            at the start.
+        simulated: Rollouts begun or continued.
+        levels: How often particles were cut.
+        count: How many particles.
+        log_p: Log likelihood of those that violate under the error model, ``[F]`` [nats].
     """
 
     log_probability: float
@@ -40,7 +50,7 @@ class RunFigures:
     count: int
     log_p: FloatArray
 
-    def of_share(self, share: float, *, before: float) -> "RunFigures":
+    def of_share(self, share: float, *, before: float) -> Self:
         """The same where a share of the particles counts as violating, which was ``before``."""
         if self.log_probability == -math.inf or share == 0.0:
             return replace(self, log_probability=-math.inf)
@@ -52,53 +62,20 @@ class RunFigures:
 
 
 @dataclass(frozen=True)
-class SplittingRun:
-    """One independent run.
+class SplittingRun(RunFigures):
+    """A run with its particles at the end, and ``common_ancestry`` of those that break a rule."""
 
-    Attributes:
-        log_probability: Its estimate; -inf if the particles died out.
-        least_variance: Variance of ``log_probability`` if the importance function were the
-            probability of a violation itself: no other has a smaller one.
-        common_ancestry: Of two violating particles, how often both descend from one particle
-            at the start.
-        simulated: Rollouts begun or continued.
-        levels: How often particles were cut.
-        scored: The particles at the end.
-        rule_ancestry: As ``common_ancestry``, of those that break a rule, by name.
-    """
-
-    log_probability: float
-    least_variance: float
-    common_ancestry: float
-    simulated: int
-    levels: int
     scored: ScoredRollouts
     rule_ancestry: Mapping[str, float] = field(default_factory=dict[str, float])
-
-    @property
-    def figures(self) -> RunFigures:
-        """What an estimate needs of it."""
-        scored = self.scored
-        return RunFigures(
-            log_probability=self.log_probability,
-            least_variance=self.least_variance,
-            common_ancestry=self.common_ancestry,
-            simulated=self.simulated,
-            levels=self.levels,
-            count=scored.rollouts.count,
-            log_p=row_sums(scored.rollouts.log_p[scored.violated]),
-        )
 
     def under_rule(self, rule: str) -> "SplittingRun":
         """The same particles, of which those that break one rule violate."""
         broken = self.scored.broken[rule]
-        before, share = float(self.scored.violated.mean()), float(broken.mean())
-        under = self.figures.of_share(share, before=before)
+        before = float(self.scored.violated.mean())
         return replace(
-            self,
-            log_probability=under.log_probability,
-            least_variance=under.least_variance,
+            self.of_share(float(broken.mean()), before=before),
             common_ancestry=self.rule_ancestry[rule],
+            log_p=log_p_of(self.scored.rollouts, broken),
             scored=replace(self.scored, violated=broken),
         )
 
@@ -203,6 +180,8 @@ def _levels(
         common_ancestry=_common_ancestry(particles.ancestor[scored.violated]),
         simulated=simulated,
         levels=len(shares) - 1,
+        count=count,
+        log_p=log_p_of(scored.rollouts, scored.violated),
         scored=scored,
         rule_ancestry={
             name: _common_ancestry(particles.ancestor[broken])
