@@ -2,7 +2,7 @@
 
 A matrix product may round a row differently in batches of different sizes. In chunks of
 one size, the last padded, a row's result depends on nothing but the row; so rows that are
-alike, as those of rollouts that have met the same misses, need only be evaluated once.
+equal, as those of rollouts that have met the same misses, need only be evaluated once.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from pemviz.arrays import FloatArray, IntArray
 
 ROWS = 256
 FEWEST = 4 * ROWS
-"""Fewer rows are not searched for those that are alike."""
+"""Fewer rows are not searched for those that are equal."""
 MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # odd; 2^64 over the golden ratio
 
 
@@ -82,7 +82,7 @@ def distinct(keys: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _hashes(columns: Sequence[NDArray[np.uint64]], count: int) -> NDArray[np.uint64]:
-    """One number ``[count]`` for each row of columns ``[count]``; alike rows have the same."""
+    """One number ``[count]`` for each row of columns ``[count]``; equal rows have the same."""
     result = np.zeros(count, dtype=np.uint64)
     for column in columns:
         result ^= column

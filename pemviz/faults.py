@@ -20,7 +20,7 @@ from pemviz.errors import InputError, RunError, one_line
 STOPS = (signal.SIGINT, signal.SIGTERM)
 MARK = "_pemviz_from_outside"
 LIBRARIES = ("pemviz", "numpy", "scipy", "torch")
-"""Whose code other people's may be reached through; a traceback that ends there is told whole."""
+"""Whose code other people's may be reached through; a traceback that ends there is shown whole."""
 LONGEST_TRACEBACK = 100
 """Lines; of a longer one the middle is left out."""
 
@@ -125,7 +125,7 @@ def blame(
 
 @contextlib.contextmanager
 def counted_from(first: int, count: int | None = None) -> Generator[None, None, None]:
-    """Let a fault be told of rollouts that are counted from another one on.
+    """Let a fault name rollouts that are counted from another one on.
 
     Args:
         first: What the first of them counts as.
@@ -178,11 +178,13 @@ def refusing() -> Generator[None, None, None]:
         if isinstance(error, Exception) or from_outside(error) is not None:
             raise
         last = traceback.extract_tb(_from_theirs(error.__traceback__))[0]
-        message = f"{last.name} ({last.filename}, line {last.lineno}) raises {told(error)}"
+        message = (
+            f"{last.name} ({last.filename}, line {last.lineno}) raises {exception_text(error)}"
+        )
         raise InputError(message) from error
 
 
-def told(error: BaseException) -> str:
+def exception_text(error: BaseException) -> str:
     """What other people's code raised, in one line; what a signal raised is raised on.
 
     Raises:
@@ -191,7 +193,7 @@ def told(error: BaseException) -> str:
     if from_outside(error) is not None:
         raise error
     if isinstance(error, SimulationError):
-        return str(error) if error.__cause__ is None else told(error.__cause__)
+        return str(error) if error.__cause__ is None else exception_text(error.__cause__)
     text, kind = message_of(error), type(error).__name__
     return f"{kind}: {text}" if text else kind
 
@@ -274,7 +276,7 @@ def mark_from_outside(error: BaseException) -> None:
 
 
 @contextlib.contextmanager
-def signals_told_apart() -> Generator[None, None, None]:
+def signals_distinguished() -> Generator[None, None, None]:
     """While this lasts, it is known what signals raise; handlers do what they did.
 
     Only the main thread gets signals: elsewhere there is nothing to do.

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, Self, TypeVar, cast
 
 from pemviz.errors import RunError
-from pemviz.faults import STOPS, told
+from pemviz.faults import STOPS, exception_text
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
@@ -127,7 +127,7 @@ class ProcessPool:
         except BaseException as error:
             failed: Future[Returned] = Future()
             if not isinstance(error, Exception):
-                why = f"pickling what a worker process is to work on raises {told(error)}"
+                why = f"pickling what a worker process is to work on raises {exception_text(error)}"
                 error = RunError(why)
             failed.set_exception(error)
             return failed

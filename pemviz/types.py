@@ -140,7 +140,7 @@ class SimulatorFacts(Protocol):
 
 @runtime_checkable
 class Simulator(SimulatorFacts, Protocol):
-    """A scenario that moves when told, at each step, whether perception detected.
+    """A scenario that moves given, at each step, whether perception detected.
 
     ``initial`` and ``step`` are pure: a state may be kept and continued from again.
     """
@@ -200,7 +200,7 @@ class RolloutBatch(Batch):
     Attributes:
         signals: ``[N, T]`` by signal name.
         memory: ``[N, T]`` by name; see :class:`StateBatch`.
-        detected: ``[N, T-1]`` perception's outcomes. Where observers and files are told of a
+        detected: ``[N, T-1]`` perception's outcomes. Where observers and files get those of a
             scenario with K slots, K above 1, these and their logits are ``[N, T-1, K]``.
         pem_logit: ``[N, T-1]`` logit of 'detected' under the perception error model.
         proposal_logit: ``[N, T-1]`` logit of 'detected' under the distribution sampled from.

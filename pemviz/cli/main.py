@@ -15,7 +15,7 @@ from pemviz.errors import (
     InputError,
     PemvizError,
 )
-from pemviz.faults import presentable, told, traceback_of
+from pemviz.faults import exception_text, presentable, traceback_of
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def carry_out(name: str, run: Callable[[Sequence[str]], int], words: Sequence[st
     except BaseException as raised:  # exit codes 0 and 1 are for runs that were judged
         error = presentable(raised)
         _show(traceback_of(error))
-        return _complain(f"{name} failed: {told(error)}", code=EXIT_FAILED)
+        return _complain(f"{name} failed: {exception_text(error)}", code=EXIT_FAILED)
 
 
 def _run(name: str, words: Sequence[str]) -> int:

@@ -10,7 +10,7 @@ from types import UnionType
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 from pemviz.errors import ConfigError
-from pemviz.faults import told
+from pemviz.faults import exception_text
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class NamedPart:
             part = made(point.load())
             is_fit = fits(part)
         except BaseException as error:  # code of another package may raise anything
-            raise ConfigError(f"{where}: {point.value} raises {told(error)}") from error
+            raise ConfigError(f"{where}: {point.value} raises {exception_text(error)}") from error
         if not is_fit:
             raise ConfigError(f"{where}: {point.value} {complaint.format(described(part))}")
         return part

@@ -19,7 +19,7 @@ from safetensors.numpy import save
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.errors import PemError
-from pemviz.faults import told
+from pemviz.faults import exception_text
 from pemviz.files.atomic import is_file, write_bytes
 from pemviz.files.json_text import parse_json
 from pemviz.files.shipped import asset_path
@@ -112,7 +112,7 @@ def _load_object(text: str, *, allowed: bool) -> Pem:
         if isinstance(model, type) or (not isinstance(model, Pem) and callable(model)):
             model = model()
     except BaseException as error:  # the user's code may raise anything
-        raise PemError(f"{text!r} cannot be imported: {told(error)}") from error
+        raise PemError(f"{text!r} cannot be imported: {exception_text(error)}") from error
     if not isinstance(model, Pem):
         raise PemError(
             f"{text!r} is no perception error model: it needs name, digest, data, licence, logit"

@@ -183,7 +183,7 @@ def _randomness(
     if latents is None or not latents.noise.shape[2]:
         return Randomness(start, {}, in_m=False)
     telling = within(simulator, TellsErrors)
-    errors = {} if telling is None else telling.told_errors(signals, memory)
+    errors = {} if telling is None else telling.measurement_errors(signals, memory)
     noise = {f"latent {place}": values for place, values in enumerate(latents.noise[row].T)}
     return Randomness(start, errors or noise, in_m=bool(errors))
 

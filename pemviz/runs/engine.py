@@ -84,7 +84,7 @@ def run(
         KeyboardInterrupt: A signal's; the run has stopped.
     """
     runner = _Runner(experiment, run_id, observers, should_stop)
-    with faults.signals_told_apart():
+    with faults.signals_distinguished():
         try:
             # matrices are small: threads that wait for each other cost more than they bring, most
             # of all beside another run, and the last digit would depend on their number
@@ -166,13 +166,17 @@ class _Runner:
         if self._at is None:
             if isinstance(error, faults.SimulationError):  # of others than a stage's
                 error.rollouts = error.among = None
-            return str(error) if isinstance(error, PemvizError) else one_line(faults.told(error))
+            return (
+                str(error)
+                if isinstance(error, PemvizError)
+                else one_line(faults.exception_text(error))
+            )
         (repetition, stage), repetitions = self._at, self._experiment.config.repetitions
         of = f", repetition {repetition + 1} of {repetitions}" if repetitions > 1 else ""
         if isinstance(error, faults.SimulationError):
             error.during = f"stage {stage + error.ahead}{of}"
             return str(error)
-        what = str(error) if isinstance(error, PemvizError) else faults.told(error)
+        what = str(error) if isinstance(error, PemvizError) else faults.exception_text(error)
         return one_line(f"{what} (stage {stage}{of})")
 
     def _repeat(self, repetition: int) -> None:
@@ -235,7 +239,7 @@ class _Runner:
                 faults.mark_from_outside(error)
             if isinstance(error, Exception | KeyboardInterrupt):
                 raise
-            message = f"an observer raises {faults.told(error)}"
+            message = f"an observer raises {faults.exception_text(error)}"
             raise RunError(message, traceback_text=faults.traceback_of(error)) from error
 
     def _notify_of_stage(self, stage: StageResult) -> None:

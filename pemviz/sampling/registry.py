@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.errors import ConfigError, InputError
-from pemviz.faults import told
+from pemviz.faults import exception_text
 from pemviz.sampling.adaptive.description import ADAPTIVE
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.direct.description import MONTE_CARLO, NAIVE
@@ -84,7 +84,7 @@ def build_named_method(config: ExperimentConfig, back_end: BackEnd) -> Method[An
     except BaseException as error:  # code of another package may raise anything
         if description in SHIPPED:
             raise
-        message = f"method = {config.method!r}: building it raises {told(error)}"
+        message = f"method = {config.method!r}: building it raises {exception_text(error)}"
         raise ConfigError(message) from error
     if lacks:
         message = f"method = {config.method!r}: what is built has no {' and no '.join(lacks)}"

@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
-from pemviz.faults import SimulationError, told
+from pemviz.faults import SimulationError, exception_text
 from pemviz.latents import LatentCounts
 from pemviz.simulators.latents import NamesStarts, latent_counts
 from pemviz.simulators.scene import DrawsScene, DrawsTracks, Road, SceneCar, SceneStates
@@ -69,7 +69,7 @@ class Complaint:
         except BaseException as error:
             if isinstance(error, SimulationError) and error.__cause__ is None:
                 raise ConfigError(str(error)) from error
-            self.refuse(f"{what} raises {told(error)}{about}", cause=error)
+            self.refuse(f"{what} raises {exception_text(error)}{about}", cause=error)
 
 
 def check_facts(simulator: Any, complaint: Complaint) -> None:

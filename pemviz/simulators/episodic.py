@@ -148,7 +148,7 @@ class SideBySide:
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """Begin an episode in each of ``count`` environments, arrays ``[count]``.
 
-        Of more episodes than :attr:`count` only the starts can be told.
+        Of more episodes than :attr:`count` only the starts can be had.
 
         Raises:
             SimulationError: One of them raises something, or gives what does not fit.
@@ -208,7 +208,7 @@ class SideBySide:
         return self._batch()
 
     def _each(self, what: str, call: Callable[[int], None], rows: Iterable[int]) -> None:
-        """One environment after the other; what one raises is told of its rollout."""
+        """One environment after the other; what one raises names its rollout."""
         row = 0
         try:
             for row in rows:

@@ -1,4 +1,4 @@
-"""Gymnasium environments that are told, at each step, what perception detected.
+"""Gymnasium environments that are given, at each step, what perception detected.
 
 gymnasium itself is not imported here: whatever has ``reset`` and ``step`` will do.
 """

@@ -1,4 +1,4 @@
-"""A random start of which finitely many are told apart, so that all can be gone through.
+"""A random start of which finitely many are distinguished, so that all can be gone through.
 
 The normal distribution of each latent at the start is cut into cells; every start within a cell
 begins as its median does. Cells of all latents together are the starts of a scenario whose failure

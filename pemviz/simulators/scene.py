@@ -35,7 +35,7 @@ class SceneCar:
         length_m: Bumper to bumper.
         width_m: Side to side.
         height_m: Ground to roof.
-        slot: Name of the slot whose outcomes are about this car; ``None``: perception is not asked
+        slot: Name of the slot whose outcomes are about this car; ``None``: perception is not
             about it. Without slots, outcomes are about the first car after the ego.
         zone: Drawn on the road ahead of it.
     """
@@ -139,7 +139,7 @@ class TellsErrors(Protocol):
     Any :class:`pemviz.Simulator` may offer it; views then show errors in place of latents.
     """
 
-    def told_errors(
+    def measurement_errors(
         self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
     ) -> Mapping[str, FloatArray]:
         """Measured minus true values at each step of one rollout [m].

@@ -47,7 +47,7 @@ class Slot:
 
 @runtime_checkable
 class SlotSimulator(SimulatorFacts, Protocol):
-    """A scenario that moves when told, at each step, what perception reports in each of K slots.
+    """A scenario that moves given, at each step, what perception reports in each of K slots.
 
     Like :class:`pemviz.types.Simulator`, whose members it shares; ``initial`` and ``step`` are
     pure. It may have a method ``reacts``, from signals ``[...]`` to whether it matters to the

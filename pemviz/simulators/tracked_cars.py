@@ -14,7 +14,7 @@ from pemviz.types import StateBatch
 OF_TRACK = 2
 """Its hits, and the steps since the last one."""
 FARTHEST_M = 100.0
-"""Gaps are told apart up to here."""
+"""Gaps are distinguished up to here."""
 SlotSignals = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 

@@ -156,7 +156,7 @@ class FormulaMonitor:
         """What is known once the states of ``step`` are there as well.
 
         Args:
-            known: What the states before told.
+            known: After the states before.
             step: Steps come one by one from 0.
             signals: ``[n]`` by name.
         """

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from pemviz.faults import SimulationError, from_outside, signals_told_apart
+from pemviz.faults import SimulationError, from_outside, signals_distinguished
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.batches import PooledRunner
@@ -127,7 +127,7 @@ def raising(**options):
 @pytest.mark.parametrize("limit_s", [None, 5.0])
 def test_whatever_a_simulator_raises_is_told_with_its_place(error, limit_s):
     problem = replace(raising(error=error), batch_rollouts=30, batch_time_limit_s=limit_s)
-    with signals_told_apart(), pytest.raises(SimulationError) as caught:
+    with signals_distinguished(), pytest.raises(SimulationError) as caught:
         draw(problem, count=50)
     words = (
         f"simulator miss-counter: step raises {type(error).__name__} in rollouts 0 to 29, step 5"
@@ -346,7 +346,7 @@ def test_a_signals_interrupt_is_no_fault_of_the_simulator(turned):
     problem = replace(problem_of(None), simulator=Interrupted(states=STATES))
     before = signal.getsignal(signal.SIGINT)
     expected = KeyboardInterrupt if turned is None else type(turned)
-    with signals_told_apart(), pytest.raises(expected) as caught:
+    with signals_distinguished(), pytest.raises(expected) as caught:
         draw(problem)
     assert isinstance(from_outside(caught.value), KeyboardInterrupt)
     assert signal.getsignal(signal.SIGINT) is before

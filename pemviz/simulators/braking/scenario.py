@@ -125,7 +125,7 @@ class BrakingScenario:
             gap_m[rows] += self._error_m(gap_m[rows], here)
         return Perceived(detected, gap_m, noises)
 
-    def told_errors(
+    def measurement_errors(
         self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
     ) -> Mapping[str, FloatArray]:
         """Error of the measured gap at each step ``[T-1]`` of a rollout ``[T]`` [m]."""

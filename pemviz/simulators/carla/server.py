@@ -111,7 +111,7 @@ def check_free(where: str, settings: "carla.WorldSettings") -> None:
 
 @contextmanager
 def answering(where: str) -> Generator[None, None, None]:
-    """What a server is asked meanwhile.
+    """What a server is called for meanwhile.
 
     Raises:
         RunError: It does not answer, or refuses.
@@ -161,7 +161,7 @@ def road_text(length_m: float) -> str:
 
 
 def synchronous(settings: "carla.WorldSettings", dt_s: float) -> "carla.WorldSettings":
-    """The settings changed to ticks of ``dt_s`` [s] that wait to be asked for."""
+    """The settings changed to ticks of ``dt_s`` [s] that wait for a call."""
     settings.synchronous_mode = True
     settings.no_rendering_mode = True
     settings.fixed_delta_seconds = dt_s

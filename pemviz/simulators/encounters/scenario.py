@@ -189,7 +189,7 @@ class LogicalScenario(ABC):
         )
         return flat.reshape(noise.shape)[..., :kinds]
 
-    def told_errors(
+    def measurement_errors(
         self, signals: Mapping[str, FloatArray], memory: Mapping[str, AnyArray]
     ) -> Mapping[str, FloatArray]:
         """Errors of measured places at each step ``[T-1]`` of a rollout ``[T]`` [m]."""

@@ -12,14 +12,14 @@ other simulators of this process, and a rollout is the same to the last digit in
 steps are ballistic: with speed v before a step and u after it, a car moves by (v + u) / 2 dt, where
 ``pemviz.simulators.braking`` and ``pemviz.simulators.encounters`` have v dt.
 
-**Braking scenario.** SUMO is told the speeds that the specification gives both cars. For the same
+**Braking scenario.** SUMO is given the speeds that the specification gives both cars. For the same
 accelerations its gaps therefore differ from the other back ends' by exactly dt / 2 times what the
 closing speed has grown by since the start (to 1e-9), at most 0.025 s times 20 m/s, half a metre,
 in the preset ``paper``. Where that moves a gap past ``emergency_gap_m`` the ego brakes a step
 earlier or later.
 
-**Logical scenarios.** The ego drives by what it is told, as the specification says, and SUMO is
-told its speed. Other cars drive by a model of SUMO's, ``sumo.model``: IDM, Krauss or ACC, with
+**Logical scenarios.** The ego drives by what is reported, as the specification says, and SUMO is
+given its speed. Other cars drive by a model of SUMO's, ``sumo.model``: IDM, Krauss or ACC, with
 SUMO's own parameters, and with the speed they start with as the one that they want. They thereby
 react to those ahead in their lane, the ego among them: the lead car of ``cut-out`` brakes for the
 one that it hides. Given remain, as the specification has them: where cars begin; a lead car's

@@ -22,7 +22,7 @@ Perception
     a step before another car has it. What cars hide of each other is left out. A detection measures
     exactly where the car is and how fast.
 Ego
-    keeps its lane and drives by what it is told as in the logical scenarios
+    keeps its lane and drives by what is reported as in the logical scenarios
     (:mod:`pemviz.simulators.encounters.ego`, with the defaults of ``encounter``); it wants the
     speed that SUMO allows it where it is, ``wanted_speed``. It knows no traffic lights and gives no
     way: roads are to be motorways.

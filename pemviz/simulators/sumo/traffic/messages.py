@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 SLOTS = ("first", "second", "third")
 OTHERS = ("other1", "other2", "other3", "other4")
-"""Cars that perception is not asked about: for pictures."""
+"""Cars that perception is not about: for pictures."""
 OF_SLOT = ("gap", "aside", "speed", "heading")
 OF_OTHER = ("gap", "aside", "speed")
 OF_EGO = (
@@ -30,13 +30,13 @@ NAMES = (
 """Of all signals, in the order in which SUMO's process tells them."""
 RESET, STEP = b"r", b"s"
 RUNNING, ENDED, WRONG = b"v", b"e", b"!"
-"""First byte of what is asked, and of what is answered."""
+"""First byte of a request, and of an answer."""
 HEAD = struct.Struct("<I")
 
 
 @dataclass(frozen=True)
 class TrafficSettings:
-    """What SUMO's process is told once.
+    """What SUMO's process is given once.
 
     Attributes:
         config: Path of the ``.sumocfg``.

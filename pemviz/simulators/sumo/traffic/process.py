@@ -14,7 +14,6 @@ import socket
 import struct
 import sys
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -67,12 +66,7 @@ class Episode:
     """SUMO with the ego in it."""
 
     def __init__(self, library: Any, settings: TrafficSettings) -> None:
-        """Nothing is loaded yet.
-
-        Args:
-            library: libsumo.
-            settings: What is loaded.
-        """
+        """Nothing is loaded yet by ``library``, libsumo."""
         self._sumo, self._settings = library, settings
         self._started = False
         self._sizes: dict[str, tuple[float, float]] = {}
@@ -89,15 +83,22 @@ class Episode:
             LookupError: The ego does not enter, or leaves before the rollout begins.
             Exception: libsumo's own.
         """
-        self._load(seed)
-        sumo, ego = self._sumo, self._settings.ego
+        sumo, settings, ego = self._sumo, self._settings, self._settings.ego
+        options = ["-c", settings.config, "--seed", str(seed), *HELD]
+        options += ["--step-length", f"{settings.step_s:.3f}"]
+        if self._started:
+            sumo.load(options)
+        else:
+            sumo.start(["sumo", *options])
+            self._started = True
+        self._sizes.clear()
         while ego not in sumo.vehicle.getIDList():
             over = sumo.simulation.getTime() > LATEST_S
             if over or sumo.simulation.getMinExpectedNumber() <= 0:
                 raise LookupError(f"no vehicle {ego!r} enters; which one is the ego? (sumo.ego)")
             sumo.simulationStep()
         sumo.vehicle.setLaneChangeMode(ego, 0)
-        for _ in range(round(self._settings.warm_up_s / self._settings.step_s)):
+        for _ in range(round(settings.warm_up_s / settings.step_s)):
             sumo.simulationStep()
         if ego not in sumo.vehicle.getIDList():
             raise LookupError(f"the ego {ego!r} leaves before its rollout begins (sumo.warm_up_s)")
@@ -126,17 +127,6 @@ class Episode:
         self._values = self._signals()
         return self._values, self._values[COLLIDED] > 0.0
 
-    def _load(self, seed: int) -> None:
-        settings = self._settings
-        options = ["-c", settings.config, "--seed", str(seed), *HELD]
-        options += ["--step-length", f"{settings.step_s:.3f}"]
-        if self._started:
-            self._sumo.load(options)
-        else:
-            self._sumo.start(["sumo", *options])
-            self._started = True
-        self._sizes.clear()
-
     def _signals(self) -> list[float]:
         """Signals now, in the order of :data:`NAMES`."""
         ego, cars = self._bodies()
@@ -162,8 +152,8 @@ class Episode:
             margin_m if led_s >= places.RECOVERY_S - ROUNDING_S else NOBODY_M,
             needless_mps2,
             float(clearance_m <= 0.0),
-            *_in_places(around, self._slots, with_heading=True),
-            *_in_places(around, self._others, with_heading=False),
+            *(value for name in self._slots for value in _placed(around, name)),
+            *(value for name in self._others for value in _placed(around, name)[:3]),
         ]
 
     def _braking(self, ego_mps: float, around: dict[str, Car]) -> tuple[float, float]:
@@ -197,18 +187,12 @@ class Episode:
         return bodies.pop(own), bodies
 
 
-def _in_places(
-    cars: dict[str, Car], places: Sequence[str | None], *, with_heading: bool
-) -> list[float]:
-    values: list[float] = []
-    for name in places:
-        car = None if name is None else cars[name]
-        if car is None:
-            values += [NOBODY_M, 0.0, 0.0, 0.0][: 3 + with_heading]
-        else:
-            own = [car.gap_m, car.aside_m, car.speed_mps, car.heading_rad]
-            values += own[: 3 + with_heading]
-    return values
+def _placed(cars: dict[str, Car], name: str | None) -> tuple[float, float, float, float]:
+    """Gap, offset, speed and heading of who has a place, if anybody."""
+    if name is None:
+        return NOBODY_M, 0.0, 0.0, 0.0
+    car = cars[name]
+    return car.gap_m, car.aside_m, car.speed_mps, car.heading_rad
 
 
 def main() -> None:
@@ -243,27 +227,23 @@ def _serve(pipe: Pipe, library: Any) -> None:
             pass
 
 
-def _answer(episode: Episode, asked: bytes, printed: BinaryIO) -> bytes:
+def _answer(episode: Episode, request: bytes, printed: BinaryIO) -> bytes:
     """The answer to a request; what goes wrong is an answer too."""
+    kind, given = request[:1], request[1:]
     try:
-        if asked[:1] == RESET:
-            return (
-                RUNNING + array.array("d", episode.reset(*struct.unpack("q", asked[1:]))).tobytes()
-            )
-        values, ended = episode.step(*struct.unpack("d", asked[1:]))
-        return (ENDED if ended else RUNNING) + array.array("d", values).tobytes()
+        if kind == RESET:
+            values, ended = episode.reset(*struct.unpack("q", given)), False
+        else:
+            values, ended = episode.step(*struct.unpack("d", given))
     except LookupError as error:
         return WRONG + str(error.args[0]).encode()
-    except Exception as error:
-        return WRONG + _words(error, printed).encode()
-
-
-def _words(error: Exception, printed: BinaryIO) -> str:
-    """What SUMO printed of its errors, else what the exception says, in one line."""
-    printed.seek(0)
-    lines = printed.read().decode(errors="replace").splitlines()
-    told = [line.removeprefix("Error:").strip() for line in lines if line.startswith("Error:")]
-    return " ".join(" ".join(told or [str(error) or type(error).__name__]).split())
+    except Exception as error:  # in SUMO's printed words, if there are any
+        printed.seek(0)
+        lines = printed.read().decode(errors="replace").splitlines()
+        words = [line.removeprefix("Error:") for line in lines if line.startswith("Error:")]
+        words = words or [str(error) or type(error).__name__]
+        return WRONG + " ".join(" ".join(words).split()).encode()
+    return (ENDED if ended else RUNNING) + array.array("d", values).tobytes()
 
 
 if __name__ == "__main__":

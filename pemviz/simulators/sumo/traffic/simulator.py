@@ -4,6 +4,7 @@ Each episode is an environment that is reset and stepped in a process of SUMO's 
 """
 
 import array
+import atexit
 import contextlib
 import json
 import os
@@ -11,7 +12,6 @@ import socket
 import struct
 import subprocess
 import sys
-import weakref
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
@@ -82,26 +82,16 @@ SIGNALS = tuple(_signal(name) for name in NAMES)
 """Those of the ego, then of the cars around it."""
 
 
-class _Host:
-    """The process that makes processes; one for each of those that have episodes."""
+HOSTS: dict[int, socket.socket] = {}
+"""To the process that makes processes, by the process that has episodes."""
 
-    def __init__(self) -> None:
-        self.pid = -1
-        self.socket: socket.socket | None = None
 
-    def connected(self) -> messages.Pipe:
-        """A pipe to a new process with libsumo."""
-        if self.socket is None or self.pid != os.getpid():
-            self._start()
-        ours, theirs = socket.socketpair()
-        with theirs:
-            assert self.socket is not None  # noqa: S101  started above
-            socket.send_fds(self.socket, [b"1"], [theirs.fileno()])
-        return messages.Pipe(ours)
-
-    def _start(self) -> None:
+def _connected() -> messages.Pipe:
+    """A pipe to a new process with libsumo."""
+    host = HOSTS.get(os.getpid())
+    if host is None:
         check_installed()
-        ours, theirs = socket.socketpair()
+        host, theirs = socket.socketpair()
         package = str(Path(__file__).resolve().parents[4])
         paths = [package, *filter(None, [os.environ.get("PYTHONPATH")])]
         with theirs:
@@ -112,21 +102,22 @@ class _Host:
                 stdout=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
             )
-        self.socket, self.pid = ours, os.getpid()
-        weakref.finalize(self, _ended, ours, process)
+        HOSTS[os.getpid()] = host
+        atexit.register(_ended, host, process)
+    ours, theirs = socket.socketpair()
+    with theirs:
+        socket.send_fds(host, [b"1"], [theirs.fileno()])
+    return messages.Pipe(ours)
 
 
-def _ended(ours: socket.socket, process: "subprocess.Popen[bytes]") -> None:
+def _ended(host: socket.socket, process: "subprocess.Popen[bytes]") -> None:
     """Have the process end, as it does once its socket is closed."""
-    ours.close()
+    host.close()
     process.wait()
 
 
-HOST = _Host()
-
-
 class TrafficEpisodes:
-    """One episode at a time; a :class:`pemviz.EpisodicSimulator`, told the ego's accelerations."""
+    """One episode at a time; a :class:`pemviz.EpisodicSimulator`, given the ego's accelerations."""
 
     name = "sumo"
     latents = SEED_LATENTS
@@ -136,16 +127,16 @@ class TrafficEpisodes:
         """Nothing is started yet; ``states`` are those of a rollout."""
         self.settings, self.states, self.dt_s = settings, states, settings.step_s
         self._pipe: messages.Pipe | None = None
-        self._is_asked = False
+        self._is_begun = False
 
     def begin_reset(self, *given: Any) -> None:
         """Have the next :meth:`reset` begin before it is called."""
         seed = min(int(ndtr(float(given[0][0])) * LARGEST_SEED), LARGEST_SEED - 1)
-        self._ask(messages.RESET + struct.pack("q", seed))
+        self._begin(messages.RESET + struct.pack("q", seed))
 
     def begin_step(self, *given: Any) -> None:
         """Have the next :meth:`step` begin before it is called."""
-        self._ask(messages.STEP + struct.pack("d", float(given[0])))
+        self._begin(messages.STEP + struct.pack("d", float(given[0])))
 
     def reset(self, *given: Any) -> Mapping[str, float]:
         """Begin with SUMO's seed, for standard normals ``[1]``.
@@ -153,7 +144,7 @@ class TrafficEpisodes:
         Raises:
             RunError: SUMO fails, or the ego does not enter.
         """
-        if not self._is_asked:
+        if not self._is_begun:
             self.begin_reset(*given)
         return self._answer()[0]
 
@@ -163,7 +154,7 @@ class TrafficEpisodes:
         Raises:
             RunError: SUMO fails.
         """
-        if not self._is_asked:
+        if not self._is_begun:
             self.begin_step(*given)
         return self._answer()
 
@@ -171,17 +162,17 @@ class TrafficEpisodes:
         """Speed of the ego; what perception looks at is the simulator's that wraps this."""
         return signals["ego_speed"][..., None]
 
-    def _ask(self, asked: bytes) -> None:
+    def _begin(self, request: bytes) -> None:
         if self._pipe is None:
-            self._pipe = HOST.connected()
+            self._pipe = _connected()
             self._pipe.send(json.dumps(asdict(self.settings)).encode())
-        self._is_asked = True
+        self._is_begun = True
         with contextlib.suppress(OSError):  # it is gone, which the answer tells
-            self._pipe.send(asked)
+            self._pipe.send(request)
 
     def _answer(self) -> tuple[Mapping[str, float], bool]:
-        assert self._pipe is not None  # noqa: S101  asked before
-        self._is_asked = False
+        assert self._pipe is not None  # noqa: S101  begun before
+        self._is_begun = False
         try:
             answer = self._pipe.receive()
         except (EOFError, OSError):
@@ -200,7 +191,7 @@ class TrafficSimulator:
     """Processes of SUMO's behind one tracker; a :class:`pemviz.SlotSimulator`, episodic.
 
     Attributes:
-        scenario: SUMO's processes, told the ego's accelerations.
+        scenario: SUMO's processes, given the ego's accelerations.
         tracker_text: Between perception and controller.
         driving: How the ego drives, and its camera.
     """
@@ -295,7 +286,7 @@ class TrafficSimulator:
 
     @property
     def scene_cars(self) -> tuple[SceneCar, ...]:
-        """The ego, the cars in slots and those that perception is not asked about."""
+        """The ego, the cars in slots and those that perception is not about."""
         car = self.driving
         size = (car.car_length_m, car.car_width_m, car.car_height_m)
         seen = (SceneCar(slot, *size, slot=slot) for slot in SLOTS)
