@@ -2,7 +2,7 @@
 
 A chain of outcomes is as likely under such a model as its misses and hits in each band say. With
 m_b misses and h_b hits of a violating rollout in band b, at steps whose outcome may matter, and
-its log weight under the model u' that it was drawn for::
+its log weight under the model u' that it was sampled for::
 
     mu(u) = 1 / N sum_i 1[i violates] w_i prod_b (u_b / u'_b)^m_ib ((1 - u_b) / (1 - u'_b))^h_ib
 
@@ -43,7 +43,7 @@ class BandOutcomes:
         log_rest: Log weight of each but for the outcomes counted here, ``[V]``.
         misses: At steps whose outcome may matter, ``[V, B]``.
         hits: Likewise.
-        rollouts: How many were drawn, N.
+        rollouts: How many were sampled, N.
         salient: The variables at those steps ``[M, 11]``, of all rollouts one after the other.
     """
 

@@ -117,10 +117,8 @@ def failures_of(
 ) -> Failures | None:
     """The violating rollouts of a batch; ``None`` if nothing failed.
 
-    Args:
-        scored: Rollouts with the weights they were drawn with.
-        features: Says where outcomes may matter; without it they may everywhere. Steps after
-            a violation do not count where the rollouts' memory knows of it.
+    ``features`` say where outcomes may matter; without them they may everywhere. Steps after a
+    violation do not count where the rollouts' memory knows of it.
     """
     chosen = np.flatnonzero(scored.violated)
     if chosen.size == 0:

@@ -60,10 +60,7 @@ def refit_plan(
 ) -> tuple[RefitBand, ...]:
     """Bands that the range over refits comes from, near to far.
 
-    Args:
-        outcomes: Violations, of models near the answer.
-        pem: The error model of single outcomes.
-        members: Its refits, at least two.
+    Violations are those of models near the answer; refits are at least two.
     """
     own = model_misses(pem, outcomes.salient)
     bands = np.flatnonzero(own > 0.0)
@@ -184,7 +181,7 @@ class DataPlan:
 
     Attributes:
         labels: Labels that would show a target; ``None`` for the ``reason``.
-        halves: Whether the target is not one that was asked for, but lies halfway, in powers of
+        halves: Whether the target is not one that was given, but lies halfway, in powers of
             ten, from the answer to what the labels at hand allow.
         reason: Why there is no plan for labels; ``None`` where there is one.
         refits: Labels that would halve the range over refits, by band; empty where not known.

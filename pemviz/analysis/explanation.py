@@ -110,7 +110,7 @@ class Explanation:
         memory: Sensitivity to the memory time; ``None`` where misses are independent, and in
             results of versions that did not tell it.
         bursts: Bursts of misses; ``None`` where no miss matters, and in such results.
-        slots: Errors by slot, where there are several; what is told of misses above is told of
+        slots: Errors by slot, where there are several; what is said of misses above is said of
             the errors of all slots.
     """
 
@@ -142,7 +142,7 @@ def explain(
         stage: Rollouts with importance weights.
         features: Says at which states perception's outcome may matter.
         farthest_m: Bands of two metres of the gap reach from 0 m to at least here; ``None``
-            where the scenario has no gap, and nothing is told by bands.
+            where the scenario has no gap, and nothing is shown by bands.
         target: Failure probability that the detector is to be improved for.
         dt_s: Time between two frames [s].
         tau_s: Memory time of misses [s]; 0: they are independent given the state.

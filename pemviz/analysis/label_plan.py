@@ -59,9 +59,9 @@ SLACK = 1e-6
 CONFIDENCE = 0.95
 MOST_PASSES = 4
 SETTLED = 0.3
-"""Log of how far a requirement may lie from the model that its violations were drawn for."""
+"""Log of how far a requirement may lie from the model that its violations were sampled for."""
 LARGEST_DRAWN = 0.999
-"""No model that violations are drawn for misses more often."""
+"""No model that violations are sampled for misses more often."""
 FIRST_MARGIN = 0.2
 """By how much the log failure probability stays below the target, for the violations' own error."""
 LEAST_POWER, HALVINGS, SIMULATED = 0.2, 6, 300
@@ -382,7 +382,7 @@ def label_plan(
         support: Counts of the labelled obstacles.
         target: The failure probability.
         log_probability: Log of the present answer [nats].
-        elasticity: d log(answer) / d log(P(missed)), all distances alike; ``None``: not known.
+        elasticity: d log(answer) / d log(P(missed)), all distances equally; ``None``: not known.
         seed: Root of all randomness.
 
     Returns:

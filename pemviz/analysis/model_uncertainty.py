@@ -52,7 +52,7 @@ FRAIL_DATA_BOUND_ROLLOUTS = 2_000
 ENOUGH_FAILURES = 2_000
 """Of which the models' own answers are formed; the models differ by far more than 1/sqrt of it."""
 SHOWN_ROLLOUTS = 5_000
-"""Of which it is asked whether they go where the training data never was."""
+"""Of which it is checked whether they go where the training data never was."""
 DATA_BOUND_KEY = 2**32 - 2
 FEW_FAILURES = 100
 
@@ -87,7 +87,7 @@ def model_classes_beside(pem: Pem) -> tuple[Pem, ...]:
     for name in shipped_pems():
         try:
             model = load_pem(name)
-        except PemError:  # a damaged file is told where that model is asked for
+        except PemError:  # a damaged file is reported where that model is wanted
             continue
         if model.data == pem.data and model.name != pem.name and not name.endswith("-ensemble"):
             others.append(model)

@@ -16,7 +16,7 @@ from pemviz.sampling.estimates.importance_weights import effective_sample_size
 
 WORST = 0.01
 FEWEST = 100.0
-"""Effective sample size of all weights from which on the expected robustness is told."""
+"""Effective sample size of all weights from which on the expected robustness is shown."""
 FEWEST_OF_WORST = 10.0
 """The same of those of the worst."""
 FAR_FROM_ONE = 0.1
@@ -32,7 +32,7 @@ class RobustnessTail:
         expected: The mean.
         expected_std_error: Of that.
         worst_share: Of all, the least robust.
-        worst: Their mean; ``None`` where too few of them were drawn.
+        worst: Their mean; ``None`` where too few of them were sampled.
         worst_std_error: Of that.
         quantile: What their robustness is at most.
     """
@@ -49,7 +49,7 @@ class RobustnessTail:
 def robustness_tail(robustness: FloatArray, log_weight: FloatArray) -> RobustnessTail | None:
     """Of N rollouts; ``None`` where their weights tell too little of what usually happens.
 
-    Rollouts are often drawn where violations are: what they say of all others then is worth
+    Rollouts are often drawn where violations are: what they say of all others then is
     nothing, however many there are.
 
     Args:
@@ -62,17 +62,17 @@ def robustness_tail(robustness: FloatArray, log_weight: FloatArray) -> Robustnes
     if abs(float(np.mean(weight)) - 1.0) > FAR_FROM_ONE:
         return None
     expected, error = _mean(weight * robustness)
-    told = RobustnessTail(rollouts=weight.size, expected=expected, expected_std_error=error)
+    found = RobustnessTail(rollouts=weight.size, expected=expected, expected_std_error=error)
     order = np.argsort(robustness, kind="stable")
     reached = np.cumsum(weight[order]) / weight.size
     last = int(np.searchsorted(reached, WORST))
     worst = order[: last + 1]
     if last == weight.size or effective_sample_size(log_weight[worst]) < FEWEST_OF_WORST:
-        return told
+        return found
     quantile = float(robustness[order[last]])
     below, error = _mean(weight * np.minimum(robustness - quantile, 0.0))
     return replace(
-        told, worst=quantile + below / WORST, worst_std_error=error / WORST, quantile=quantile
+        found, worst=quantile + below / WORST, worst_std_error=error / WORST, quantile=quantile
     )
 
 

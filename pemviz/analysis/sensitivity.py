@@ -102,7 +102,7 @@ def band_sensitivities(
         edges: Of the bands, ascending [m].
         target: Failure probability to get below, above 0; ``None``: no target.
         likelihood: That of the violations' outcomes; ``None``: they are independent.
-        untold: Why nothing can be told of it; ``None``: it can.
+        untold: Why nothing is known of it; ``None``: it is.
     """
     bands = list(itertools.pairwise(edges))
     if untold is not None:
@@ -168,8 +168,8 @@ def mean_sum(
 ) -> tuple[float | None, float | None]:
     """Mean over the failures of the sum of ``slope [M, T-1]`` over the steps ``inside``.
 
-    With its standard error, that of a ratio of means: ``None`` where the failures are worth fewer
-    than SMALL_ESS equally weighted ones, which tell nothing of it. Both ``None`` where the mean is
+    With its standard error, that of a ratio of means: ``None`` where the failures' effective sample
+    size is below SMALL_ESS, which says nothing of it. Both ``None`` where the mean is
     not finite.
     """
     with np.errstate(invalid="ignore"):  # a failure that the model holds to be impossible

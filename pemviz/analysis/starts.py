@@ -7,7 +7,7 @@ plane of two start values, with a kernel k (Epanechnikov 1969) around a point x,
     P(violation | start near x) = sum_i c_i k(x_i - x) / E k(X - x)
 
 where X are all starts: the average of P(violation | start) over the starts within the kernel's
-reach, which shrinks as violations grow in number; nothing beyond counts. It is told where at least
+reach, which shrinks as violations grow in number; nothing beyond counts. It is shown where at least
 ten effective violations lie within it, so that its standard error stays below a third.
 """
 
@@ -23,11 +23,11 @@ from pemviz.simulators.latents import NamesStarts, latent_counts
 
 DRAWN = 2**15
 WIDE, WIDE_SHARE = 2.0, 0.3
-"""Latents of all starts are drawn with this standard deviation in this share, for the tails."""
+"""Latents of all starts are sampled with this standard deviation in this share, for the tails."""
 SHARES = (0.1, 0.5, 0.9)
-"""Of what lies at or below the quantiles that are told."""
+"""Of what lies at or below the quantiles that are shown."""
 FEWEST = 10.0
-"""Effective violations below which nothing is told."""
+"""Effective violations below which nothing is shown."""
 FEWEST_OF_MAP = 25.0
 """The same for the plane: from fewer, single weights would draw its outline."""
 GRID = 32
@@ -204,7 +204,7 @@ class DangerousStarts:
     Attributes:
         rule: Whose violations; ``None``: of the specification, or of any rule.
         violations: Rollouts that violate.
-        effective: How many equally likely violations with different starts they are worth.
+        effective: Effective sample size of the violations' different starts.
         log10_probability: Of a violation, on average over all starts.
         values: Each start value.
         plane: ``None`` where violations are too few, or one of its values is always the same.
@@ -323,7 +323,7 @@ def _start_map(
     squares = ((up_sample * sample.share) ** 2) @ (across_sample**2).T
     of_all = ((up_drawn * drawn.share) ** 2) @ (across_drawn**2).T
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-        told = (parts**2 >= FEWEST * squares) & (every**2 >= FEWEST * of_all) & (squares > 0.0)
+        known = (parts**2 >= FEWEST * squares) & (every**2 >= FEWEST * of_all) & (squares > 0.0)
         log10 = np.minimum(log10_probability + np.log10(parts) - np.log10(every), 0.0)
     (across, across_reach), (up, up_reach) = axes
     return StartMap(
@@ -335,8 +335,8 @@ def _start_map(
         across_reach=across_reach,
         up_reach=up_reach,
         log10_probability=tuple(
-            tuple(round(float(v), 3) if t else None for v, t in zip(row, known, strict=True))
-            for row, known in zip(log10, told, strict=True)
+            tuple(round(float(v), 3) if k else None for v, k in zip(row, of_row, strict=True))
+            for row, of_row in zip(log10, known, strict=True)
         ),
     )
 
@@ -359,7 +359,7 @@ def _kernel(places: FloatArray, values: FloatArray, reach: float) -> FloatArray:
 
 
 def _points(simulator: NamesStarts, violations: Violations) -> tuple[StartPoint, ...]:
-    """At most so many as are drawn: evenly along their parts of the probability."""
+    """At most so many as are sampled: evenly along their parts of the probability."""
     log_part = violations.log_part
     share = np.exp(log_part - np.max(log_part))
     passed = np.cumsum(share)

@@ -51,7 +51,7 @@ class ExplorationFamily:
         strength: ``[F]``, from -1 to 1.
         first: First step of the window, ``[F]``.
         stop: The step after its last, ``[F]``.
-        share: How often a rollout is drawn from each, ``[F]``; sums to 1.
+        share: How often a rollout is sampled from each, ``[F]``; sums to 1.
         slot: Whose turns it raises alone, ``[F]``, -1 for all; ``None`` where there is one slot.
         turns: Slots that take turns, each in one of so many steps.
     """
@@ -101,7 +101,7 @@ class ExplorationFamily:
 
         Args:
             count: Number of rollouts.
-            generator: What they are drawn with.
+            generator: What they are sampled with.
             features: Tell where the scenario reacts.
             violated: Name of the memory that says whether a rollout has violated already.
             of: So many rollouts in all: those after the first ``count`` have no window.
@@ -346,7 +346,7 @@ def _members(steps: int, noise: int) -> Iterator[tuple[int, float, int, int, flo
 
 
 def _systematic(share: FloatArray, count: int, generator: np.random.Generator) -> IntArray:
-    """Which member each of ``count`` rollouts is drawn from; shares are kept, ``[count]``."""
+    """Which member each of ``count`` rollouts is sampled from; shares are kept, ``[count]``."""
     places = (np.arange(count) + generator.random()) / max(count, 1)
     edges = np.cumsum(share)
     member = np.searchsorted(edges, places * edges[-1], side="right")

@@ -34,8 +34,8 @@ none was moved, step t is moved with the share a h_t, and then
 
     a <- a (1 - h_t) / (1 - a h_t + a h_t exp(l_t))
 
-h may depend on the state; it has the logit 0 for all states alike where, of the steps left, each is
-as likely as the other (:func:`even_logit`).
+h may depend on the state; it has the logit 0 in all states where, of the steps left, each is as
+likely as the other (:func:`even_logit`).
 """
 
 from collections.abc import Mapping
@@ -75,10 +75,8 @@ def even_logit(step: IntArray, *, steps: int) -> FloatArray:
 def log_waiting(log_waits: FloatArray, share: FloatArray, moved: FloatArray) -> FloatArray:
     """Log of the probability that no step was moved yet, after one more, ``[n]``.
 
-    Args:
-        log_waits: The same before it, ``[n]``.
-        share: Of moving it, given none before (h), ``[n]``.
-        moved: Log density of moved over unmoved noise, ``[n]``.
+    Before it, it is ``log_waits``; the step is moved with ``share``, given none before (h), and
+    ``moved`` is the log density of moved over unmoved noise, ``[n]`` each.
     """
     stays = log_waits + np.log1p(-share)
     return stays - log_share_moved(moved, np.exp(log_waits) * share)

@@ -136,7 +136,7 @@ class PolynomialBasis:
     def with_outcome(self) -> "PolynomialBasis":
         """Monomials for the means of noise, of what outcomes look at and of the outcome itself.
 
-        A step's noise is drawn after its outcomes: an error of a position may matter with a
+        A step's noise is sampled after its outcomes: an error of a position may matter with a
         detection alone.
         """
         mean, spread = np.append(self.mean, 0.5), np.append(self.spread, 0.5)

@@ -42,7 +42,7 @@ class WeightedOutcomes:
 class LogisticFit:
     """A model of outcomes, fitted to them or on the way there.
 
-    What follows from the coefficients is computed when first asked for: second derivatives take
+    What follows from the coefficients is computed when first needed: second derivatives take
     most of a fit's time, and many a fit's last ones nobody asks for.
 
     Attributes:

@@ -9,7 +9,7 @@ outcome at state s_t and r_i the robustness of rollout i::
     learning   phi_k   = argmin_phi - sum_{i: r_i <= gamma_k} w_i^alpha sum_t log q_phi(o_t | s_t)
     estimate   mu      = 1 / N_e sum_i 1[i violates] w_i
 
-Stage 0 draws from p and learns from all its rollouts alike (alpha 0, no threshold). The training
+Stage 0 draws from p and learns from all its rollouts equally (alpha 0, no threshold). The training
 weights are divided by their sum; the estimate is of the final rollouts alone.
 """
 

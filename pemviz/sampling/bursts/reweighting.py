@@ -356,11 +356,7 @@ def joined(before: Sampled, fresh: Sampled) -> Sampled:
 def seen_at(scenario: Scenario, sampled: Sampled, place: int, *, u: float = 0.0) -> Pool:
     """The rollouts as samples for one memory, with the decisions that its proposals make.
 
-    Args:
-        scenario: What they were sampled on.
-        sampled: N rollouts.
-        place: Of the memory among all.
-        u: The visibility that the proposals are around.
+    The memory is given by its place among all; proposals are around the visibility ``u``.
     """
     given = Given(scenario.memories[place], u)
     outcomes = sampled.outcomes

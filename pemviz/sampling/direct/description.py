@@ -61,7 +61,7 @@ MONTE_CARLO = MethodDescription(
     stage_interval="binomial",
     follows_model=True,
     learning_words=(
-        "Nothing is learned by this method: all rollouts are drawn from the error model (black), "
+        "Nothing is learned by this method: all rollouts are sampled from the error model (black), "
         "under which violations are rare."
     ),
 )
@@ -76,9 +76,9 @@ NAIVE = MethodDescription(
     budget=final_budget,
     with_budget=with_final_budget,
     stages="parts",
-    curve_name="what rollouts are drawn from",
+    curve_name="what rollouts are sampled from",
     learning_words=(
-        "Nothing is learned by this method: all rollouts are drawn with one constant probability "
+        "Nothing is learned by this method: all rollouts are sampled with one constant probability "
         "of detection (orange). Black: how likely the detector is to see the car ahead."
     ),
 )

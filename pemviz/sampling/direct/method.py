@@ -19,7 +19,7 @@ from pemviz.types import Estimate, StageResult
 
 @dataclass(frozen=True)
 class DirectState:
-    """The repetition, and how far its rollouts are drawn."""
+    """The repetition, and how far its rollouts are sampled."""
 
     repetition: int
     batch: FinalBatch
@@ -34,7 +34,7 @@ class DirectSampling:
         proposal: What is sampled from.
         rollouts: How many.
         seed: Root of all randomness.
-        largest_part: How many are drawn at once.
+        largest_part: How many are sampled at once.
     """
 
     name: str
@@ -49,7 +49,7 @@ class DirectSampling:
         return len(part_sizes(self.rollouts, largest=self.largest_part))
 
     def init(self, problem: Problem, *, repetition: int) -> DirectState:  # noqa: ARG002
-        """Nothing is drawn yet."""
+        """Nothing is sampled yet."""
         sizes = part_sizes(self.rollouts, largest=self.largest_part)
         return DirectState(repetition=repetition, batch=FinalBatch(sizes))
 
@@ -74,7 +74,7 @@ class DirectSampling:
         return replace(state, batch=state.batch.under_rule(rule))
 
     def is_done(self, state: DirectState) -> bool:
-        """Whether all is drawn."""
+        """Whether all is sampled."""
         return state.batch.is_done
 
     def estimate(self, state: DirectState) -> Estimate:

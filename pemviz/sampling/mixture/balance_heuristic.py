@@ -1,6 +1,6 @@
 """All rollouts of all stages, weighted as draws from the mixture of all proposals.
 
-Whether a rule, of several, is broken is known as soon as it is, and what a rollout is drawn from
+Whether a rule, of several, is broken is known as soon as it is, and what a rollout is sampled from
 later tells nothing more of it. So a proposal that is fitted to the ways of breaking a rule leaves
 the error model until that rule is broken, and a rollout's likelihood under a rule is that of its
 outcomes up to there: what comes later would only spread the weights. Of the rules together, that at
@@ -34,7 +34,7 @@ Rule = str | None
 
 @dataclass(frozen=True)
 class Planned:
-    """Logs of the shares of rollouts that are drawn from each component, once all are.
+    """Logs of the shares of rollouts that are sampled from each component, once all are.
 
     Attributes:
         of_all: ``[1 + K]``.
@@ -99,7 +99,7 @@ class FailingWeights:
 
 def log_shares(counts: IntArray) -> FloatArray:
     """Log of the share n_k / N of rollouts drawn from each of K components, ``[K]``."""
-    with np.errstate(divide="ignore"):  # a proposal that nothing was drawn from does not count
+    with np.errstate(divide="ignore"):  # a proposal that nothing was sampled from does not count
         return np.log(counts / counts.sum())
 
 
@@ -121,7 +121,7 @@ def mostly_by_exploration(log_ratio: FloatArray, shares: FloatArray) -> BoolArra
 
 @dataclass(frozen=True, eq=False)
 class TargetRules:
-    """The rule that each of N rollouts is drawn to break.
+    """The rule that each of N rollouts is sampled to break.
 
     Attributes:
         rules: Names of all; empty where there is but the specification.
@@ -212,7 +212,7 @@ class Judged:
     Attributes:
         log_weight: ``[N]``; NaN where a rollout holds and its weight is not known.
         violated: ``[N]``.
-        component: What each was drawn from, ``[N]``.
+        component: What each was sampled from, ``[N]``.
         log_p: Log likelihood under the error model, ``[N]``; NaN likewise.
     """
 
@@ -228,8 +228,8 @@ class Pool:
 
     Attributes:
         decisions: Of the M rollouts but the final ones.
-        component: What each of all was drawn from, ``[N]``: 0 is the exploration proposals' family,
-            k the k-th fitted proposal.
+        component: What each of all was sampled from, ``[N]``: 0 is the exploration proposals'
+            family, k the k-th fitted proposal.
         proposals: Each fitted one, K in all.
         log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[M, 1 + K]``:
             of what it was until the rule at hand was broken. None of a large final batch's.
@@ -419,16 +419,10 @@ def log_ratios(
     under: Sequence[Rule] = (None,),
     latents: LatentDecisions | None = None,
 ) -> Sequence[FloatArray]:
-    """Log q_k / p of N rollouts under K fitted proposals, ``[N, K]`` under each rule asked for.
+    """Log q_k / p of N rollouts under K fitted proposals, ``[N, K]`` under each of some rules.
 
-    Args:
-        decisions: The rollouts'.
-        proposals: K.
-        count: Number of rollouts N.
-        defensive: Share of the error model in every outcome's probability.
-        rules: Names of those that are told apart.
-        under: Until when rollouts are judged.
-        latents: The rollouts', where there are any.
+    ``defensive`` is the share of the error model in every outcome's probability, ``rules`` are the
+    names of all, ``under`` those until which rollouts are judged.
     """
     if isinstance(decisions.basis, Monomials):
         found = _some_at_a_time(decisions, proposals, count, defensive, rules, under)
@@ -483,11 +477,7 @@ def latent_ratios(
 ) -> FloatArray:
     """Log q_k / p ``[N, K]`` of the latents of N rollouts under fitted proposals.
 
-    Args:
-        latents: The rollouts'.
-        moves: Means of each proposal, and the rule that it is to break.
-        rules: Names of those that are told apart.
-        under: Until when rollouts are judged.
+    ``moves`` are means of each proposal, and the rule that it is to break; the others as above.
     """
     if isinstance(latents.monomials, Monomials):
         edges = itertools.pairwise(some_at_once(latents.count))

@@ -28,9 +28,9 @@ from pemviz.types import Diagnostic, Estimate
 
 COMPONENT, LOG_WEIGHT, FINAL_LOG_WEIGHT = "component", "log_weight", "final_log_weight"
 OF_COMPONENT, FINAL_OF_COMPONENT = "of_component", "final_of_component"
-"""How many rollouts in all, or of the final batch, are drawn from what a rollout is drawn from."""
+"""How many rollouts in all, or of the final batch, are sampled from what a rollout is."""
 NOT_KEPT = -1
-"""In place of components that no violation was drawn from: they add nothing to an error."""
+"""In place of components that no violation was sampled from: they add nothing to an error."""
 PARTS_ADAPTATION = math.sqrt(2.0)
 """Factor on the standard error of a part, which strata of few rollouts tell too small."""
 LogEstimate = tuple[float, float]
@@ -43,7 +43,7 @@ def adaptation(*, turns: int, starts: int) -> float:
 
 
 def columns_of(pool: Pool, *, final: slice) -> dict[str, AnyArray]:
-    """Of each rollout ``[N]``: what it was drawn from, and its weights, under each rule too."""
+    """Of each rollout ``[N]``: what it was sampled from, and its weights, under each rule too."""
     component, columns = pool.component, dict[str, AnyArray]()
     columns[COMPONENT] = component
     columns[OF_COMPONENT] = np.bincount(component)[component]
@@ -80,7 +80,7 @@ def recounted(kept: KeptRepetition) -> Recounted:
 
 
 def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Estimate:
-    """The estimate over as many rollouts as were drawn, of which those that hold only count."""
+    """The estimate over as many rollouts as were sampled, of which those that hold only count."""
     final, count, last = kept.in_final, kept.rollouts(), kept.rollouts("final")
     known, first, place = np.unique(columns[COMPONENT], return_index=True, return_inverse=True)
     drawn_last = columns[FINAL_OF_COMPONENT][first]
@@ -108,10 +108,10 @@ def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Esti
 
 
 def _strata(known: IntArray, place: IntArray, drawn: IntArray, *, most: int) -> IntArray:
-    """Components of violations, then as many of each as were drawn and hold.
+    """Components of violations, then as many of each as were sampled and hold.
 
     Raises:
-        ValueError: They are more than ``most``, or more violate than were drawn.
+        ValueError: They are more than ``most``, or more violate than were sampled.
     """
     hold = drawn - np.bincount(place, minlength=known.size)
     if np.any(hold > most) or place.size + hold.sum() > most:

@@ -9,7 +9,7 @@ They are looked for among a bounded number of weighted rollouts in place of very
 weights w_i that sum to W, those are taken on which the places (j + 1/2) W / M, j = 0 .. M - 1, fall
 when the weights are laid end to end (systematic resampling: Kitagawa 1996). Each that is taken
 counts W / M for every place on it: a weighted sum over the rollouts changes by its spread over
-sqrt(M) at most, and by less where neighbours are alike.
+sqrt(M) at most, and by less where neighbours are equal.
 """
 
 from collections.abc import Sequence

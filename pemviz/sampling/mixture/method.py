@@ -18,7 +18,7 @@ one fitted to the lowest level of robustness whose probability they do tell
 (:mod:`pemviz.sampling.mixture.fit`). Another quarter comes from proposals for failure modes that
 the newest would hardly draw, in the second half only where they carry a thousandth of the estimate
 already (:mod:`pemviz.sampling.mixture.fit`). With several rules each that was broken has
-proposals of its own, drawn from alike; a proposal and a rollout's likelihood go as far as the rule
+proposals of its own, in equal shares; a proposal and a rollout's likelihood go as far as the rule
 at hand is kept (:mod:`pemviz.sampling.mixture.balance_heuristic`).
 
 Latents, where the scenario takes any, are moved beside outcomes: exploration proposals move one at
@@ -36,7 +36,7 @@ The share d is a defensive mixture (Hesterberg 1995), the weight the balance heu
 Guibas 1995). Before it enters a weight, q_k of the rollouts that it was fitted to is lowered by how
 much the fit flatters them (:func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`). The
 unbiased figure beside the estimate is the same average over the final rollouts alone, with the sum
-over what they were drawn from.
+over what they were sampled from.
 """
 
 import time
@@ -76,7 +76,7 @@ class MixtureSampling:
         seed: Root of all randomness.
         features: What proposals look at; ``None``: all signals and time.
         settings: How proposals are fitted.
-        largest_part: How many final rollouts are drawn at once.
+        largest_part: How many final rollouts are sampled at once.
         enough: Violations after which a stage of more rollouts, from which is learned, is over.
     """
 
@@ -96,7 +96,7 @@ class MixtureSampling:
         return self.learning_stages + 1 + len(self._final_sizes())
 
     def init(self, problem: Problem, *, repetition: int) -> MixtureState:
-        """Nothing is drawn yet."""
+        """Nothing is sampled yet."""
         features = self.features or SignalFeatures(problem.simulator.signals)
         absorbing = problem.unsafe is not None or problem.monitor is not None
         return MixtureState(
@@ -159,7 +159,7 @@ class MixtureSampling:
         return state if pool is None else replace(state, pool=pool.under_rule(rule))
 
     def is_done(self, state: MixtureState) -> bool:
-        """Whether the final rollouts are drawn."""
+        """Whether the final rollouts are sampled."""
         return len(state.frozen) == len(self._final_sizes())
 
     def estimate(self, state: MixtureState) -> Estimate:
@@ -188,7 +188,7 @@ class MixtureSampling:
         return replace(found, diagnostics=(*found.diagnostics, *disagree, *wrong))
 
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
-        """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were drawn.
+        """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were sampled.
 
         NaN of those that hold in a large final batch, or in a large stage that is learned from and
         do not join the pool.
@@ -197,7 +197,7 @@ class MixtureSampling:
         return np.empty(0) if pool is None else pool.judged.log_weight
 
     def kept_columns(self, state: MixtureState) -> Mapping[str, AnyArray]:
-        """What each rollout was drawn from, and its weights by the balance heuristic."""
+        """What each rollout was sampled from, and its weights by the balance heuristic."""
         return {} if state.pool is None else columns_of(state.pool, final=state.final)
 
     def _sampled(self, problem: Problem, state: MixtureState) -> SampledStage:

@@ -5,7 +5,7 @@ them, which of a very large stage would be more than memory holds. So it is samp
 each from exploration and fitted proposals in their shares, and it is over with the part that brings
 its violations to as many as are enough: later ones would teach nothing, and narrow the estimate
 less than final rollouts do, of which weights alone are kept. All that were sampled count. Where
-violations are rare, all that were asked for are sampled; of those that hold, the least robust join
+violations are rare, all that were wanted are sampled; of those that hold, the least robust join
 the pool, and an even sample that stands for the others.
 
 That a stage is over sooner where more of it violates moves its own average by less than a tenth of
