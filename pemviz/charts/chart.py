@@ -18,15 +18,7 @@ DASHED, DOTTED, SOLID = "5 3", "1.5 2.5", ""
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis.
-
-    Attributes:
-        low: Value at its start.
-        high: Value at its end.
-        label: With unit.
-        log10: Whether equal steps are powers of ten.
-        ticks: Where ticks are; chosen by the engine if ``None``.
-    """
+    """An axis between two values; its label has the unit, and ticks are chosen if ``None``."""
 
     low: float
     high: float
@@ -41,15 +33,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Rule:
-    """A line across the plot at a value.
-
-    Attributes:
-        at: The value.
-        label: Beside it; empty: none.
-        color: ``#rrggbb``.
-        dash: As of :data:`DASHED`.
-        upright: Whether the value is one of the axis to the right.
-    """
+    """A line across the plot at a value: of the axis to the right if ``upright``."""
 
     at: float
     label: str
@@ -60,14 +44,9 @@ class Rule:
 
 @dataclass(frozen=True)
 class Row:
-    """One row of an :class:`IntervalChart`.
+    """One row of an :class:`IntervalChart`: a range, ``None`` where not known, and points in it.
 
     Attributes:
-        name: In words.
-        low: Lower end of its range; ``None``: not known.
-        high: Upper end; ``None`` likewise.
-        values: Points within it.
-        color: ``#rrggbb``.
         holds: Whether the range is an interval at its level; one that is not is dotted.
         figures: What is said of it in figures.
         tip: Shown where the pointer rests.
@@ -89,12 +68,7 @@ class Row:
 class IntervalChart:
     """Ranges of probabilities below each other, on one axis of powers of ten.
 
-    Attributes:
-        title: What is shown.
-        rows: From the top.
-        label: Of the axis.
-        rules: Lines across all rows.
-        up_to: The axis' upper end; ``None``: what the rows need.
+    The axis ends at ``up_to``; if that is ``None``, where the rows do.
     """
 
     title: str
@@ -120,17 +94,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Discs at ``[N]`` places.
-
-    Attributes:
-        x: Places to the right.
-        y: Places upwards.
-        color: ``#rrggbb``.
-        label: In the legend.
-        radius: In pixels.
-        tips: Of each, shown where the pointer rests.
-        clickable: Whether a click gives the number of a point, counted from 1.
-    """
+    """Discs at ``[N]`` places, a tip each; a click on one gives its number, counted from 1."""
 
     x: FloatArray
     y: FloatArray
@@ -175,13 +139,9 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """A plane of values, shaded by level.
+    """A plane of values ``[up, right]``, NaN where not known, shaded by level.
 
-    Attributes:
-        values: ``[up, right]``; NaN where not known.
-        levels: From the highest down; the last also has what lies below.
-        unknown: Colour where nothing is known.
-        title: Of the shades.
+    Levels come from the highest down; the last also has what lies below.
     """
 
     values: FloatArray
@@ -207,16 +167,7 @@ Mark = Line | Points | Whiskers | Bars | Cells | Box | Rule
 
 @dataclass(frozen=True)
 class PlaneChart:
-    """Marks over two axes.
-
-    Attributes:
-        title: What is shown.
-        x: To the right.
-        y: Upwards.
-        marks: The first lie below the others.
-        width: In pixels, of a page; the height too.
-        height: See there.
-    """
+    """Marks over two axes, the first below the others; as large in pixels on a page."""
 
     title: str
     x: Axis

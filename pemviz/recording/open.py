@@ -189,11 +189,7 @@ def _ends_like_ctrl_c() -> Generator[None, None, None]:
 
 @contextmanager
 def web_viewer(path: Path, *, port: int) -> Generator[str, None, None]:
-    """Serve a recording with the viewer; yields the page's address.
-
-    Args:
-        path: The recording.
-        port: Of the page; 0 takes a free one.
+    """Serve a recording with the viewer at a port, 0 for a free one; yields the page's address.
 
     Raises:
         InputError: The port cannot be used.

@@ -19,16 +19,11 @@ SERIES_COLORS = (rgba(BLUE), rgba(VERMILLION), rgba(GREEN))
 
 @dataclass(frozen=True)
 class Page:
-    """One tab.
+    """One tab: a text, and beside it a picture or curves ``[T]`` by name, against time.
 
     Attributes:
         name: Part of its entity paths.
-        title: Of the tab.
-        markdown: Its text.
-        png: A picture; ``None`` for none.
-        series: Curves ``[T]`` by name, against time.
-        series_title: Says what they are, with their unit.
-        dt_s: Their time step [s].
+        series_title: Says what the curves are, with their unit.
     """
 
     name: str
@@ -41,12 +36,7 @@ class Page:
 
 
 def write_pages(path: Path, pages: Sequence[Page], *, name: str) -> None:
-    """Write a recording that opens with one tab a page.
-
-    Args:
-        path: Where; overwritten if it exists.
-        pages: At least one.
-        name: The recording's name in the viewer.
+    """Write a recording that opens with one tab a page, over one that is there.
 
     Raises:
         RunError: It cannot be written.

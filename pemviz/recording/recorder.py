@@ -35,9 +35,6 @@ class Recorder:
     Text, curves and figures are flushed after each stage, so that a killed run's recording
     shows every finished stage. With several repetitions, rollouts, curves and stage figures
     are those of the first; estimates and the least robust rollouts are of all.
-
-    Attributes:
-        path: The recording.
     """
 
     def __init__(
@@ -53,10 +50,8 @@ class Recorder:
 
         Args:
             path: Where to; overwritten if it exists.
-            frames: Let highway-env draw the least robust rollout from above at the end; needs
-                highway-env.
-            live_port: Also serve the recording to live viewers on this port of the loopback
-                interface.
+            frames: Let highway-env draw the least robust rollout from above at the end.
+            live_port: Also serve it to live viewers on this port of the loopback interface.
             rollout_limit: Up to how many rollouts of a repetition are all recorded.
             compacted: Make the file smaller once the run is done.
         """
@@ -99,11 +94,7 @@ class Recorder:
 
 
 class _Writing:
-    """The recording of one run.
-
-    Attributes:
-        views: What it shows.
-    """
+    """The recording of one run, and the views that it shows."""
 
     def __init__(
         self, file: RecordingFile, started: RunStarted, rollout_limit: int, *, frames: bool
@@ -128,7 +119,7 @@ class _Writing:
                 robustness_unit=self._robustness_unit,
                 frames=frames,
                 road=None if scene is None else scene.road,
-                asked=named_signals(config, started.signals)[0],
+                signal=named_signals(config, started.signals)[0],
                 noise=worst.noise_title(simulator),
             )
         )

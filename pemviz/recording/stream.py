@@ -44,9 +44,7 @@ class StepTimes:
 class RecordingFile:
     """A recording that is written to a file and, on request, served to a live viewer.
 
-    Attributes:
-        path: The file.
-        logged: The entity paths written so far.
+    ``logged`` are the entity paths written so far.
     """
 
     def __init__(self, path: Path, *, name: str, layout: str, live_port: int | None = None) -> None:

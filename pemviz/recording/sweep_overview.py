@@ -29,13 +29,9 @@ MOST_GRID_LINES = 12
 
 @dataclass(frozen=True)
 class SweepEstimate:
-    """One run of a sweep.
+    """One run of a sweep; ``None`` where something is not known.
 
     Attributes:
-        seed: Its seed.
-        log10_probability: Of its estimate; ``None`` if nothing failed or it is not done.
-        log10_ci_low: Lower bound; ``None`` where unknown.
-        log10_ci_high: Upper bound; ``None`` where unknown.
         caveats: Why the bounds are no 95 % interval; empty if they are one.
         note: Shown where there is no estimate: 'no violation', 'failed', 'not run'.
     """
@@ -50,12 +46,7 @@ class SweepEstimate:
 
 @dataclass(frozen=True)
 class SweepSetting:
-    """All runs of one setting.
-
-    Attributes:
-        title: The setting in a few words.
-        estimates: One a seed.
-    """
+    """All runs of one setting, one a seed; the title is the setting in a few words."""
 
     title: str
     estimates: tuple[SweepEstimate, ...]
@@ -63,13 +54,7 @@ class SweepSetting:
 
 @dataclass(frozen=True)
 class SweepTexts:
-    """The pages of text, as markdown.
-
-    Attributes:
-        summary: Every setting in a row.
-        runs: Every run in a row.
-        settings: What all runs share, and how to run this again.
-    """
+    """Markdown: settings in rows, runs in rows, what all share and how to run this again."""
 
     summary: str
     runs: str
@@ -79,13 +64,7 @@ class SweepTexts:
 def write_sweep_overview(
     path: Path, settings: Sequence[SweepSetting], texts: SweepTexts, *, name: str
 ) -> None:
-    """Write the recording.
-
-    Args:
-        path: Where; overwritten if it exists.
-        settings: In the order in which they are shown.
-        texts: The pages.
-        name: The recording's name in the viewer.
+    """Write the recording, over one that is there; the viewer shows it under its name.
 
     Raises:
         RunError: It cannot be written.

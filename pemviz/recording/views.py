@@ -30,11 +30,9 @@ PLOT_BACKGROUND = (13, 16, 17)
 
 @dataclass(frozen=True)
 class ViewSpec:
-    """One view.
+    """One view; its title names the quantities and their units.
 
     Attributes:
-        kind: What it draws.
-        title: Names the quantities and their units.
         paths: The entities it shows; the last is its subject, without which it is left out.
         axis: Fixed range of the vertical axis.
         shape: Of a drawn plot.
@@ -51,16 +49,7 @@ class ViewSpec:
 
 @dataclass(frozen=True)
 class ContainerSpec:
-    """Views and containers side by side.
-
-    Attributes:
-        kind: How they are arranged.
-        title: Shown on a tab.
-        parts: What is inside.
-        shares: Relative sizes along the arrangement.
-        active: Index of the tab that is open at first.
-        columns: Columns of a grid.
-    """
+    """Views and containers side by side, in ``shares`` of its size; tab ``active`` is open."""
 
     kind: ContainerKind
     title: str
@@ -75,13 +64,10 @@ class Subject:
     """What a run is about, as far as its views depend on it.
 
     Attributes:
-        stages: Stages of a repetition.
-        repetitions: How many.
-        signals: The scenario's signals.
         robustness_unit: Unit of the ranking metric; empty if it has none.
         frames: Whether highway-env's pictures are recorded.
         road: Of a scenario that tells where its cars are.
-        asked: The signal that is drawn of the least robust rollouts; by default the first.
+        signal: The one that is drawn of the least robust rollouts; by default the first.
         noise: Names what was random at steps; empty: nothing was.
     """
 
@@ -91,7 +77,7 @@ class Subject:
     robustness_unit: str
     frames: bool = False
     road: Road | None = None
-    asked: Signal | None = None
+    signal: Signal | None = None
     noise: str = ""
 
 
@@ -257,7 +243,7 @@ def _stage_rollouts(subject: Subject, stage: int) -> ContainerSpec:
 
 def _worst(subject: Subject) -> ContainerSpec:
     """The least robust rollouts, in 3D and from above where the scenario tells where cars are."""
-    signal = subject.asked or subject.signals[0]
+    signal = subject.signal or subject.signals[0]
     plots = [
         ViewSpec(
             "series", f"Least robust: {_title(signal).lower()}", (paths.worst_series(signal.key),)

@@ -61,10 +61,7 @@ LONG_NAMES = plot.Shape(left=1.0)
 class Randomness:
     """What was random in one rollout beside outcomes, in its scenario's terms where it has some.
 
-    Attributes:
-        start: What it started with, value and unit by name.
-        by_step: ``[T-1]`` by name: errors [m], or standard normals.
-        in_m: Whether they are errors.
+    Start values with their units by name; by step ``[T-1]`` errors [m] or standard normals.
     """
 
     start: Mapping[str, tuple[float, str]]
@@ -84,14 +81,12 @@ class Track:
     """One rollout that is among the least robust.
 
     Attributes:
-        ranked: Which it is, and its scores.
         signals: ``[T]`` by signal name.
         detected: ``[T-1]`` outcomes; with several slots, whether none of them errs.
         pem_probability: ``[T-1]`` P(detected) under the perception error model.
         proposal_probability: ``[T-1]`` P(detected) under the proposal.
         right_by_slot: ``[T-1]`` whether each of several slots does not err, by its name.
         outcomes: Of perception, ``[T-1]``, with several slots ``[T-1, K]``.
-        random: What was random in it beside outcomes.
         start: Latents at the start ``[S]``; ``None``: the scenario has none.
         drawn: Where its cars are, of a scenario that tells.
     """

@@ -25,12 +25,9 @@ GAP = "gap_m"
 
 @dataclass(frozen=True)
 class Violations:
-    """The violating rollouts that carry most of the estimate.
+    """The violating rollouts that carry most of the estimate, the likeliest first.
 
-    Attributes:
-        gap_m: Their gaps ``[V, T]`` [m].
-        missed: Their outcomes ``[V, T-1]``.
-        share: Of all violating rollouts' weight, descending, ``[V]``.
+    Gaps ``[V, T]`` [m], outcomes ``[V, T-1]``, shares of all violating rollouts' weight ``[V]``.
     """
 
     gap_m: FloatArray
@@ -43,8 +40,6 @@ class CaseRun:
     """A run of a safety case.
 
     Attributes:
-        name: Its folder's.
-        result: What it found.
         card: Of its error model; ``None`` where the model is not at hand, or is another one now.
         digests: SHA-256 of the files that were kept, by name.
         violations: The likeliest; ``None`` where rollouts were not kept, or nothing violates.

@@ -309,13 +309,9 @@ def _band_ends(band: BandPlan) -> tuple[float, float]:
 def gap_chart(
     gap_m: FloatArray, missed: BoolArray, share: FloatArray, *, dt_s: float
 ) -> PlaneChart:
-    """Gaps ``[V, T]`` [m] over time, darker the likelier, with dots where outcomes are missed.
+    """Gaps ``[V, T]`` [m] of violations over time, the likeliest first, darker the likelier.
 
-    Args:
-        gap_m: Of violating rollouts, the likeliest first.
-        missed: Their outcomes ``[V, T-1]``; those of the likeliest are drawn.
-        share: How likely each is given a violation, ``[V]``.
-        dt_s: Time step [s].
+    Dots stand where outcomes ``[V, T-1]`` of the likeliest are missed; shares are ``[V]``.
     """
     time_s = np.arange(gap_m.shape[1]) * dt_s
     lines = [

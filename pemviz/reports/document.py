@@ -23,12 +23,7 @@ class Verbatim(str):
 
 @dataclass(frozen=True)
 class Strip:
-    """A cell that shows when something happens.
-
-    Attributes:
-        text: The same in words.
-        spans: Start and end of each mark, as shares of the strip.
-    """
+    """A cell that shows when something happens: words, and ends of marks as shares of it."""
 
     text: str
     spans: tuple[tuple[float, float], ...]
@@ -75,12 +70,7 @@ def cell_text(cell: Cell) -> str:
 
 @dataclass(frozen=True)
 class Bullets:
-    """Texts below each other.
-
-    Attributes:
-        items: The texts.
-        numbered: Whether their order matters.
-    """
+    """Texts below each other."""
 
     items: tuple[str, ...]
     numbered: bool = False
@@ -100,7 +90,6 @@ class Table:
 
     Attributes:
         columns: Heads; all empty: a table of names and what they are.
-        rows: Cells, as many as columns.
         name: Stands over it, and is read to who does not see it.
         note: Stands beneath it.
         numbers: Columns that are set to the right.
@@ -122,8 +111,6 @@ class Figure:
     """A chart and what it shows.
 
     Attributes:
-        chart: As data.
-        caption: Stands beneath it.
         words: What media without pictures show in its place.
         target: Which control of an interactive page takes clicks on its points.
     """
@@ -147,14 +134,7 @@ Block = Headline | Paragraph | Caution | Verdict | Bullets | Code | Table | Figu
 
 @dataclass(frozen=True)
 class Section:
-    """One subject.
-
-    Attributes:
-        key: By which media choose it.
-        title: Over it.
-        brief: What a reader in a hurry needs; empty: nothing.
-        full: All that is to be said.
-    """
+    """One subject: what a reader in a hurry needs, and all that is to be said."""
 
     key: str
     title: str
@@ -164,12 +144,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Document:
-    """Sections in the order in which they are read.
-
-    Attributes:
-        title: In words.
-        sections: Only those that have something to say.
-    """
+    """Sections in the order in which they are read, those that have something to say."""
 
     title: str
     sections: tuple[Section, ...]

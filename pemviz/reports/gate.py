@@ -23,15 +23,9 @@ EXIT_CODES: Mapping[GateOutcome, int] = {
 
 @dataclass(frozen=True)
 class GateDecision:
-    """What the gate says.
+    """What the gate says: ``tripped`` if the upper bound is above the limit.
 
-    Attributes:
-        outcome: ``tripped`` if the upper bound is above the limit; ``undecided`` if the
-            estimate cannot tell.
-        limit: The probability that a violation must not exceed; ``None`` where only rules have
-            limits.
-        reason: In words.
-        exit_code: What the command line ends with.
+    The limit is ``None`` where only rules have limits; the command line ends with the exit code.
     """
 
     outcome: GateOutcome
@@ -92,12 +86,8 @@ def decide_gate(
 ) -> GateDecision:
     """Compare an estimate's upper bound with ``limit``.
 
-    Above the limit it trips, whatever else is wrong; an interval that is none never passes.
-
-    Args:
-        estimate: The estimate.
-        limit: The probability that a violation must not exceed.
-        diagnostics: All that is known to be wrong; ``None``: the estimate's own.
+    Above the limit it trips, whatever else is wrong; an interval that is none never passes. If
+    ``diagnostics`` are not given, the estimate's own are all that is known to be wrong.
     """
     against = interval_caveats(estimate, diagnostics)
     outcome: GateOutcome

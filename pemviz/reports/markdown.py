@@ -28,12 +28,7 @@ PLAIN_MARKS: Marks = {"yes": "**ok:**", "no": "**no:**", "open": "**warning:**"}
 
 
 def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> str:
-    """A run as one page, suited to the summary page of a pipeline's job.
-
-    Args:
-        result: The run.
-        gate: The gate's decision, if there is a gate.
-    """
+    """A run as one page, suited to the summary page of a pipeline's job."""
     document = run_document(result, gate=gate)
     first, *others = document.choose(("answer", "gate", *ANSWER[2:], *WHY, *TRUST, *RECORD))
     parts = [*sections_markdown([first], level=2, prefix=f"{document.title}: ")]
@@ -44,13 +39,9 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
 def sections_markdown(
     sections: Iterable[Section], *, level: int, prefix: str = "", marks: Marks = MARKS
 ) -> list[str]:
-    """Paragraphs of sections in full, each under its title.
+    """Paragraphs of sections in full, each under its title of a level.
 
-    Args:
-        sections: In their order.
-        level: Of their titles.
-        prefix: Stands before the words of a headline.
-        marks: Stand before verdicts and warnings.
+    ``prefix`` stands before the words of a headline, ``marks`` before verdicts and warnings.
     """
     parts: list[str] = []
     for section in sections:

@@ -26,18 +26,12 @@ SAME = 0.01
 
 @dataclass(frozen=True)
 class CurveAxis:
-    """What a curve leads along.
+    """What a curve leads along: its name, what 0 means, the unit after a number.
 
     Attributes:
-        head: Its name.
-        none: What 0 means.
-        unit: After a number.
-        title: What the curve tells.
         note: What stands beneath the curve and its table.
         shown: Of its places those that a small table shows beside the measured ones.
         measured: Places measured on video of two detectors, by name.
-        place: Of a point.
-        points: Of a run's curve; empty if not asked for.
         own: The answer's own place.
         fitted: The error model's own place, measured on video; ``None`` if it has none.
     """

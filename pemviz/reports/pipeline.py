@@ -33,11 +33,6 @@ class ReportWriter:
     ) -> None:
         """Check the places; nothing is written yet.
 
-        Args:
-            summary: Markdown file.
-            junit: XML file.
-            limits: The gate's, if there is a gate.
-
         Raises:
             ConfigError: A file cannot be written there.
         """
@@ -89,11 +84,7 @@ def junit_xml(result: RunResult, *, gate: GateDecision | None = None) -> str:
     """A document with one test case that fails when the gate tripped.
 
     An undecided gate and a run that did not finish are errors: a pipeline never takes them
-    for a pass.
-
-    Args:
-        result: The run.
-        gate: The gate's decision; without a gate the case passes once the run is done.
+    for a pass. Without a gate the case passes once the run is done.
     """
     failed = gate is not None and gate.outcome == "tripped"
     broken = result.status != "done" or (gate is not None and gate.outcome == "undecided")

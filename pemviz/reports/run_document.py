@@ -44,13 +44,7 @@ GATE_MARKS: Mapping[GateOutcome, doc.Mark] = {"passed": "yes", "tripped": "no", 
 def run_document(
     result: RunResult, *, gate: GateDecision | None = None, running: bool = False
 ) -> Document:
-    """All sections that have something to say.
-
-    Args:
-        result: The run.
-        gate: The gate's decision, if there is a gate.
-        running: Whether the run still goes on.
-    """
+    """All sections that have something to say; ``running``: of a run that still goes on."""
     found = [
         _gate(gate),
         _answer(result, gate=gate, running=running),

@@ -80,11 +80,9 @@ footer {{ margin-top: 46px; color: #52606d; font-size: 13px; border-top: 1px sol
 
 
 def safety_case_page(runs: Sequence[CaseRun], *, below: float | None = None) -> str:
-    """The whole page as HTML. What cannot be printed is replaced.
+    """The whole page as HTML, of one run or more. What cannot be printed is replaced.
 
-    Args:
-        runs: At least one.
-        below: The failure probability that is to be claimed, if one is named.
+    ``below`` is the failure probability that is to be claimed, if one is named.
     """
     if len(runs) == 1:
         config = runs[0].result.config
@@ -168,13 +166,10 @@ def _head(run: CaseRun, document: Document, *, below: float | None) -> tuple[Blo
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement.
+    """A bound that rests on a source of uncertainty and takes something for granted.
 
     Attributes:
-        kind: The source that it rests on.
-        granted: What it takes for granted.
         bound: The failure probability is below; ``None`` where it is not known.
-        name: The source's name, with its level.
         verdict: Whether the wanted claim follows; ``None`` where none was named.
         note: What speaks against the bound, or what would be needed to have one.
     """
@@ -193,12 +188,7 @@ class Claim:
 
 
 def claims(result: RunResult, *, below: float | None) -> list[Claim]:
-    """A statement for each source of uncertainty but the reference, sampling first.
-
-    Args:
-        result: The run.
-        below: The failure probability that is to be claimed, if one is named.
-    """
+    """A statement for each source of uncertainty but the reference, sampling first."""
     found: list[Claim] = []
     for source in uncertainty_budget(result):
         if source.kind == "reference":

@@ -25,10 +25,7 @@ STYLES = {"plain": None, "strong": "bold", "quiet": None}
 def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> None:
     """Print the answer, how far it is open, what causes violations, and where the run lies.
 
-    Args:
-        result: What was found.
-        folder: The run's.
-        verbose: With every figure and every warning, not only the gravest.
+    If ``verbose``, with every figure and every warning, not only the gravest.
     """
     console = Console(highlight=False)
     keys = (*ANSWER, *WHY, *TRUST, *(("worst",) if verbose else ()))

@@ -80,6 +80,14 @@ def texts(path: Path) -> dict[str, str]:
     return {entity: row[0] for entity, row in newest(path, "TextDocument:text").items()}
 
 
+def titles(path: Path) -> list[str]:
+    """Of the views in the recording's layout."""
+    reader, name = rr.chunk.RrdReader(path), "ViewBlueprint:display_name"
+    stored = [c.to_record_batch() for c in reader.stream(store=reader.blueprints()[-1])]
+    rows = [row for b in stored if name in b.schema.names for row in b[name].to_pylist()]
+    return [title for row in rows for title in row]
+
+
 def strips(path: Path, entity: str) -> list[AnyArray]:
     """The last line strips ``[N, 2]`` at a path."""
     return [np.array(strip, float) for strip in newest(path, "LineStrips2D:strips")[entity]]

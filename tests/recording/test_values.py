@@ -21,7 +21,7 @@ from pemviz.sampling.estimates.estimate import importance_sampling_estimate
 from pemviz.sampling.rollouts.large_stages import weighed
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M
 from tests.recording.conftest import LEARNING, record, with_blind_pem
-from tests.recording.read_back import chunks, dots, read_stages, scalars, strips, values_at
+from tests.recording.read_back import chunks, dots, read_stages, scalars, strips, texts, values_at
 
 RERUN = Path(rerun_cli.__file__).parent / "rerun"
 
@@ -214,6 +214,7 @@ def test_repetitions_show_the_first_in_detail_and_every_estimate(tmp_path):
     np.testing.assert_array_equal(
         found[0].series["gap_m"], recorded.stages[0].scored.rollouts.signals["gap"]
     )
+    assert "There are 3 repetitions" in texts(recorded.path)[paths.CONTENTS]
     places = dots(recorded.path, paths.part(paths.REPETITIONS, "values"))
     repetitions = recorded.result.repetitions
     ends = np.log10([end for e in repetitions for end in (e.ci_low, e.ci_high) if end > 0.0])

@@ -6,20 +6,19 @@ from io import BytesIO
 import numpy as np
 import PIL.Image
 import pytest
-import rerun as rr
 
 import pemviz
 from pemviz.colors import DETECTED, GREY, MISSED, rgba
 from pemviz.config import ExperimentConfig, StartChoice
 from pemviz.config.toml_files import load_preset
 from pemviz.recording import paths
-from pemviz.recording.scene import road_place, row_m
+from pemviz.recording.scene import OnRoad, row_m
 from pemviz.recording.worst import outcome_frame
 from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, drawn_rollout, remembered
 from pemviz.runs.experiment import build_experiment
 from tests.latent_toys import Drift, Flat
 from tests.recording.conftest import record, with_blind_pem
-from tests.recording.read_back import chunks, columns, scalars, strips, texts, values_at
+from tests.recording.read_back import chunks, columns, scalars, strips, texts, titles, values_at
 from tests.scene_toys import SPREAD_M, CameraOfTwo, CutIn
 
 
@@ -116,8 +115,9 @@ def test_roads_do_not_overlap_and_the_page_says_what_is_drawn(recorded, rollout)
         memory={},
     )
     assert drawn.tracks is None
-    near, far = road_place(drawn, 1), road_place(drawn, 2)
-    assert near.high_m + near.shift_m < far.low_m + far.shift_m
+    near, far = (OnRoad(None, drawn, rank, "", None).shift_m for rank in (1, 2))
+    edges_m = drawn.road.lane_edges_m
+    assert edges_m[-1] + near < edges_m[0] + far
     assert row_m(drawn.road) > 7.0
     assert "where the controller tracks a car" in texts(recorded.path)[paths.CONTENTS]
 
@@ -157,17 +157,6 @@ def test_a_row_of_outcomes_is_cut_where_its_car_comes_into_view_and_errors_are_t
         np.testing.assert_allclose(strokes_s, expected_s, atol=1e-4)
 
 
-def titles(recorded):
-    """Of the views in the recording's layout."""
-    reader = rr.chunk.RrdReader(recorded.path)
-    stored = [c.to_record_batch() for c in reader.stream(store=reader.blueprints()[-1])]
-    name = "ViewBlueprint:display_name"
-    rows = [
-        row for batch in stored if name in batch.schema.names for row in batch[name].to_pylist()
-    ]
-    return [title for row in rows for title in row]
-
-
 def by_step(recorded):
     """What was random at each step of the least robust rollout, ``[T-1, M]``."""
     rows = scalars(recorded.path, paths.WORST_NOISE, paths.STEP)
@@ -204,7 +193,7 @@ def test_errors_are_what_the_controller_measured_less_the_truth(braking):
         states = simulator.step(states, rollouts.detected[[row], step], latents.noise[:, step])
     np.testing.assert_allclose(by_step(recorded)[:, 0], measured, atol=1e-9)
     assert np.ptp(measured) > 0.1
-    assert "Rank 1: error of measured places [m] against step" in titles(recorded)
+    assert "Rank 1: error of measured places [m] against step" in titles(recorded.path)
 
 
 def test_the_table_tells_starts_and_how_hard_the_obstacle_is_to_see(braking):
@@ -241,12 +230,12 @@ def test_latents_that_nobody_explains_are_shown_as_they_are(tmp_path):
     recorded = record(pemviz.build_experiment(config, simulator=drift, pem=Flat(0.1)), tmp_path)
     row, rollouts = rank_one(recorded)
     np.testing.assert_array_equal(by_step(recorded), rollouts.latents.noise[row])
-    assert "Rank 1: standard normals against step" in titles(recorded)
+    assert "Rank 1: standard normals against step" in titles(recorded.path)
 
 
 def test_without_latents_nothing_is_said_of_them(learned):
     assert "Random at the start" not in texts(learned.path)[paths.WORST_SUMMARY]
-    assert not any(title.startswith("Rank 1:") for title in titles(learned))
+    assert not any(title.startswith("Rank 1:") for title in titles(learned.path))
 
 
 def test_a_logical_scenario_is_filmed_with_its_own_start_and_in_grey_from_contact_on(tmp_path):
